@@ -1,0 +1,54 @@
+"""Recorded 3D lidar to 2D laser scans, bit for bit what ROS's pointcloud_to_laserscan returns.
+
+`convert` turns recordings into recordings, `project` turns points into a scan, `info` tells what is in a
+recording. Errors are those of `pc2scan.errors`. Importing this module is cheap: what it offers is loaded on first use.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from .api import convert as convert
+    from .pipeline.report import Report as Report
+    from .core.params import ProjectionParams as ProjectionParams
+    from .core.project import PointCounts as PointCounts
+    from .core.project import ProjectedScan as ProjectedScan
+    from .core.project import project as project
+    from .inspect.info import info as info
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "PointCounts",
+    "ProjectedScan",
+    "ProjectionParams",
+    "Report",
+    "convert",
+    "info",
+    "project",
+]
+
+_HOMES = {
+    "PointCounts": "core.project",
+    "ProjectedScan": "core.project",
+    "ProjectionParams": "core.params",
+    "Report": "pipeline.report",
+    "convert": "api",
+    "info": "inspect.info",
+    "project": "core.project",
+}
+
+
+def __getattr__(name: str) -> Any:
+    home = _HOMES.get(name)
+    if home is None:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(import_module(f".{home}", __name__), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -1,0 +1,66 @@
+"""Recordings: one module a format, one protocol for all, and a registry that picks by content.
+
+=============  =======================================================================
+module         what it is about
+=============  =======================================================================
+``model``      connections, messages, and the protocols `Reader` and `Writer`
+``registry``   telling formats apart, opening sources, planning destinations
+``rosbag1``    ROS 1 bags (``.bag``)
+``mcap``       MCAP files
+``sqlite3``    rosbag2's sqlite3 storage (``.db3``)
+``rosbag2``    rosbag2 directories: metadata.yaml and storage files
+``segments``   the order of time within a chunked file
+``merged``     several recordings as one
+``staging``    a destination appears whole or not at all
+=============  =======================================================================
+
+Importing this package imports no format: each is loaded when the first file of its kind is opened.
+"""
+
+from __future__ import annotations
+
+from .model import (
+    Attachment,
+    Buffer,
+    Connection,
+    Definition,
+    Metadata,
+    RawMessage,
+    Reader,
+    Summary,
+    Writer,
+    normalized_type,
+    ros1_type,
+)
+from .registry import (
+    Container,
+    Destination,
+    default_destination,
+    default_storage,
+    open_recording,
+    open_writer,
+    plan_destination,
+    sniff,
+)
+
+__all__ = [
+    "Attachment",
+    "Buffer",
+    "Connection",
+    "Container",
+    "Definition",
+    "Destination",
+    "Metadata",
+    "RawMessage",
+    "Reader",
+    "Summary",
+    "Writer",
+    "default_destination",
+    "default_storage",
+    "normalized_type",
+    "open_recording",
+    "open_writer",
+    "plan_destination",
+    "ros1_type",
+    "sniff",
+]

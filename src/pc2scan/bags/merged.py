@@ -1,0 +1,322 @@
+"""Several sources read as one recording: connections unified, messages merged by log time.
+
+A split rosbag2 is the same thing on a smaller scale; `pc2scan.bags.rosbag2` builds on this class.
+"""
+
+from __future__ import annotations
+
+import heapq
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from pc2scan.errors import UsageError
+
+from .model import Summary
+
+if TYPE_CHECKING:
+    from collections.abc import (
+        Callable,
+        Collection,
+        Generator,
+        Hashable,
+        Iterable,
+        Iterator,
+        Mapping,
+        Sequence,
+    )
+    from pathlib import Path
+
+    from .model import Attachment, Connection, Metadata, RawMessage, Reader
+
+__all__ = ["MergedReader", "merged_summary", "unified"]
+
+
+class MergedReader:
+    """Several open recordings as one; satisfies `pc2scan.bags.model.Reader`.
+
+    Parameters
+    ----------
+    readers
+        At least one. They belong to this reader from now on: `close` closes them.
+
+    Raises
+    ------
+    UsageError
+        If a path is given twice, or ROS 1 and ROS 2 recordings are mixed. The readers are left open.
+
+    Notes
+    -----
+    A single reader is passed through: its own connections, with their own ids, and its own messages.
+    Otherwise the ids are new and start at 1.
+    """
+
+    def __init__(self, readers: Sequence[Reader]) -> None:
+        if not readers:
+            raise UsageError("no recording was given")
+        _refuse_repeated(readers)
+        _refuse_mixed_generations(readers)
+        self._readers = tuple(readers)
+        connections: Sequence[Connection]
+        maps: list[dict[int, Connection]]
+        if len(readers) == 1:
+            connections = readers[0].connections
+            maps = [{connection.id: connection for connection in connections}]
+        else:
+            connections, ids = unified([reader.connections for reader in readers])
+            by_id = {connection.id: connection for connection in connections}
+            maps = [{own: by_id[merged] for own, merged in numbers.items()} for numbers in ids]
+        self._connections = tuple(connections)
+        self._maps = maps
+        self._unchanged = len(readers) == 1
+
+    def _amend(self, amended: Mapping[int, Connection], added: Iterable[Connection] = ()) -> None:
+        """Replace connections by better informed ones with the same ids, and add some without messages."""
+        changed = [amended.get(connection.id, connection) for connection in self._connections]
+        completed = (*changed, *added)
+        self._unchanged = self._unchanged and completed == self._connections
+        self._connections = completed
+        self._maps = [
+            {own: amended.get(connection.id, connection) for own, connection in known.items()}
+            for known in self._maps
+        ]
+
+    @property
+    def path(self) -> Path:
+        """The first source's path."""
+        return self._readers[0].path
+
+    @property
+    def connections(self) -> Sequence[Connection]:
+        """Every connection, in the order of the sources."""
+        return self._connections
+
+    @property
+    def summary(self) -> Summary:
+        """All sources together."""
+        return merged_summary([reader.summary for reader in self._readers])
+
+    @property
+    def bytes_read(self) -> int:
+        """Bytes consumed so far in all sources."""
+        return sum(reader.bytes_read for reader in self._readers)
+
+    def messages(
+        self,
+        connections: Collection[Connection] | None = None,
+        start_ns: int | None = None,
+        stop_ns: int | None = None,
+    ) -> Iterator[RawMessage]:
+        """Messages by log time; equal log times in the order of the sources, then of the file.
+
+        A source is not read before its first message is due, where its summary tells when that is.
+        """
+        if self._unchanged:
+            return self._readers[0].messages(connections, start_ns, stop_ns)
+        wanted = None if connections is None else {connection.id for connection in connections}
+        waiting: list[_Source] = []
+        for index, (reader, known) in enumerate(zip(self._readers, self._maps, strict=True)):
+            chosen = None
+            if wanted is not None:
+                chosen = [own for own in reader.connections if known[own.id].id in wanted]
+                if not chosen:
+                    continue
+            due_ns = reader.summary.start_ns
+            if due_ns is not None and stop_ns is not None and due_ns >= stop_ns:
+                continue
+            waiting.append(_Source(index, due_ns, _adopted(reader, known, chosen, start_ns, stop_ns)))
+        return _by_time(waiting)
+
+    def attachments(self) -> Iterator[Attachment]:
+        """MCAP attachments, source by source."""
+        for reader in self._readers:
+            yield from reader.attachments()
+
+    def metadata(self) -> Iterator[Metadata]:
+        """MCAP metadata records, source by source."""
+        for reader in self._readers:
+            yield from reader.metadata()
+
+    def close(self) -> None:
+        """Close every source."""
+        for reader in self._readers:
+            reader.close()
+
+
+class _Source:
+    """A stream of messages and its place in the order."""
+
+    __slots__ = ("due_ns", "index", "key", "message", "stream")
+
+    def __init__(self, index: int, due_ns: int | None, stream: Generator[RawMessage]) -> None:
+        self.index = index
+        self.due_ns = due_ns
+        self.stream = stream
+        self.message: RawMessage | None = None
+        self.key = (0, index)
+
+    def advance(self) -> bool:
+        """Take the next message; False at the end."""
+        self.message = next(self.stream, None)
+        if self.message is None:
+            return False
+        self.key = (self.message.log_time_ns, self.index)
+        return True
+
+    def __lt__(self, other: _Source) -> bool:
+        return self.key < other.key
+
+
+def _adopted(
+    reader: Reader,
+    known: Mapping[int, Connection],
+    chosen: Collection[Connection] | None,
+    start_ns: int | None,
+    stop_ns: int | None,
+) -> Generator[RawMessage]:
+    """One source's messages under the unified connections."""
+    for message in reader.messages(chosen, start_ns, stop_ns):
+        yield message._replace(connection=known[message.connection.id])
+
+
+def _by_time(sources: Sequence[_Source]) -> Generator[RawMessage]:
+    """Merge streams that are sorted by log time, each opened when it is due."""
+    # A source of unknown start is due at once; sorting is stable, so that equal starts keep their order.
+    waiting = sorted(sources, key=lambda source: (source.due_ns is not None, source.due_ns or 0))
+    heap: list[_Source] = []
+    due = 0
+    try:
+        while heap or due < len(waiting):
+            while due < len(waiting) and (not heap or _is_due(waiting[due], heap[0])):
+                if waiting[due].advance():
+                    heapq.heappush(heap, waiting[due])
+                due += 1
+            if not heap:
+                continue
+            current = heapq.heappop(heap)
+            limit = heap[0].key if heap else None
+            if due < len(waiting):
+                # Everything still waiting has a known start: those of unknown start came first.
+                arrival = (waiting[due].due_ns or 0, -1)
+                limit = arrival if limit is None else min(limit, arrival)
+            while current.message is not None and (limit is None or current.key < limit):
+                yield current.message
+                current.advance()
+            if current.message is not None:
+                heapq.heappush(heap, current)
+    finally:
+        for source in waiting:
+            source.stream.close()
+
+
+def _is_due(source: _Source, first: _Source) -> bool:
+    return source.due_ns is None or source.due_ns <= first.key[0]
+
+
+def unified(sources: Sequence[Sequence[Connection]]) -> tuple[list[Connection], list[dict[int, int]]]:
+    """Find the connections that several sources share.
+
+    Connections are one if they agree in everything but id and message count. Two such connections within one
+    source are two publishers and stay two: the k-th of one source is the k-th of the other.
+
+    Parameters
+    ----------
+    sources
+        The connections of each source.
+
+    Returns
+    -------
+    connections
+        With ids from 1 on and counts added (None if any is None).
+    ids
+        For each source: from its own id to the new one.
+    """
+    merged: list[Connection] = []
+    places: dict[tuple[Hashable, int], int] = {}
+    ids: list[dict[int, int]] = []
+    for connections in sources:
+        seen: dict[Hashable, int] = {}
+        numbers: dict[int, int] = {}
+        for connection in connections:
+            identity = _identity(connection)
+            occurrence = seen.get(identity, 0)
+            seen[identity] = occurrence + 1
+            place = places.setdefault((identity, occurrence), len(merged))
+            if place == len(merged):
+                merged.append(replace(connection, id=place + 1))
+            else:
+                count = _sum((merged[place].message_count, connection.message_count))
+                merged[place] = replace(merged[place], message_count=count)
+            numbers[connection.id] = place + 1
+        ids.append(numbers)
+    return merged, ids
+
+
+def _identity(connection: Connection) -> Hashable:
+    return (
+        connection.topic,
+        connection.msgtype,
+        connection.serialization,
+        connection.definition,
+        connection.digest,
+        connection.callerid,
+        connection.latching,
+        connection.qos,
+        frozenset(connection.metadata.items()),
+    )
+
+
+def merged_summary(summaries: Sequence[Summary]) -> Summary:
+    """Add summaries up: sizes and counts are summed, times span all.
+
+    What is unknown in one is unknown in all. ``container``, ``storage`` and ``profile`` are those that all
+    have, else ``mixed`` (the container) or empty.
+    """
+    # An empty source has no times, and that is no lack of knowledge.
+    timed = [summary for summary in summaries if summary.message_count != 0]
+    return Summary(
+        container=_common([summary.container for summary in summaries], "mixed"),
+        storage=_common([summary.storage for summary in summaries], ""),
+        compression=tuple(sorted({name for summary in summaries for name in summary.compression})),
+        size_bytes=sum(summary.size_bytes for summary in summaries),
+        message_count=_sum([summary.message_count for summary in summaries]),
+        start_ns=_extreme(min, [summary.start_ns for summary in timed]),
+        end_ns=_extreme(max, [summary.end_ns for summary in timed]),
+        profile=_common([summary.profile for summary in summaries], ""),
+    )
+
+
+def _sum(values: Sequence[int | None]) -> int | None:
+    known = [value for value in values if value is not None]
+    return sum(known) if len(known) == len(values) else None
+
+
+def _extreme(choose: Callable[[list[int]], int], values: Sequence[int | None]) -> int | None:
+    known = [value for value in values if value is not None]
+    return choose(known) if known and len(known) == len(values) else None
+
+
+def _common(values: Sequence[str], otherwise: str) -> str:
+    return values[0] if len(set(values)) == 1 else otherwise
+
+
+def _refuse_repeated(readers: Sequence[Reader]) -> None:
+    seen: dict[tuple[int, int], Path] = {}
+    for reader in readers:
+        status = reader.path.stat()
+        identity = (status.st_dev, status.st_ino)
+        if identity in seen:
+            raise UsageError(f"the recording is given twice (as {seen[identity]} too)", path=reader.path)
+        seen[identity] = reader.path
+
+
+def _refuse_mixed_generations(readers: Sequence[Reader]) -> None:
+    found: dict[int, Path] = {}
+    for reader in readers:
+        for connection in reader.connections:
+            if connection.generation is not None:
+                found.setdefault(connection.generation, reader.path)
+    if len(found) > 1:
+        raise UsageError(
+            f"{found[1]} is a ROS 1 recording and {found[2]} is a ROS 2 recording; they cannot become one",
+            hint="convert them one by one",
+        )

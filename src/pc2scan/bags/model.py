@@ -1,0 +1,249 @@
+"""What every container has in common: connections, messages, and the protocols of readers and writers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, NamedTuple, Protocol
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator, Sequence
+    from pathlib import Path
+
+Buffer = bytes | memoryview
+
+
+@dataclass(frozen=True, slots=True)
+class Definition:
+    """A message definition, verbatim.
+
+    Attributes
+    ----------
+    encoding
+        MCAP's words: ``ros1msg``, ``ros2msg``, ``ros2idl``, another schema encoding, or empty for none.
+    data
+        The definition with those it depends on, byte for byte as the recording carries it.
+    """
+
+    encoding: str = ""
+    data: bytes = b""
+
+    @property
+    def text(self) -> str:
+        """The definition as text; bytes that are not UTF-8 become replacement characters."""
+        return self.data.decode("utf-8", "replace")
+
+
+@dataclass(frozen=True, slots=True)
+class Connection:
+    """One publisher's stream of one topic: a ROS 1 connection, a rosbag2 topic or an MCAP channel.
+
+    Attributes
+    ----------
+    id
+        Unique within its reader, and for a chunked container the id that its messages carry.
+    topic
+        As recorded.
+    msgtype
+        As recorded: ``sensor_msgs/PointCloud2`` or ``sensor_msgs/msg/PointCloud2``.
+    serialization
+        MCAP's words: ``ros1``, ``cdr``, or another message encoding.
+    definition
+        What the recording says of the type.
+    digest
+        The type's identity where recorded: md5sum (ROS 1), RIHS01 hash (ROS 2), or empty.
+    callerid
+        ROS 1's name of the publishing node; None when not recorded.
+    latching
+        ROS 1: latched. ROS 2: durability transient local in any of the offered profiles.
+    qos
+        rosbag2's ``offered_qos_profiles``, verbatim (YAML text); empty when not recorded.
+    metadata
+        MCAP channel metadata or further ROS 1 connection header fields, verbatim.
+    message_count
+        None where the container does not say.
+    """
+
+    id: int
+    topic: str
+    msgtype: str
+    serialization: str
+    definition: Definition = Definition()
+    digest: str = ""
+    callerid: str | None = None
+    latching: bool = False
+    qos: str = ""
+    metadata: Mapping[str, str] = field(default_factory=dict)
+    message_count: int | None = None
+
+    @property
+    def ros_type(self) -> str:
+        """The type in ROS 2's spelling, whatever the recording's: ``sensor_msgs/msg/PointCloud2``."""
+        return normalized_type(self.msgtype)
+
+    @property
+    def generation(self) -> int | None:
+        """1 or 2 for the ROS generation that serialised the messages, None for another encoding."""
+        return {"ros1": 1, "cdr": 2}.get(self.serialization)
+
+
+class RawMessage(NamedTuple):
+    """One recorded message, not decoded.
+
+    ``log_time_ns`` is the time of recording, ``publish_time_ns`` (equal to it where the container has
+    only one) the time of publishing, both in integer nanoseconds. ``data`` may be a view into a larger buffer.
+    """
+
+    connection: Connection
+    log_time_ns: int
+    data: Buffer
+    publish_time_ns: int
+    sequence: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Attachment:
+    """An MCAP attachment: a file carried along."""
+
+    name: str
+    media_type: str
+    log_time_ns: int
+    create_time_ns: int
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Metadata:
+    """An MCAP metadata record: named key-value text."""
+
+    name: str
+    entries: Mapping[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """What a reader knows of its recording without reading the messages.
+
+    Attributes
+    ----------
+    container
+        ``rosbag1``, ``rosbag2`` (a directory), ``sqlite3`` (a bare ``.db3``) or ``mcap``.
+    storage
+        Of a rosbag2 directory: ``sqlite3`` or ``mcap``; else empty.
+    compression
+        The compressions that occur, sorted: ``none``, ``bz2``, ``lz4``, ``zstd``.
+    size_bytes
+        Of all files together.
+    message_count, start_ns, end_ns
+        None where only reading every message would tell. ``end_ns`` is the last message's log time.
+    """
+
+    container: str
+    storage: str
+    compression: tuple[str, ...]
+    size_bytes: int
+    message_count: int | None
+    start_ns: int | None
+    end_ns: int | None
+    profile: str = ""
+
+
+class Reader(Protocol):
+    """An open recording."""
+
+    @property
+    def path(self) -> Path:
+        """Where it was opened."""
+        ...
+
+    @property
+    def connections(self) -> Sequence[Connection]:
+        """Every connection, in the container's order."""
+        ...
+
+    @property
+    def summary(self) -> Summary:
+        """What is known without reading messages."""
+        ...
+
+    @property
+    def bytes_read(self) -> int:
+        """Bytes of ``summary.size_bytes`` consumed so far, for progress."""
+        ...
+
+    def messages(
+        self,
+        connections: Collection[Connection] | None = None,
+        start_ns: int | None = None,
+        stop_ns: int | None = None,
+    ) -> Iterator[RawMessage]:
+        """Messages in the order of log time; those of one log time in the order of the file.
+
+        Parameters
+        ----------
+        connections
+            Only messages of these; None means all. Stretches of the file without any are not read.
+        start_ns, stop_ns
+            Only messages with ``start_ns <= log_time_ns < stop_ns``.
+        """
+        ...
+
+    def attachments(self) -> Iterator[Attachment]:
+        """MCAP attachments; none in other containers."""
+        ...
+
+    def metadata(self) -> Iterator[Metadata]:
+        """MCAP metadata records; none in other containers."""
+        ...
+
+    def close(self) -> None:
+        """Release the files."""
+        ...
+
+
+class Writer(Protocol):
+    """A recording being written; it becomes valid with `finish` and not before."""
+
+    def add_connection(self, connection: Connection) -> int:
+        """Declare a connection; returns the handle that `write` takes. Its ``id`` is ignored."""
+        ...
+
+    def write(
+        self, handle: int, log_time_ns: int, data: Buffer, publish_time_ns: int, sequence: int = 0
+    ) -> None:
+        """Append a message."""
+        ...
+
+    def add_attachment(self, attachment: Attachment) -> None:
+        """Append an attachment; containers without attachments ignore it."""
+        ...
+
+    def add_metadata(self, metadata: Metadata) -> None:
+        """Append a metadata record; containers without them ignore it."""
+        ...
+
+    def finish(self) -> None:
+        """Write indexes and summaries, and put everything on the disk."""
+        ...
+
+    def abort(self) -> None:
+        """Release the files; what was written is left for the caller to remove."""
+        ...
+
+
+def normalized_type(msgtype: str) -> str:
+    """Spell a ROS type as ROS 2 does.
+
+    >>> normalized_type("tf/tfMessage"), normalized_type("std_msgs/msg/Header")
+    ('tf/msg/tfMessage', 'std_msgs/msg/Header')
+    """
+    package, _, name = msgtype.rpartition("/")
+    if not package or "/" in package:
+        return msgtype
+    return f"{package}/msg/{name}"
+
+
+def ros1_type(msgtype: str) -> str:
+    """Spell a ROS type as ROS 1 does: ``sensor_msgs/PointCloud2``."""
+    parts = msgtype.split("/")
+    return f"{parts[0]}/{parts[-1]}" if len(parts) == 3 else msgtype

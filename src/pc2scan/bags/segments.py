@@ -1,0 +1,155 @@
+"""Messages in the order of time out of a file whose stretches overlap in time.
+
+ROS 1 bags and MCAP files are runs of chunks. Each chunk is (nearly) sorted, but chunks overlap where the recorder
+had several buffers. Sorting a whole index would need memory that grows with the recording; here a
+segment is loaded when its first message is due and forgotten after its last.
+"""
+
+from __future__ import annotations
+
+import heapq
+from dataclasses import dataclass
+from operator import attrgetter
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+
+    from .model import RawMessage
+
+#: Loaded segments may take this much before the ones needed last are dropped and later read again.
+MAX_OPEN_BYTES = 128 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """A stretch of a file that holds messages: a chunk, or a run of records outside any chunk.
+
+    Attributes
+    ----------
+    offset, length
+        The stored payload's place in the file, bytes.
+    compression
+        ``none``, ``bz2``, ``lz4`` or ``zstd``.
+    uncompressed_size
+        Bytes after decompression.
+    crc
+        CRC-32 of the uncompressed payload; 0 when there is none.
+    start_ns, end_ns
+        Log times of the earliest and the latest message, both inclusive.
+    connection_ids
+        The connections with messages in it; None when unknown (then it has to be read to find out).
+    """
+
+    offset: int
+    length: int
+    compression: str
+    uncompressed_size: int
+    crc: int
+    start_ns: int
+    end_ns: int
+    connection_ids: frozenset[int] | None = None
+
+    def may_hold(self, ids: frozenset[int] | None, start_ns: int | None, stop_ns: int | None) -> bool:
+        """Whether a message of these connections and times can be in it (``ids`` None: any connection)."""
+        return (
+            (start_ns is None or self.end_ns >= start_ns)
+            and (stop_ns is None or self.start_ns < stop_ns)
+            and (ids is None or self.connection_ids is None or not self.connection_ids.isdisjoint(ids))
+        )
+
+
+class _Open:
+    """A segment on the heap, keyed by its next message's log time, then by its place in the file."""
+
+    __slots__ = ("key", "messages", "position", "segment")
+
+    def __init__(self, segment: Segment, messages: list[RawMessage]) -> None:
+        self.segment = segment
+        self.messages: list[RawMessage] | None = messages
+        self.position = 0
+        self.key = (messages[0].log_time_ns, segment.offset)
+
+    def __lt__(self, other: _Open) -> bool:
+        return self.key < other.key
+
+
+def in_time_order(
+    segments: Iterable[Segment],
+    load: Callable[[Segment], list[RawMessage]],
+    *,
+    max_open_bytes: int = MAX_OPEN_BYTES,
+) -> Iterator[RawMessage]:
+    """Merge the messages of overlapping segments.
+
+    Parameters
+    ----------
+    segments
+        Any order; ``start_ns`` must not be later than a segment's first message.
+    load
+        Returns a segment's wanted messages in the order of the file. Called once a segment, except that
+        a segment is loaded again if more than ``max_open_bytes`` of segments overlap at one time.
+    max_open_bytes
+        Bound on the payload of the segments held at one time (one is always held).
+
+    Yields
+    ------
+    RawMessage
+        By log time; equal log times in the order of the file.
+    """
+    waiting = sorted(segments, key=attrgetter("start_ns", "offset"))
+    heap: list[_Open] = []
+    due = 0
+
+    def loaded(segment: Segment) -> list[RawMessage]:
+        messages = load(segment)
+        # A stable sort, and next to free where the recorder kept the order.
+        messages.sort(key=attrgetter("log_time_ns"))
+        return messages
+
+    while heap or due < len(waiting):
+        while due < len(waiting) and (not heap or waiting[due].start_ns <= heap[0].key[0]):
+            segment = waiting[due]
+            due += 1
+            messages = loaded(segment)
+            if messages:
+                heapq.heappush(heap, _Open(segment, messages))
+                _evict(heap, max_open_bytes)
+        if not heap:
+            continue
+        current = heapq.heappop(heap)
+        if current.messages is None:
+            current.messages = loaded(current.segment)
+        # Everything up to the next segment's turn comes from this one: no heap operation a message.
+        limit = heap[0].key if heap else None
+        if due < len(waiting):
+            arrival = (waiting[due].start_ns, -1)
+            limit = arrival if limit is None or arrival < limit else limit
+        messages, position = current.messages, current.position
+        offset = current.segment.offset
+        while position < len(messages) and (
+            limit is None or (messages[position].log_time_ns, offset) < limit
+        ):
+            yield messages[position]
+            position += 1
+        if position < len(messages):
+            current.position = position
+            current.key = (messages[position].log_time_ns, offset)
+            heapq.heappush(heap, current)
+            _evict(heap, max_open_bytes)
+        else:
+            # The generator's frame must not keep a spent segment alive while the next one is loaded.
+            del messages, current
+
+
+def _evict(heap: list[_Open], max_open_bytes: int) -> None:
+    """Drop the payload of the segments that are needed last, until the rest fits."""
+    if len(heap) == 1:
+        return
+    held = sorted((entry for entry in heap if entry.messages is not None), reverse=True)
+    total = sum(entry.segment.uncompressed_size for entry in held)
+    for entry in held[:-1]:
+        if total <= max_open_bytes:
+            return
+        entry.messages = None
+        total -= entry.segment.uncompressed_size

@@ -1,0 +1,467 @@
+"""rosbag2's sqlite3 storage: one ``.db3`` file.
+
+Reading needs nothing but the standard library, and never writes beside the source. Writing does the same as
+rosbag2 since Iron (schema version 4). It does not use rosbags' writer, which takes QoS profiles apart and
+puts them together again, and so refuses those with keys missing, and which is bound to a directory of its own
+making.
+
+The layout's versions differ only in their tables and columns, so these are looked up instead of a version:
+
+========  ====================================================================
+version   what it added
+========  ====================================================================
+1         tables ``topics`` and ``messages``
+2         ``topics.offered_qos_profiles``
+3         tables ``schema`` and ``metadata``
+4         ``topics.type_description_hash``, table ``message_definitions``
+========  ====================================================================
+
+Source: rosbag2_storage_sqlite3/sqlite_storage.cpp.
+"""
+
+from __future__ import annotations
+
+import shutil
+import sqlite3
+from contextlib import closing, suppress
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+
+import zstandard
+
+from pc2scan.errors import OutputError, RecordingError
+
+from .mcap import latches
+from .model import Connection, Definition, RawMessage, Summary
+from .staging import sync_file
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator, Sequence
+
+    from .model import Attachment, Buffer, Metadata
+
+__all__ = ["Sqlite3Reader", "Sqlite3Writer", "decompressed_message"]
+
+_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+
+#: What a recorder that died, or is still running, leaves beside the database; the rows in it count.
+_SIDE_FILES = ("-wal", "-journal")
+
+_SCHEMA = """
+CREATE TABLE schema(schema_version INTEGER PRIMARY KEY, ros_distro TEXT NOT NULL);
+CREATE TABLE metadata(id INTEGER PRIMARY KEY, metadata_version INTEGER NOT NULL, metadata TEXT NOT NULL);
+CREATE TABLE topics(
+  id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL, serialization_format TEXT NOT NULL,
+  offered_qos_profiles TEXT NOT NULL, type_description_hash TEXT NOT NULL);
+CREATE TABLE message_definitions(
+  id INTEGER PRIMARY KEY, topic_type TEXT NOT NULL, encoding TEXT NOT NULL,
+  encoded_message_definition TEXT NOT NULL, type_description_hash TEXT NOT NULL);
+CREATE TABLE messages(
+  id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL, timestamp INTEGER NOT NULL, data BLOB NOT NULL);
+CREATE INDEX timestamp_idx ON messages (timestamp ASC);
+INSERT INTO schema(schema_version, ros_distro) VALUES (4, '');
+"""
+
+#: Bytes of messages after which a transaction ends, so that what SQLite has to remember stays bounded.
+_BATCH_BYTES = 16 << 20
+
+#: rosbag2's own level; messages are compressed one by one, so speed matters more than size.
+_ZSTD_LEVEL = 1
+
+
+class Sqlite3Reader:
+    """A ``.db3`` file; satisfies `pc2scan.bags.model.Reader`.
+
+    Parameters
+    ----------
+    path
+        The file. Nothing is written to it or beside it: with a write-ahead log or a rollback journal beside
+        it, all of it is copied to a temporary directory, and SQLite recovers the copy.
+    message_compression
+        ``zstd`` if every message is compressed by itself. ``none`` still looks at the first message, because
+        only metadata.yaml, which may not be there, tells otherwise.
+
+    Raises
+    ------
+    RecordingError
+        If it is not a database, is damaged, or is not one of rosbag2.
+    """
+
+    def __init__(self, path: Path, *, message_compression: str = "none") -> None:
+        self._path = path
+        self._copy: TemporaryDirectory[str] | None = None
+        self._database: sqlite3.Connection | None = None
+        self._bytes_read = 0
+        try:
+            self._size = path.stat().st_size
+            self._database = self._open()
+            self._check_tables()
+            self._index = self._timestamp_index()
+            self._connections, start_ns, end_ns = self._read_connections()
+            self._compressed = message_compression == "zstd" or self._first_is_compressed()
+        except sqlite3.Error as err:
+            self.close()
+            raise self._error(err) from err
+        except OSError as err:
+            self.close()
+            raise RecordingError(f"cannot be read: {err.strerror}", path=path) from err
+        except BaseException:
+            self.close()
+            raise
+        self._summary = Summary(
+            container="sqlite3",
+            storage="",
+            compression=("zstd" if self._compressed else "none",),
+            size_bytes=self._size,
+            message_count=sum(connection.message_count or 0 for connection in self._connections),
+            start_ns=start_ns,
+            end_ns=end_ns,
+        )
+
+    @property
+    def path(self) -> Path:
+        """The file."""
+        return self._path
+
+    @property
+    def connections(self) -> Sequence[Connection]:
+        """One a row of ``topics``."""
+        return self._connections
+
+    @property
+    def summary(self) -> Summary:
+        """Counts and times as the table of messages has them."""
+        return self._summary
+
+    @property
+    def bytes_read(self) -> int:
+        """Bytes of messages read so far."""
+        return min(self._bytes_read, self._size)
+
+    def messages(
+        self,
+        connections: Collection[Connection] | None = None,
+        start_ns: int | None = None,
+        stop_ns: int | None = None,
+    ) -> Iterator[RawMessage]:
+        """Messages by log time; equal log times in the order of writing. Memory does not grow."""
+        wanted = None if connections is None else {connection.id for connection in connections}
+        known = {own.id: own for own in self._connections if wanted is None or own.id in wanted}
+        try:
+            for topic_id, time_ns, data in self._rows(list(known), start_ns, stop_ns):
+                if not isinstance(data, bytes):
+                    raise RecordingError(
+                        f"a message's data is {type(data).__name__}, not bytes",
+                        path=self._path,
+                        topic=known[topic_id].topic,
+                    )
+                self._bytes_read += len(data)
+                if self._compressed:
+                    data = decompressed_message(data, self._path, known[topic_id].topic)  # noqa: PLW2901
+                yield RawMessage(known[topic_id], time_ns, data, time_ns)
+        except sqlite3.Error as err:
+            raise self._error(err) from err
+
+    def attachments(self) -> Iterator[Attachment]:
+        """None: the storage has no attachments."""
+        return iter(())
+
+    def metadata(self) -> Iterator[Metadata]:
+        """None: the storage's ``metadata`` table is a copy of rosbag2's metadata.yaml."""
+        return iter(())
+
+    def close(self) -> None:
+        """Close the database and remove the copy, if there is one."""
+        if self._database is not None:
+            self._database.close()
+            self._database = None
+        if self._copy is not None:
+            self._copy.cleanup()
+            self._copy = None
+
+    def _open(self) -> sqlite3.Connection:
+        """Open without a trace: an immutable database is neither locked nor recovered."""
+        side_files = [side for name in _SIDE_FILES if _has_content(side := _beside(self._path, name))]
+        path, mode = self._path, "mode=ro&immutable=1"
+        if side_files:
+            self._copy = TemporaryDirectory(prefix="pc2scan-")
+            for original in (self._path, *side_files):
+                shutil.copyfile(original, f"{self._copy.name}/{original.name}")
+            # Recovery writes; it may, here.
+            path, mode = Path(self._copy.name, self._path.name), "mode=rw"
+        # Readers are handed to other threads, one thread at a time.
+        database = sqlite3.connect(f"{path.absolute().as_uri()}?{mode}", uri=True, check_same_thread=False)
+        # One byte that is not UTF-8 in a topic's name must not make the recording unreadable.
+        database.text_factory = lambda raw: raw.decode("utf-8", "replace")
+        return database
+
+    def _query(self, sql: str, values: Sequence[Any] = ()) -> sqlite3.Cursor:
+        if self._database is None:
+            raise RecordingError("is closed", path=self._path)
+        return self._database.execute(sql, values)
+
+    def _error(self, err: sqlite3.Error) -> RecordingError:
+        return RecordingError(
+            f"SQLite cannot read it: {err}",
+            path=self._path,
+            hint="sqlite3's command .recover saves what is left of a damaged database",
+        )
+
+    def _columns(self, table: str) -> set[str]:
+        return {row[1] for row in self._query(f"PRAGMA table_info({table})")}
+
+    def _check_tables(self) -> None:
+        needed = {
+            "topics": {"id", "name", "type", "serialization_format"},
+            "messages": {"id", "topic_id", "timestamp", "data"},
+        }
+        for table, columns in needed.items():
+            if missing := columns - self._columns(table):
+                raise RecordingError(
+                    "is an SQLite database, but not one of rosbag2: "
+                    f"table {table} lacks {', '.join(sorted(missing))}",
+                    path=self._path,
+                )
+
+    def _timestamp_index(self) -> str | None:
+        """The quoted name of an index that knows the order of all messages."""
+        for row in self._query("PRAGMA index_list(messages)"):
+            name = '"' + str(row[1]).replace('"', '""') + '"'
+            columns = [column[2] for column in self._query(f"PRAGMA index_info({name})")]
+            # An index with a WHERE clause (the fifth column) does not know every row.
+            if columns == ["timestamp"] and not row[4]:
+                return name
+        return None
+
+    def _read_connections(self) -> tuple[tuple[Connection, ...], int | None, int | None]:
+        """The connections, and the times of the first and the last message."""
+        available = self._columns("topics")
+        optional = ["offered_qos_profiles", "type_description_hash"]
+        extra = "".join(f", coalesce({name}, '')" if name in available else ", ''" for name in optional)
+        definitions = self._read_definitions()
+        counts = {
+            topic_id: numbers
+            for topic_id, *numbers in self._query(
+                "SELECT topic_id, count(*), min(timestamp), max(timestamp) FROM messages GROUP BY topic_id"
+            )
+        }
+        connections, starts, ends = [], [], []
+        for topic_id, topic, msgtype, serialization, qos, digest in self._query(
+            f"SELECT id, name, type, serialization_format{extra} FROM topics ORDER BY id"  # noqa: S608 - constants
+        ):
+            count, first_ns, last_ns = counts.get(topic_id, (0, None, None))
+            if count:
+                starts.append(first_ns)
+                ends.append(last_ns)
+            connections.append(
+                Connection(
+                    id=topic_id,
+                    topic=topic,
+                    msgtype=msgtype,
+                    serialization=serialization,
+                    definition=definitions.get((msgtype, digest))
+                    or definitions.get((msgtype, None), Definition()),
+                    digest=digest,
+                    latching=latches(qos),
+                    qos=qos,
+                    message_count=count,
+                )
+            )
+        return tuple(connections), min(starts, default=None), max(ends, default=None)
+
+    def _read_definitions(self) -> dict[tuple[str, str | None], Definition]:
+        """Definitions by type and hash; without a hash, a type's first."""
+        found: dict[tuple[str, str | None], Definition] = {}
+        columns = self._columns("message_definitions")
+        if not {"topic_type", "encoding", "encoded_message_definition"} <= columns:
+            return found
+        digest = "type_description_hash" if "type_description_hash" in columns else "''"
+        for msgtype, encoding, data, own_digest in self._query(
+            "SELECT topic_type, encoding, CAST(encoded_message_definition AS BLOB), "  # noqa: S608 - constants
+            f"{digest} FROM message_definitions ORDER BY id"
+        ):
+            # rosbag2 says "unknown" where it did not find the definition.
+            if data and encoding not in {"", "unknown"}:
+                definition = Definition(encoding, data)
+                found.setdefault((msgtype, own_digest), definition)
+                found.setdefault((msgtype, None), definition)
+        return found
+
+    def _first_is_compressed(self) -> bool:
+        """Whether the first message is a zstd frame. A CDR message begins with a zero byte and is none."""
+        row = self._query("SELECT substr(data, 1, 4) FROM messages LIMIT 1").fetchone()
+        return row is not None and row[0] == _ZSTD_MAGIC
+
+    def _rows(
+        self, topic_ids: list[int], start_ns: int | None, stop_ns: int | None
+    ) -> Iterator[tuple[int, int, object]]:
+        conditions = [f"topic_id IN ({', '.join('?' * len(topic_ids))})"]
+        values = list(topic_ids)
+        for operator, bound in ((">=", start_ns), ("<", stop_ns)):
+            if bound is not None:
+                conditions.append(f"timestamp {operator} ?")
+                values.append(max(-(2**63), min(bound, 2**63 - 1)))
+        tail = f"WHERE {' AND '.join(conditions)} ORDER BY timestamp, id"
+        if self._index is not None:
+            # Left to itself, SQLite may find sorting whole messages cheaper than following the index.
+            sql = f"SELECT topic_id, timestamp, data FROM messages INDEXED BY {self._index} {tail}"  # noqa: S608
+            with closing(self._query(sql, values)) as rows:
+                yield from rows
+            return
+        # Without an index it has to sort: ids alone, lest it carry every message through its sorter.
+        with closing(self._query(f"SELECT topic_id, timestamp, id FROM messages {tail}", values)) as rows:  # noqa: S608
+            for topic_id, time_ns, message_id in rows:
+                row = self._query("SELECT data FROM messages WHERE id = ?", (message_id,)).fetchone()
+                yield topic_id, time_ns, row and row[0]
+
+
+def decompressed_message(data: Buffer, path: Path, topic: str) -> bytes:
+    """Return a message that was compressed by itself (rosbag2's compression mode ``message``).
+
+    Raises
+    ------
+    RecordingError
+        If it is not a complete zstd frame.
+    """
+    # Not `decompress`: it trusts the frame's word on the size and needs one.
+    decoder = zstandard.ZstdDecompressor().decompressobj()
+    try:
+        message = decoder.decompress(data)
+    except zstandard.ZstdError as err:
+        raise RecordingError(f"a message cannot be decompressed: {err}", path=path, topic=topic) from err
+    if not decoder.eof:
+        raise RecordingError("a message's zstd frame is cut off", path=path, topic=topic)
+    return message
+
+
+def _beside(path: Path, suffix: str) -> Path:
+    return path.with_name(path.name + suffix)
+
+
+def _has_content(path: Path) -> bool:
+    return path.is_file() and path.stat().st_size > 0
+
+
+class Sqlite3Writer:
+    """A ``.db3`` file being written; satisfies `pc2scan.bags.model.Writer`.
+
+    The file has schema version 4, as rosbag2 has written it since Iron. ``ros_distro`` is empty: what is
+    written must not depend on the machine. QoS profiles and definitions are written verbatim, definitions
+    once a type.
+
+    Parameters
+    ----------
+    path
+        Must not exist.
+    compression
+        ``none``, or ``zstd``: every message is compressed by itself.
+
+    Raises
+    ------
+    OutputError
+        From every method, if the file cannot be written.
+    """
+
+    def __init__(self, path: Path, *, compression: str = "none") -> None:
+        self._path = path
+        self._compressor = zstandard.ZstdCompressor(level=_ZSTD_LEVEL) if compression == "zstd" else None
+        self._pending = 0
+        self._defined: set[tuple[str, str]] = set()
+        try:
+            # SQLite would open an existing file and add to it.
+            path.open("xb").close()
+            self._database = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
+        except (OSError, sqlite3.Error) as err:
+            raise self._failed(err) from err
+        try:
+            # What goes wrong leaves a file that is thrown away as a whole: no journal on the disk, no waiting
+            # for the disk before the end.
+            self._database.execute("PRAGMA journal_mode=MEMORY")
+            self._database.execute("PRAGMA synchronous=OFF")
+            self._database.executescript(_SCHEMA)
+            self._database.execute("BEGIN")
+        except sqlite3.Error as err:
+            self.abort()
+            raise self._failed(err) from err
+
+    def add_connection(self, connection: Connection) -> int:
+        """Add a row to ``topics``, and its definition if it is the first of its type and hash."""
+        definition = connection.definition
+        identity = (connection.msgtype, connection.digest)
+        if definition.encoding and identity not in self._defined:
+            self._defined.add(identity)
+            self._insert(
+                "INSERT INTO message_definitions(topic_type, encoding, encoded_message_definition, "
+                "type_description_hash) VALUES (?, ?, CAST(? AS TEXT), ?)",
+                (connection.msgtype, definition.encoding, definition.data, connection.digest),
+            )
+        return self._insert(
+            "INSERT INTO topics(name, type, serialization_format, offered_qos_profiles, "
+            "type_description_hash) VALUES (?, ?, ?, ?, ?)",
+            (
+                connection.topic,
+                connection.msgtype,
+                connection.serialization,
+                connection.qos,
+                connection.digest,
+            ),
+        )
+
+    def write(
+        self,
+        handle: int,
+        log_time_ns: int,
+        data: Buffer,
+        publish_time_ns: int,  # noqa: ARG002 - the storage has one time a message
+        sequence: int = 0,  # noqa: ARG002 - and no sequence number
+    ) -> None:
+        """Append a message."""
+        if self._compressor is not None:
+            data = self._compressor.compress(data)
+        self._insert(
+            "INSERT INTO messages(timestamp, topic_id, data) VALUES (?, ?, ?)", (log_time_ns, handle, data)
+        )
+        self._pending += len(data)
+        if self._pending >= _BATCH_BYTES:
+            self._pending = 0
+            self._run("COMMIT")
+            self._run("BEGIN")
+
+    def add_attachment(self, attachment: Attachment) -> None:
+        """Ignored: the storage has no attachments."""
+
+    def add_metadata(self, metadata: Metadata) -> None:
+        """Ignored: the storage has no metadata records."""
+
+    def add_bag_metadata(self, version: int, text: str) -> None:
+        """Keep rosbag2's metadata.yaml (its ``rosbag2_bagfile_information``) in the file, as rosbag2 does."""
+        self._insert("INSERT INTO metadata(metadata_version, metadata) VALUES (?, ?)", (version, text))
+
+    def finish(self) -> None:
+        """Commit, close, and put the file on the disk."""
+        self._run("COMMIT")
+        try:
+            self._database.close()
+            sync_file(self._path)
+        except (OSError, sqlite3.Error) as err:
+            raise self._failed(err) from err
+
+    def abort(self) -> None:
+        """Close; the file is not a recording."""
+        with suppress(sqlite3.Error):
+            self._database.close()
+
+    def _insert(self, sql: str, values: Sequence[Any]) -> int:
+        row = self._run(sql, values).lastrowid
+        return row or 0
+
+    def _run(self, sql: str, values: Sequence[Any] = ()) -> sqlite3.Cursor:
+        try:
+            return self._database.execute(sql, values)
+        except (sqlite3.Error, OverflowError) as err:
+            raise self._failed(err) from err
+
+    def _failed(self, err: Exception) -> OutputError:
+        reason = err.strerror if isinstance(err, OSError) else str(err)
+        return OutputError(f"cannot be written: {reason}", path=self._path)

@@ -1,0 +1,12 @@
+"""The command line: parse, call one function of the library, render. One module a command."""
+
+from __future__ import annotations
+
+__all__ = ["main"]
+
+
+def main() -> None:
+    """Run the ``pc2scan`` command."""
+    from .app import app
+
+    app(prog_name="pc2scan")

@@ -1,0 +1,90 @@
+"""The application: its commands, and the one place that turns errors into messages and exit statuses."""
+
+from __future__ import annotations
+
+import signal
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from typer.core import TyperGroup
+
+from pc2scan.errors import Pc2ScanError
+
+from .convert import convert
+from .info import info
+from .render import error_text
+from .tf import tf
+
+if TYPE_CHECKING:
+    from types import FrameType
+
+__all__ = ["app"]
+
+EPILOG = "Exit status: 0 done, 1 failed and nothing written, 2 wrong usage, 3 written but with messages skipped."
+
+_INTERRUPTED = 128 + signal.SIGINT
+
+
+class _Group(TyperGroup):
+    """Errors are handled here, inside the group, so that a test's CliRunner sees what a user sees."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command; user errors become a message and an exit status, bugs keep their traceback."""
+        # A termination must unwind the stack, so that nothing half-written stays behind.
+        previous = _handle_termination()
+        try:
+            return super().invoke(ctx)
+        except Pc2ScanError as err:
+            typer.echo(error_text(err), err=True)
+            raise typer.Exit(err.exit_status) from err
+        except KeyboardInterrupt:
+            typer.echo("interrupted: nothing was written", err=True)
+            raise typer.Exit(_INTERRUPTED) from None
+        finally:
+            if previous is not None:
+                signal.signal(signal.SIGTERM, previous)
+
+
+def _handle_termination() -> Any:
+    def terminate(number: int, _frame: FrameType | None) -> None:
+        raise SystemExit(128 + number)
+
+    try:
+        return signal.signal(signal.SIGTERM, terminate)
+    except ValueError:
+        # Only the main thread may; elsewhere (an embedding program) the signal is not ours.
+        return None
+
+
+app = typer.Typer(
+    cls=_Group,
+    name="pc2scan",
+    help="Recorded 3D lidar to the 2D laser scans that SLAM and navigation need, without a ROS installation.",
+    epilog=EPILOG,
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def _show_version(value: bool) -> None:
+    if value:
+        from pc2scan import __version__
+
+        typer.echo(f"pc2scan {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit.")
+    ] = False,
+) -> None:
+    """Recorded 3D lidar to the 2D laser scans that SLAM and navigation need, without a ROS installation."""
+
+
+app.command()(convert)
+app.command()(info)
+app.command()(tf)

@@ -1,0 +1,167 @@
+"""``pc2scan tf``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from pc2scan.errors import UsageError, stamp_text
+
+from .render import count, printable, table
+
+if TYPE_CHECKING:
+    from pc2scan.core.rigid import Rigid
+    from pc2scan.inspect.tf import FrameTree
+    from pc2scan.tf.buffer import FrameInfo
+
+__all__ = ["tf"]
+
+#: Deeper than this the drawing is no longer readable, and a chain may be a million frames long.
+_MAX_DEPTH = 60
+_MAX_LINES = 500
+
+
+def tf(
+    sources: Annotated[
+        list[Path], typer.Argument(metavar="SRC...", help="Recordings; their transforms count together.")
+    ],
+    frames: Annotated[
+        tuple[str, str] | None,
+        typer.Option("--lookup", metavar="TARGET SOURCE", help="Print the transform that takes SOURCE to TARGET."),
+    ] = None,
+    at: Annotated[
+        str | None,
+        typer.Option(
+            metavar="TIME",
+            help="With --lookup: the stamp, as seconds since 1970 (or nanoseconds), or a date and time.",
+            show_default="the latest that all frames on the way have",
+        ),
+    ] = None,
+    tf_topic: Annotated[
+        list[str],
+        typer.Option("--tf-topic", metavar="TOPIC", help="Where the transforms are, if not on /tf and /tf_static."),
+    ] = [],  # noqa: B006 - typer reads the default and never hands it out
+    static_tf: Annotated[
+        list[str],
+        typer.Option("--static-tf", metavar="TRANSFORM", help="Add a transform, as convert does."),
+    ] = [],  # noqa: B006
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Show the frames of a recording: the tree, rates, first and last times, gaps, disconnected parts."""
+    from pc2scan.inspect.tf import frame_tree
+    from pc2scan.pipeline.frames import FrameOptions, StaticTransform
+
+    if at is not None and frames is None:
+        raise UsageError("--at goes with --lookup", hint="--lookup base_link lidar --at 1604515190.25")
+    options = FrameOptions(
+        tf_topics=tuple(tf_topic), static=tuple(StaticTransform.parse(text) for text in static_tf)
+    )
+    tree = frame_tree(sources, options)
+    if frames is not None:
+        stamp_ns = 0 if at is None else _stamp(at)
+        rigid = tree.buffer.lookup(frames[0], frames[1], stamp_ns)
+        _show_transform(frames[0], frames[1], stamp_ns, rigid, as_json=as_json)
+    elif as_json:
+        import json
+
+        typer.echo(json.dumps(tree.as_dict(), indent=2))
+    else:
+        _show(tree)
+
+
+def _stamp(text: str) -> int:
+    from pc2scan.pipeline.options import TimeBound
+
+    bound = TimeBound.parse(text)
+    # A stamp has no beginning to count from: simulated time begins at 0, and so do its stamps.
+    return bound.nanoseconds
+
+
+def _show_transform(target: str, source: str, stamp_ns: int, rigid: Rigid, *, as_json: bool) -> None:
+    translation, quaternion = rigid.translation.tolist(), rigid.quaternion.tolist()
+    roll, pitch, yaw = rigid.rpy
+    if as_json:
+        import json
+
+        typer.echo(
+            json.dumps(
+                {
+                    "target": target,
+                    "source": source,
+                    "stamp_ns": stamp_ns or None,
+                    "translation": translation,
+                    "rotation": quaternion,
+                    "rpy": [roll, pitch, yaw],
+                },
+                indent=2,
+            )
+        )
+        return
+    when = f"at {stamp_text(stamp_ns)}" if stamp_ns else "at the latest common time"
+    typer.echo(printable(f"{target} from {source} {when}"))
+    typer.echo("  translation  x {:.6f}  y {:.6f}  z {:.6f} m".format(*translation))
+    typer.echo("  quaternion   x {:.9f}  y {:.9f}  z {:.9f}  w {:.9f}".format(*quaternion))
+    typer.echo(f"  rotation     roll {roll:.6f}  pitch {pitch:.6f}  yaw {yaw:.6f} rad")
+
+
+def _show(tree: FrameTree) -> None:
+    if not tree.frames:
+        typer.echo("no transforms")
+    children: dict[str, list[FrameInfo]] = {}
+    for frame in tree.frames:
+        for parent in frame.parents:
+            children.setdefault(parent, []).append(frame)
+    for number, part in enumerate(tree.trees):
+        if number:
+            typer.echo()
+        if len(tree.trees) > 1:
+            typer.echo(f"part {number + 1} of {len(tree.trees)}, not connected with the others:")
+        for line in _drawn(part.roots or part.frames[:1], children):
+            typer.echo(printable(line))
+    if tree.frames:
+        typer.echo()
+        table(
+            ("child", "parent", "kind", "transforms", "Hz", "first", "last", "largest gap"),
+            [
+                (
+                    frame.child,
+                    ", ".join(frame.parents),
+                    "static" if frame.static else "dynamic",
+                    count(frame.transforms),
+                    "-" if frame.rate_hz is None else f"{frame.rate_hz:.2f}",
+                    stamp_text(frame.first_ns),
+                    stamp_text(frame.last_ns),
+                    "-"
+                    if frame.largest_gap_ns is None or frame.largest_gap_at_ns is None
+                    else f"{frame.largest_gap_ns / 1e9:.3f} s after {stamp_text(frame.largest_gap_at_ns)}",
+                )
+                for frame in tree.frames
+            ],
+            left=("child", "parent", "kind", "largest gap"),
+        )
+    for warning in tree.warnings:
+        typer.echo(f"warning: {printable(warning)}", err=True)
+
+
+def _drawn(roots: tuple[str, ...], children: dict[str, list[FrameInfo]]) -> list[str]:
+    """The tree as indented lines; walks a stack, since a hostile tree may be very deep, and stops at loops."""
+    lines: list[str] = []
+    seen: set[str] = set()
+    stack = [(root, 0, "") for root in reversed(roots)]
+    while stack:
+        name, depth, kind = stack.pop()
+        if len(lines) >= _MAX_LINES:
+            lines.append("... and more")
+            break
+        again = name in seen
+        lines.append(f"{'  ' * min(depth, _MAX_DEPTH)}{name}{kind}{' (see above)' if again else ''}")
+        if again:
+            continue
+        seen.add(name)
+        stack += [
+            (frame.child, depth + 1, " (static)" if frame.static else "")
+            for frame in reversed(children.get(name, []))
+        ]
+    return lines

@@ -1,0 +1,1 @@
+"""The arithmetic: NumPy arrays in, NumPy arrays out."""

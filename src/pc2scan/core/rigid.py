@@ -1,0 +1,324 @@
+"""Rotating and translating: rigid transforms, how they chain, and what lies between two of them.
+
+A transform is named by its direction: ``target_from_source`` takes coordinates in the frame ``source`` and
+returns them in the frame ``target``, ``p_target = target_from_source.apply(p_source)``. The transform that
+ROS publishes with ``header.frame_id`` parent and ``child_frame_id`` child is ``parent_from_child``.
+
+Two forms of the same thing: `Rigid` is the one to keep and to hand around; a `Pose`, seven floats in a tuple,
+is what a chain of lookups is computed in, because a call of NumPy takes longer than multiplying four numbers.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+
+from pc2scan.errors import ParameterError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import ArrayLike, NDArray
+
+__all__ = [
+    "IDENTITY_POSE",
+    "Pose",
+    "Rigid",
+    "TransformRow",
+    "compose_poses",
+    "interpolate",
+    "interpolate_poses",
+    "inverse_pose",
+    "lerp",
+    "slerp",
+    "unit_quaternions",
+]
+
+#: Translation x, y, z in metres, then the unit quaternion x, y, z, w.
+Pose: TypeAlias = tuple[float, float, float, float, float, float, float]
+
+#: A stamped transform as a message carries it, ``parent_from_child``: parent, child, stamp_ns, then a pose
+#: whose quaternion may be anything.
+TransformRow: TypeAlias = tuple[str, str, int, float, float, float, float, float, float, float]
+
+IDENTITY_POSE: Pose = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+
+#: Squared norms this close to 1 are rounding. Such quaternions stay as they are: dividing them would move
+#: their last bits, and with them the branch that tf2's slerp takes for nearly equal rotations.
+_ROUNDING = 1e-12
+
+
+def unit_quaternions(quaternions: ArrayLike) -> NDArray[np.float64]:
+    """Normalise quaternions.
+
+    Parameters
+    ----------
+    quaternions
+        (..., 4), in the order x, y, z, w.
+
+    Returns
+    -------
+    ndarray
+        (..., 4) float64, a copy. Quaternions that are unit to within rounding are unchanged; those that
+        are zero, or have a component that is NaN or infinite, become NaN.
+    """
+    given = np.array(quaternions, dtype=np.float64)
+    with np.errstate(all="ignore"):
+        squared = np.einsum("...i,...i->...", given, given)[..., None]
+        # Scaled first: the square of 1e-200 is 0, and that of 1e200 is inf.
+        scaled = given / np.abs(given).max(axis=-1, keepdims=True)
+        unit = scaled / np.sqrt(np.einsum("...i,...i->...", scaled, scaled))[..., None]
+        return np.where(np.abs(squared - 1) <= _ROUNDING, given, unit)
+
+
+def compose_poses(a_from_b: Pose, b_from_c: Pose) -> Pose:
+    """``a_from_c``: the second transform, then the first."""
+    ax, ay, az, ai, aj, ak, ar = a_from_b
+    x, y, z, i, j, k, r = b_from_c
+    # v + 2 w (u x v) + 2 u x (u x v), with u, w the vector and the scalar part of the unit quaternion.
+    cx, cy, cz = 2 * (aj * z - ak * y), 2 * (ak * x - ai * z), 2 * (ai * y - aj * x)
+    return (
+        ax + x + ar * cx + aj * cz - ak * cy,
+        ay + y + ar * cy + ak * cx - ai * cz,
+        az + z + ar * cz + ai * cy - aj * cx,
+        ar * i + ai * r + aj * k - ak * j,
+        ar * j + aj * r + ak * i - ai * k,
+        ar * k + ak * r + ai * j - aj * i,
+        ar * r - ai * i - aj * j - ak * k,
+    )
+
+
+def inverse_pose(a_from_b: Pose) -> Pose:
+    """``b_from_a``."""
+    x, y, z, i, j, k, r = a_from_b
+    turned = compose_poses((0.0, 0.0, 0.0, -i, -j, -k, r), (-x, -y, -z, 0.0, 0.0, 0.0, 1.0))
+    return (*turned[:3], -i, -j, -k, r)
+
+
+def interpolate_poses(first: Pose, last: Pose, ratio: float) -> Pose:
+    """`lerp` of the translations and `slerp` of the rotations, at one ratio."""
+    kept = 1 - ratio
+    x0, y0, z0, i0, j0, k0, r0 = first
+    x1, y1, z1, i1, j1, k1, r1 = last
+    half_angle, sign = _half_angle((i0, j0, k0, r0), (i1, j1, k1, r1))
+    weight0, weight1 = 1.0, 0.0
+    if half_angle != 0:
+        scale = 1 / math.sin(half_angle)
+        weight0 = math.sin(kept * half_angle) * scale
+        weight1 = math.sin(ratio * half_angle) * scale * sign
+    return (
+        kept * x0 + ratio * x1,
+        kept * y0 + ratio * y1,
+        kept * z0 + ratio * z1,
+        weight0 * i0 + weight1 * i1,
+        weight0 * j0 + weight1 * j1,
+        weight0 * k0 + weight1 * k1,
+        weight0 * r0 + weight1 * r1,
+    )
+
+
+def _half_angle(first: Sequence[float], last: Sequence[float]) -> tuple[float, float]:
+    """Half the angle between two rotations on the shorter way, and the sign that the second one needs for it.
+
+    Sums run in tf2's order: its quotient decides to the last bit whether two rotations count as equal.
+    """
+    i0, j0, k0, r0 = first
+    i1, j1, k1, r1 = last
+    dot = i0 * i1 + j0 * j1 + k0 * k1 + r0 * r1
+    norm0 = i0 * i0 + j0 * j0 + k0 * k0 + r0 * r0
+    norm1 = i1 * i1 + j1 * j1 + k1 * k1 + r1 * r1
+    cosine = abs(dot) / math.sqrt(norm0 * norm1)
+    return math.acos(min(cosine, 1.0)), -1.0 if dot < 0 else 1.0
+
+
+def slerp(first: ArrayLike, last: ArrayLike, ratio: ArrayLike) -> NDArray[np.float64]:
+    """Rotations between two rotations, at a constant rate on the shorter way.
+
+    Parameters
+    ----------
+    first, last
+        (4,) unit quaternions x, y, z, w.
+    ratio
+        0 is the first, 1 is the last; a scalar or an array of any shape.
+
+    Returns
+    -------
+    ndarray
+        ``ratio.shape + (4,)`` float64 unit quaternions. Where the two are equal to within the resolution of
+        arccos (about 1.5e-8 rad) all are ``first``.
+
+    Notes
+    -----
+    Source of the rule: ``tf2::Quaternion::slerp`` and ``angleShortestPath`` (Bullet's formula):
+    theta = arccos(abs(q0 . q1) / sqrt(|q0|^2 |q1|^2)); the weights are sin((1 - t) theta) / sin(theta) and
+    sin(t theta) / sin(theta), the second one negated if q0 . q1 is negative.
+    """
+    start, stop = np.asarray(first, np.float64), np.asarray(last, np.float64)
+    ratios = np.asarray(ratio, np.float64)[..., None]
+    half_angle, sign = _half_angle(start.tolist(), stop.tolist())
+    if half_angle == 0:
+        return np.broadcast_to(start, (*ratios.shape[:-1], 4)).copy()
+    scale = 1 / math.sin(half_angle)
+    weights = np.sin((1 - ratios) * half_angle) * scale, np.sin(ratios * half_angle) * scale * sign
+    return np.asarray(weights[0] * start + weights[1] * stop)
+
+
+def lerp(first: ArrayLike, last: ArrayLike, ratio: ArrayLike) -> NDArray[np.float64]:
+    """Points on the straight line between two points.
+
+    Parameters
+    ----------
+    first, last
+        (3,) coordinates, metres.
+    ratio
+        0 is the first, 1 is the last; a scalar or an array of any shape.
+
+    Returns
+    -------
+    ndarray
+        ``ratio.shape + (3,)`` float64: (1 - ratio) first + ratio last, as ``tf2::Vector3::setInterpolate3``.
+    """
+    ratios = np.asarray(ratio, np.float64)[..., None]
+    return np.asarray((1 - ratios) * np.asarray(first, np.float64) + ratios * np.asarray(last, np.float64))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rigid:
+    """A rigid transform, ``target_from_source``: ``p_target = rotation p_source + translation``.
+
+    Parameters
+    ----------
+    quaternion
+        (4,) x, y, z, w: the axes of ``source`` seen from ``target``. Normalised here; float64, read-only.
+    translation
+        (3,) the origin of ``source`` in ``target``, metres. float64, read-only.
+
+    Raises
+    ------
+    ParameterError
+        If a shape is another, a value is NaN or infinite, or the quaternion is zero.
+    """
+
+    quaternion: NDArray[np.float64]
+    translation: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        for name, length in (("quaternion", 4), ("translation", 3)):
+            given = np.array(getattr(self, name), dtype=np.float64)
+            if given.shape != (length,):
+                raise ParameterError(f"{name} has shape {given.shape}, expected ({length},)", name=name)
+            if not np.isfinite(given).all():
+                raise ParameterError(f"{name} is {given.tolist()}, it must be finite", name=name)
+            if length == 4:
+                if not given.any():
+                    raise ParameterError("quaternion is zero, it has no direction", name=name)
+                given = unit_quaternions(given)
+            given.flags.writeable = False
+            object.__setattr__(self, name, given)
+
+    @classmethod
+    def identity(cls) -> Rigid:
+        """The transform that changes nothing."""
+        return cls.from_pose(IDENTITY_POSE)
+
+    @classmethod
+    def from_pose(cls, pose: Pose) -> Rigid:
+        """Take a pose that is known to be finite and of a unit quaternion; nothing is checked."""
+        rigid = object.__new__(cls)
+        both = np.array(pose)
+        both.flags.writeable = False
+        object.__setattr__(rigid, "quaternion", both[3:])
+        object.__setattr__(rigid, "translation", both[:3])
+        return rigid
+
+    @classmethod
+    def from_rpy(
+        cls, roll: float, pitch: float, yaw: float, translation: ArrayLike = (0.0, 0.0, 0.0)
+    ) -> Rigid:
+        """Roll, pitch and yaw in radians, about the fixed axes x, y and z of ``target``, in that order.
+
+        The convention of ``static_transform_publisher`` (``tf2::Quaternion::setRPY``).
+
+        Raises
+        ------
+        ParameterError
+            As the class does.
+        """
+        angles = {"roll": roll, "pitch": pitch, "yaw": yaw}
+        for name, angle in angles.items():
+            if not math.isfinite(angle):
+                raise ParameterError(f"{name} is {angle} rad, it must be finite", name=name)
+        (sr, cr), (sp, cp), (sy, cy) = ((math.sin(a / 2), math.cos(a / 2)) for a in angles.values())
+        quaternion = (
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+            cr * cp * cy + sr * sp * sy,
+        )
+        return cls(np.array(quaternion), np.array(translation, dtype=np.float64))
+
+    @property
+    def pose(self) -> Pose:
+        """The same as seven floats: translation, then quaternion."""
+        x, y, z = self.translation.tolist()
+        i, j, k, r = self.quaternion.tolist()
+        return (x, y, z, i, j, k, r)
+
+    @property
+    def matrix(self) -> NDArray[np.float64]:
+        """The rotation, (3, 3) float64; its columns are the axes of ``source`` seen from ``target``."""
+        i, j, k, r = self.quaternion.tolist()
+        return np.array(
+            [
+                [1 - 2 * (j * j + k * k), 2 * (i * j - k * r), 2 * (i * k + j * r)],
+                [2 * (i * j + k * r), 1 - 2 * (i * i + k * k), 2 * (j * k - i * r)],
+                [2 * (i * k - j * r), 2 * (j * k + i * r), 1 - 2 * (i * i + j * j)],
+            ]
+        )
+
+    def compose(self, other: Rigid) -> Rigid:
+        """``a_from_b.compose(b_from_c)`` is ``a_from_c``."""
+        return Rigid.from_pose(compose_poses(self.pose, other.pose))
+
+    def inverse(self) -> Rigid:
+        """``source_from_target``."""
+        return Rigid.from_pose(inverse_pose(self.pose))
+
+    def apply(self, points: NDArray[Any]) -> NDArray[Any]:
+        """Take points from ``source`` to ``target``.
+
+        Parameters
+        ----------
+        points
+            (N, 3) coordinates in ``source``, metres, of any real dtype and any strides; not changed.
+
+        Returns
+        -------
+        ndarray
+            (N, 3) coordinates in ``target``, C order: float32 if ``points`` is float32, else float64.
+            Computed in float64 and rounded once. A point with a NaN comes out NaN in every coordinate; an
+            infinite coordinate comes out infinite or NaN (0 times inf), as in any matrix product, upstream's
+            included.
+
+        Notes
+        -----
+        Upstream rotates in float32, in the order that its compiler chose. Column by column, without BLAS, the
+        result does not depend on the number of points or threads.
+        """
+        result = np.empty(points.shape, np.float32 if points.dtype == np.float32 else np.float64)
+        x, y, z = points.T.astype(np.float64)
+        with np.errstate(invalid="ignore", over="ignore"):
+            for column, ((rx, ry, rz), offset) in enumerate(zip(self.matrix, self.translation, strict=True)):
+                result[:, column] = x * rx + y * ry + z * rz + offset
+        return result
+
+
+def interpolate(first: Rigid, last: Rigid, ratio: float) -> Rigid:
+    """Between two transforms of the same two frames: `lerp` of the translations, `slerp` of the rotations.
+
+    ``ratio`` 0 is the first, 1 is the last. Source of the rule: ``tf2::TimeCache::interpolate``.
+    """
+    return Rigid.from_pose(interpolate_poses(first.pose, last.pose, ratio))

@@ -1,0 +1,392 @@
+"""The way back: the beams of a laser scan as points, as laser_geometry's ``projectLaser`` makes them.
+
+Source of the rules: ros-perception/laser_geometry 1.6.7, src/laser_geometry.cpp (``projectLaser_`` and
+``transformLaserScanToPointCloud_`` for PointCloud2) and tf2/LinearMath (slerp, rotation matrix). ROS 2's
+version differs in nothing that shows.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from pc2scan.errors import DecodeError, ParameterError, TransformError
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+__all__ = ["RejectedBeams", "Transform", "UnprojectParams", "UnprojectedScan", "deskew", "unproject"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UnprojectParams:
+    """What a cloud made from a scan contains; the defaults are laser_geometry's, and the upstream node's.
+
+    Parameters
+    ----------
+    intensity
+        Channel ``intensity``: the beam's intensity. Left out of a scan without intensities.
+    index
+        Channel ``index``: the beam's number in ``ranges``.
+    distances
+        Channel ``distances``: the beam's range, metres.
+    stamps
+        Channel ``stamps``: seconds since the scan's stamp, ``index * time_increment``.
+    viewpoint
+        Channels ``vp_x``, ``vp_y``, ``vp_z``: where the sensor was, metres.
+    range_cutoff
+        Metres; a beam must read less. Negative means the scan's ``range_max``. A value above ``range_max``
+        keeps readings at and beyond it.
+
+    Raises
+    ------
+    ParameterError
+        If ``range_cutoff`` is NaN.
+    """
+
+    intensity: bool = True
+    index: bool = True
+    distances: bool = False
+    stamps: bool = False
+    viewpoint: bool = False
+    range_cutoff: float = -1.0
+
+    def __post_init__(self) -> None:
+        if math.isnan(self.range_cutoff):
+            raise ParameterError("range_cutoff is NaN", name="range_cutoff")
+
+
+class Transform(Protocol):
+    """A rigid transform, as `pc2scan.core.rigid.Rigid` is one."""
+
+    @property
+    def quaternion(self) -> ArrayLike:
+        """Rotation x, y, z, w, shape (4,); need not be normalised."""
+        ...
+
+    @property
+    def translation(self) -> ArrayLike:
+        """Shape (3,), metres."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RejectedBeams:
+    """How many beams became no point, each counted once, under the first reason that holds.
+
+    Attributes
+    ----------
+    nan
+        The range is NaN.
+    infinite
+        The range is +inf or -inf.
+    below_min
+        Below the scan's ``range_min`` (all finite ones if that is NaN).
+    beyond_max
+        At or beyond ``range_max``, or ``range_cutoff`` where one is given.
+    """
+
+    nan: int = 0
+    infinite: int = 0
+    below_min: int = 0
+    beyond_max: int = 0
+
+    @property
+    def total(self) -> int:
+        """All of them together."""
+        return self.nan + self.infinite + self.below_min + self.beyond_max
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UnprojectedScan:
+    """The points of a scan.
+
+    Attributes
+    ----------
+    points
+        Structured, shape (N,), in the order of the beams; read-only. The fields are packed in
+        laser_geometry's order: ``x``, ``y``, ``z``, then those requested of ``intensity``, ``index``,
+        ``distances``, ``stamps``, ``vp_x``, ``vp_y``, ``vp_z``. All are little-endian float32 but ``index``,
+        which is int32. Names, offsets and bytes (``points.tobytes()``) are those of upstream's PointCloud2.
+    beams
+        int32, shape (N,): which beam each point comes from; there even when ``index`` was not requested.
+    beam_count
+        Beams of the scan.
+    rejected
+        Why the other beams became no point.
+    """
+
+    points: NDArray[np.void]
+    beams: NDArray[np.int32]
+    beam_count: int
+    rejected: RejectedBeams
+
+    @property
+    def xyz(self) -> NDArray[np.float32]:
+        """Coordinates, float32, shape (N, 3), metres; a read-only view of `points`."""
+        return _columns(self.points, "x")
+
+    @property
+    def viewpoint(self) -> NDArray[np.float32] | None:
+        """Where the sensor was, float32, shape (N, 3), metres; a read-only view, or None if not requested."""
+        return _columns(self.points, "vp_x") if "vp_x" in (self.points.dtype.names or ()) else None
+
+    def with_xyz(self, xyz: ArrayLike, viewpoint: ArrayLike | None = None) -> UnprojectedScan:
+        """Put the points, and the sensor, elsewhere.
+
+        Parameters
+        ----------
+        xyz
+            Shape (N, 3), metres; becomes float32.
+        viewpoint
+            Shape (N, 3) or (3,), metres; None keeps it. Not looked at without viewpoint channels.
+
+        Returns
+        -------
+        UnprojectedScan
+            A copy; the other channels stay.
+        """
+        points = self.points.copy()
+        with np.errstate(over="ignore"):
+            _columns(points, "x")[:] = xyz
+            if viewpoint is not None and self.viewpoint is not None:
+                _columns(points, "vp_x")[:] = viewpoint
+        points.flags.writeable = False
+        return replace(self, points=points)
+
+
+def unproject(
+    ranges: NDArray[np.float32],
+    intensities: NDArray[np.float32],
+    *,
+    angle_min: float,
+    angle_increment: float,
+    range_min: float,
+    range_max: float,
+    time_increment: float = 0.0,
+    params: UnprojectParams | None = None,
+) -> UnprojectedScan:
+    """Turn the beams of a scan into points in the plane z = 0 of its frame.
+
+    A beam is kept if ``range_min <= range < cutoff``, so NaN and +inf never are, and neither is a range of
+    exactly ``range_max``. Beam i points to ``angle_min + i * angle_increment`` in float64; x and y are the
+    float64 products of range and cosine or sine, rounded to float32.
+
+    Upstream reuses its table of cosines for as long as ``angle_min``, ``angle_max`` and the number of beams
+    stay, even when ``angle_increment`` changes; here every scan has its own angles.
+
+    Parameters
+    ----------
+    ranges
+        float32, shape (beams,), metres. May be empty; anything may be in it.
+    intensities
+        float32, empty or as long as ``ranges``.
+    angle_min, angle_increment
+        Radians, of any sign; float32 in the message and rounded to it here.
+    range_min, range_max
+        Metres; likewise.
+    time_increment
+        Seconds from beam to beam; likewise.
+    params
+        Channels and cutoff; None means the defaults.
+
+    Returns
+    -------
+    UnprojectedScan
+        The points, in the order of the beams.
+
+    Raises
+    ------
+    DecodeError
+        If there are intensities, but not one for every range (upstream reads past their end); if there are
+        beams, but ``angle_min`` or ``angle_increment`` is not finite (upstream's points are NaN).
+    """
+    params = params or UnprojectParams()
+    if len(intensities) not in (0, len(ranges)):
+        raise DecodeError(
+            f"intensities has {len(intensities)} values, but ranges has {len(ranges)}; "
+            "intensities must be empty or as long"
+        )
+    lowest, highest = _float32(range_min, range_max)
+    cutoff = params.range_cutoff if params.range_cutoff >= 0 else highest
+    # In float64, as upstream: a cutoff need not be a float32 number.
+    distances = np.asarray(ranges, np.float32).astype(np.float64)
+    at_least = distances >= lowest
+    kept = at_least & (distances < cutoff)
+    beams = np.flatnonzero(kept).astype(np.int32)
+
+    points = np.zeros(len(beams), _point_dtype(params, has_intensities=len(intensities) > 0))
+    names = points.dtype.names or ()
+    angles = _beam_angles(len(ranges), angle_min, angle_increment)[beams]
+    # NaN: -inf (kept where range_min is -inf) straight along an axis, beam 0 of an infinite time_increment.
+    with np.errstate(invalid="ignore", over="ignore"):
+        points["x"] = distances[beams] * np.cos(angles)
+        points["y"] = distances[beams] * np.sin(angles)
+        if "intensity" in names:
+            points["intensity"] = intensities[beams]
+        if "index" in names:
+            points["index"] = beams
+        if "distances" in names:
+            points["distances"] = distances[beams]
+        if "stamps" in names:
+            points["stamps"] = beams * _float32(time_increment)[0]
+    points.flags.writeable = False
+    return UnprojectedScan(points, beams, len(ranges), _rejected(distances, at_least, kept))
+
+
+def deskew(scan: UnprojectedScan, start: Transform, end: Transform) -> UnprojectedScan:
+    """Transform every point by the pose that the sensor had when its beam was measured.
+
+    laser_geometry's high-fidelity projection: beam i of n lies at the ratio ``i / (n - 1)`` between the two
+    transforms; translations are interpolated linearly, rotations by slerp along the shorter way. All in
+    float64, from and to float32 coordinates. The only beam of a scan takes the start's transform, where
+    upstream divides by zero.
+
+    Parameters
+    ----------
+    scan
+        Points in the sensor's frame.
+    start, end
+        target_from_sensor when the scan's first and last beam were measured, whether these were kept or not.
+
+    Returns
+    -------
+    UnprojectedScan
+        A copy in the target frame, viewpoint channels included.
+
+    Raises
+    ------
+    TransformError
+        If a quaternion is zero, or anything not finite.
+    """
+    q_start, t_start = _checked(start, "first")
+    q_end, t_end = _checked(end, "last")
+
+    # Upstream multiplies by the reciprocal, which is not always the quotient.
+    step = 1.0 / (scan.beam_count - 1) if scan.beam_count > 1 else 0.0
+    ratio = scan.beams.astype(np.float64) * step
+    matrix = _matrices(_slerp(q_start, q_end, ratio))
+    origin = (1.0 - ratio)[:, np.newaxis] * t_start + ratio[:, np.newaxis] * t_end
+    viewpoint = scan.viewpoint
+    return scan.with_xyz(
+        _transformed(scan.xyz, matrix, origin),
+        None if viewpoint is None else _transformed(viewpoint, matrix, origin),
+    )
+
+
+def _point_dtype(params: UnprojectParams, *, has_intensities: bool) -> np.dtype[np.void]:
+    """Lay out a point as laser_geometry does."""
+    channels = [
+        ("intensity", "<f4", params.intensity and has_intensities),
+        ("index", "<i4", params.index),
+        ("distances", "<f4", params.distances),
+        ("stamps", "<f4", params.stamps),
+        *((name, "<f4", params.viewpoint) for name in ("vp_x", "vp_y", "vp_z")),
+    ]
+    xyz = [(name, "<f4") for name in ("x", "y", "z")]
+    return np.dtype(xyz + [(name, code) for name, code, wanted in channels if wanted])
+
+
+def _float32(*values: float) -> list[float]:
+    """Round to float32, the message's type; what is beyond it becomes infinite."""
+    with np.errstate(over="ignore"):
+        rounded: list[float] = np.array(values).astype(np.float32).tolist()
+    return rounded
+
+
+def _beam_angles(count: int, angle_min: float, angle_increment: float) -> NDArray[np.float64]:
+    """Direction of every beam, radians: float64 arithmetic on the message's float32 values."""
+    if not count:
+        return np.empty(0)
+    first, step = _float32(angle_min, angle_increment)
+    if not (math.isfinite(first) and math.isfinite(step)):
+        raise DecodeError(f"angle_min is {first} rad and angle_increment {step} rad; both must be finite")
+    angles: NDArray[np.float64] = first + np.arange(count, dtype=np.float64) * step
+    return angles
+
+
+def _rejected(
+    distances: NDArray[np.float64], at_least: NDArray[np.bool_], kept: NDArray[np.bool_]
+) -> RejectedBeams:
+    """Count the beams that are not kept by their reasons."""
+    nan = np.isnan(distances)
+    infinite = np.isinf(distances) & ~kept
+    below_min = ~(nan | infinite | at_least)
+    counts = [int(np.count_nonzero(mask)) for mask in (nan, infinite, below_min)]
+    remaining = len(distances) - int(np.count_nonzero(kept)) - sum(counts)
+    return RejectedBeams(nan=counts[0], infinite=counts[1], below_min=counts[2], beyond_max=remaining)
+
+
+def _columns(points: NDArray[np.void], first: str) -> NDArray[np.float32]:
+    """View three neighbouring float32 fields of packed points as shape (N, 3)."""
+    begin = (points.dtype.names or ()).index(first)
+    words = points.view("<f4").reshape(len(points), points.dtype.itemsize // 4)
+    columns: NDArray[np.float32] = words[:, begin : begin + 3]
+    return columns
+
+
+def _checked(transform: Transform, beam: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the quaternion and the translation of a transform that is one."""
+    quaternion = np.asarray(transform.quaternion, np.float64).reshape(4)
+    translation = np.asarray(transform.translation, np.float64).reshape(3)
+    for what, vector in (("quaternion", quaternion), ("translation", translation)):
+        if not np.isfinite(vector).all():
+            raise TransformError(
+                f"the {what} at the {beam} beam is {vector.tolist()}; all of it must be finite"
+            )
+    if not quaternion.any():
+        raise TransformError(f"the quaternion at the {beam} beam is zero, which is no rotation")
+    return quaternion, translation
+
+
+# The order of operations below is tf2's: the last bit of float64 sums depends on it, and through rounding
+# now and then a float32 coordinate.
+
+
+def _dot4(a: NDArray[np.float64], b: NDArray[np.float64]) -> Any:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]
+
+
+def _slerp(
+    start: NDArray[np.float64], end: NDArray[np.float64], ratio: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Interpolate rotations: quaternions of shape (4,), ratios (N,) -> quaternions (4, N)."""
+    cosine = _dot4(start, end)
+    if cosine < 0:
+        # A quaternion and its negative are one rotation; this one is nearer.
+        end, cosine = -end, -cosine
+    theta = math.acos(min(1.0, cosine / math.sqrt(_dot4(start, start) * _dot4(end, end))))
+    if theta == 0:
+        return np.repeat(start[:, np.newaxis], len(ratio), axis=1)
+    from_start, from_end = np.sin((1.0 - ratio) * theta), np.sin(ratio * theta)
+    mixed: NDArray[np.float64] = np.outer(start, from_start) + np.outer(end, from_end)
+    return mixed * (1.0 / math.sin(theta))
+
+
+def _matrices(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rotation matrices (3, 3, N) of quaternions (4, N), which need not be normalised."""
+    x, y, z, w = quaternions
+    scale = 2.0 / _dot4(quaternions, quaternions)
+    xs, ys, zs = x * scale, y * scale, z * scale
+    wx, wy, wz = w * xs, w * ys, w * zs
+    xx, xy, xz = x * xs, x * ys, x * zs
+    yy, yz, zz = y * ys, y * zs, z * zs
+    return np.array(
+        [
+            [1.0 - (yy + zz), xy - wz, xz + wy],
+            [xy + wz, 1.0 - (xx + zz), yz - wx],
+            [xz - wy, yz + wx, 1.0 - (xx + yy)],
+        ]
+    )
+
+
+def _transformed(
+    xyz: NDArray[np.float32], matrix: NDArray[np.float64], origin: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Rotate and translate points (N, 3), each by its own matrix (3, 3, N) and origin (N, 3)."""
+    x, y, z = xyz.T.astype(np.float64)
+    rows = [row[0] * x + row[1] * y + row[2] * z for row in matrix]
+    return np.stack(rows, axis=1) + origin

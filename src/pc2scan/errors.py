@@ -1,0 +1,147 @@
+"""Every error that pc2scan raises on purpose.
+
+::
+
+    Pc2ScanError                   exit status 1
+    ├── UsageError                 exit status 2: the call is wrong, nothing was tried
+    │   ├── ParameterError         a projection parameter's name, type or value
+    │   ├── TopicError             a topic that is missing, of another type or taken
+    │   └── DestinationError       DST cannot be what was asked for
+    ├── RecordingError             a source cannot be read
+    ├── OutputError                the destination cannot be written
+    └── MessageError               one message cannot be converted (skipped, or fatal with ``fail``)
+        ├── DecodeError            its bytes are not what its type says
+        └── TransformError         no transform for its frame and stamp
+
+Anything else that escapes is a bug and keeps its traceback. This module imports nothing of pc2scan.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, ClassVar
+
+if TYPE_CHECKING:
+    from os import PathLike
+
+__all__ = [
+    "DecodeError",
+    "DestinationError",
+    "MessageError",
+    "OutputError",
+    "ParameterError",
+    "Pc2ScanError",
+    "RecordingError",
+    "TopicError",
+    "TransformError",
+    "UsageError",
+    "stamp_text",
+]
+
+
+def stamp_text(stamp_ns: int) -> str:
+    """Nanoseconds as seconds, every digit kept (a float would lose the last ones).
+
+    >>> stamp_text(1604515190231374463), stamp_text(-1)
+    ('1604515190.231374463', '-0.000000001')
+    """
+    seconds, nanoseconds = divmod(abs(stamp_ns), 1_000_000_000)
+    return f"{'-' if stamp_ns < 0 else ''}{seconds}.{nanoseconds:09d}"
+
+
+class Pc2ScanError(Exception):
+    """The root: what was wrong, where, and what to do about it.
+
+    Parameters
+    ----------
+    message
+        What was wrong: observed against allowed, in one sentence.
+    path, topic, stamp_ns
+        Where, as far as it is known. ``stamp_ns`` is the header's stamp in nanoseconds.
+    hint
+        What the user can do about it.
+    """
+
+    exit_status: ClassVar[int] = 1
+
+    def __init__(
+        self,
+        message: str,
+        *,
+        path: str | PathLike[str] | None = None,
+        topic: str | None = None,
+        stamp_ns: int | None = None,
+        hint: str | None = None,
+    ) -> None:
+        super().__init__(message)
+        self.message = message
+        self.path = path
+        self.topic = topic
+        self.stamp_ns = stamp_ns
+        self.hint = hint
+
+    @property
+    def where(self) -> str:
+        """The place, as ``path, topic, stamp``; empty when nothing is known."""
+        parts = []
+        if self.path is not None:
+            parts.append(str(self.path))
+        if self.topic is not None:
+            parts.append(self.topic)
+        if self.stamp_ns is not None:
+            parts.append(f"stamp {stamp_text(self.stamp_ns)}")
+        return ", ".join(parts)
+
+    def __str__(self) -> str:
+        return f"{self.where}: {self.message}" if self.where else self.message
+
+
+class UsageError(Pc2ScanError):
+    """The call is wrong; nothing was read or written."""
+
+    exit_status = 2
+
+
+class ParameterError(UsageError):
+    """A parameter is unknown, of the wrong type, or has a value that cannot be.
+
+    Parameters
+    ----------
+    message
+        What was wrong, with the value.
+    name
+        The parameter's ROS name.
+    hint
+        What the user can do about it.
+    """
+
+    def __init__(self, message: str, *, name: str = "", hint: str | None = None) -> None:
+        super().__init__(message, hint=hint)
+        self.name = name
+
+
+class TopicError(UsageError):
+    """A topic is missing, has another type, or its name is taken."""
+
+
+class DestinationError(UsageError):
+    """The destination exists, is a source, or cannot hold what was asked for."""
+
+
+class RecordingError(Pc2ScanError):
+    """A source cannot be read as the recording it claims to be."""
+
+
+class OutputError(Pc2ScanError):
+    """The destination cannot be written (no space, no permission, gone)."""
+
+
+class MessageError(Pc2ScanError):
+    """One message cannot be converted; the others can."""
+
+
+class DecodeError(MessageError):
+    """A message's bytes contradict its type, or lack what the conversion needs."""
+
+
+class TransformError(MessageError):
+    """There is no transform between two frames at a stamp."""

@@ -1,0 +1,1 @@
+"""What is in a recording: read, counted, and never changed."""

@@ -1,0 +1,308 @@
+"""What is in a recording: containers, topics, and what its clouds look like."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pc2scan.bags.merged import MergedReader
+from pc2scan.bags.registry import open_recording
+from pc2scan.errors import DecodeError
+from pc2scan.messages.pointcloud2 import DATATYPES, POINTCLOUD2, decode_pointcloud2
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from pc2scan.bags.model import Connection, RawMessage, Reader, Summary
+    from pc2scan.messages.pointcloud2 import PointCloud2
+
+__all__ = ["CloudInfo", "FileInfo", "Info", "Spread", "TopicInfo", "info"]
+
+#: Bars of the histogram of heights.
+_BINS = 12
+
+
+@dataclass(frozen=True, slots=True)
+class FileInfo:
+    """One source: its container and what the container says of itself."""
+
+    path: str
+    container: str
+    storage: str
+    profile: str
+    compression: tuple[str, ...]
+    size_bytes: int
+
+
+@dataclass(frozen=True, slots=True)
+class TopicInfo:
+    """One topic and type.
+
+    Attributes
+    ----------
+    connections
+        Publishers: ROS 1 connections, MCAP channels.
+    rate_hz
+        Messages but the first, over the time of the recording; None for fewer than two.
+    """
+
+    topic: str
+    msgtype: str
+    serialization: str
+    messages: int
+    rate_hz: float | None
+    connections: int
+    latched: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """The distribution of a quantity over the sampled points, metres; finite values only."""
+
+    min: float
+    p5: float
+    median: float
+    p95: float
+    max: float
+
+
+@dataclass(slots=True)
+class CloudInfo:
+    """What the clouds of one topic look like, from a few of them spread over the recording.
+
+    Attributes
+    ----------
+    sampled
+        Clouds looked at.
+    frames
+        The ``frame_id`` that occur in them.
+    fields
+        Name, datatype and offset, in the message's order.
+    shape
+        Height and width of the first cloud.
+    points_min, points_max
+        Points a cloud.
+    nan_share
+        Share of points with a NaN coordinate.
+    zero_share
+        Share of points at exactly (0, 0, 0), as some drivers write a non-return.
+    x, y, z, range
+        Spreads; ``range`` is hypot(x, y), what the projection compares with range_min and range_max.
+    height_edges, height_counts
+        Histogram of z between its first and last half percent; the outermost bars include what lies beyond.
+    above_zero_share
+        Share of points with z > 0: what upstream's default min_height keeps.
+    problems
+        Why sampled clouds cannot be decoded, each reason once.
+    """
+
+    topic: str
+    sampled: int = 0
+    frames: tuple[str, ...] = ()
+    fields: tuple[tuple[str, str, int], ...] = ()
+    shape: tuple[int, int] = (0, 0)
+    point_step: int = 0
+    points_min: int = 0
+    points_max: int = 0
+    nan_share: float = 0.0
+    zero_share: float = 0.0
+    x: Spread | None = None
+    y: Spread | None = None
+    z: Spread | None = None
+    range: Spread | None = None
+    height_edges: tuple[float, ...] = ()
+    height_counts: tuple[int, ...] = ()
+    above_zero_share: float = 0.0
+    problems: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Info:
+    """What is in a recording (of one or several sources)."""
+
+    files: tuple[FileInfo, ...]
+    start_ns: int | None
+    end_ns: int | None
+    messages: int
+    topics: tuple[TopicInfo, ...]
+    clouds: tuple[CloudInfo, ...] = field(default=())
+
+    @property
+    def duration_ns(self) -> int:
+        """From the first message's log time to the last's; 0 for none."""
+        return self.end_ns - self.start_ns if self.start_ns is not None and self.end_ns is not None else 0
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return JSON's types."""
+        return {**asdict(self), "duration_ns": self.duration_ns}
+
+
+def info(sources: Sequence[Path], *, samples: int = 10) -> Info:
+    """Look into a recording.
+
+    Parameters
+    ----------
+    sources
+        Several are one recording.
+    samples
+        Clouds of each topic to look at, spread evenly over its time.
+
+    Raises
+    ------
+    RecordingError
+        If a source cannot be read.
+    """
+    readers: list[Reader] = []
+    try:
+        readers += (open_recording(source) for source in sources)
+        reader = MergedReader(readers) if len(readers) > 1 else readers[0]
+        counts, start_ns, end_ns = _counts(reader)
+        topics = _topics(reader.connections, counts, start_ns, end_ns)
+        clouds = []
+        for topic in topics:
+            if topic.msgtype == POINTCLOUD2 and topic.messages:
+                connections = [c for c in reader.connections if c.topic == topic.topic and c.ros_type == POINTCLOUD2]
+                clouds.append(_cloud_info(topic.topic, _sample(reader, connections, samples, start_ns, end_ns)))
+        return Info(
+            tuple(_file_info(r.path, r.summary) for r in readers),
+            start_ns,
+            end_ns,
+            sum(counts.values()),
+            tuple(topics),
+            tuple(clouds),
+        )
+    finally:
+        for opened in readers:
+            opened.close()
+
+
+def _file_info(path: Path, summary: Summary) -> FileInfo:
+    return FileInfo(
+        str(path), summary.container, summary.storage, summary.profile, summary.compression, summary.size_bytes
+    )
+
+
+def _counts(reader: Reader) -> tuple[Counter[int], int | None, int | None]:
+    """Messages by connection, and the first and the last log time; reads the messages only if it must."""
+    summary = reader.summary
+    if summary.start_ns is not None and summary.end_ns is not None:
+        known = {c.id: c.message_count for c in reader.connections}
+        if None not in known.values():
+            return Counter({key: value or 0 for key, value in known.items()}), summary.start_ns, summary.end_ns
+    counts: Counter[int] = Counter()
+    start_ns = end_ns = None
+    for message in reader.messages():
+        counts[message.connection.id] += 1
+        start_ns = message.log_time_ns if start_ns is None else start_ns
+        end_ns = message.log_time_ns
+    return counts, start_ns, end_ns
+
+
+def _topics(
+    connections: Sequence[Connection], counts: Counter[int], start_ns: int | None, end_ns: int | None
+) -> list[TopicInfo]:
+    groups: dict[tuple[str, str, str], list[Connection]] = {}
+    for c in connections:
+        groups.setdefault((c.topic, c.ros_type, c.serialization), []).append(c)
+    seconds = ((end_ns or 0) - (start_ns or 0)) / 1e9
+    topics = []
+    for (topic, msgtype, serialization), group in sorted(groups.items()):
+        messages = sum(counts[c.id] for c in group)
+        rate = (messages - 1) / seconds if messages > 1 and seconds > 0 else None
+        topics.append(
+            TopicInfo(topic, msgtype, serialization, messages, rate, len(group), any(c.latching for c in group))
+        )
+    return topics
+
+
+def _sample(
+    reader: Reader, connections: list[Connection], samples: int, start_ns: int | None, end_ns: int | None
+) -> Iterator[RawMessage]:
+    """Messages spread over the recording; each one found through the index."""
+    if start_ns is None or end_ns is None:
+        return
+    seen = start_ns - 1
+    for step in range(samples):
+        begin = max(start_ns + (end_ns - start_ns) * step // samples, seen + 1)
+        message = next(reader.messages(connections, begin), None)
+        if message is None:
+            return
+        seen = message.log_time_ns
+        yield message
+
+
+def _cloud_info(topic: str, messages: Iterator[RawMessage]) -> CloudInfo:
+    result = CloudInfo(topic)
+    parts: list[NDArray[np.float64]] = []
+    frames: dict[str, None] = {}
+    problems: dict[str, None] = {}
+    sizes: list[int] = []
+    for message in messages:
+        result.sampled += 1
+        try:
+            cloud = decode_pointcloud2(message.data, message.connection.serialization)
+            points = np.stack([c.astype(np.float64).ravel() for c in cloud.xyz()])
+        except DecodeError as err:
+            problems[err.message] = None
+            continue
+        if not sizes:
+            _describe(result, cloud)
+        frames[cloud.frame_id] = None
+        sizes.append(cloud.points)
+        parts.append(points)
+    result.frames, result.problems = tuple(frames), tuple(problems)
+    if sizes:
+        result.points_min, result.points_max = min(sizes), max(sizes)
+        _measure(result, np.concatenate(parts, axis=1))
+    return result
+
+
+def _describe(result: CloudInfo, cloud: PointCloud2) -> None:
+    result.shape = (cloud.height, cloud.width)
+    result.point_step = cloud.point_step
+    result.fields = tuple(
+        (
+            f.name,
+            np.dtype(DATATYPES[f.datatype]).name if f.datatype in DATATYPES else f"datatype {f.datatype}",
+            f.offset,
+        )
+        for f in cloud.fields
+    )
+
+
+def _measure(result: CloudInfo, points: NDArray[np.float64]) -> None:
+    total = points.shape[1]
+    if not total:
+        return
+    x, y, z = points
+    invalid = np.isnan(points).any(axis=0)
+    zero = (points == 0).all(axis=0)
+    result.nan_share = float(invalid.mean())
+    result.zero_share = float(zero.mean())
+    # A non-return at the origin says nothing about where the returns are.
+    valid = ~(invalid | zero)
+    result.above_zero_share = float((z[valid] > 0).mean()) if valid.any() else 0.0
+    result.x, result.y, result.z = (_spread(axis[valid]) for axis in (x, y, z))
+    with np.errstate(over="ignore"):
+        result.range = _spread(np.hypot(x[valid], y[valid]))
+    heights = z[valid & np.isfinite(z)]
+    if heights.size:
+        low, high = np.percentile(heights, [0.5, 99.5])
+        if high <= low:
+            low, high = low - 0.5, high + 0.5
+        counts, edges = np.histogram(np.clip(heights, low, high), _BINS, (low, high))
+        result.height_edges = tuple(float(edge) for edge in edges)
+        result.height_counts = tuple(int(count) for count in counts)
+
+
+def _spread(values: NDArray[np.float64]) -> Spread | None:
+    finite = values[np.isfinite(values)]
+    if not finite.size:
+        return None
+    return Spread(*(float(value) for value in np.percentile(finite, [0, 5, 50, 95, 100])))

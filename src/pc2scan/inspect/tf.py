@@ -1,0 +1,76 @@
+"""The frames of a recording: who hangs on whom, known when, how often."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+from pc2scan.bags.registry import open_recording
+from pc2scan.pipeline.frames import FrameOptions, read_transforms
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from pc2scan.tf.buffer import FrameInfo, TransformBuffer, Tree
+
+__all__ = ["FrameTree", "frame_tree"]
+
+
+@dataclass(frozen=True, slots=True)
+class FrameTree:
+    """The frames of a recording.
+
+    Attributes
+    ----------
+    frames
+        What is known of each child frame.
+    trees
+        Frames that hang together; more than one means that something is disconnected.
+    warnings
+        Transforms that cannot be used, and why.
+    buffer
+        For lookups.
+    """
+
+    frames: tuple[FrameInfo, ...]
+    trees: tuple[Tree, ...]
+    warnings: tuple[str, ...]
+    buffer: TransformBuffer
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return JSON's types."""
+        return {
+            "frames": [asdict(frame) for frame in self.frames],
+            "trees": [asdict(tree) for tree in self.trees],
+            "warnings": list(self.warnings),
+        }
+
+
+def frame_tree(sources: Sequence[Path], options: FrameOptions | None = None) -> FrameTree:
+    """Read the transforms of recordings.
+
+    Parameters
+    ----------
+    sources
+        They count together.
+    options
+        Topics, further recordings and added transforms.
+
+    Raises
+    ------
+    RecordingError
+        If a source cannot be read.
+    UsageError
+        If several namespaces have transforms and none was named.
+    """
+    options = options or FrameOptions()
+    with ExitStack() as stack:
+        readers = []
+        for source in (*sources, *options.tf_from):
+            reader = open_recording(source)
+            stack.callback(reader.close)
+            readers.append(reader)
+        buffer, warnings = read_transforms(readers, options)
+    return FrameTree(buffer.infos(), buffer.trees, tuple(warnings), buffer)

@@ -1,0 +1,123 @@
+"""sensor_msgs/LaserScan: serialised bytes to arrays, and arrays to bytes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .wire import Cursor, Packer
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from pc2scan.bags.model import Buffer
+
+__all__ = ["LASERSCAN", "LaserScan", "decode_laserscan", "encode_laserscan"]
+
+#: The type in ROS 2's spelling.
+LASERSCAN = "sensor_msgs/msg/LaserScan"
+
+
+def _no_values() -> NDArray[np.float32]:
+    return np.empty(0, np.float32)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LaserScan:
+    """A decoded scan. All angles, times and ranges are float32 in the message.
+
+    Attributes
+    ----------
+    sequence
+        ROS 1's ``header.seq``; 0 from ROS 2.
+    stamp_ns
+        ``header.stamp``, nanoseconds.
+    angle_min, angle_max, angle_increment
+        Radians.
+    time_increment, scan_time
+        Seconds between beams, and between scans.
+    range_min, range_max
+        Metres.
+    ranges
+        float32, shape (beams,), metres.
+    intensities
+        float32, empty or as long as ``ranges``.
+    """
+
+    sequence: int
+    stamp_ns: int
+    frame_id: str
+    angle_min: float
+    angle_max: float
+    angle_increment: float
+    time_increment: float
+    scan_time: float
+    range_min: float
+    range_max: float
+    ranges: NDArray[np.float32]
+    intensities: NDArray[np.float32] = field(default_factory=_no_values)
+
+
+def decode_laserscan(data: Buffer, serialization: str) -> LaserScan:
+    """Decode a serialised sensor_msgs/LaserScan.
+
+    Parameters
+    ----------
+    data
+        The whole message.
+    serialization
+        ``ros1`` or ``cdr``.
+
+    Returns
+    -------
+    LaserScan
+        Its arrays are views where the bytes allow.
+
+    Raises
+    ------
+    DecodeError
+        If the message ends too early.
+    """
+    cursor = Cursor(data, serialization)
+    sequence, stamp_ns, frame_id = cursor.header()
+    geometry = cursor.read("7f")
+    dtype = np.dtype(cursor.byte_order + "f4")
+
+    def floats() -> NDArray[np.float32]:
+        raw = cursor.take(cursor.uint32() * 4)
+        return np.frombuffer(raw, dtype).astype(np.float32, copy=False)
+
+    ranges = floats()
+    return LaserScan(sequence, stamp_ns, frame_id, *geometry, ranges, floats())
+
+
+def encode_laserscan(scan: LaserScan, serialization: str) -> bytes:
+    """Serialise a scan; values beyond float32 become infinite.
+
+    Parameters
+    ----------
+    serialization
+        ``ros1`` or ``cdr``.
+    """
+    with np.errstate(over="ignore"):
+        geometry = np.array(
+            [
+                scan.angle_min,
+                scan.angle_max,
+                scan.angle_increment,
+                scan.time_increment,
+                scan.scan_time,
+                scan.range_min,
+                scan.range_max,
+            ]
+        ).astype("<f4")
+    packer = Packer(serialization)
+    packer.header(scan.sequence, scan.stamp_ns, scan.frame_id)
+    packer.align(4)
+    packer.raw(geometry.tobytes())
+    for values in (scan.ranges, scan.intensities):
+        packer.write("I", len(values))
+        packer.raw(np.ascontiguousarray(values, "<f4").tobytes())
+    return packer.finish()

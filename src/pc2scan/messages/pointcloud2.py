@@ -1,0 +1,232 @@
+"""sensor_msgs/PointCloud2: serialised bytes to arrays, and arrays to bytes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pc2scan.errors import DecodeError
+
+from .wire import Cursor, Packer
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from pc2scan.bags.model import Buffer
+
+__all__ = ["DATATYPES", "POINTCLOUD2", "PointCloud2", "PointField", "decode_pointcloud2", "encode_pointcloud2"]
+
+#: The type in ROS 2's spelling.
+POINTCLOUD2 = "sensor_msgs/msg/PointCloud2"
+
+#: sensor_msgs/PointField's datatype constants, as NumPy spells them without byte order.
+DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+
+#: A cloud with more fields than this is damaged: real sensors have up to some twenty.
+MAX_FIELDS = 4096
+
+
+@dataclass(frozen=True, slots=True)
+class PointField:
+    """sensor_msgs/PointField: where in a point a value is, and what it is.
+
+    Attributes
+    ----------
+    offset
+        Bytes from the beginning of a point; need not be aligned.
+    datatype
+        A key of `DATATYPES`.
+    count
+        Elements; drivers also write 0 for a single one.
+    """
+
+    name: str
+    offset: int
+    datatype: int
+    count: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class PointCloud2:
+    """A decoded cloud; the points stay the bytes that the message carries.
+
+    Attributes
+    ----------
+    sequence
+        ROS 1's ``header.seq``; 0 from ROS 2.
+    stamp_ns
+        ``header.stamp``, nanoseconds.
+    data
+        The points: row r, column c begins at ``r * row_step + c * point_step``.
+    """
+
+    sequence: int
+    stamp_ns: int
+    frame_id: str
+    height: int
+    width: int
+    fields: tuple[PointField, ...]
+    is_bigendian: bool
+    point_step: int
+    row_step: int
+    data: memoryview
+    is_dense: bool
+
+    @property
+    def points(self) -> int:
+        """Points declared, non-returns included."""
+        return self.height * self.width
+
+    def field(self, name: str) -> NDArray[Any]:
+        """One field of every point, as a view.
+
+        Parameters
+        ----------
+        name
+            A field's name; of several with one name the first, as upstream finds it.
+
+        Returns
+        -------
+        numpy.ndarray
+            Read-only view in the recorded datatype and byte order: shape ``(points,)`` where the rows follow each
+            other without a gap, else ``(height, width)``. Only the first element of a field with a
+            ``count`` above 1.
+
+        Raises
+        ------
+        DecodeError
+            If the field is missing or of an unknown datatype, if it does not fit into a point, or if ``data``
+            is shorter than declared.
+        """
+        field = next((field for field in self.fields if field.name == name), None)
+        if field is None:
+            names = ", ".join(field.name for field in self.fields) or "none"
+            raise self._error(f"no field {name!r}; the cloud's fields are: {names}")
+        if field.datatype not in DATATYPES:
+            raise self._error(f"field {name!r} has datatype {field.datatype}, known are 1 to 8")
+        dtype = np.dtype((">" if self.is_bigendian else "<") + DATATYPES[field.datatype])
+        if not self.points:
+            return np.empty(0, dtype)
+        if field.offset + dtype.itemsize > self.point_step:
+            raise self._error(
+                f"field {name!r} takes bytes {field.offset} to {field.offset + dtype.itemsize} of a point, "
+                f"but point_step is {self.point_step}"
+            )
+        row = self.width * self.point_step
+        # Some drivers leave row_step 0; it only has a meaning from the second row on.
+        row_step = self.row_step if self.height > 1 and self.row_step else row
+        if row_step < row:
+            raise self._error(
+                f"row_step is {self.row_step}, but {self.width} points of {self.point_step} bytes take {row}"
+            )
+        needed = (self.height - 1) * row_step + row
+        if len(self.data) < needed:
+            raise self._error(
+                f"data has {len(self.data)} bytes, but {self.height} x {self.width} points of "
+                f"{self.point_step} bytes (row_step {self.row_step}) take {needed}"
+            )
+        shape, strides = (
+            ((self.points,), (self.point_step,))
+            if row_step == row
+            else ((self.height, self.width), (row_step, self.point_step))
+        )
+        view: NDArray[Any] = np.ndarray(shape, dtype, self.data, field.offset, strides)
+        view.flags.writeable = False
+        return view
+
+    def xyz(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+        """The coordinates: `field` of ``x``, ``y`` and ``z``, metres in ``frame_id``."""
+        return self.field("x"), self.field("y"), self.field("z")
+
+    def _error(self, message: str) -> DecodeError:
+        return DecodeError(message, stamp_ns=self.stamp_ns)
+
+
+def decode_pointcloud2(data: Buffer, serialization: str) -> PointCloud2:
+    """Decode a serialised sensor_msgs/PointCloud2; the points are not copied.
+
+    Parameters
+    ----------
+    data
+        The whole message.
+    serialization
+        ``ros1`` or ``cdr``.
+
+    Raises
+    ------
+    DecodeError
+        If the message ends too early or declares more fields than can be.
+    """
+    cursor = Cursor(data, serialization)
+    sequence, stamp_ns, frame_id = cursor.header()
+    try:
+        height, width, count = cursor.read("III")
+        if count > MAX_FIELDS:
+            raise DecodeError(f"the cloud declares {count} fields, at most {MAX_FIELDS} are believed")
+        fields = []
+        for _ in range(count):
+            name = cursor.string()
+            offset = cursor.uint32()
+            datatype = cursor.uint8()
+            fields.append(PointField(name, offset, datatype, cursor.uint32()))
+        is_bigendian = bool(cursor.uint8())
+        point_step, row_step, size = cursor.read("III")
+        points = cursor.take(size)
+        is_dense = bool(cursor.uint8())
+    except DecodeError as err:
+        err.stamp_ns = stamp_ns
+        raise
+    return PointCloud2(
+        sequence,
+        stamp_ns,
+        frame_id,
+        height,
+        width,
+        tuple(fields),
+        is_bigendian,
+        point_step,
+        row_step,
+        points,
+        is_dense,
+    )
+
+
+def encode_pointcloud2(
+    *,
+    serialization: str,
+    sequence: int,
+    stamp_ns: int,
+    frame_id: str,
+    fields: Sequence[PointField],
+    point_step: int,
+    data: Buffer,
+    height: int = 1,
+    is_dense: bool = False,
+) -> bytes:
+    """Serialise a little-endian cloud whose rows follow each other without a gap.
+
+    Parameters
+    ----------
+    serialization
+        ``ros1`` or ``cdr``.
+    data
+        The points, ``height * width`` times ``point_step`` bytes; the width follows.
+    """
+    width = len(data) // (point_step * height) if point_step * height else 0
+    packer = Packer(serialization)
+    packer.header(sequence, stamp_ns, frame_id)
+    packer.write("III", height, width, len(fields))
+    for field in fields:
+        packer.string(field.name)
+        packer.write("I", field.offset)
+        packer.write("B", field.datatype)
+        packer.write("I", field.count)
+    packer.write("B", 0)
+    packer.write("III", point_step, width * point_step, len(data))
+    packer.raw(data)
+    packer.write("B", is_dense)
+    return packer.finish()

@@ -1,0 +1,404 @@
+"""Messages that only pass through, from one ROS generation's serialisation to the other's.
+
+What differs between the generations: padding and string terminators, the Header's sequence number, the
+spelling of types, the definitions and their identities, and latching against durability. rosbags converts
+the bytes without making objects of them; this module decides what it is told about the type.
+
+rosbags generates Python source from definitions and executes it. It gets names made here (``f0``,
+``pc2scan/msg/T1``), so that no name from a recording reaches the interpreter; names are checked all the
+same (`schema`).
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from threading import Lock
+from typing import TYPE_CHECKING, Any
+
+from pc2scan.bags.model import Definition, ros1_type
+from pc2scan.errors import DecodeError, UsageError
+
+from . import definitions as own_definitions
+from . import schema as schemas
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from pc2scan.bags.model import Buffer, Connection
+
+    from .schema import Schema, Struct
+
+__all__ = ["DEFAULT_DISTRO", "DISTROS", "LATCHED_QOS", "Transcoding", "defined", "transcoder"]
+
+#: ROS 2's distributions whose message sets rosbags has, and ROS 1's last.
+DISTROS = (
+    "dashing",
+    "eloquent",
+    "foxy",
+    "galactic",
+    "humble",
+    "iron",
+    "jazzy",
+    "kilted",
+    "lyrical",
+    "noetic",
+)
+#: A long-term release; few message types have changed since foxy.
+DEFAULT_DISTRO = "jazzy"
+
+#: Latched, as rosbag2 (metadata version 8) writes it: keep last 1, reliable, transient local, automatic
+#: liveliness, every duration infinite. Topics that are not latched get none: ``ros2 bag play`` then
+#: publishes with its default.
+LATCHED_QOS = """\
+- history: 1
+  depth: 1
+  reliability: 1
+  durability: 1
+  deadline:
+    sec: 9223372036
+    nsec: 854775807
+  lifespan:
+    sec: 9223372036
+    nsec: 854775807
+  liveliness: 1
+  liveliness_lease_duration:
+    sec: 9223372036
+    nsec: 854775807
+  avoid_ros_namespace_conventions: false
+"""
+
+#: Channel metadata and connection header fields that mean something to one generation only.
+_METADATA_OF = {
+    1: frozenset({"callerid", "latching", "md5sum", "type", "topic", "message_definition"}),
+    2: frozenset({"offered_qos_profiles", "topic_type_hash"}),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Transcoding:
+    """How one connection's messages are carried over to the other generation.
+
+    Attributes
+    ----------
+    connection
+        As it is to be declared in the destination.
+    encode
+        Turns one serialised message into the other serialisation. ``DecodeError`` if its bytes are not what
+        the type says. May be called from several threads.
+    notes
+        For the report: what a reader of the destination should know.
+    """
+
+    connection: Connection
+    encode: Callable[[Buffer], Buffer]
+    notes: tuple[str, ...] = ()
+
+
+def transcoder(
+    connection: Connection,
+    generation: int,
+    *,
+    distro: str = DEFAULT_DISTRO,
+    definitions: Mapping[str, Definition] | None = None,
+) -> Transcoding:
+    """Plan how a connection's messages are re-encoded for the other ROS generation.
+
+    Where the other generation has a type of the same name and layout, the destination gets its definition and
+    identity, so that its nodes accept the messages; field names may then differ in case (``CameraInfo.D``,
+    ``d``). Otherwise the destination gets the recording's own definition in the other generation's words.
+
+    Parameters
+    ----------
+    connection
+        Of the generation that is not wanted; ``serialization`` is ``ros1`` or ``cdr``.
+    generation
+        What the destination speaks: 1 or 2.
+    distro
+        One of `DISTROS`: whose message sets fill in what the recording does not define and tell what the
+        destination's nodes expect. The other generation's are noetic and jazzy.
+    definitions
+        Further definitions by type name, asked before the message sets when the connection has none.
+
+    Returns
+    -------
+    Transcoding
+        Connections with the same type and definition share their encoder.
+
+    Raises
+    ------
+    DecodeError
+        If the type is unknown, its definition is unusable, or the other generation cannot carry it. The
+        whole topic is concerned.
+    UsageError
+        If ``distro`` is none of `DISTROS`.
+    ValueError
+        If the connection already is of that generation.
+
+    Notes
+    -----
+    ROS 2's Header has no sequence number: it is dropped, and 0 on the way back. ROS 1's unsigned seconds
+    and ROS 2's signed ones share their bytes; they part in 2038.
+    """
+    _check_distro(distro)
+    source = connection.generation
+    if source == generation:
+        raise ValueError(f"{connection.topic} is of ROS generation {generation} already")
+    if source is None:
+        raise DecodeError(
+            f"{connection.msgtype} is serialised as {connection.serialization!r}, expected 'ros1' or 'cdr'",
+            topic=connection.topic,
+        )
+    try:
+        plan = _plan(connection.msgtype, _definition(connection, definitions or {}), source, distro)
+    except DecodeError as err:
+        raise DecodeError(err.message, topic=connection.topic, hint=err.hint) from err
+    return Transcoding(_declared(connection, plan), _Encoder(plan, source, connection.topic), plan.notes)
+
+
+def defined(connection: Connection, distro: str = DEFAULT_DISTRO) -> Connection:
+    """Give a connection the definition that its recording lacks, as older rosbag2 recordings do.
+
+    Parameters
+    ----------
+    connection
+        Of either generation.
+    distro
+        One of `DISTROS`: whose message set knows the type.
+
+    Returns
+    -------
+    Connection
+        The same if it has a definition, or if the message set does not know its type.
+
+    Raises
+    ------
+    UsageError
+        If ``distro`` is none of `DISTROS`.
+    """
+    generation = connection.generation
+    if connection.definition.encoding or connection.definition.data or generation is None:
+        return connection
+    _check_distro(distro)
+    root = schemas.canonical(connection.msgtype)
+    known = schemas.known(_store(generation, distro))
+    if root not in known:
+        return connection
+    schema = schemas.closure(root, known.get)
+    text, digest = (
+        own_definitions.definition(root, generation)
+        if root in own_definitions.TYPES
+        else (
+            Definition(f"ros{generation}msg", schemas.render(schema, generation).encode()),
+            schemas.md5sum(schema) if generation == 1 else schemas.rihs01(schema),
+        )
+    )
+    return replace(connection, definition=text, digest=connection.digest or digest)
+
+
+def _check_distro(distro: str) -> None:
+    if distro not in DISTROS:
+        raise UsageError(f"ROS distribution {distro!r} is unknown, expected one of {', '.join(DISTROS)}")
+
+
+def _definition(connection: Connection, further: Mapping[str, Definition]) -> Definition:
+    """Return the connection's definition, or one of the same type from elsewhere."""
+    if connection.definition.data.strip():
+        return connection.definition
+    for name in (connection.msgtype, connection.ros_type, ros1_type(connection.msgtype)):
+        if name in further:
+            return further[name]
+    return connection.definition
+
+
+# --- planning ---
+
+
+@dataclass(frozen=True, slots=True)
+class _Plan:
+    """What depends on type and definition only, and is shared by connections."""
+
+    msgtype: str
+    definition: Definition
+    digest: str
+    store: Any
+    root: str
+    lock: Lock
+    notes: tuple[str, ...]
+
+
+@lru_cache(maxsize=256)
+def _plan(msgtype: str, definition: Definition, source: int, distro: str) -> _Plan:
+    """Settle the destination's type and compile the conversion."""
+    target = 3 - source
+    root = schemas.canonical(msgtype)
+    here, there = _store(source, distro), _store(target, distro)
+    recorded, notes = _recorded(msgtype, definition, here)
+    ours = schemas.closure(root, lambda name: recorded.get(name) or schemas.known(here).get(name))
+    theirs = schemas.known(there)
+    shared = {name for name in ours if schemas.same_layout(ours, theirs, name)}
+    schema = schemas.closure(root, lambda name: theirs[name] if name in shared else ours.get(name))
+    if differing := [name for name in ours if name in theirs and name not in shared]:
+        listed = ", ".join(ros1_type(name) if target == 1 else name for name in differing)
+        notes = (
+            *notes,
+            f"layout differs from {_title(there)}'s {listed}: written with the recording's own definition",
+        )
+    if root in shared and root in own_definitions.TYPES:
+        text, digest = own_definitions.definition(root, target)
+    else:
+        text = Definition(f"ros{target}msg", schemas.render(schema, target).encode())
+        digest = schemas.md5sum(schema) if target == 1 else schemas.rihs01(schema)
+    store, names = _compile(schema)
+    return _Plan(ros1_type(root) if target == 1 else root, text, digest, store, names[root], Lock(), notes)
+
+
+def _store(generation: int, distro: str) -> str:
+    """Name rosbags' message set of a generation."""
+    if generation == 1:
+        return "ros1_noetic"
+    return f"ros2_{DEFAULT_DISTRO if distro == 'noetic' else distro}"
+
+
+def _title(store: str) -> str:
+    word, _, distro = store.partition("_")
+    return f"ROS {word[-1]} {distro}"
+
+
+def _recorded(
+    msgtype: str, definition: Definition, here: str
+) -> tuple[Mapping[str, Struct], tuple[str, ...]]:
+    """Read the recording's definition; where it says nothing, the generation's message set does."""
+    if definition.data.strip():
+        return schemas.parse(definition, msgtype), ()
+    if schemas.canonical(msgtype) in schemas.known(here):
+        # A message without fields has an empty definition, which is then the same as none.
+        empty = not schemas.known(here)[schemas.canonical(msgtype)].fields
+        return {}, () if empty else (
+            f"no definition in the recording: {_title(here)}'s {msgtype} is assumed",
+        )
+    return schemas.parse(definition, msgtype) if definition.encoding else {}, ()
+
+
+def _compile(schema: Schema) -> tuple[Any, dict[str, str]]:
+    """Register a schema with rosbags under names made here; returns the store and the made names.
+
+    The Header keeps its name, by which rosbags knows where ROS 1's sequence number is; so do the two types
+    that rosbags' empty store already has.
+    """
+    from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
+
+    names = {
+        name: name if name == schemas.HEADER or schemas.builtin(name) else f"pc2scan/msg/T{index}"
+        for index, name in enumerate(schema)
+    }
+    store = get_typestore(Stores.EMPTY)
+    store.register(
+        schemas.fielddefs(
+            {name: content for name, content in schema.items() if not schemas.builtin(name)},
+            names.__getitem__,
+            lambda index, _: f"f{index}",
+        )
+    )
+    # Compiles now, so that what cannot be compiled fails the topic and not each message.
+    store.get_msgdef(names[next(iter(schema))])
+    return store, names
+
+
+# --- declaring ---
+
+
+def _declared(connection: Connection, plan: _Plan) -> Connection:
+    """Return the connection in the other generation's terms."""
+    source = connection.generation or 0
+    target = 3 - source
+    return replace(
+        connection,
+        msgtype=plan.msgtype,
+        serialization="cdr" if target == 2 else "ros1",
+        definition=plan.definition,
+        digest=plan.digest,
+        callerid=None,
+        qos=LATCHED_QOS if target == 2 and connection.latching else "",
+        metadata={
+            key: value for key, value in connection.metadata.items() if key not in _METADATA_OF[source]
+        },
+    )
+
+
+# --- encoding ---
+
+
+class _Encoder:
+    """Re-encodes one connection's messages."""
+
+    __slots__ = ("_convert", "_errors", "_plan", "_sizer", "_topic")
+
+    def __init__(self, plan: _Plan, source: int, topic: str) -> None:
+        from rosbags.serde import SerdeError  # noqa: PLC0415
+
+        self._plan = plan
+        self._topic = topic
+        compiled = plan.store.get_msgdef(plan.root)
+        if source == 1:
+            self._convert, self._sizer = self._to_cdr, (compiled.getsize_ros1_to_cdr, 0)
+        else:
+            self._convert, self._sizer = self._to_ros1, (compiled.getsize_cdr_to_ros1, 4)
+        # What rosbags lets through, besides its own: it leaves some checks to slices, structs and asserts.
+        self._errors = (
+            SerdeError,
+            struct.error,
+            AssertionError,
+            LookupError,
+            OverflowError,
+            RecursionError,
+            TypeError,
+            ValueError,
+        )
+
+    def __call__(self, data: Buffer) -> Buffer:
+        """Re-encode one message."""
+        plan = self._plan
+        try:
+            with plan.lock:
+                # Every element takes a byte at least. Without this bound a damaged count keeps rosbags'
+                # loop over nested messages running for minutes before it notices.
+                plan.store.max_sequence_length = max(len(data), 1)
+                return self._convert(memoryview(data))
+        except self._errors as err:
+            raise DecodeError(
+                f"{plan.msgtype} of {len(data)} bytes cannot be re-encoded: {self._reason(data, err)}",
+                topic=self._topic,
+            ) from err
+
+    def _reason(self, data: Buffer, err: BaseException) -> str:
+        """Say how many bytes the fields take, where that can be told; otherwise what rosbags says."""
+        sizer, start = self._sizer
+        told = str(err).replace(repr(self._plan.root), "it") or type(err).__name__
+        if start and data[1] == 0:
+            return told  # sizes would be read in the wrong byte order
+        try:
+            with self._plan.lock:
+                size = start + sizer(data[start:], 0, None, 0, self._plan.store)[0]
+        except self._errors:
+            size = len(data)
+        return told if size == len(data) else f"its fields take {size}"
+
+    def _to_cdr(self, data: memoryview) -> memoryview:
+        message: memoryview = self._plan.store.ros1_to_cdr(data, self._plan.root)
+        return message
+
+    def _to_ros1(self, data: memoryview) -> memoryview:
+        if len(data) < 4 or data[0] != 0 or data[1] > 1:
+            raise DecodeError(
+                f"{self._plan.msgtype} of {len(data)} bytes begins with {data[:4].hex() or 'nothing'}, "
+                "expected a CDR header (0001 or 0000, then two bytes)",
+                topic=self._topic,
+            )
+        store, root = self._plan.store, self._plan.root
+        if data[1] == 0:
+            # Big-endian, which rosbags' direct conversion does not take.
+            data = store.serialize_cdr(store.deserialize_cdr(data, root), root, little_endian=True)
+        message: memoryview = store.cdr_to_ros1(data, root)
+        return message

@@ -1,0 +1,185 @@
+"""The two wire formats of ROS, as far as the few types that pc2scan decodes need them.
+
+ROS 1: little-endian, packed; a string is a uint32 length and bytes. ROS 2: CDR (XCDR version 1): a 4-byte
+encapsulation header names the byte order, primitives are aligned to their size counted from behind that
+header, a string's length includes its NUL.
+
+Sources: http://wiki.ros.org/ROS/Technical%20Overview (message serialization), OMG DDS-XTypes 1.3, 7.4.1.
+"""
+
+from __future__ import annotations
+
+import struct
+from typing import TYPE_CHECKING
+
+from pc2scan.errors import DecodeError
+
+if TYPE_CHECKING:
+    from pc2scan.bags.model import Buffer
+
+__all__ = ["Cursor", "Packer"]
+
+
+class Cursor:
+    """Reads primitives one after the other, in either wire format.
+
+    Parameters
+    ----------
+    data
+        A whole serialised message.
+    serialization
+        ``ros1`` or ``cdr``.
+
+    Raises
+    ------
+    DecodeError
+        If the encapsulation is unknown; from every method, if the data ends too early.
+    """
+
+    __slots__ = ("_aligned", "_order", "base", "data", "position")
+
+    def __init__(self, data: Buffer, serialization: str) -> None:
+        self.data = memoryview(data)
+        self._aligned = serialization == "cdr"
+        self._order = "<"
+        self.base = 0
+        if self._aligned:
+            if len(self.data) < 4:
+                raise DecodeError(f"message of {len(self.data)} bytes is too short for a CDR header")
+            # Representation identifiers 0 and 1: plain CDR, big and little endian.
+            if self.data[0] != 0 or self.data[1] > 1:
+                raise DecodeError(f"unknown CDR encapsulation {bytes(self.data[:2]).hex()}, expected 0001 or 0000")
+            self._order = "<" if self.data[1] else ">"
+            self.base = 4
+        self.position = self.base
+
+    @property
+    def ros1(self) -> bool:
+        """Whether this is ROS 1's format (the header then has a sequence number)."""
+        return not self._aligned
+
+    @property
+    def byte_order(self) -> str:
+        """``<`` or ``>``, as `struct` and NumPy spell it."""
+        return self._order
+
+    def align(self, size: int) -> None:
+        """Skip padding before a primitive of ``size`` bytes; ROS 1 has none."""
+        if self._aligned:
+            self.position = self.base + ((self.position - self.base + size - 1) & -size)
+
+    def read(self, code: str) -> tuple[int, ...]:
+        """Read primitives that need no padding between them: `struct` codes, aligned to the first."""
+        layout = struct.Struct(self._order + code)
+        self.align(struct.calcsize(code[-1]))
+        end = self.position + layout.size
+        if end > len(self.data):
+            raise DecodeError(f"message ends after {len(self.data)} bytes, {end} are needed")
+        values = layout.unpack_from(self.data, self.position)
+        self.position = end
+        return values
+
+    def uint8(self) -> int:
+        """Read a uint8 (or bool)."""
+        return self.read("B")[0]
+
+    def uint32(self) -> int:
+        """Read a uint32."""
+        return self.read("I")[0]
+
+    def float64s(self, count: int) -> tuple[float, ...]:
+        """Read ``count`` float64."""
+        return self.read(f"{count}d")
+
+    def take(self, size: int) -> memoryview:
+        """Read ``size`` bytes as a view."""
+        end = self.position + size
+        if end > len(self.data):
+            raise DecodeError(
+                f"message ends after {len(self.data)} bytes, {size} more are declared from byte {self.position} on"
+            )
+        view = self.data[self.position : end]
+        self.position = end
+        return view
+
+    def string(self) -> str:
+        """Read a string; bytes that are not UTF-8 are kept as surrogates."""
+        raw = bytes(self.take(self.uint32()))
+        if self._aligned:
+            raw = raw[:-1] if raw.endswith(b"\0") else raw
+        return raw.decode("utf-8", "surrogateescape")
+
+    def stamp_ns(self) -> int:
+        """Read a stamp: ROS 1's (uint32, uint32) or ROS 2's (int32, uint32), as nanoseconds."""
+        self.align(4)
+        seconds, nanoseconds = self.read("II" if self.ros1 else "iI")
+        return seconds * 1_000_000_000 + nanoseconds
+
+    def header(self) -> tuple[int, int, str]:
+        """Read a std_msgs/Header: sequence number (0 in ROS 2), stamp in nanoseconds, frame_id."""
+        sequence = self.uint32() if self.ros1 else 0
+        return sequence, self.stamp_ns(), self.string()
+
+
+class Packer:
+    """Writes primitives one after the other; the counterpart of `Cursor`, always little-endian."""
+
+    __slots__ = ("_aligned", "_parts", "_size")
+
+    def __init__(self, serialization: str) -> None:
+        self._aligned = serialization == "cdr"
+        self._parts: list[Buffer] = [b"\x00\x01\x00\x00"] if self._aligned else []
+        self._size = 0
+
+    @property
+    def ros1(self) -> bool:
+        """Whether this is ROS 1's format."""
+        return not self._aligned
+
+    def align(self, size: int) -> None:
+        """Pad before a primitive of ``size`` bytes; ROS 1 has no padding."""
+        if self._aligned and (padding := -self._size % size):
+            self.raw(bytes(padding))
+
+    def raw(self, data: Buffer) -> None:
+        """Append bytes as they are."""
+        self._parts.append(data)
+        self._size += len(data)
+
+    def write(self, code: str, *values: float) -> None:
+        """Append primitives that need no padding between them: `struct` codes, aligned to the last."""
+        self.align(struct.calcsize(code[-1]))
+        self.raw(struct.pack("<" + code, *values))
+
+    def string(self, text: str) -> None:
+        """Append a string."""
+        data = text.encode("utf-8", "surrogateescape")
+        if self._aligned:
+            data += b"\0"
+        self.write("I", len(data))
+        self.raw(data)
+
+    def header(self, sequence: int, stamp_ns: int, frame_id: str) -> None:
+        """Append a std_msgs/Header; ROS 2 has no sequence number.
+
+        Raises
+        ------
+        DecodeError
+            If the stamp does not fit: ROS 1 counts uint32 seconds, ROS 2 int32.
+        """
+        if self.ros1:
+            self.write("I", sequence)
+        seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
+        low, high = (0, 2**32 - 1) if self.ros1 else (-(2**31), 2**31 - 1)
+        if not low <= seconds <= high:
+            raise DecodeError(
+                f"a stamp of {seconds} s does not fit into ROS {1 if self.ros1 else 2}'s "
+                f"{low} to {high} s",
+                stamp_ns=stamp_ns,
+            )
+        self.write("II" if self.ros1 else "iI", seconds, nanoseconds)
+        self.string(frame_id)
+
+    def finish(self) -> bytes:
+        """Return the message."""
+        return b"".join(self._parts)

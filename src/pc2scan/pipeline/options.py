@@ -1,0 +1,171 @@
+"""What a conversion is asked to do, apart from the projection's own parameters."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from decimal import Decimal, InvalidOperation
+
+from pc2scan.core.params import ProjectionParams
+from pc2scan.core.unproject import UnprojectParams
+from pc2scan.errors import UsageError
+from pc2scan.messages.laserscan import LASERSCAN
+from pc2scan.messages.pointcloud2 import POINTCLOUD2
+
+from .frames import FrameOptions
+
+__all__ = ["ConvertOptions", "TimeBound", "TopicRequest"]
+
+#: Numbers from here on are points in time, not seconds from the beginning: no recording lasts three years.
+_ABSOLUTE_SECONDS = 100_000_000
+#: And from here on they are nanoseconds: as seconds they would lie beyond the year 5000.
+_ABSOLUTE_NANOSECONDS = 100_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class TimeBound:
+    """One end of a cut.
+
+    Attributes
+    ----------
+    nanoseconds
+        From the beginning of the recording, or since 1970 if ``absolute``.
+    """
+
+    nanoseconds: int
+    absolute: bool = False
+
+    @classmethod
+    def parse(cls, text: str) -> TimeBound:
+        """Read ``12.5`` (seconds from the beginning) or a point in time.
+
+        A point in time is ``@1604515190.25`` (seconds since 1970), the same without ``@`` if it is
+        100,000,000 or more, nanoseconds since 1970 if it is beyond 100,000,000,000, or an ISO 8601 date and time
+        (UTC if it names no zone).
+
+        Raises
+        ------
+        UsageError
+            If it is none of these.
+        """
+        digits = text.removeprefix("@")
+        if re.fullmatch(r"\d+(\.\d*)?|\.\d+", digits):
+            try:
+                value = Decimal(digits)
+            except InvalidOperation as err:  # pragma: no cover - the pattern admits only decimals
+                raise UsageError(f"{text!r} is not a time") from err
+            if value >= _ABSOLUTE_NANOSECONDS:
+                return cls(int(value), absolute=True)
+            absolute = text.startswith("@") or value >= _ABSOLUTE_SECONDS
+            return cls(int(value * 1_000_000_000), absolute=absolute)
+        try:
+            moment = datetime.fromisoformat(text)
+        except ValueError as err:
+            raise UsageError(
+                f"{text!r} is not a time",
+                hint="give seconds from the beginning (12.5), @ and seconds since 1970 (@1604515190.25), "
+                "or a date and time (2020-11-04T18:39:50.25Z)",
+            ) from err
+        moment = moment if moment.tzinfo else moment.replace(tzinfo=UTC)
+        since = moment - datetime(1970, 1, 1, tzinfo=UTC)
+        return cls(
+            (since.days * 86400 + since.seconds) * 1_000_000_000 + since.microseconds * 1000, absolute=True
+        )
+
+    def resolve(self, beginning_ns: int) -> int:
+        """Return the log time in nanoseconds, given that of the recording's beginning."""
+        return self.nanoseconds if self.absolute else beginning_ns + self.nanoseconds
+
+
+@dataclass(frozen=True, slots=True)
+class TopicRequest:
+    """A topic to convert, and where to."""
+
+    source: str
+    target: str | None = None
+
+    @classmethod
+    def parse(cls, text: str) -> TopicRequest:
+        """Read ``/points`` or, in ROS's remapping notation, ``/points:=/scan``.
+
+        Raises
+        ------
+        UsageError
+            If a side of ``:=`` is empty.
+        """
+        source, remapped, target = text.partition(":=")
+        if not source or (remapped and not target):
+            raise UsageError(f"{text!r} is not a topic", hint="write /points or /points:=/scan")
+        return cls(source, target or None)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ConvertOptions:
+    """Everything that `pc2scan.convert` can be told, checked.
+
+    Attributes
+    ----------
+    params
+        The projection's parameters.
+    reverse
+        Whether LaserScan becomes PointCloud2; of ``params`` then only the frame's count.
+    channels
+        Fields of the clouds that ``reverse`` makes, and the range cutoff.
+    deskew
+        With ``reverse``: transform each beam by the pose at its own time.
+    frames
+        Where transforms come from.
+    topics
+        What to convert; empty means every PointCloud2 topic (LaserScan with ``reverse``).
+    keep_clouds
+        Write the converted messages too.
+    only_scans
+        Write nothing but what was converted.
+    keep, drop
+        Topics or globs that choose among the topics that are not converted. ``drop`` wins, and also
+        excludes a cloud topic that was not asked for by name.
+    start, end
+        The cut, by log time: from ``start`` on, before ``end``.
+    on_error
+        ``skip`` or ``fail``: what a message that cannot be converted does.
+    ros_distro
+        Whose definitions stand in for those that the recording lacks; empty for a default.
+    jobs
+        Threads that convert; 0 means as many as there are processor cores.
+    """
+
+    params: ProjectionParams = ProjectionParams()
+    reverse: bool = False
+    channels: UnprojectParams = UnprojectParams()
+    deskew: bool = False
+    frames: FrameOptions = FrameOptions()
+    topics: tuple[TopicRequest, ...] = ()
+    keep_clouds: bool = False
+    only_scans: bool = False
+    keep: tuple[str, ...] = ()
+    drop: tuple[str, ...] = ()
+    start: TimeBound | None = None
+    end: TimeBound | None = None
+    on_error: str = "skip"
+    ros_distro: str = ""
+    jobs: int = 0
+
+    def __post_init__(self) -> None:
+        if self.on_error not in ("skip", "fail"):
+            raise UsageError(f"on_error is {self.on_error!r}, it must be skip or fail")
+        if self.jobs < 0:
+            raise UsageError(f"jobs is {self.jobs}, it must not be negative")
+        if self.only_scans and (self.keep or self.keep_clouds):
+            raise UsageError("only_scans leaves out what keep and keep_clouds ask for")
+        if not self.reverse and (self.deskew or self.channels != UnprojectParams()):
+            raise UsageError("deskew, channels and range_cutoff go with reverse")
+        if self.deskew and not self.params.target_frame:
+            raise UsageError(
+                "deskew needs a target_frame that does not move with the sensor", hint="such as --target-frame odom"
+            )
+
+    @property
+    def source_type(self) -> str:
+        """The type that is converted."""
+        return LASERSCAN if self.reverse else POINTCLOUD2

@@ -1,0 +1,201 @@
+"""What goes where: a route for every connection of the source. Decides, and touches no file."""
+
+from __future__ import annotations
+
+import difflib
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from typing import TYPE_CHECKING
+
+from pc2scan.errors import TopicError
+from pc2scan.messages.laserscan import LASERSCAN
+from pc2scan.messages.pointcloud2 import POINTCLOUD2
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from pc2scan.bags.model import Connection
+
+    from .options import ConvertOptions, TopicRequest
+
+__all__ = ["Plan", "Route", "make_plan"]
+
+
+@dataclass(frozen=True, slots=True)
+class Route:
+    """One source connection's way.
+
+    Attributes
+    ----------
+    target
+        The topic that its converted messages go to; None if it is not converted.
+    passes
+        Whether its own messages go to the destination.
+    """
+
+    connection: Connection
+    target: str | None
+    passes: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """The routes in the order of the source's connections, and what about the request is worth a warning."""
+
+    routes: tuple[Route, ...]
+    warnings: tuple[str, ...] = ()
+
+
+def make_plan(connections: Sequence[Connection], options: ConvertOptions) -> Plan:
+    """Decide what is converted, what passes through and what is left out.
+
+    Parameters
+    ----------
+    connections
+        All of the source.
+    options
+        What was asked for.
+
+    Raises
+    ------
+    TopicError
+        If there is nothing to convert, a topic asked for is missing or of another type, or an output topic
+        is already in the source.
+    """
+    targets = _targets(connections, options)
+    routes = []
+    for connection in connections:
+        topic = connection.topic
+        converted = topic in targets and _kind(connection) == options.source_type
+        passes = not options.only_scans and (
+            options.keep_clouds if converted else _chosen(topic, options.keep, options.drop)
+        )
+        routes.append(Route(connection, targets[topic] if converted else None, passes))
+    _refuse_collisions(routes, {request.source: request for request in options.topics})
+    return Plan(tuple(routes), tuple(_idle_patterns(connections, options)))
+
+
+def _targets(connections: Sequence[Connection], options: ConvertOptions) -> dict[str, str]:
+    """The topics to convert and the topics that their scans go to."""
+    types = _types_by_topic(connections)
+    kind = options.source_type
+    candidates = [topic for topic, kinds in types.items() if kind in kinds]
+    if options.topics:
+        requests = {_find(request, types, candidates, kind): request.target for request in options.topics}
+    else:
+        requests = {topic: None for topic in candidates if not _matches(topic, options.drop)}
+        if not requests:
+            raise TopicError(_nothing_to_convert(types, candidates, kind), hint=_other_direction(types, kind))
+    single = len(requests) == 1
+    name = "cloud" if kind == LASERSCAN else "scan"
+    return {
+        topic: target or (f"/{name}" if single else f"{topic.rstrip('/')}/{name}")
+        for topic, target in requests.items()
+    }
+
+
+def _find(request: TopicRequest, types: dict[str, set[str]], candidates: list[str], kind: str) -> str:
+    """The topic that a request means; a leading slash is no difference."""
+    there = f"{_short(kind)} topics: {_listed(candidates)}"
+    for name in (request.source, f"/{request.source}", request.source.removeprefix("/")):
+        if name in types:
+            if kind in types[name]:
+                return name
+            raise TopicError(f"topic {name} is {', '.join(sorted(types[name]))}, not {kind}", hint=there)
+    near = difflib.get_close_matches(request.source, candidates, n=1)
+    hint = f"did you mean {near[0]}? " if near else ""
+    raise TopicError(f"no topic {request.source} in the recording", hint=f"{hint}{there}")
+
+
+def _nothing_to_convert(types: dict[str, set[str]], candidates: list[str], kind: str) -> str:
+    if candidates:
+        return f"every {_short(kind)} topic is dropped: {_listed(candidates)}"
+    if not types:
+        return "the recording has no topics"
+    described = [f"{topic} ({', '.join(sorted(kinds))})" for topic, kinds in sorted(types.items())]
+    return f"the recording has no {_short(kind)} topic; its topics are: {_listed(described)}"
+
+
+def _other_direction(types: dict[str, set[str]], kind: str) -> str | None:
+    """What may have been meant where there is nothing to convert."""
+    other = POINTCLOUD2 if kind == LASERSCAN else LASERSCAN
+    if not any(other in kinds for kinds in types.values()):
+        return None
+    if kind == LASERSCAN:
+        return "it has PointCloud2 topics; without --reverse they become scans"
+    return "it has LaserScan topics; --reverse turns those into clouds"
+
+
+def _short(kind: str) -> str:
+    return kind.rsplit("/", 1)[-1]
+
+
+def _refuse_collisions(routes: Sequence[Route], requests: dict[str, TopicRequest]) -> None:
+    """No scan may share a topic with another scan or with what passes through."""
+    passing = {route.connection.topic for route in routes if route.passes}
+    origin: dict[str, str] = {}
+    for route in routes:
+        if route.target is None:
+            continue
+        source = origin.setdefault(route.target, route.connection.topic)
+        if source != route.connection.topic:
+            topic = route.connection.topic
+            raise TopicError(
+                f"{source} and {topic} would both become {route.target}",
+                hint=f"give one of them another topic: --topic {topic}:={route.target}_2",
+            )
+    for target, source in origin.items():
+        if target in passing:
+            taken = passing | origin.keys()
+            own = f"{source.rstrip('/')}/{target.rsplit('/', 1)[-1]}"
+            candidates = (own, *(f"{target}_{n}" for n in range(2, len(taken) + 3)))
+            free = next(name for name in candidates if name not in taken)
+            how = "" if source in requests else " (the default)"
+            raise TopicError(
+                f"the recording already has a topic {target}, which {source} would be converted to{how}",
+                hint=f"choose a free one: --topic {source}:={free}, or leave the old one out: --drop {target}",
+            )
+
+
+def _idle_patterns(connections: Sequence[Connection], options: ConvertOptions) -> list[str]:
+    """A pattern that matches nothing is nearly always a typing error."""
+    topics = {connection.topic for connection in connections}
+    return [
+        f"--{name} {pattern} matches no topic"
+        for name, patterns in (("keep", options.keep), ("drop", options.drop))
+        for pattern in patterns
+        if not any(_matches(topic, (pattern,)) for topic in topics)
+    ]
+
+
+def _chosen(topic: str, keep: Sequence[str], drop: Sequence[str]) -> bool:
+    return (not keep or _matches(topic, keep)) and not _matches(topic, drop)
+
+
+def _matches(topic: str, patterns: Sequence[str]) -> bool:
+    """Whether a topic is one of the names or globs; a leading slash is no difference."""
+    return any(
+        topic == pattern or fnmatchcase(topic.removeprefix("/"), pattern.removeprefix("/")) for pattern in patterns
+    )
+
+
+def _types_by_topic(connections: Sequence[Connection]) -> dict[str, set[str]]:
+    types: dict[str, set[str]] = {}
+    for connection in connections:
+        types.setdefault(connection.topic, set()).add(_kind(connection))
+    return types
+
+
+def _kind(connection: Connection) -> str:
+    """The type, and how it is serialised if ROS did not do it (MCAP files also hold JSON and Protobuf)."""
+    if connection.generation is None:
+        return f"{connection.msgtype or 'untyped'} in {connection.serialization or 'no encoding'}"
+    return connection.ros_type
+
+
+def _listed(names: Sequence[str], limit: int = 20) -> str:
+    """Names for an error message: all of them, or the first ones and how many more."""
+    if not names:
+        return "none"
+    more = f" and {len(names) - limit} more" if len(names) > limit else ""
+    return ", ".join(names[:limit]) + more

@@ -1,0 +1,205 @@
+"""What happened in a conversion: one structure that the table, the JSON file and the exit status all read."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any
+
+from pc2scan.core.params import ProjectionParams
+from pc2scan.core.project import PointCounts
+
+__all__ = ["Report", "Skipped", "TopicReport"]
+
+#: Skipped messages are listed one by one up to here; all of them are counted.
+MAX_LISTED = 100
+
+#: A share of points lost to the default min_height that is worth a warning.
+_NOTABLE_SHARE = 0.25
+
+
+@dataclass(frozen=True, slots=True)
+class Skipped:
+    """A message that was not converted.
+
+    Attributes
+    ----------
+    topic, log_time_ns, stamp_ns
+        Which one; ``stamp_ns`` is None where even the header cannot be read.
+    reason
+        Why, with the numbers.
+    hint
+        What can be done about it; empty where nothing is known.
+    """
+
+    topic: str
+    log_time_ns: int
+    stamp_ns: int | None
+    reason: str
+    hint: str = ""
+
+
+@dataclass(slots=True)
+class TopicReport:
+    """What happened to one topic of the source.
+
+    Attributes
+    ----------
+    topic, msgtype
+        In the source.
+    target
+        Where it went: the scan's topic if converted, its own if it passed through, None if it was left out.
+    action
+        ``converted``, ``passed``, ``re-encoded`` or ``left out``.
+    note
+        Why it was left out, or what is worth knowing; empty otherwise.
+    messages_in, messages_out, skipped
+        Messages read, written, and neither; left-out topics are not read and count none.
+    points
+        Of all converted clouds: where every point went.
+    empty_scans
+        Scans without a single return.
+    clouds_kept
+        Whether the converted clouds were written too.
+    lost
+        Whether the topic was asked for but cannot be carried over; ``note`` says why.
+    """
+
+    topic: str
+    msgtype: str
+    target: str | None
+    action: str
+    note: str = ""
+    messages_in: int = 0
+    messages_out: int = 0
+    skipped: int = 0
+    points: PointCounts = field(default_factory=PointCounts)
+    empty_scans: int = 0
+    clouds_kept: bool = False
+    lost: bool = False
+
+
+@dataclass(slots=True)
+class Report:
+    """What happened in a conversion.
+
+    Attributes
+    ----------
+    sources, destination
+        Paths as they were given.
+    params
+        The projection's parameters.
+    origins
+        Where each parameter's value came from, by name; ``default`` if from nowhere.
+    topics
+        One entry a source topic and way, in the source's order.
+    skipped
+        The first `MAX_LISTED` messages that were not converted.
+    warnings
+        Whatever a user should know though nothing failed.
+    """
+
+    sources: list[str]
+    destination: str
+    params: ProjectionParams
+    origins: dict[str, str] = field(default_factory=dict)
+    topics: list[TopicReport] = field(default_factory=list)
+    skipped: list[Skipped] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    bytes_read: int = 0
+    bytes_written: int = 0
+    seconds: float = 0.0
+
+    @property
+    def skipped_count(self) -> int:
+        """Messages that were read and not written, of all topics, listed or not."""
+        return sum(topic.skipped for topic in self.topics)
+
+    @property
+    def exit_status(self) -> int:
+        """0 if every message was converted, 3 if some were skipped or a topic could not be carried over."""
+        return 3 if self.skipped_count or any(topic.lost for topic in self.topics) else 0
+
+    def skip(self, entry: TopicReport, skipped: Skipped) -> None:
+        """Count a skipped message and list it while there is room."""
+        entry.skipped += 1
+        if len(self.skipped) < MAX_LISTED:
+            self.skipped.append(skipped)
+
+    def conclude(self) -> None:
+        """Add the warnings that only the whole conversion can tell."""
+        for topic in self.topics:
+            if topic.action == "converted":
+                self.warnings += _point_warnings(topic, self.params, self.origins)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the report as JSON's types; the keys are documented in the README."""
+        from pc2scan import __version__
+
+        return {
+            "pc2scan": __version__,
+            "exit_status": self.exit_status,
+            "sources": self.sources,
+            "destination": self.destination,
+            "params": {name: _json_number(value) for name, value in asdict(self.params).items()},
+            "param_origins": self.origins,
+            "topics": [
+                {
+                    **{f.name: getattr(topic, f.name) for f in fields(topic) if f.name != "points"},
+                    "points": asdict(topic.points),
+                }
+                for topic in self.topics
+            ],
+            "skipped": [asdict(entry) for entry in self.skipped],
+            "skipped_count": self.skipped_count,
+            "warnings": self.warnings,
+            "bytes_read": self.bytes_read,
+            "bytes_written": self.bytes_written,
+            "seconds": round(self.seconds, 3),
+        }
+
+
+def _json_number(value: object) -> object:
+    """JSON has no infinity."""
+    return str(value) if isinstance(value, float) and value in (float("inf"), float("-inf")) else value
+
+
+def _point_warnings(topic: TopicReport, params: ProjectionParams, origins: dict[str, str]) -> list[str]:
+    """Name the parameter to blame for scans without returns, and for the default that surprises most."""
+    points = topic.points
+    default_height = origins.get("min_height", "default") == "default" and (
+        params.min_height == ProjectionParams().min_height
+    )
+    lost = points.height / points.total if points.total else 0.0
+    advice = "upstream's default min_height drops everything at z <= 0; set it to see below the sensor: --min-height -0.5"
+    warnings = []
+    if topic.empty_scans:
+        share = f"{topic.empty_scans} of {topic.messages_out} scans on {topic.target} have no return at all"
+        warnings.append(f"{share}: {_blame(points, default_height, advice)}")
+    elif default_height and lost >= _NOTABLE_SHARE:
+        warnings.append(f"{topic.target}: {lost:.0%} of the points were outside the heights: {advice}")
+    return warnings
+
+
+def _blame(points: PointCounts, default_height: bool, advice: str) -> str:
+    """The most frequent reason, and its parameters."""
+    reasons = Counter(
+        {
+            "height": points.height,
+            "range": points.range,
+            "angle": points.angle + points.past_end,
+            "nan": points.nan,
+        }
+    )
+    reason, count = reasons.most_common(1)[0]
+    if not count:
+        return "the clouds have no points"
+    share = f"{count / points.total:.0%} of all points were"
+    return {
+        "height": f"{share} outside the heights: {advice}"
+        if default_height
+        else f"{share} outside min_height and max_height (is z up in this frame? see target_frame)",
+        "range": f"{share} outside range_min and range_max",
+        "angle": f"{share} outside angle_min and angle_max (is x forward in this frame?)",
+        "nan": f"{share} NaN",
+    }[reason]

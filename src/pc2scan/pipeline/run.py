@@ -1,0 +1,400 @@
+"""Stream a recording through a conversion: read, work, write in order."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from itertools import chain
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from pc2scan.bags.registry import (
+    Destination,
+    default_destination,
+    default_storage,
+    open_recording,
+    open_writer,
+    plan_destination,
+)
+from pc2scan.bags.merged import MergedReader
+from pc2scan.bags.model import Connection, RawMessage, Reader, Writer
+from pc2scan.bags.staging import staged
+from pc2scan.errors import MessageError, UsageError
+from pc2scan.messages.definitions import definition
+from pc2scan.messages.transcode import DEFAULT_DISTRO, LATCHED_QOS, defined, transcoder
+
+from .conversion import CloudToScan, Conversion, Converted, ScanToCloud
+from .frames import Frames, is_static, read_transforms
+from .options import ConvertOptions, TimeBound
+from .ordered import map_in_order
+from .plan import Route, make_plan
+from .report import Report, Skipped, TopicReport
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+    from pc2scan.bags.model import Buffer
+
+__all__ = ["OutputOptions", "Progress", "run"]
+
+#: Called now and then with bytes read so far, bytes in all, and messages read so far.
+Progress = Callable[[int, int, int], None]
+
+#: Messages between two calls of the progress function.
+_PROGRESS_EVERY = 64
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OutputOptions:
+    """How the destination is written; None means that container's default.
+
+    Attributes
+    ----------
+    storage
+        Of a rosbag2 directory: ``mcap`` or ``sqlite3``.
+    compression
+        ``none``, ``lz4``, ``zstd`` or ``bz2``, as the container allows.
+    profile
+        Of an ``.mcap`` file: ``ros1`` or ``ros2``.
+    metadata_version
+        Of a rosbag2 directory.
+    overwrite
+        Whether an existing destination is replaced.
+    """
+
+    storage: str | None = None
+    compression: str | None = None
+    profile: str | None = None
+    metadata_version: int = 8
+    overwrite: bool = False
+
+
+@dataclass(slots=True)
+class _Lane:
+    """Where the messages of one source connection go.
+
+    ``convert`` and ``encode`` are the work; None where there is none. The handles are the writer's.
+    """
+
+    connection: Connection
+    report: TopicReport
+    convert: Callable[[Buffer], Converted] | None = None
+    encode: Callable[[Buffer], Buffer] | None = None
+    converted_handle: int = -1
+    passing_handle: int = -1
+
+
+class _Outcome(NamedTuple):
+    """What became of a message; an error takes the place of what could not be made."""
+
+    lane: _Lane
+    message: RawMessage
+    converted: Converted | None
+    passing: Buffer | None
+    error: MessageError | None
+
+
+def run(
+    sources: Sequence[Path],
+    destination: Path | None,
+    options: ConvertOptions,
+    output: OutputOptions,
+    *,
+    origins: Mapping[str, str] | None = None,
+    progress: Progress | None = None,
+) -> Report:
+    """Convert recordings; see `pc2scan.convert`."""
+    began = time.monotonic()
+    if not sources:
+        raise UsageError("no source given")
+    with ExitStack() as stack:
+        readers = _open(sources, stack)
+        reader = _merged(readers)
+        plan = make_plan(reader.connections, options)
+        summaries = [opened.summary for opened in readers]
+        path = destination or default_destination(sources, summaries)
+        target = plan_destination(
+            path,
+            storage=output.storage or (None if destination else default_storage(summaries)),
+            compression=output.compression,
+            profile=output.profile,
+            metadata_version=output.metadata_version,
+            source_generation=_generation(reader.connections),
+        )
+        report = Report([str(source) for source in sources], str(path), options.params, dict(origins or {}))
+        report.warnings += plan.warnings
+        conversion = _conversion(reader, options, stack, report)
+        with staged(path, overwrite=output.overwrite, sources=sources) as partial:
+            writer = open_writer(target, partial, path.name)
+            try:
+                lanes = _lanes(plan.routes, conversion, target, options, writer, report)
+                if not options.only_scans:
+                    _carry_extras(reader, target, writer, report)
+                _stream(reader, lanes, options, writer, report, progress)
+                writer.finish()
+            except BaseException:
+                writer.abort()
+                raise
+            report.bytes_written = _size(partial)
+        report.bytes_read = reader.summary.size_bytes
+    report.conclude()
+    report.seconds = time.monotonic() - began
+    return report
+
+
+def _open(sources: Sequence[Path], stack: ExitStack) -> list[Reader]:
+    """Open the sources, to be closed with the stack."""
+    readers = []
+    for source in sources:
+        reader = open_recording(source)
+        stack.callback(reader.close)
+        readers.append(reader)
+    return readers
+
+
+def _merged(readers: list[Reader]) -> Reader:
+    return MergedReader(readers) if len(readers) > 1 else readers[0]
+
+
+def _conversion(
+    reader: Reader, options: ConvertOptions, stack: ExitStack, report: Report
+) -> Conversion:
+    """The direction asked for, with every transform known before the first message is converted."""
+    params, frames = options.params, options.frames
+    readers: list[Reader] = []
+    if params.target_frame:
+        readers = [reader, *_open(frames.tf_from, stack)]
+    buffer, warnings = read_transforms(readers, frames)
+    report.warnings += warnings
+    known = Frames(params.target_frame, frames.source_frame, buffer, round(params.transform_tolerance * 1e9))
+    if options.reverse:
+        return ScanToCloud(options.channels, known, deskewed=options.deskew)
+    return CloudToScan(params, known)
+
+
+def _generation(connections: Iterable[Connection]) -> int | None:
+    """The source's ROS generation; None for a source without any message of ROS."""
+    return next((c.generation for c in connections if c.generation is not None), None)
+
+
+def _lanes(
+    routes: Iterable[Route],
+    conversion: Conversion,
+    target: Destination,
+    options: ConvertOptions,
+    writer: Writer,
+    report: Report,
+) -> dict[int, _Lane]:
+    """Declare every connection of the destination and prepare the work on each of the source's."""
+    lanes: dict[int, _Lane] = {}
+    entries: dict[tuple[str, str, str | None], TopicReport] = {}
+    for route in routes:
+        connection = route.connection
+        action = "converted" if route.target else "passed" if route.passes else "left out"
+        entry = entries.get((connection.topic, connection.msgtype, route.target))
+        if entry is None:
+            entry = TopicReport(
+                connection.topic,
+                connection.ros_type,
+                route.target or (connection.topic if route.passes else None),
+                action,
+            )
+            entries[connection.topic, connection.msgtype, route.target] = entry
+            report.topics.append(entry)
+        if action == "left out":
+            continue
+        lane = _Lane(connection, entry)
+        if route.passes:
+            _prepare_passing(lane, target, options, writer)
+        if route.target:
+            lane.convert = _converter(conversion, connection, target)
+            lane.converted_handle = writer.add_connection(
+                _converted_connection(connection, route.target, conversion.target_type, target)
+            )
+            entry.clouds_kept = route.passes
+        if lane.passing_handle >= 0 or lane.converted_handle >= 0:
+            lanes[connection.id] = lane
+    return lanes
+
+
+def _prepare_passing(lane: _Lane, target: Destination, options: ConvertOptions, writer: Writer) -> None:
+    """Declare a connection that passes through, re-encoded if the destination is of the other generation."""
+    connection = lane.connection
+    entry = lane.report
+    distro = options.ros_distro or DEFAULT_DISTRO
+    if connection.generation == target.generation:
+        lane.passing_handle = writer.add_connection(defined(connection, distro))
+        return
+    if connection.generation is None:
+        if target.container == "mcap":
+            lane.passing_handle = writer.add_connection(connection)
+            return
+        error: MessageError = MessageError(f"{connection.serialization} messages fit only into an .mcap file")
+    else:
+        try:
+            transcoding = transcoder(connection, target.generation, distro=distro)
+        except MessageError as err:
+            error = err
+        else:
+            lane.encode = transcoding.encode
+            lane.passing_handle = writer.add_connection(transcoding.connection)
+            if entry.action == "passed":
+                entry.action = "re-encoded"
+                entry.note = "; ".join(transcoding.notes)
+            return
+    if options.on_error == "fail":
+        error.topic = connection.topic
+        raise error
+    entry.note, entry.lost = error.message, True
+    if entry.action != "converted":
+        entry.action, entry.target = "left out", None
+
+
+def _converter(
+    conversion: Conversion, connection: Connection, target: Destination
+) -> Callable[[Buffer], Converted]:
+    serialization = "ros1" if target.generation == 1 else "cdr"
+    return lambda data: conversion(data, connection.serialization, serialization)
+
+
+def _converted_connection(source: Connection, topic: str, msgtype: str, target: Destination) -> Connection:
+    """The connection of converted messages: published as their source was."""
+    text, digest = definition(msgtype, target.generation)
+    same = source.generation == target.generation
+    return Connection(
+        id=0,
+        topic=topic,
+        msgtype=msgtype,
+        serialization="ros1" if target.generation == 1 else "cdr",
+        definition=text,
+        digest=digest,
+        callerid=source.callerid if target.generation == 1 else None,
+        latching=source.latching,
+        qos=source.qos if same else LATCHED_QOS if source.latching and target.generation == 2 else "",
+    )
+
+
+def _carry_extras(reader: Reader, target: Destination, writer: Writer, report: Report) -> None:
+    """Carry MCAP's attachments and metadata records where the destination has them."""
+    carries = target.container == "mcap" or target.storage == "mcap"
+    lost = 0
+    for attachment in reader.attachments():
+        if carries:
+            writer.add_attachment(attachment)
+        else:
+            lost += 1
+    for record in reader.metadata():
+        # rosbag2 keeps a copy of metadata.yaml under this name; its writer makes a true one.
+        if record.name == "rosbag2" and target.container != "mcap":
+            continue
+        if carries:
+            writer.add_metadata(record)
+        else:
+            lost += 1
+    if lost:
+        report.warnings.append(
+            f"{lost} MCAP attachments and metadata records are left out: the destination has no place for them"
+        )
+
+
+def _stream(
+    reader: Reader,
+    lanes: Mapping[int, _Lane],
+    options: ConvertOptions,
+    writer: Writer,
+    report: Report,
+    progress: Progress | None,
+) -> None:
+    """Read, work on several threads, and write in the order of reading."""
+    total = reader.summary.size_bytes
+    jobs = options.jobs or _cores()
+    outcomes = map_in_order(
+        _work,
+        ((lanes[message.connection.id], message) for message in _cut(reader, lanes, options)),
+        is_heavy=lambda item: item[0].convert is not None or item[0].encode is not None,
+        jobs=jobs,
+        window=options.params.queue_size or 2 * jobs,
+    )
+    for count, outcome in enumerate(outcomes, 1):
+        _write(outcome, writer, report, options.on_error)
+        if progress is not None and count % _PROGRESS_EVERY == 0:
+            progress(reader.bytes_read, total, count)
+    if progress is not None:
+        progress(total, total, sum(entry.messages_in for entry in report.topics))
+
+
+def _cores() -> int:
+    """Processor cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _cut(reader: Reader, lanes: Mapping[int, _Lane], options: ConvertOptions) -> Iterator[RawMessage]:
+    """The wanted messages between start and end, after the latched ones from before the start."""
+    wanted = [lane.connection for lane in lanes.values()]
+    if options.start is None and options.end is None:
+        return reader.messages(wanted)
+    beginning = reader.summary.start_ns
+    if beginning is None:
+        first = next(reader.messages(), None)
+        beginning = first.log_time_ns if first is not None else 0
+
+    def resolved(bound: TimeBound | None) -> int | None:
+        return None if bound is None else bound.resolve(beginning)
+
+    start, stop = resolved(options.start), resolved(options.end)
+    if start is not None and stop is not None and start >= stop:
+        raise UsageError("the cut is empty: start is not before end")
+    messages = reader.messages(wanted, start, stop)
+    lasting = [c for c in wanted if c.latching or is_static(c.topic)]
+    if start is None or not lasting:
+        return messages
+    until = start if stop is None else min(start, stop)
+    return chain(reader.messages(lasting, None, until), messages)
+
+
+def _work(item: tuple[_Lane, RawMessage]) -> _Outcome:
+    """All the work on one message; runs on any thread."""
+    lane, message = item
+    converted = passing = error = None
+    try:
+        if lane.passing_handle >= 0:
+            passing = message.data if lane.encode is None else lane.encode(message.data)
+        if lane.convert is not None:
+            converted = lane.convert(message.data)
+    except MessageError as err:
+        error = err
+    return _Outcome(lane, message, converted, passing, error)
+
+
+def _write(outcome: _Outcome, writer: Writer, report: Report, on_error: str) -> None:
+    """Write what a message became, and account for it."""
+    lane, message, converted, passing, error = outcome
+    entry = lane.report
+    entry.messages_in += 1
+    when = (message.log_time_ns, message.publish_time_ns, message.sequence)
+    if passing is not None:
+        writer.write(lane.passing_handle, when[0], passing, when[1], when[2])
+    if converted is not None:
+        writer.write(lane.converted_handle, when[0], converted.data, when[1], when[2])
+        entry.points += converted.counts
+        entry.empty_scans += converted.empty
+    if error is not None:
+        error.topic = lane.connection.topic
+        if on_error == "fail":
+            raise error
+        report.skip(
+            entry,
+            Skipped(lane.connection.topic, message.log_time_ns, error.stamp_ns, error.message, error.hint or ""),
+        )
+    else:
+        entry.messages_out += 1
+
+
+def _size(path: Path) -> int:
+    """Bytes of a file, or of the files in a folder."""
+    if path.is_dir():
+        return sum(file.stat().st_size for file in path.iterdir())
+    return path.stat().st_size

@@ -1,0 +1,330 @@
+"""A destination appears whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from pc2scan.bags import staging
+from pc2scan.bags.staging import staged
+from pc2scan.errors import DestinationError, OutputError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+
+def make_file(path: Path) -> None:
+    path.write_text("new")
+
+
+def make_directory(path: Path) -> None:
+    path.mkdir()
+    (path / "metadata.yaml").write_text("new")
+    (path / "x_0.db3").write_text("new")
+
+
+def is_new(path: Path) -> bool:
+    return (path / "metadata.yaml" if path.is_dir() else path).read_text() == "new"
+
+
+make = pytest.mark.parametrize("make", [make_file, make_directory])
+
+
+@make
+def test_success(tmp_path: Path, make: Callable[[Path], None]) -> None:
+    dst = tmp_path / "out.mcap"
+    with staged(dst, overwrite=False) as partial:
+        assert partial == tmp_path / "out.mcap.pc2scan-partial"
+        assert not partial.exists()
+        make(partial)
+        assert not dst.exists()
+    assert is_new(dst)
+    assert os.listdir(tmp_path) == ["out.mcap"]
+
+
+@make
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, SystemExit])
+@pytest.mark.parametrize("existing", ["nothing", "file", "directory"])
+def test_failure_leaves_everything_as_it_was(
+    tmp_path: Path, make: Callable[[Path], None], error: type[BaseException], existing: str
+) -> None:
+    dst = tmp_path / "out"
+    if existing == "file":
+        dst.write_text("old")
+    if existing == "directory":
+        dst.mkdir()
+        (dst / "metadata.yaml").write_text("old")
+
+    def run() -> None:
+        with staged(dst, overwrite=True) as partial:
+            make(partial)
+            raise error
+
+    with pytest.raises(error):
+        run()
+    assert os.listdir(tmp_path) == ([] if existing == "nothing" else ["out"])
+    assert existing == "nothing" or not is_new(dst)
+
+
+@make
+@pytest.mark.parametrize("existing", ["nothing", "file", "directory", "dangling link"])
+def test_overwriting(tmp_path: Path, make: Callable[[Path], None], existing: str) -> None:
+    dst = tmp_path / "out"
+    if existing == "file":
+        dst.write_text("old")
+    if existing == "directory":
+        make_directory(dst)
+        (dst / "metadata.yaml").write_text("old")
+    if existing == "dangling link":
+        dst.symlink_to(tmp_path / "missing")
+    with staged(dst, overwrite=True) as partial:
+        make(partial)
+        assert os.path.lexists(dst) == (existing != "nothing")
+    assert is_new(dst)
+    assert not dst.is_symlink()
+    assert os.listdir(tmp_path) == ["out"]
+
+
+def test_overwriting_a_link_leaves_its_target(tmp_path: Path) -> None:
+    (tmp_path / "target").write_text("old")
+    (tmp_path / "out").symlink_to(tmp_path / "target")
+    with staged(tmp_path / "out", overwrite=True) as partial:
+        make_file(partial)
+    assert (tmp_path / "target").read_text() == "old"
+    assert (tmp_path / "out").read_text() == "new"
+
+
+@pytest.mark.parametrize("existing", ["file", "directory", "dangling link"])
+def test_what_exists_is_not_overwritten_unasked(tmp_path: Path, existing: str) -> None:
+    dst = tmp_path / "out"
+    if existing == "file":
+        dst.write_text("old")
+    elif existing == "directory":
+        dst.mkdir()
+    else:
+        dst.symlink_to(tmp_path / "missing")
+    with pytest.raises(DestinationError, match="exists already") as caught, staged(dst, overwrite=False):
+        pytest.fail("the body must not run")
+    assert "--overwrite" in (caught.value.hint or "")
+    assert os.listdir(tmp_path) == ["out"]
+
+
+@make
+@pytest.mark.parametrize("links", [True, False])
+@pytest.mark.parametrize("rival", [make_file, make_directory])
+def test_what_appears_meanwhile_is_not_overwritten(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    make: Callable[[Path], None],
+    rival: Callable[[Path], None],
+    links: bool,
+) -> None:
+    dst = tmp_path / "out"
+    if not links:
+        monkeypatch.setattr(os, "link", no_links)
+
+    def run() -> None:
+        with staged(dst, overwrite=False) as partial:
+            make(partial)
+            rival(dst)
+            (dst / "x_0.db3" if dst.is_dir() else dst).write_text("rival")
+
+    with pytest.raises(DestinationError, match="exists already"):
+        run()
+    assert (dst / "x_0.db3" if dst.is_dir() else dst).read_text() == "rival"
+    assert os.listdir(tmp_path) == ["out"]
+
+
+def no_links(*_: object) -> None:
+    raise PermissionError(1, "Operation not permitted")
+
+
+def test_file_systems_without_links(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "link", no_links)
+    with staged(tmp_path / "out", overwrite=False) as partial:
+        make_file(partial)
+    assert is_new(tmp_path / "out")
+    assert os.listdir(tmp_path) == ["out"]
+
+
+@pytest.mark.parametrize("foreign", ["thesis.tex", "sub"])
+def test_a_directory_with_other_things_is_never_replaced(tmp_path: Path, foreign: str) -> None:
+    dst = tmp_path / "out"
+    make_directory(dst)
+    if foreign == "sub":
+        (dst / foreign).mkdir()
+    else:
+        (dst / foreign).touch()
+    with pytest.raises(DestinationError, match=f"more than a recording \\({foreign}\\)"), staged(dst, overwrite=True):
+        pytest.fail("the body must not run")
+    assert (dst / foreign).exists()
+
+
+def test_special_files_are_not_replaced(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "out")
+    with pytest.raises(DestinationError, match="neither a file"), staged(tmp_path / "out", overwrite=True):
+        pytest.fail("the body must not run")
+
+
+def test_a_failing_rename_brings_the_old_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    dst = tmp_path / "out"
+    make_directory(dst)
+    (dst / "metadata.yaml").write_text("old")
+    rename = Path.rename
+
+    def fail_once(self: Path, target: Path) -> Path:
+        if self.name.endswith("-partial"):
+            raise OSError(5, "Input/output error")
+        return rename(self, target)
+
+    def run() -> None:
+        with staged(dst, overwrite=True) as partial:
+            make_directory(partial)
+
+    monkeypatch.setattr(Path, "rename", fail_once)
+    with pytest.raises(OutputError, match="cannot be put in its place: Input/output error"):
+        run()
+    assert (dst / "metadata.yaml").read_text() == "old"
+    assert os.listdir(tmp_path) == ["out"]
+
+
+def test_what_an_interrupted_overwrite_left_is_not_lost(tmp_path: Path) -> None:
+    (tmp_path / "out.pc2scan-old").mkdir()
+    with pytest.raises(DestinationError, match="left by an interrupted run"), staged(tmp_path / "out", overwrite=True):
+        pytest.fail("the body must not run")
+    assert (tmp_path / "out.pc2scan-old").exists()
+
+
+@make
+@pytest.mark.parametrize("left", [make_file, make_directory])
+def test_what_a_dead_run_left_is_removed(
+    tmp_path: Path, make: Callable[[Path], None], left: Callable[[Path], None]
+) -> None:
+    left(tmp_path / "out.pc2scan-partial")
+    (tmp_path / "out.pc2scan-partial.lock").touch()
+    with staged(tmp_path / "out", overwrite=False) as partial:
+        assert not partial.exists()
+        make(partial)
+    assert os.listdir(tmp_path) == ["out"]
+
+
+def test_a_left_link_is_removed_and_not_followed(tmp_path: Path) -> None:
+    make_directory(tmp_path / "precious")
+    (tmp_path / "out.pc2scan-partial").symlink_to(tmp_path / "precious")
+    with staged(tmp_path / "out", overwrite=False) as partial:
+        make_file(partial)
+    assert is_new(tmp_path / "precious")
+
+
+def test_two_runs_at_once(tmp_path: Path) -> None:
+    pytest.importorskip("fcntl")
+    program = (
+        "import sys, pathlib\n"
+        "from pc2scan.bags.staging import staged\n"
+        "with staged(pathlib.Path(sys.argv[1]), overwrite=True) as partial:\n"
+        "    partial.write_text('other'); print('ready', flush=True); sys.stdin.read()\n"
+    )
+    source = str(Path(staging.__file__).parents[2])
+    with subprocess.Popen(
+        [sys.executable, "-c", program, str(tmp_path / "out")],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        env={**os.environ, "PYTHONPATH": source},
+    ) as other:
+        assert other.stdout is not None
+        assert other.stdout.readline() == b"ready\n"
+        with (
+            pytest.raises(DestinationError, match="being written by another run"),
+            staged(tmp_path / "out", overwrite=True),
+        ):
+            pytest.fail("the body must not run")
+        assert (tmp_path / "out.pc2scan-partial").read_text() == "other"
+        other.kill()
+    assert sorted(os.listdir(tmp_path)) == ["out.pc2scan-partial", "out.pc2scan-partial.lock"]
+    with staged(tmp_path / "out", overwrite=False) as partial:
+        make_file(partial)
+    assert os.listdir(tmp_path) == ["out"]
+
+
+def test_without_locks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fcntl = pytest.importorskip("fcntl")
+
+    def refuse(*_: object) -> None:
+        raise OSError(37, "No locks available")
+
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    with staged(tmp_path / "file system", overwrite=False) as partial:
+        make_file(partial)
+    monkeypatch.setitem(sys.modules, "fcntl", None)
+    with staged(tmp_path / "windows", overwrite=False) as partial:
+        make_file(partial)
+    assert sorted(os.listdir(tmp_path)) == ["file system", "windows"]
+
+
+def test_sources_are_protected(tmp_path: Path) -> None:
+    source = tmp_path / "bag"
+    make_directory(source)
+    (tmp_path / "link").symlink_to(source)
+    os.link(source / "x_0.db3", tmp_path / "hard.db3")
+    cases = [
+        (source, source, "is a source"),
+        (tmp_path / "link", source, "is a source"),
+        (source, tmp_path / "link", "is a source"),
+        (tmp_path / "hard.db3", source / "x_0.db3", "is a source"),
+        (source / "new", source, "lies inside the source"),
+        (tmp_path / "link" / "new", source, "lies inside the source"),
+        (source, source / "x_0.db3", "contains the source"),
+        (tmp_path / "x" / ".." / "bag", source, "is a source"),
+    ]
+    (tmp_path / "x").mkdir()
+    for dst, origin, message in cases:
+        with pytest.raises(DestinationError, match=message), staged(dst, overwrite=True, sources=[origin]):
+            pytest.fail("the body must not run")
+    assert is_new(source)
+
+
+def test_places_that_cannot_be(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    for dst, message in [
+        (tmp_path / "missing" / "out", "its directory does not exist"),
+        (tmp_path / "file" / "out", "file is not a directory"),
+        (Path(), "not a name"),
+        (Path("/"), "not a name"),
+        (tmp_path / "..", "not a name"),
+    ]:
+        with pytest.raises(DestinationError, match=message), staged(dst, overwrite=True):
+            pytest.fail("the body must not run")
+
+
+def test_a_directory_that_is_not_writable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    parent = tmp_path / "closed"
+    parent.mkdir()
+    parent.chmod(0o500)
+    if os.access(parent, os.W_OK):
+        # Root may write everywhere.
+        monkeypatch.setattr(os, "access", lambda *_: False)
+    try:
+        with pytest.raises(OutputError, match="not writable"), staged(parent / "out", overwrite=False):
+            pytest.fail("the body must not run")
+    finally:
+        parent.chmod(0o700)
+
+
+def test_a_file_system_that_refuses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> int:
+        raise OSError(30, "Read-only file system")
+
+    monkeypatch.setattr(staging, "_locked", refuse)
+    with pytest.raises(OutputError, match="Read-only file system"), staged(tmp_path / "out", overwrite=False):
+        pytest.fail("the body must not run")
+
+
+def test_a_body_that_makes_nothing(tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match="No such file"), staged(tmp_path / "out", overwrite=False):
+        pass
+    assert os.listdir(tmp_path) == []

@@ -1,0 +1,269 @@
+"""Rigid transforms against a scalar reference, rotation matrices and the algebra of the group."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from pc2scan.core.rigid import (
+    IDENTITY_POSE,
+    Rigid,
+    interpolate,
+    interpolate_poses,
+    lerp,
+    slerp,
+    unit_quaternions,
+)
+from pc2scan.errors import ParameterError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+Quaternion = tuple[float, float, float, float]
+
+component = st.floats(-1, 1)
+coordinate = st.floats(-1e3, 1e3)
+ratio = st.floats(0, 1)
+
+
+@st.composite
+def quaternions(draw: st.DrawFn) -> Quaternion:
+    x, y, z, w = (draw(component) for _ in range(4))
+    norm = math.hypot(x, y, z, w)
+    assume(norm > 1e-3)
+    return (x / norm, y / norm, z / norm, w / norm)
+
+
+@st.composite
+def rigids(draw: st.DrawFn) -> Rigid:
+    return Rigid(np.array(draw(quaternions())), np.array([draw(coordinate) for _ in range(3)]))
+
+
+def rotation_about(axis: str, angle: float) -> NDArray[np.float64]:
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array(
+        {
+            "x": [[1, 0, 0], [0, c, -s], [0, s, c]],
+            "y": [[c, 0, s], [0, 1, 0], [-s, 0, c]],
+            "z": [[c, -s, 0], [s, c, 0], [0, 0, 1]],
+        }[axis]
+    )
+
+
+def reference_slerp(first: Quaternion, last: Quaternion, t: float) -> Quaternion:
+    """tf2's slerp as its header writes it, one number at a time."""
+    dot = sum(a * b for a, b in zip(first, last, strict=True))
+    norm = math.sqrt(sum(a * a for a in first) * sum(b * b for b in last))
+    # tf2 clamps acos, takes twice the angle on the shortest path, and halves it again.
+    theta = math.acos(max(-1.0, min(1.0, (-dot if dot < 0 else dot) / norm)))
+    if theta == 0:
+        return first
+    s0, s1 = math.sin((1 - t) * theta), math.sin(t * theta)
+    if dot < 0:
+        s1 = -s1
+    d = 1 / math.sin(theta)
+    x, y, z, w = ((a * s0 + b * s1) * d for a, b in zip(first, last, strict=True))
+    return (x, y, z, w)
+
+
+def same(a: Rigid, b: Rigid, tolerance: float = 1e-9) -> bool:
+    """Equal as transforms: q and -q are one rotation."""
+    return bool(
+        np.allclose(a.matrix, b.matrix, rtol=0, atol=tolerance)
+        and np.allclose(a.translation, b.translation, rtol=0, atol=tolerance)
+    )
+
+
+@given(rigids(), rigids(), rigids())
+def test_composition_is_associative(a: Rigid, b: Rigid, c: Rigid) -> None:
+    assert same(a.compose(b).compose(c), a.compose(b.compose(c)))
+
+
+@given(rigids())
+def test_inverse_undoes_on_either_side(rigid: Rigid) -> None:
+    assert same(rigid.compose(rigid.inverse()), Rigid.identity())
+    assert same(rigid.inverse().compose(rigid), Rigid.identity())
+
+
+@given(rigids(), rigids())
+def test_inverse_of_a_composition_reverses_it(a: Rigid, b: Rigid) -> None:
+    assert same(a.compose(b).inverse(), b.inverse().compose(a.inverse()))
+
+
+@given(rigids(), rigids(), st.lists(st.tuples(coordinate, coordinate, coordinate), max_size=5))
+def test_composition_applies_the_right_one_first(
+    a: Rigid, b: Rigid, points: list[tuple[float, float, float]]
+) -> None:
+    given_points = np.array(points, dtype=np.float64).reshape(-1, 3)
+    np.testing.assert_allclose(
+        a.compose(b).apply(given_points), a.apply(b.apply(given_points)), rtol=0, atol=1e-9
+    )
+
+
+@given(rigids())
+def test_matrix_is_a_rotation(rigid: Rigid) -> None:
+    np.testing.assert_allclose(rigid.matrix @ rigid.matrix.T, np.eye(3), rtol=0, atol=1e-12)
+    assert np.linalg.det(rigid.matrix) == pytest.approx(1)
+
+
+@given(rigids())
+def test_matrix_agrees_with_the_sandwich_product(rigid: Rigid) -> None:
+    x, y, z, w = rigid.quaternion.tolist()
+    left = np.array([[w, -z, y, x], [z, w, -x, y], [-y, x, w, z], [-x, -y, -z, w]])
+    right = np.array([[w, -z, y, -x], [z, w, -x, -y], [-y, x, w, -z], [x, y, z, w]])
+    np.testing.assert_allclose((left @ right)[:3, :3], rigid.matrix, rtol=0, atol=1e-12)
+
+
+@given(*[st.floats(-7, 7)] * 3)
+def test_rpy_turns_about_fixed_axes_roll_first(roll: float, pitch: float, yaw: float) -> None:
+    expected = rotation_about("z", yaw) @ rotation_about("y", pitch) @ rotation_about("x", roll)
+    rigid = Rigid.from_rpy(roll, pitch, yaw, (1, 2, 3))
+    np.testing.assert_allclose(rigid.matrix, expected, rtol=0, atol=1e-12)
+    assert rigid.translation.tolist() == [1, 2, 3]
+
+
+def test_quarter_turn_left() -> None:
+    base_from_lidar = Rigid.from_rpy(0, 0, math.pi / 2, (1, 0, 0.5))
+    np.testing.assert_allclose(base_from_lidar.apply(np.array([[2.0, 0.0, 0.0]])), [[1, 2, 0.5]], atol=1e-15)
+    np.testing.assert_allclose(
+        base_from_lidar.inverse().apply(np.array([[1.0, 2.0, 0.5]])), [[2, 0, 0]], atol=1e-15
+    )
+
+
+@given(quaternions(), quaternions(), ratio)
+def test_slerp_is_tf2s(first: Quaternion, last: Quaternion, t: float) -> None:
+    expected = reference_slerp(first, last, t)
+    np.testing.assert_allclose(slerp(first, last, t), expected, rtol=0, atol=1e-12)
+    posed = interpolate_poses((0.0, 0.0, 0.0, *first), (0.0, 0.0, 0.0, *last), t)
+    np.testing.assert_allclose(posed[3:], expected, rtol=0, atol=1e-12)
+
+
+@given(quaternions(), st.tuples(*[st.floats(-3e-8, 3e-8)] * 4), ratio)
+def test_slerp_of_nearly_equal_rotations_takes_tf2s_branch(
+    first: Quaternion, change: Quaternion, t: float
+) -> None:
+    x, y, z, w = (a + b for a, b in zip(first, change, strict=True))
+    expected = reference_slerp(first, (x, y, z, w), t)
+    np.testing.assert_allclose(slerp(first, (x, y, z, w), t), expected, rtol=0, atol=1e-14)
+
+
+@given(quaternions(), quaternions())
+def test_slerp_is_unit_and_ends_where_it_should(first: Quaternion, last: Quaternion) -> None:
+    path = slerp(first, last, np.linspace(0, 1, 5))
+    assert path.shape == (5, 4)
+    np.testing.assert_allclose(np.linalg.norm(path, axis=1), 1, rtol=0, atol=1e-7)
+    np.testing.assert_allclose(path[0], first, rtol=0, atol=1e-7)
+    np.testing.assert_allclose(abs(path[-1] @ np.array(last)), 1, rtol=0, atol=1e-7)
+
+
+@given(quaternions(), quaternions(), ratio)
+def test_slerp_does_not_care_for_the_sign_of_the_last(first: Quaternion, last: Quaternion, t: float) -> None:
+    assume(abs(sum(a * b for a, b in zip(first, last, strict=True))) > 1e-9)
+    x, y, z, w = last
+    np.testing.assert_allclose(slerp(first, last, t), slerp(first, (-x, -y, -z, -w), t), rtol=0, atol=1e-12)
+
+
+def test_slerp_turns_at_a_constant_rate_the_shorter_way() -> None:
+    quarter = Rigid.from_rpy(0, 0, math.pi * 0.75).quaternion
+    third = slerp((0, 0, 0, 1), -quarter, 1 / 3)
+    np.testing.assert_allclose(third, Rigid.from_rpy(0, 0, math.pi / 4).quaternion, atol=1e-15)
+
+
+def test_slerp_of_equals_is_the_first_for_every_ratio() -> None:
+    assert slerp((0, 0, 0, 1), (0, 0, 0, 1), [0.1, 0.9]).tolist() == [[0, 0, 0, 1]] * 2
+
+
+def test_lerp() -> None:
+    assert lerp((0, 2, 4), (4, 2, 0), 0.25).tolist() == [1, 2, 3]
+    assert lerp((0, 0, 0), (4, 2, 0), [[0, 0.5, 1]]).tolist() == [[[0, 0, 0], [2, 1, 0], [4, 2, 0]]]
+
+
+def test_interpolate_is_lerp_and_slerp() -> None:
+    first, last = Rigid.from_rpy(0, 0, 0.2, (1, 0, 0)), Rigid.from_rpy(0, 0, 0.6, (3, 4, 0))
+    assert same(interpolate(first, last, 0.5), Rigid.from_rpy(0, 0, 0.4, (2, 2, 0)), 1e-15)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64, np.int16])
+def test_apply_rounds_once_to_the_inputs_type(dtype: type[np.generic]) -> None:
+    rng = np.random.default_rng(5)
+    points = (rng.normal(size=(2000, 3)) * 50).astype(dtype)
+    rigid = Rigid.from_rpy(0.3, -1.2, 2.5, (10.1, -3.3, 0.7))
+    result = rigid.apply(points)
+    exact = np.array(
+        [
+            [sum(r * c for r, c in zip(row, point, strict=True)) + t for row, t in rows]
+            for point in points.astype(np.float64).tolist()
+            for rows in [list(zip(rigid.matrix.tolist(), rigid.translation.tolist(), strict=True))]
+        ]
+    )
+    assert result.dtype == (np.float32 if dtype == np.float32 else np.float64)
+    np.testing.assert_array_equal(result, exact.astype(result.dtype))
+
+
+def test_apply_takes_strided_views_and_leaves_them_alone() -> None:
+    records = np.zeros(4, np.dtype({"names": ["xyz"], "formats": ["3<f4"], "offsets": [1], "itemsize": 17}))
+    records["xyz"] = np.arange(12).reshape(4, 3)
+    before = records["xyz"].copy()
+    result = Rigid.from_rpy(0, 0, math.pi, (0, 0, 1)).apply(records["xyz"][::-1])
+    np.testing.assert_allclose(result[0], [-9, -10, 12], atol=1e-5)
+    np.testing.assert_array_equal(records["xyz"], before)
+    assert Rigid.identity().apply(np.empty((0, 3), np.float32)).shape == (0, 3)
+
+
+def test_apply_passes_nan_and_inf_on_without_warnings() -> None:
+    points = np.array([[np.nan, 1, 1], [np.inf, 1, 1], [3e38, 3e38, 3e38]], np.float32)
+    result = Rigid.from_rpy(0.1, 0.2, 0.7).apply(points)
+    assert np.isnan(result[0]).all()
+    assert np.isinf(result[1]).all()
+    assert np.isinf(Rigid.from_rpy(0, 0, -math.pi / 4).apply(points[2:])[0, 0])
+
+
+def test_quaternions_are_normalised_but_unit_ones_stay_as_they_are() -> None:
+    nearly = (0.6, 0.8 + 2e-16, 0.0, 0.0)
+    assert Rigid(np.array(nearly), np.zeros(3)).quaternion.tolist() == list(nearly)
+    for scale in (3.0, 1e-200, 1e200, 5e-320):
+        quaternion = Rigid(np.array([0, 0, scale, scale]), np.zeros(3)).quaternion
+        np.testing.assert_allclose(quaternion, [0, 0, math.sqrt(0.5), math.sqrt(0.5)], rtol=1e-3)
+        assert np.linalg.norm(quaternion) == pytest.approx(1, abs=1e-15)
+
+
+def test_unit_quaternions_marks_what_has_no_direction() -> None:
+    table = unit_quaternions([(0, 0, 0, w) for w in (2.0, 0.0, math.nan, math.inf)])
+    assert table[0].tolist() == [0, 0, 0, 1]
+    assert np.isnan(table[1:]).all()
+
+
+@pytest.mark.parametrize(
+    ("quaternion", "translation", "name"),
+    [
+        ([0, 0, 0, 0], [0, 0, 0], "quaternion"),
+        ([0, 0, math.nan, 1], [0, 0, 0], "quaternion"),
+        ([0, 0, 1], [0, 0, 0], "quaternion"),
+        ([0, 0, 0, 1], [0, math.inf, 0], "translation"),
+        ([0, 0, 0, 1], [0, 0], "translation"),
+    ],
+)
+def test_values_that_are_no_transform(quaternion: list[float], translation: list[float], name: str) -> None:
+    with pytest.raises(ParameterError, match=name) as caught:
+        Rigid(np.array(quaternion), np.array(translation))
+    assert caught.value.name == name
+
+
+def test_rpy_that_is_not_finite() -> None:
+    with pytest.raises(ParameterError, match="pitch is inf"):
+        Rigid.from_rpy(0, math.inf, 0)
+
+
+def test_rigid_is_immutable_and_copies() -> None:
+    translation = np.zeros(3)
+    for rigid in (Rigid(np.array([0, 0, 0, 1.0]), translation), Rigid.identity()):
+        with pytest.raises(ValueError, match="read-only"):
+            rigid.translation[0] = 1
+        assert rigid.pose == IDENTITY_POSE
+    translation[0] = 5
+    assert Rigid.from_pose((1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0)).pose == (1, 2, 3, 0, 0, 0, 1)

@@ -1,0 +1,112 @@
+"""The definitions that pc2scan writes are ROS's own, and identified as ROS identifies them."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from pc2scan.bags.model import Definition, ros1_type
+from pc2scan.messages.definitions import TYPES, definition
+from support import GOLDEN, RECORDINGS, needs_shared
+
+SYSTEM_PYTHON = Path("/usr/bin/python3")
+
+
+@cache
+def debian_definitions() -> dict[str, tuple[str, str]]:
+    """Return text and md5sum by type, from Debian's generated ROS 1 classes."""
+    script = """
+import importlib, json
+out = {}
+for msgtype in ("sensor_msgs/LaserScan", "sensor_msgs/PointCloud2", "tf2_msgs/TFMessage"):
+    package, name = msgtype.split("/")
+    message = getattr(importlib.import_module(package + ".msg"), name)
+    out[msgtype] = message._full_text, message._md5sum
+print(json.dumps(out))
+"""
+    if not SYSTEM_PYTHON.exists():
+        pytest.skip("no /usr/bin/python3")
+    done = subprocess.run([SYSTEM_PYTHON, "-c", script], capture_output=True, text=True, check=False)
+    if done.returncode:
+        pytest.skip(f"Debian's ROS 1 message classes are not installed: {done.stderr.splitlines()[-1]}")
+    found: dict[str, tuple[str, str]] = json.loads(done.stdout)
+    return found
+
+
+@pytest.mark.parametrize("msgtype", sorted(TYPES))
+def test_ros1_text_and_md5sum_are_those_of_ros_itself(msgtype: str) -> None:
+    written, digest = definition(msgtype, 1)
+    assert (written.text, digest) == tuple(debian_definitions()[ros1_type(msgtype)])
+
+
+@pytest.mark.parametrize("msgtype", sorted(TYPES))
+def test_md5sum_is_that_of_the_text_according_to_rosbags(msgtype: str) -> None:
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    written, digest = definition(msgtype, 1)
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(written.text, msgtype))
+    assert written.encoding == "ros1msg"
+    assert store.generate_msgdef(msgtype, ros_version=1)[1] == digest
+
+
+@pytest.mark.parametrize("msgtype", sorted(TYPES))
+@pytest.mark.parametrize("distro", ["ROS2_HUMBLE", "ROS2_JAZZY", "ROS2_LYRICAL"])
+def test_hash_is_that_of_the_text_and_of_the_distribution_according_to_rosbags(
+    msgtype: str, distro: str
+) -> None:
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    written, digest = definition(msgtype, 2)
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(written.text, msgtype))
+    assert written.encoding == "ros2msg"
+    assert store.hash_rihs01(msgtype) == digest
+    assert get_typestore(Stores[distro]).hash_rihs01(msgtype) == digest
+
+
+def test_either_spelling_names_a_type_and_others_are_refused() -> None:
+    assert definition("sensor_msgs/LaserScan", 2) == definition("sensor_msgs/msg/LaserScan", 2)
+    with pytest.raises(KeyError):
+        definition("sensor_msgs/msg/Image", 2)
+
+
+@needs_shared
+def test_ros1_texts_equal_those_in_the_golden_bags() -> None:
+    from rosbags.rosbag1 import Reader
+
+    seen: set[str] = set()
+    for path in sorted(GOLDEN.glob("*/expected.bag")):
+        with Reader(path) as reader:
+            for connection in reader.connections:
+                if connection.msgtype in TYPES:
+                    written, digest = definition(connection.msgtype, 1)
+                    assert written.text == connection.msgdef.data
+                    assert digest == connection.digest
+                    seen.add(connection.msgtype)
+    assert seen == {"sensor_msgs/msg/LaserScan", "sensor_msgs/msg/PointCloud2"}
+
+
+@needs_shared
+def test_ros2_text_equals_a_rosbag2_recording_but_for_one_corrected_comment() -> None:
+    from mcap.reader import make_reader
+
+    with (RECORDINGS / "d435_depth.mcap").open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    (schema,) = summary.schemas.values()
+    written, _ = definition("sensor_msgs/msg/PointCloud2", 2)
+    assert written == Definition(schema.encoding, schema.data.replace(b"[0, 10e9)", b"[0, 1e9)"))
+
+
+def test_reading_a_definition_loads_no_ros_library() -> None:
+    script = (
+        "import sys; from pc2scan.messages.definitions import definition;"
+        "definition('sensor_msgs/LaserScan', 1); sys.exit(any(m.startswith('rosbags') for m in sys.modules))"
+    )
+    assert subprocess.run([sys.executable, "-c", script], check=False).returncode == 0

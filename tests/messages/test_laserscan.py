@@ -1,0 +1,90 @@
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from rosbags.typesys import Stores, get_typestore
+
+from pc2scan.errors import DecodeError
+from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan, encode_laserscan
+
+ROS1 = get_typestore(Stores.ROS1_NOETIC)
+ROS2 = get_typestore(Stores.ROS2_JAZZY)
+
+FLOATS = arrays(np.float32, st.integers(0, 20), elements=st.floats(width=32))
+
+
+def scan(ranges: Any, intensities: Any, frame: str = "laser", stamp_ns: int = 5_000_000_006) -> LaserScan:
+    return LaserScan(3, stamp_ns, frame, -1.5, 1.5, 0.25, 0.0, 0.1, 0.2, 30.0, ranges, intensities)
+
+
+@pytest.mark.parametrize(("serialization", "store"), [("ros1", ROS1), ("cdr", ROS2)])
+@given(ranges=FLOATS, intensities=FLOATS, frame=st.sampled_from(["", "a", "ab", "abc", "abcd", "läser"]))
+def test_rosbags_reads_and_writes_the_same_bytes(
+    serialization: str, store: Any, ranges: Any, intensities: Any, frame: str
+) -> None:
+    encoded = encode_laserscan(scan(ranges, intensities, frame), serialization)
+    if serialization == "ros1":
+        read = store.deserialize_ros1(encoded, LASERSCAN)
+        assert bytes(store.serialize_ros1(read, LASERSCAN)) == encoded
+        assert read.header.seq == 3
+    else:
+        read = store.deserialize_cdr(encoded, LASERSCAN)
+        assert bytes(store.serialize_cdr(read, LASERSCAN)) == encoded
+    assert read.header.frame_id == frame
+    assert (read.header.stamp.sec, read.header.stamp.nanosec) == (5, 6)
+    assert read.ranges.tobytes() == ranges.tobytes()
+    assert read.intensities.tobytes() == intensities.tobytes()
+    assert (read.angle_min, read.angle_increment, read.range_max) == (-1.5, 0.25, 30.0)
+    assert read.scan_time == pytest.approx(0.1, abs=1e-8)  # rounded to float32
+
+
+@pytest.mark.parametrize("serialization", ["ros1", "cdr"])
+@given(ranges=FLOATS, intensities=FLOATS)
+def test_round_trip(serialization: str, ranges: Any, intensities: Any) -> None:
+    encoded = encode_laserscan(scan(ranges, intensities), serialization)
+    read = decode_laserscan(encoded, serialization)
+    assert encode_laserscan(read, serialization) == encoded
+    assert read.ranges.tobytes() == ranges.tobytes()
+
+
+def test_big_endian_scans_are_read() -> None:
+    little = encode_laserscan(scan(np.float32([1.5, math.inf]), np.float32([7])), "cdr")
+    built = ROS2.deserialize_cdr(little, LASERSCAN)
+    big = ROS2.serialize_cdr(built, LASERSCAN, little_endian=False)
+    read = decode_laserscan(big, "cdr")
+    assert read.ranges.tolist() == [1.5, math.inf]
+    assert read.intensities.tolist() == [7]
+    assert read.angle_min == -1.5
+
+
+def test_a_default_range_max_arrives_as_infinity() -> None:
+    wide = LaserScan(0, 0, "", 0, 1, 1, 0, 0, 0, 1.7976931348623157e308, np.float32([]))
+    assert decode_laserscan(encode_laserscan(wide, "ros1"), "ros1").range_max == math.inf
+
+
+@pytest.mark.parametrize(
+    ("serialization", "stamp_ns"),
+    [("ros1", -1), ("ros1", 2**32 * 10**9), ("cdr", 2**31 * 10**9), ("cdr", -(2**31) * 10**9 - 1)],
+)
+def test_a_stamp_that_does_not_fit_is_an_error(serialization: str, stamp_ns: int) -> None:
+    with pytest.raises(DecodeError, match="does not fit"):
+        encode_laserscan(scan(np.float32([]), np.float32([]), stamp_ns=stamp_ns), serialization)
+
+
+def test_stamps_before_1970_survive_in_ros_2() -> None:
+    encoded = encode_laserscan(scan(np.float32([]), np.float32([]), stamp_ns=-1), "cdr")
+    assert decode_laserscan(encoded, "cdr").stamp_ns == -1
+
+
+@given(st.integers(0, 80))
+def test_a_scan_cut_anywhere_is_an_error(length: int) -> None:
+    encoded = encode_laserscan(scan(np.ones(4, np.float32), np.float32([])), "ros1")
+    if length < len(encoded):
+        with pytest.raises(DecodeError):
+            decode_laserscan(encoded[:length], "ros1")

@@ -1,0 +1,795 @@
+"""Messages that pass through between ROS generations, held to an independent serialiser written out here."""
+
+from __future__ import annotations
+
+import builtins
+import random
+import struct
+import subprocess
+import sys
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pc2scan.bags.model import Connection, Definition, ros1_type
+from pc2scan.errors import DecodeError, UsageError
+from pc2scan.messages import definitions, schema
+from pc2scan.messages.transcode import DISTROS, LATCHED_QOS, transcoder
+from support import RECORDINGS, needs_shared
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from pc2scan.messages.schema import Struct
+
+SEPARATOR = "=" * 80
+
+CODES = {
+    "bool": "?",
+    "byte": "B",
+    "char": "B",
+    "int8": "b",
+    "uint8": "B",
+    "int16": "h",
+    "uint16": "H",
+    "int32": "i",
+    "uint32": "I",
+    "int64": "q",
+    "uint64": "Q",
+    "float32": "f",
+    "float64": "d",
+}
+
+
+class Twin:
+    """One random message in every serialisation: ROS 1, and CDR in both byte orders.
+
+    The rules are written out one primitive at a time and share nothing with rosbags.
+    """
+
+    def __init__(self, structs: Mapping[str, Struct], root: str, seed: int) -> None:
+        self.structs = structs
+        self.random = random.Random(seed)
+        self.ros1 = bytearray()
+        #: The same with every Header's sequence number 0.
+        self.ros1_unnumbered = bytearray()
+        self.little, self.big = bytearray(), bytearray()
+        self.message(root)
+
+    @property
+    def cdr(self) -> bytes:
+        return b"\0\1\0\0" + bytes(self.little)
+
+    @property
+    def cdr_big_endian(self) -> bytes:
+        return b"\0\0\0\0" + bytes(self.big)
+
+    def primitive(self, code: str, value: float) -> None:
+        packed = struct.pack("<" + code, value)
+        self.ros1 += packed
+        self.ros1_unnumbered += packed
+        for order, cdr in (("<", self.little), (">", self.big)):
+            cdr.extend(bytes(-len(cdr) % len(packed)) + struct.pack(order + code, value))
+
+    def string(self) -> None:
+        text = self.random.choice(["", "odom", "größe", "a longer piece of text", "x\0y"]).encode()
+        for packed in (self.ros1, self.ros1_unnumbered):
+            packed.extend(struct.pack("<I", len(text)) + text)
+        for order, cdr in (("<", self.little), (">", self.big)):
+            cdr.extend(bytes(-len(cdr) % 4) + struct.pack(order + "I", len(text) + 1) + text + b"\0")
+
+    def value(self, word: str) -> None:
+        if word == "string":
+            self.string()
+        elif word not in CODES:
+            self.message(word)
+        elif word.startswith("float"):
+            # Fractions of 2 survive the way through Python's floats that big-endian messages take.
+            self.primitive(CODES[word], self.random.randrange(-(1 << 20), 1 << 20) / 64)
+        elif word == "bool":
+            self.primitive("?", self.random.randrange(2))
+        else:
+            bits = 8 * struct.calcsize("<" + CODES[word])
+            low = -(1 << (bits - 1)) if CODES[word].islower() else 0
+            self.primitive(CODES[word], low + self.random.getrandbits(bits))
+
+    def message(self, name: str) -> None:
+        if schema.builtin(name):
+            self.primitive("i", self.random.getrandbits(31))
+            self.primitive("I", self.random.randrange(1_000_000_000))
+            return
+        if name == schema.HEADER:
+            self.ros1 += struct.pack("<I", self.random.getrandbits(32))
+            self.ros1_unnumbered += bytes(4)
+        fields = self.structs[name].fields
+        if not fields:
+            self.little += b"\0"
+            self.big += b"\0"
+        for field in fields:
+            if field.shape == "sequence":
+                count = self.random.choice([0, 1, 2, 5])
+                self.primitive("I", count)
+            else:
+                count = field.size if field.shape == "array" else 1
+            for _ in range(count):
+                self.value(field.type)
+
+
+def ros1(text: str, msgtype: str = "pkg/Type", **more: Any) -> Connection:
+    return Connection(1, "/topic", msgtype, "ros1", Definition("ros1msg", text.encode()), **more)
+
+
+def ros2(text: str, msgtype: str = "pkg/msg/Type", encoding: str = "ros2msg", **more: Any) -> Connection:
+    return Connection(1, "/topic", msgtype, "cdr", Definition(encoding, text.encode()), **more)
+
+
+def parsed(connection: Connection) -> dict[str, Struct]:
+    return schema.parse(connection.definition, connection.msgtype)
+
+
+def check_both_ways(connection: Connection, root: str, structs: Mapping[str, Struct], seed: int) -> None:
+    """Re-encode a random message there and back, and hold both to the twin."""
+    twin = Twin(structs, root, seed)
+    there = transcoder(connection, 2)
+    back = transcoder(there.connection, 1)
+    assert bytes(there.encode(bytes(twin.ros1))) == twin.cdr
+    assert bytes(back.encode(twin.cdr)) == twin.ros1_unnumbered
+    assert bytes(back.encode(memoryview(twin.cdr_big_endian))) == twin.ros1_unnumbered
+
+
+# --- every type that both generations know ---
+
+
+@cache
+def common_types() -> list[str]:
+    noetic, jazzy = schema.known("ros1_noetic"), schema.known("ros2_jazzy")
+    return sorted(name for name in noetic if schema.same_layout(noetic, jazzy, name) and name in jazzy)
+
+
+@pytest.mark.parametrize("name", common_types())
+def test_common_type_goes_there_and_back(name: str) -> None:
+    structs = schema.known("ros1_noetic")
+    connection = Connection(1, "/topic", ros1_type(name), "ros1")
+    for seed in range(5):
+        check_both_ways(connection, name, structs, seed)
+
+
+@pytest.mark.parametrize("name", common_types())
+def test_common_type_is_what_rosbags_makes_of_the_objects(name: str) -> None:
+    from rosbags.typesys import Stores, get_typestore
+
+    jazzy = get_typestore(Stores.ROS2_JAZZY)
+    twin = Twin(schema.known("ros1_noetic"), name, 7)
+    encoded = transcoder(Connection(1, "/topic", ros1_type(name), "ros1"), 2).encode(bytes(twin.ros1))
+    message = jazzy.deserialize_cdr(bytes(encoded), name)
+    assert bytes(jazzy.serialize_cdr(message, name, little_endian=True)) == encoded
+
+
+@pytest.mark.parametrize("name", common_types())
+def test_common_type_gets_the_other_generations_identity(name: str) -> None:
+    from rosbags.typesys import Stores, get_typestore
+
+    there = transcoder(Connection(1, "/topic", ros1_type(name), "ros1"), 2).connection
+    assert (there.msgtype, there.serialization, there.definition.encoding) == (name, "cdr", "ros2msg")
+    if name == "std_msgs/msg/Char":
+        # ROS 2's IDL makes a uint8 of a char; rosbags hashes it as IDL's char.
+        assert there.digest == "RIHS01_3ad2d04dd29ba19d04b16659afa3ccaedd691914b02a64e82e252f2fa6a586a9"
+    else:
+        assert there.digest == get_typestore(Stores.ROS2_JAZZY).hash_rihs01(name)
+    back = transcoder(there, 1).connection
+    assert (back.msgtype, back.serialization, back.definition.encoding) == (
+        ros1_type(name),
+        "ros1",
+        "ros1msg",
+    )
+    noetic = get_typestore(Stores.ROS1_NOETIC)
+    if name in noetic.fielddefs:
+        assert back.digest == noetic.generate_msgdef(name, ros_version=1)[1]
+
+
+def test_common_types_are_most_of_those_of_ros1() -> None:
+    assert len(common_types()) > 90
+    assert {"std_msgs/msg/Empty", "nav_msgs/msg/Path", "sensor_msgs/msg/CameraInfo"} < set(common_types())
+
+
+@pytest.mark.parametrize(
+    ("name", "md5sum"),
+    [
+        ("sensor_msgs/msg/PointCloud2", "1158d486dd51d683ce2f1be655c3c181"),
+        ("sensor_msgs/msg/LaserScan", "90c7ef2dc6895d81024acba2ac42f369"),
+        ("sensor_msgs/msg/CameraInfo", "c9a58c1b0b154e0e6da7578cb991d214"),
+        ("tf2_msgs/msg/TFMessage", "94810edda583a504dfda3829e70d7eec"),
+        ("nav_msgs/msg/Odometry", "cd5e73d190d741a2f92e81eda573aca7"),
+        ("std_msgs/msg/Empty", "d41d8cd98f00b204e9800998ecf8427e"),
+    ],
+)
+def test_md5sums_as_ros1_nodes_know_them(name: str, md5sum: str) -> None:
+    assert transcoder(Connection(1, "/topic", name, "cdr"), 1).connection.digest == md5sum
+
+
+@pytest.mark.parametrize("msgtype", sorted(definitions.TYPES))
+def test_what_pc2scan_writes_itself_passes_through_with_the_same_definition(msgtype: str) -> None:
+    for source, spelling, serialization in ((1, ros1_type(msgtype), "ros1"), (2, msgtype, "cdr")):
+        text, digest = definitions.definition(msgtype, source)
+        connection = Connection(1, "/topic", spelling, serialization, text, digest)
+        other = transcoder(connection, 3 - source).connection
+        assert (other.definition, other.digest) == definitions.definition(msgtype, 3 - source)
+
+
+# --- types of the recording's own ---
+
+NESTED = f"""\
+# A type with everything that moves bytes about.
+Header header
+Item[] items
+Item[3] three
+uint8 flag
+float64[] numbers
+byte b
+string[] names
+string[2] pair
+char c
+time stamp
+duration[] spans
+nav/Nothing nothing
+uint16[3] shorts
+bool[] bits
+{SEPARATOR}
+MSG: pkg/Item
+uint8 kind
+std_msgs/Header header
+float64 value
+{SEPARATOR}
+MSG: std_msgs/Header
+uint32 seq
+time stamp
+string frame_id
+{SEPARATOR}
+MSG: nav/Nothing
+"""
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_custom_type_with_headers_in_arrays(seed: int) -> None:
+    connection = ros1(NESTED)
+    check_both_ways(connection, "pkg/msg/Type", parsed(connection), seed)
+
+
+WORDS = [*CODES, "string", "time", "duration", "Header", "pkg/Inner", "pkg/Deep", "pkg/Void"]
+
+
+@st.composite
+def ros1_definitions(draw: st.DrawFn) -> str:
+    def fields(words: list[str], most: int) -> str:
+        drawn = draw(
+            st.lists(st.tuples(st.sampled_from(words), st.sampled_from(["", "[]", "[3]"])), max_size=most)
+        )
+        # A sequence of messages without fields is refused: it is not bounded by the message's size.
+        return "".join(
+            f"{word}{'' if word == 'pkg/Void' and shape == '[]' else shape} f{index}\n"
+            for index, (word, shape) in enumerate(drawn)
+        )
+
+    inner = "uint8 first\n" + fields([*CODES, "string", "time", "pkg/Deep"], 4)
+    deep = fields([*CODES, "string", "Header"], 4) + "int8 last\n"
+    return "".join(
+        [
+            fields(WORDS, 8),
+            *(
+                f"{SEPARATOR}\nMSG: pkg/{name}\n{text}"
+                for name, text in (("Inner", inner), ("Deep", deep), ("Void", ""))
+            ),
+        ]
+    )
+
+
+@settings(max_examples=60, deadline=None)
+@given(text=ros1_definitions(), seed=st.integers(0, 1 << 32))
+def test_any_type_goes_there_and_back(text: str, seed: int) -> None:
+    connection = ros1(text)
+    structs = dict(schema.known("ros1_noetic")) | parsed(connection)
+    check_both_ways(connection, "pkg/msg/Type", structs, seed)
+
+
+def test_definition_of_a_custom_type_is_written_in_the_other_generations_words() -> None:
+    there = transcoder(
+        ros1(NESTED.replace("uint8 flag", "uint8 flag\nstring GREETING=hi # there\nint8 LOW=-5 # not it")), 2
+    )
+    text = there.connection.definition.text
+    assert there.connection.msgtype == "pkg/msg/Type"
+    assert "builtin_interfaces/Time stamp\n" in text
+    assert "MSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n" in text
+    assert "uint32 seq" not in text
+    assert 'string GREETING="hi # there"\n' in text
+    assert "int8 LOW=-5\n" in text
+    back = transcoder(there.connection, 1).connection
+    assert "time stamp\nduration[] spans\n" in back.definition.text
+    assert "string GREETING=hi # there\n" in back.definition.text
+    assert "MSG: std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id\n" in back.definition.text
+    assert "builtin_interfaces" not in back.definition.text
+
+
+def test_ros2_bounds_defaults_and_quoted_constants_reach_ros1_as_it_knows_them() -> None:
+    text = """\
+string<=5 name "a # b"
+int32<=3 refused
+"""
+    with pytest.raises(DecodeError, match="refused is a int32 with a bound"):
+        transcoder(ros2(text), 1)
+    text = """\
+string WORD='single # quotes'   # comment
+uint8[<=4] few [1, 2]
+string<=5 name "a # b"
+string<=5[<=2] names
+float32 x 0.5  # default
+char c
+Other other
+@key
+int32 id
+---"""
+    other = f"\n{SEPARATOR}\nMSG: pkg/Other\nint64 a\n"
+    with pytest.raises(DecodeError, match="line 10 of its definition is not a field: '---'"):
+        transcoder(ros2(text + other), 1)
+    plan = transcoder(ros2(text.removesuffix("---") + other), 1)
+    assert plan.connection.definition.text == (
+        "string WORD=single # quotes\nuint8[] few\nstring name\nstring[] names\nfloat32 x\nchar c\n"
+        f"pkg/Other other\nint32 id\n{SEPARATOR}\nMSG: pkg/Other\nint64 a\n"
+    )
+    structs = parsed(ros2(text.removesuffix("---") + other))
+    twin = Twin(structs, "pkg/msg/Type", 3)
+    assert bytes(plan.encode(twin.cdr)) == twin.ros1
+
+
+IDL = f"""\
+{SEPARATOR}
+IDL: pkg/msg/Type
+// generated from rosidl_adapter/resource/msg.idl.em
+#include "pkg/msg/Item.idl"
+#include "std_msgs/msg/Header.idl"
+
+module pkg {{
+  module msg {{
+    typedef double double__3[3];
+    module Type_Constants {{
+      @verbatim (language="comment", text=
+        "((nested)) \\"quoted\\"" "\\n" "text")
+      const uint8 HIGH = 7;
+      const string WORD = "a b";
+    }};
+    @verbatim (language="comment", text="A type.")
+    struct Type {{
+      std_msgs::msg::Header header;
+      @default (value=TRUE)
+      boolean flag;
+      double__3 xyz;
+      sequence<pkg::msg::Item> items;
+      @unit (value="m")
+      octet b;
+      string<8> name;
+    }};
+  }};
+}};
+
+{SEPARATOR}
+IDL: pkg/msg/Item
+module pkg {{ module msg {{ struct Item {{ uint8 structure_needs_at_least_one_member; }}; }}; }};
+"""
+
+
+def test_idl() -> None:
+    idl = IDL.replace("sequence<pkg::msg::Item> items", "pkg::msg::Item items")
+    plan = transcoder(ros2(idl, encoding="ros2idl"), 1)
+    assert plan.connection.definition.text == (
+        "uint8 HIGH=7\nstring WORD=a b\nstd_msgs/Header header\nbool flag\nfloat64[3] xyz\npkg/Item items\n"
+        f"byte b\nstring name\n{SEPARATOR}\nMSG: std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id\n"
+        f"{SEPARATOR}\nMSG: pkg/Item\n"
+    )
+    structs = dict(schema.known("ros2_jazzy")) | parsed(ros2(idl, encoding="ros2idl"))
+    twin = Twin(structs, "pkg/msg/Type", 5)
+    assert bytes(plan.encode(twin.cdr)) == twin.ros1_unnumbered
+
+
+def test_sequence_of_messages_without_fields_is_refused() -> None:
+    with pytest.raises(DecodeError, match="items is a sequence of messages without fields"):
+        transcoder(ros2(IDL, encoding="ros2idl"), 1)
+
+
+def test_definitions_as_people_write_them() -> None:
+    """rosbags' own parser refuses each of these lines."""
+    text = (
+        "int32 lower_case=3\r\nstring VERSION=1.2.3\r\nfloat32 Kp=1e3\r\nuint8 TRAILING_=1\r\n"
+        "\tuint8\t x \t# tab\r\nuint8 lower_case\r\nuint8 class\r\nuint8 from_\r\n"
+    )
+    connection = ros1(text)
+    check_both_ways(connection, "pkg/msg/Type", parsed(connection), 1)
+    assert [field.name for field in parsed(connection)["pkg/msg/Type"].fields] == [
+        "x",
+        "lower_case",
+        "class",
+        "from_",
+    ]
+
+
+def test_empty_message() -> None:
+    for connection in (
+        ros1("", "std_msgs/Empty"),
+        ros1(""),
+        ros1("# nothing\n"),
+        ros1(f"# nothing\n{SEPARATOR}\n\n{SEPARATOR}\nMSG: pkg/Unused\nuint8 a\n"),
+    ):
+        there = transcoder(connection, 2)
+        assert bytes(there.encode(b"")) == b"\0\1\0\0\0"
+        back = transcoder(there.connection, 1)
+        assert bytes(back.encode(b"\0\1\0\0\0")) == b""
+        assert bytes(back.encode(b"\0\0\0\0\0")) == b""
+        assert back.connection.digest == "d41d8cd98f00b204e9800998ecf8427e"
+
+
+def test_old_type_names() -> None:
+    text, _ = definitions.definition("tf2_msgs/TFMessage", 1)
+    there = transcoder(Connection(1, "/tf", "tf/tfMessage", "ros1", text), 2).connection
+    assert there.msgtype == "tf2_msgs/msg/TFMessage"
+    assert (there.definition, there.digest) == definitions.definition("tf2_msgs/TFMessage", 2)
+    assert transcoder(there, 1).connection.msgtype == "tf2_msgs/TFMessage"
+    old = f"Header header\n{SEPARATOR}\nMSG: roslib/Header\nuint32 seq\ntime stamp\nstring frame_id\n"
+    check_both_ways(ros1(old), "pkg/msg/Type", parsed(ros1(old)), 1)
+    assert transcoder(
+        ros1("uint32 seq\ntime stamp\nstring frame_id\n", "roslib/Header"), 2
+    ).connection.msgtype == ("std_msgs/msg/Header")
+
+
+def test_other_generations_field_names_where_the_layout_is_the_same() -> None:
+    there = transcoder(Connection(1, "/camera_info", "sensor_msgs/CameraInfo", "ros1"), 2).connection
+    assert "float64[] d\nfloat64[9] k\nfloat64[9] r\nfloat64[12] p\n" in there.definition.text
+    custom = transcoder(ros1("sensor_msgs/CameraInfo info\nuint8 D\n"), 2).connection
+    assert "float64[] d\n" in custom.definition.text
+    assert "uint8 D\n" in custom.definition.text
+
+
+@pytest.mark.parametrize("msgtype", ["visualization_msgs/Marker", "sensor_msgs/Range"])
+def test_another_layout_keeps_the_recordings_definition_and_says_so(msgtype: str) -> None:
+    name = schema.canonical(msgtype)
+    there = transcoder(Connection(1, "/topic", msgtype, "ros1"), 2)
+    assert any(f"layout differs from ROS 2 jazzy's {name}: " in note for note in there.notes)
+    ours, theirs = schema.known("ros1_noetic")[name], schema.known("ros2_jazzy")[name]
+    written = parsed(there.connection)[name]
+    assert [field.name for field in written.fields] == [field.name for field in ours.fields]
+    assert [field.name for field in written.fields] != [field.name for field in theirs.fields]
+    check_both_ways(Connection(1, "/topic", msgtype, "ros1"), name, schema.known("ros1_noetic"), 1)
+
+
+def test_nested_type_with_another_layout_is_noted_too() -> None:
+    (note,) = transcoder(Connection(1, "/t", "visualization_msgs/msg/MarkerArray", "cdr"), 1).notes[1:]
+    assert "ROS 1 noetic's visualization_msgs/MarkerArray, visualization_msgs/Marker" in note
+
+
+# --- where the definition comes from ---
+
+
+def test_without_definition_the_message_set_is_used_and_noted() -> None:
+    plan = transcoder(Connection(1, "/t", "sensor_msgs/msg/Imu", "cdr"), 1)
+    assert plan.notes == ("no definition in the recording: ROS 2 jazzy's sensor_msgs/msg/Imu is assumed",)
+    plan = transcoder(Connection(1, "/t", "sensor_msgs/msg/Imu", "cdr"), 1, distro="foxy")
+    assert plan.notes == ("no definition in the recording: ROS 2 foxy's sensor_msgs/msg/Imu is assumed",)
+    plan = transcoder(Connection(1, "/t", "sensor_msgs/msg/Imu", "cdr"), 1, distro="noetic")
+    assert "jazzy" in plan.notes[0]
+
+
+def test_distribution_tells_the_layout() -> None:
+    """Range got a ``variance`` after humble."""
+    messages = {
+        distro: Twin(schema.known(f"ros2_{distro}"), "sensor_msgs/msg/Range", 1).cdr
+        for distro in ("humble", "jazzy")
+    }
+    assert len(messages["humble"]) < len(messages["jazzy"])
+    connection = Connection(1, "/t", "sensor_msgs/msg/Range", "cdr")
+    for distro, message in messages.items():
+        transcoder(connection, 1, distro=distro).encode(message)
+    with pytest.raises(DecodeError, match="cannot be re-encoded"):
+        transcoder(connection, 1, distro="humble").encode(messages["jazzy"])
+
+
+def test_definition_of_another_connection_comes_before_the_message_set() -> None:
+    extra = {"sensor_msgs/Imu": Definition("ros2msg", b"uint8 only\n")}
+    plan = transcoder(Connection(1, "/t", "sensor_msgs/msg/Imu", "cdr"), 1, definitions=extra)
+    assert plan.connection.definition.text == "uint8 only\n"
+
+
+def test_missing_dependency_is_filled_in() -> None:
+    plan = transcoder(ros2("geometry_msgs/Point[] points\n"), 1)
+    assert "MSG: geometry_msgs/Point\nfloat64 x\n" in plan.connection.definition.text
+
+
+def test_distributions_are_those_of_rosbags() -> None:
+    from rosbags.typesys import Stores
+
+    names = {"ros1_noetic" if distro == "noetic" else f"ros2_{distro}" for distro in DISTROS}
+    assert names == {store.value for store in Stores if store.value.startswith("ros")}
+    with pytest.raises(UsageError, match="'melodic' is unknown, expected one of dashing"):
+        transcoder(ros1("uint8 a\n"), 2, distro="melodic")
+
+
+# --- what is declared ---
+
+
+def test_latching_becomes_transient_local_and_back() -> None:
+    from ruamel.yaml import YAML
+
+    latched = ros1(
+        "uint8 a\n", latching=True, callerid="/node", metadata={"callerid": "/node", "mine": "kept"}
+    )
+    there = transcoder(latched, 2).connection
+    (profile,) = YAML(typ="safe").load(there.qos)
+    assert there.qos == LATCHED_QOS
+    assert (profile["durability"], profile["reliability"], profile["history"], profile["depth"]) == (
+        1,
+        1,
+        1,
+        1,
+    )
+    assert there.latching
+    assert there.callerid is None
+    assert there.metadata == {"mine": "kept"}
+    assert transcoder(ros1("uint8 a\n"), 2).connection.qos == ""
+    back = transcoder(
+        ros2(
+            "uint8 a\n",
+            latching=True,
+            qos=LATCHED_QOS,
+            metadata={"offered_qos_profiles": "x", "mine": "kept"},
+        ),
+        1,
+    ).connection
+    assert (back.latching, back.qos, back.metadata) == (True, "", {"mine": "kept"})
+
+
+def test_latched_profile_is_what_rosbags_understands() -> None:
+    from rosbags.interfaces import QosDurability, QosHistory, QosReliability
+    from rosbags.rosbag2.metadata import parse_qos
+
+    (profile,) = parse_qos(LATCHED_QOS)
+    assert profile.durability == QosDurability.TRANSIENT_LOCAL
+    assert profile.reliability == QosReliability.RELIABLE
+    assert (profile.history, profile.depth) == (QosHistory.KEEP_LAST, 1)
+
+
+# --- what cannot be ---
+
+
+def test_same_generation_is_the_callers_mistake() -> None:
+    with pytest.raises(ValueError, match="of ROS generation 1 already"):
+        transcoder(ros1("uint8 a\n"), 1)
+
+
+@pytest.mark.parametrize(
+    ("connection", "message"),
+    [
+        (Connection(1, "/t", "pkg/msg/Unknown", "cdr"), "type pkg/msg/Unknown is defined neither"),
+        (Connection(1, "/t", "pkg/Unknown", "ros1"), "type pkg/msg/Unknown is defined neither"),
+        (ros1("Missing m\n"), r"type pkg/msg/Missing \(needed by pkg/msg/Type\) is defined neither"),
+        (
+            Connection(1, "/t", "foxglove.Log", "protobuf"),
+            "serialised as 'protobuf', expected 'ros1' or 'cdr'",
+        ),
+        (ros2("syntax", encoding="protobuf"), "is defined in 'protobuf', expected ros1msg"),
+        (ros2("wstring text\n"), "text is a wstring, which ROS 1 cannot carry"),
+        (ros1("uint8[0] none\n"), "none is an array of 0 elements"),
+        (ros1("uint8[99999999999] many\n"), "size of 11 digits"),
+        (ros1("uint8[-1] many\n"), "line 1 of its definition is not a field"),
+        (ros1("uint8 x 5\n"), "line 1 of its definition is not a field"),
+        (ros1("pkg/Type self\n"), "pkg/msg/Type contains itself"),
+        (
+            ros1(f"A a\n{SEPARATOR}\nMSG: pkg/A\nB b\n{SEPARATOR}\nMSG: pkg/B\nA[] a\n"),
+            "pkg/msg/A contains itself",
+        ),
+        (ros1("".join(f"uint8 f{i}\n" for i in range(10_001))), "more than 10000 fields"),
+        (ros1("string[10001] many\n"), "more than 10000 fields"),
+        (ros1("#" * (1 << 20) + "\n"), "definition of 1048577 bytes, allowed are 1048576"),
+        (ros1(f"uint8 a\n{SEPARATOR}\nuint8 b\n"), "section 1 does not begin with MSG"),
+        (
+            ros1("Header header\n" + f"{SEPARATOR}\nMSG: std_msgs/Header\nstring s\n"),
+            "defined as .string s., expected a stamp",
+        ),
+        (ros2("module p {", encoding="ros2idl"), "its IDL cannot be read"),
+        (ros2("module p { const long X = ((1)); };", encoding="ros2idl"), "nested parentheses"),
+        (ros2("module p { const long X = 1 << 2; };", encoding="ros2idl"), "a shift"),
+        (ros2("struct S { sequence<sequence<long>> a; };", encoding="ros2idl"), "a sequence of sequences"),
+        (ros2('const string X = "', encoding="ros2idl"), "a string without an end"),
+        (ros2('const string X = "\\\\";', encoding="ros2idl"), "an escaped backslash"),
+        (ros2("struct S { @optional long a; };", encoding="ros2idl"), "an optional member"),
+        (ros2("uint8 structure_needs_at_least_one_member\nuint8 b\n"), "is ROS 2's own"),
+        (ros1("pkg/Item X=1\n"), "the constant X has the type 'pkg/Item'"),
+        (ros1("a/b/c/d x\n"), "x has the unknown type 'a/b/c/d'"),
+        (
+            ros2(
+                'module pkg { module msg { module Type_Constants { const string X = "a\nb"; };'
+                " struct Type { long a; }; }; };",
+                encoding="ros2idl",
+            ),
+            "the constant X runs over several lines",
+        ),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_impossible_types_fail_their_topic(connection: Connection, message: str) -> None:
+    with pytest.raises(DecodeError, match=message) as caught:
+        transcoder(connection, 3 - (connection.generation or 1))
+    assert caught.value.topic == connection.topic
+
+
+def test_doubling_and_deep_types_are_refused_at_once() -> None:
+    def chain(length: int, line: str) -> str:
+        sections = "".join(f"{SEPARATOR}\nMSG: pkg/T{i}\n{line.format(i + 1)}" for i in range(length))
+        return f"T0 a\n{sections}{SEPARATOR}\nMSG: pkg/T{length}\nuint8 x\n"
+
+    with pytest.raises(DecodeError, match="more than 100000 fields when written out"):
+        transcoder(ros1(chain(40, "T{0} a\nT{0} b\n")), 2)
+    with pytest.raises(DecodeError, match="nested more than 64 levels deep"):
+        transcoder(ros1(chain(64, "T{0} a\n")), 2)
+    transcoder(ros1(chain(62, "T{0} a\n")), 2)
+
+
+TWO = f"Item[] items\n{SEPARATOR}\nMSG: pkg/Item\nfloat64 a\nfloat64 b\n"
+
+
+@pytest.mark.parametrize(
+    ("connection", "data", "message"),
+    [
+        (ros1("int32 a\n"), b"\1\2", "pkg/msg/Type of 2 bytes cannot be re-encoded: its fields take 4"),
+        (ros1("int32 a\n"), bytes(5), "of 5 bytes cannot be re-encoded: its fields take 4"),
+        (
+            ros1("string a\n"),
+            b"\xff\xff\xff\xff",
+            "of 4 bytes cannot be re-encoded: Invalid string length 4294967295",
+        ),
+        (
+            ros1(TWO),
+            b"\xff\xff\xff\xff" + bytes(100),
+            "of 104 bytes cannot be re-encoded: Invalid sequence length",
+        ),
+        (ros2("int32 a\n"), b"", "pkg/Type of 0 bytes begins with nothing, expected a CDR header"),
+        (ros2("int32 a\n"), b"\0\7\0\0\1\1\1\1", "of 8 bytes begins with 00070000, expected a CDR header"),
+        (ros2("int32 a\n"), b"\0\1\0\0\1", "of 5 bytes cannot be re-encoded: its fields take 8"),
+        (ros2("int32 a\n"), b"\0\0\0\0\1", "of 5 bytes cannot be re-encoded: Could not deserialize it"),
+        (ros2("int32 a\n"), b"\0\1\0\0" + bytes(12), "of 16 bytes cannot be re-encoded: its fields take 8"),
+        (ros2("string a\n"), b"\0\1\0\0\1\0\0\0x", "Missing string terminator"),
+        (ros2(TWO), b"\0\1\0\0\xff\xff\xff\xff" + bytes(99), "Invalid sequence length 4294967295"),
+    ],
+)
+def test_damaged_messages(connection: Connection, data: bytes, message: str) -> None:
+    encode = transcoder(connection, 3 - (connection.generation or 1)).encode
+    with pytest.raises(DecodeError, match=message) as caught:
+        encode(data)
+    assert caught.value.topic == "/topic"
+
+
+@settings(max_examples=200, deadline=None)
+@given(data=st.binary(max_size=120), generation=st.sampled_from([1, 2]))
+def test_arbitrary_bytes_are_re_encoded_or_refused(data: bytes, generation: int) -> None:
+    there = transcoder(ros1(NESTED), 2)
+    plan = there if generation == 1 else transcoder(there.connection, 1)
+    try:
+        plan.encode(data)
+    except DecodeError as err:
+        assert err.topic == "/topic"  # noqa: PT017
+
+
+# --- rosbags executes code that it generates ---
+
+EVIL = "x: __import__('os').system('touch /tmp/pwned')"
+
+
+@pytest.fixture
+def executed(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Collect the source of everything that is given to exec."""
+    sources: list[str] = []
+    original = exec
+
+    def spy(source: Any, *args: Any) -> None:
+        if isinstance(source, str):
+            sources.append(source)
+        original(source, *args)
+
+    monkeypatch.setattr(builtins, "exec", spy)
+    return sources
+
+
+@pytest.mark.parametrize(
+    "connection",
+    [
+        ros1(f"uint8 {EVIL}\n"),
+        ros1(f"uint8 a\nuint8 {EVIL}=1\n"),
+        ros1("uint8 a\n", "pkg/Type:\n    import os#"),
+        ros1("uint8 a\n", f"pkg/{EVIL}"),
+        ros1("uint8 a\n", "pkg/T'ype"),
+        ros1(f'pkg/T"+str(print(1))+" a\n{SEPARATOR}\nMSG: pkg/T"+str(print(1))+"\nuint8 b\n'),
+        ros1(f"1/2 a\n{SEPARATOR}\nMSG: 1/2\nuint8 b\n"),
+        ros1("uint8 a\nuint8 b‿c\n"),
+        ros2(f"module pkg {{ module msg {{ struct Type {{ long {EVIL}; }}; }}; }};", encoding="ros2idl"),
+    ],
+    ids=repr,
+)
+def test_hostile_names_are_refused_before_any_code_is_made(
+    connection: Connection, executed: list[str]
+) -> None:
+    with pytest.raises(DecodeError):
+        transcoder(connection, 3 - (connection.generation or 1))
+    assert not [source for source in executed if "__import__('os')" in source or "import rosbags" in source]
+    assert not [source for source in executed if "f0" in source]
+
+
+def test_no_name_or_constant_of_a_recording_reaches_the_interpreter(executed: list[str]) -> None:
+    text = (
+        "string CONSTANT_marker=value_marker'''\nfloat32 HUGE_marker=1e999\nMarked_marker field_marker\n"
+        f"{SEPARATOR}\nMSG: package_marker/Marked_marker\nuint8 inner_marker\n"
+    )
+    plan = transcoder(ros1(text, "package_marker/Root_marker"), 2)
+    plan.encode(b"\1")
+    assert executed
+    assert not [source for source in executed if "marker" in source]
+    assert "value_marker" in plan.connection.definition.text
+
+
+# --- real recordings ---
+
+
+@needs_shared
+@pytest.mark.parametrize("name", ["guardian_pallet", "jarvis_two_lasers"])
+def test_real_recording_goes_there_and_back(name: str) -> None:
+    from rosbags.rosbag1 import Reader
+
+    with Reader(RECORDINGS / f"{name}.bag") as reader:
+        plans = {}
+        for recorded in reader.connections:
+            text = Definition("ros1msg", recorded.msgdef.data.encode())
+            connection = Connection(recorded.id, recorded.topic, ros1_type(recorded.msgtype), "ros1", text)
+            structs = schema.parse(text, recorded.msgtype)
+            own = schema.closure(schema.canonical(recorded.msgtype), structs.get)
+            assert schema.md5sum(own) == recorded.digest
+            there = transcoder(connection, 2)
+            plans[recorded.id] = there, transcoder(there.connection, 1), "std_msgs/msg/Header" in own
+        count = 0
+        for recorded, _, data in reader.messages():
+            there, back, numbered = plans[recorded.id]
+            again = bytes(back.encode(there.encode(data)))
+            assert len(again) == len(data)
+            assert numbered or again == data
+            if "header" in str(there.connection.definition.data.split(b"\n", 1)[0]):
+                assert again[4:] == data[4:]
+            count += 1
+    assert count > 7000
+
+
+@needs_shared
+@pytest.mark.parametrize("name", ["ouster_os1_32", "d435_depth"])
+def test_real_ros2_recording_reaches_ros1(name: str) -> None:
+    from mcap.reader import make_reader
+    from rosbags.typesys import Stores, get_typestore
+
+    noetic = get_typestore(Stores.ROS1_NOETIC)
+    with (RECORDINGS / f"{name}.mcap").open("rb") as stream:
+        for channel_schema, channel, message in make_reader(stream).iter_messages():
+            assert channel_schema is not None
+            text = Definition(channel_schema.encoding, channel_schema.data)
+            connection = Connection(channel.id, channel.topic, channel_schema.name, "cdr", text)
+            plan = transcoder(connection, 1)
+            encoded = bytes(plan.encode(message.data))
+            assert not plan.notes
+            again = bytes(transcoder(plan.connection, 2).encode(encoded))
+            # ROS 2 pads the end of some messages to a multiple of 4 bytes.
+            assert again == message.data[: len(again)]
+            assert message.data[len(again) :] == bytes(len(message.data) - len(again)) < bytes(4)
+            if channel_schema.name == "sensor_msgs/msg/PointCloud2":
+                cloud: Any = noetic.deserialize_ros1(encoded, channel_schema.name)
+                assert cloud.header.seq == 0
+                assert cloud.height * cloud.row_step == len(cloud.data)
+
+
+def test_importing_this_module_loads_no_ros_library() -> None:
+    script = (
+        "import sys, pc2scan.messages.transcode; sys.exit(any('rosbags' in name for name in sys.modules))"
+    )
+    assert subprocess.run([sys.executable, "-c", script], check=False).returncode == 0

@@ -1,0 +1,105 @@
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from pc2scan.bags.model import Connection
+from pc2scan.errors import TopicError
+from pc2scan.pipeline.options import ConvertOptions, TopicRequest
+from pc2scan.pipeline.plan import Plan, make_plan
+
+CLOUD, IMU, SCAN = "sensor_msgs/PointCloud2", "sensor_msgs/msg/Imu", "sensor_msgs/LaserScan"
+
+
+def plan(topics: dict[str, str], *requests: str, **options: Any) -> Plan:
+    connections = [Connection(i, topic, kind, "ros1") for i, (topic, kind) in enumerate(topics.items())]
+    return make_plan(
+        connections, ConvertOptions(topics=tuple(TopicRequest.parse(r) for r in requests), **options)
+    )
+
+
+def routes(made: Plan) -> dict[str, tuple[str | None, bool]]:
+    return {route.connection.topic: (route.target, route.passes) for route in made.routes}
+
+
+def test_one_cloud_becomes_scan_and_is_left_out() -> None:
+    assert routes(plan({"/points": CLOUD, "/imu": IMU})) == {"/points": ("/scan", False), "/imu": (None, True)}
+
+
+def test_several_clouds_become_a_scan_each() -> None:
+    made = plan({"/front/points": CLOUD, "/rear/points/": CLOUD})
+    assert routes(made) == {"/front/points": ("/front/points/scan", False), "/rear/points/": ("/rear/points/scan", False)}
+
+
+def test_requests_choose_and_rename_and_the_rest_passes() -> None:
+    made = plan({"/a": CLOUD, "/b": CLOUD}, "/a:=/front_scan")
+    assert routes(made) == {"/a": ("/front_scan", False), "/b": (None, True)}
+
+
+def test_a_leading_slash_is_no_difference() -> None:
+    assert routes(plan({"points": CLOUD}, "/points"))["points"] == ("/scan", False)
+    assert routes(plan({"/points": CLOUD}, "points"))["/points"] == ("/scan", False)
+
+
+def test_both_spellings_of_the_type_are_clouds() -> None:
+    assert routes(plan({"/p": "sensor_msgs/msg/PointCloud2"}))["/p"] == ("/scan", False)
+
+
+def test_keep_clouds_and_only_scans() -> None:
+    topics = {"/points": CLOUD, "/imu": IMU}
+    assert routes(plan(topics, keep_clouds=True))["/points"] == ("/scan", True)
+    assert routes(plan(topics, only_scans=True)) == {"/points": ("/scan", False), "/imu": (None, False)}
+
+
+def test_keep_and_drop_take_names_and_globs_and_drop_wins() -> None:
+    topics = {"/points": CLOUD, "/cam/left": IMU, "/cam/right": IMU, "/imu": IMU}
+    assert [t for t, r in routes(plan(topics, keep=("/cam/*",))).items() if r[1]] == ["/cam/left", "/cam/right"]
+    assert [t for t, r in routes(plan(topics, drop=("cam/*",))).items() if r[1]] == ["/imu"]
+    assert [t for t, r in routes(plan(topics, keep=("/cam/*",), drop=("/cam/left",))).items() if r[1]] == ["/cam/right"]
+
+
+def test_a_dropped_cloud_is_not_converted_unless_named() -> None:
+    topics = {"/a": CLOUD, "/b": CLOUD}
+    assert routes(plan(topics, drop=("/b",))) == {"/a": ("/scan", False), "/b": (None, False)}
+    assert routes(plan(topics, "/b", drop=("/b",)))["/b"] == ("/scan", False)
+
+
+def test_a_pattern_that_matches_nothing_is_worth_a_warning() -> None:
+    assert plan({"/points": CLOUD}, drop=("/camera/*",), keep=("/p*",)).warnings == ("--drop /camera/* matches no topic",)
+
+
+def test_two_publishers_of_a_cloud_share_its_scan_topic() -> None:
+    connections = [Connection(i, "/points", CLOUD, "ros1", callerid=f"/n{i}") for i in range(2)]
+    assert [route.target for route in make_plan(connections, ConvertOptions()).routes] == ["/scan", "/scan"]
+
+
+@pytest.mark.parametrize(
+    ("topics", "requests", "words"),
+    [
+        ({"/points": CLOUD, "/imu": IMU}, ["/pionts"], ["no topic /pionts", "did you mean /points?"]),
+        ({"/points": CLOUD, "/imu": IMU}, ["/imu"], ["/imu is sensor_msgs/msg/Imu", "PointCloud2 topics: /points"]),
+        ({"/imu": IMU}, ["/points"], ["PointCloud2 topics: none"]),
+        ({"/imu": IMU}, [], ["no PointCloud2 topic", "/imu (sensor_msgs/msg/Imu)"]),
+        ({}, [], ["no topics"]),
+        ({"/points": CLOUD, "/scan": SCAN}, [], ["already has a topic /scan", "--topic /points:=/points/scan"]),
+        ({"/a": CLOUD, "/b": CLOUD}, ["/a:=/s", "/b:=/s"], ["both become /s"]),
+        ({"/a": CLOUD, "/a/scan": SCAN, "/scan": SCAN}, ["/a"], ["--topic /a:=/scan_2"]),
+    ],
+)
+def test_requests_that_cannot_be_met(topics: dict[str, str], requests: list[str], words: list[str]) -> None:
+    with pytest.raises(TopicError) as caught:
+        plan(topics, *requests)
+    told = f"{caught.value} {caught.value.hint}"
+    assert all(word in told for word in words), told
+
+
+def test_a_taken_topic_is_free_once_it_is_dropped() -> None:
+    assert routes(plan({"/points": CLOUD, "/scan": SCAN}, drop=("/scan",)))["/points"] == ("/scan", False)
+    assert routes(plan({"/points": CLOUD, "/scan": SCAN}, only_scans=True))["/points"] == ("/scan", False)
+
+
+def test_a_cloud_that_ros_did_not_serialise_is_not_converted() -> None:
+    connections = [Connection(1, "/points", "sensor_msgs/msg/PointCloud2", "json")]
+    with pytest.raises(TopicError, match="in json"):
+        make_plan(connections, ConvertOptions())

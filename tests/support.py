@@ -1,0 +1,16 @@
+"""What several test files need: where the shared material is, and the reasons for skipping."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+SHARED = ROOT.parent / "shared"
+RECORDINGS = SHARED / "recordings"
+GOLDEN = SHARED / "golden"
+
+needs_shared = pytest.mark.skipif(
+    not RECORDINGS.is_dir(), reason="the real recordings are not here (../shared/recordings)"
+)
