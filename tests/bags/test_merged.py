@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
@@ -16,6 +15,7 @@ from pc2scan.errors import UsageError
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
+    from pathlib import Path
 
 
 class FakeReader:
@@ -80,10 +80,18 @@ def connection(number: int, topic: str = "/a", count: int | None = 1) -> Connect
 
 
 def test_messages_are_merged_and_renumbered(tmp_path: Path) -> None:
-    first = FakeReader(tmp_path / "1", [connection(5), connection(6, "/b")], [(5, 1, b"p"), (6, 3, b"q"), (5, 5, b"r")])
-    second = FakeReader(tmp_path / "2", [connection(1, "/b"), connection(2, "/c")], [(1, 3, b"s"), (2, 4, b"t")])
+    first = FakeReader(
+        tmp_path / "1", [connection(5), connection(6, "/b")], [(5, 1, b"p"), (6, 3, b"q"), (5, 5, b"r")]
+    )
+    second = FakeReader(
+        tmp_path / "2", [connection(1, "/b"), connection(2, "/c")], [(1, 3, b"s"), (2, 4, b"t")]
+    )
     reader = MergedReader([first, second])
-    assert [(c.id, c.topic, c.message_count) for c in reader.connections] == [(1, "/a", 1), (2, "/b", 2), (3, "/c", 1)]
+    assert [(c.id, c.topic, c.message_count) for c in reader.connections] == [
+        (1, "/a", 1),
+        (2, "/b", 2),
+        (3, "/c", 1),
+    ]
     messages = list(reader.messages())
     assert [(m.connection.id, m.log_time_ns, m.data, m.sequence) for m in messages] == [
         (1, 1, b"p", 7),
@@ -115,7 +123,11 @@ def test_a_single_source_passes_through(tmp_path: Path) -> None:
 
 def test_equal_connections_of_one_source_stay_two() -> None:
     merged, ids = unified(
-        [[connection(1), connection(2)], [connection(7), connection(8), connection(9, count=None)], [connection(1)]]
+        [
+            [connection(1), connection(2)],
+            [connection(7), connection(8), connection(9, count=None)],
+            [connection(1)],
+        ]
     )
     assert [(c.id, c.message_count) for c in merged] == [(1, 3), (2, 2), (3, None)]
     assert ids == [{1: 1, 2: 2}, {7: 1, 8: 2, 9: 3}, {1: 1}]
@@ -158,7 +170,9 @@ def test_a_source_is_not_read_before_its_time(tmp_path: Path) -> None:
 
 def test_sources_are_closed_with_the_generator(tmp_path: Path) -> None:
     log: list[str] = []
-    readers = [FakeReader(tmp_path / name, [connection(1)], [(1, 1, b""), (1, 2, b"")], log=log) for name in "ab"]
+    readers = [
+        FakeReader(tmp_path / name, [connection(1)], [(1, 1, b""), (1, 2, b"")], log=log) for name in "ab"
+    ]
     messages = MergedReader(readers).messages()
     next(messages)
     messages.close()  # type: ignore[attr-defined]

@@ -1,10 +1,10 @@
-"""rosbag2 directories: metadata.yaml of every version, rosbags' own output, and rosbags as a reader of ours."""
+"""rosbag2 directories: metadata.yaml of every version, rosbags' output, and rosbags as a reader of ours."""
 
 from __future__ import annotations
 
-import os
 from contextlib import closing
-
+from itertools import product
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import pytest
@@ -31,7 +31,6 @@ from pc2scan.bags.sqlite3 import Sqlite3Reader, Sqlite3Writer
 from pc2scan.errors import OutputError, RecordingError
 
 if TYPE_CHECKING:
-    from pathlib import Path
     from collections.abc import Sequence
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
@@ -61,8 +60,12 @@ QOS_NAMES = (
 )
 
 
+def names(folder: str | Path) -> list[str]:
+    return sorted(entry.name for entry in Path(folder).iterdir())
+
+
 def text(value: str) -> bytes:
-    return bytes(STORE.serialize_cdr(STORE.types[STRING](data=value), STRING))  # type: ignore[call-arg]
+    return bytes(STORE.serialize_cdr(STORE.types[STRING](data=value), STRING))
 
 
 def topic(name: str, **changes: Any) -> Connection:
@@ -213,7 +216,7 @@ def test_compressed_files(bag: Path, suffix: str, mode: str | None) -> None:
     for number in range(2):
         write_storage(bag / f"bag_{number}.{suffix}", [("/a", 10 * number), ("/a", 10 * number + 1)])
         compress_file(bag / f"bag_{number}.{suffix}")
-    before = sorted(os.listdir(bag))
+    before = names(bag)
     if mode:
         storage = {"db3": "sqlite3"}.get(suffix, suffix)
         files = [f"bag_{number}.{suffix}.zstd" for number in range(2)]
@@ -227,14 +230,48 @@ def test_compressed_files(bag: Path, suffix: str, mode: str | None) -> None:
     assert reader.summary.size_bytes == sum(f.stat().st_size for f in storage_files(bag))
     assert reader.bytes_read <= reader.summary.size_bytes
     reader.close()
-    assert not os.path.exists(temporary.name)
-    assert sorted(os.listdir(bag)) == before
+    assert not Path(temporary.name).exists()
+    assert names(bag) == before
 
 
 def test_files_that_were_unpacked_by_hand_are_found(bag: Path) -> None:
     write_storage(bag / "bag_0.db3", [("/a", 3)])
     write_metadata(bag, 8, ["bag_0.db3.zstd"], compression_format="zstd", compression_mode="file")
     assert [m[1] for m in read(bag)] == [3]
+
+
+def test_compressed_file_of_several_frames(bag: Path) -> None:
+    write_storage(bag / "bag_0.db3", [("/a", 3)])
+    content = (bag / "bag_0.db3").read_bytes()
+    frames = (zstandard.compress(content[start : start + 5000]) for start in range(0, len(content), 5000))
+    (bag / "bag_0.db3.zst").write_bytes(b"".join(frames))
+    (bag / "bag_0.db3").unlink()
+    assert [m[1] for m in read(bag)] == [3]
+
+
+def test_compressed_file_that_is_cut_off(bag: Path) -> None:
+    write_storage(bag / "bag_0.db3", [("/a", 3)])
+    compress_file(bag / "bag_0.db3")
+    packed = bag / "bag_0.db3.zstd"
+    packed.write_bytes(packed.read_bytes()[:-2])
+    with pytest.raises(RecordingError, match="cut off"):
+        read(bag)
+
+
+def test_no_room_to_decompress(bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_storage(bag / "bag_0.db3", [("/a", 3)])
+    compress_file(bag / "bag_0.db3")
+    unpatched = Path.open
+
+    def refuse(self: Path, mode: str = "r", **options: Any) -> Any:
+        if mode == "wb":
+            raise OSError(28, "No space left on device")
+        return unpatched(self, mode, **options)
+
+    monkeypatch.setattr(Path, "open", refuse)
+    with pytest.raises(RecordingError, match="No space left") as caught:
+        read(bag)
+    assert "TMPDIR" in (caught.value.hint or "")
 
 
 def test_damaged_compressed_file(bag: Path) -> None:
@@ -262,7 +299,9 @@ def test_compressed_messages(bag: Path, suffix: str) -> None:
         assert reader.summary.compression == ("zstd",)
 
 
-@pytest.mark.parametrize("name", ["../outside.db3", "/etc/outside.db3", "C:\\x\\outside.db3", "sub/outside.db3"])
+@pytest.mark.parametrize(
+    "name", ["../outside.db3", "/etc/outside.db3", "C:\\x\\outside.db3", "sub/outside.db3"]
+)
 def test_only_files_in_the_directory_are_opened(bag: Path, name: str) -> None:
     write_storage(bag.parent / "outside.db3", [("/secret", 3)])
     write_metadata(bag, 5, [name])
@@ -368,17 +407,19 @@ THEIR_QOS = Qos(
 )
 
 
-@pytest.mark.parametrize("mode", [CompressionMode.NONE, CompressionMode.FILE, CompressionMode.MESSAGE, "storage"])
-@pytest.mark.parametrize("plugin", [StoragePlugin.SQLITE3, StoragePlugin.MCAP])
+@pytest.mark.parametrize(
+    ("plugin", "mode"),
+    # sqlite3 has no compression of its own.
+    [
+        pair
+        for pair in product(StoragePlugin, CompressionMode)
+        if pair != (StoragePlugin.SQLITE3, CompressionMode.STORAGE)
+    ],
+)
 @pytest.mark.parametrize("version", [8, 9])
 def test_what_rosbags_writes_is_read(
-    tmp_path: Path, version: Literal[8, 9], plugin: StoragePlugin, mode: CompressionMode | str
+    tmp_path: Path, version: Literal[8, 9], plugin: StoragePlugin, mode: CompressionMode
 ) -> None:
-    if mode == "storage":
-        mode = CompressionMode.STORAGE
-        if plugin == StoragePlugin.SQLITE3:
-            pytest.skip("sqlite3 has no compression of its own")
-    assert isinstance(mode, CompressionMode)
     theirs = TheirWriter(tmp_path / "bag", version=version, storage_plugin=plugin)
     theirs.set_compression(mode, CompressionFormat.ZSTD)
     theirs.set_custom_data("robot", "r2")
@@ -431,7 +472,7 @@ def test_rosbags_reads_what_is_written(tmp_path: Path, options: dict[str, str], 
     path = tmp_path / "drive"
     write_bag(path, metadata_version=version, custom_data={"robot": "yes: 1\n"}, **options)
     file = f"drive_0.{'db3' if options['storage'] == 'sqlite3' else 'mcap'}"
-    assert sorted(os.listdir(path)) == [file, "metadata.yaml"]
+    assert names(path) == [file, "metadata.yaml"]
     expected = [("/b" if n % 2 else "/a", 100 + n, text(f"message {n}")) for n in range(6)]
     with TheirReader(path) as theirs:
         assert [(c.topic, t, bytes(d)) for c, t, d in theirs.messages()] == expected
@@ -442,7 +483,11 @@ def test_rosbags_reads_what_is_written(tmp_path: Path, options: dict[str, str], 
         assert a.msgdef.data == "string data\n"
         assert a.digest == STORE.hash_rihs01(STRING)
         (qos,) = a.ext.offered_qos_profiles  # type: ignore[union-attr]
-        assert (qos.depth, qos.durability, qos.history) == (5, QosDurability.TRANSIENT_LOCAL, QosHistory.KEEP_LAST)
+        assert (qos.depth, qos.durability, qos.history) == (
+            5,
+            QosDurability.TRANSIENT_LOCAL,
+            QosHistory.KEEP_LAST,
+        )
     with AnyReader([path]) as any_reader:
         assert [any_reader.deserialize(d, c.msgtype).data for c, _, d in any_reader.messages()] == [  # type: ignore[attr-defined]
             f"message {n}" for n in range(6)
@@ -488,7 +533,9 @@ def test_metadata_file(tmp_path: Path, storage: str, version: int) -> None:
     assert first["message_count"] == 3
     qos = first["topic_metadata"]["offered_qos_profiles"]
     assert qos == (QOS_NUMBERS if version == 8 else YAML(typ="safe").load(QOS_NAMES))
-    assert info["topics_with_message_count"][1]["topic_metadata"]["offered_qos_profiles"] == ("" if version == 8 else [])
+    assert info["topics_with_message_count"][1]["topic_metadata"]["offered_qos_profiles"] == (
+        "" if version == 8 else []
+    )
     # The storage repeats it.
     if storage == "mcap":
         with closing(McapReader(path / file)) as reader:
@@ -500,7 +547,9 @@ def test_metadata_file(tmp_path: Path, storage: str, version: int) -> None:
         import sqlite3
 
         with closing(sqlite3.connect(path / file)) as database:
-            stored_version, stored = database.execute("SELECT metadata_version, metadata FROM metadata").fetchone()
+            stored_version, stored = database.execute(
+                "SELECT metadata_version, metadata FROM metadata"
+            ).fetchone()
             assert stored_version == version
     assert YAML(typ="safe").load(stored) == info
 
@@ -527,7 +576,16 @@ def test_an_empty_recording(tmp_path: Path, storage: str) -> None:
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
 @pytest.mark.parametrize(
     "qos",
-    ["- durability: 1", "- {}", "not: a list", "[unbalanced", "- durability: 77\n  speed: 3", "- - 1", "3", "- history: !!x"],
+    [
+        "- durability: 1",
+        "- {}",
+        "not: a list",
+        "[unbalanced",
+        "- durability: 77\n  speed: 3",
+        "- - 1",
+        "3",
+        "- history: !!x",
+    ],
 )
 def test_mutilated_profiles_are_kept(tmp_path: Path, storage: str, version: int, qos: str) -> None:
     path = tmp_path / "bag"
@@ -605,5 +663,3 @@ def test_abort_releases_the_files(tmp_path: Path) -> None:
         writer.write(writer.add_connection(topic("/a")), 1, text("x"), 1)
         writer.abort()
         assert not (tmp_path / storage / "metadata.yaml").exists()
-
-

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import os
 import sqlite3
 import tracemalloc
 from contextlib import closing
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 import zstandard
@@ -15,9 +14,6 @@ from pc2scan.bags.model import Connection, Definition
 from pc2scan.bags.sqlite3 import Sqlite3Reader, Sqlite3Writer
 from pc2scan.errors import OutputError, RecordingError
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
 QOS = "- history: 3\n  depth: 0\n  reliability: 1\n  durability: 1"
 TOPICS = {
     1: "id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL, serialization_format TEXT NOT NULL",
@@ -25,6 +21,10 @@ TOPICS = {
     4: ", type_description_hash TEXT NOT NULL",
 }
 MESSAGES = [(1, 20, b"\0\1\0\0b"), (2, 10, b"\0\1\0\0a"), (1, 20, b"\0\1\0\0c"), (1, 5, b"\0\1\0\0first")]
+
+
+def names(folder: str | Path) -> list[str]:
+    return sorted(entry.name for entry in Path(folder).iterdir())
 
 
 def build(path: Path, version: int, *, index: bool = True) -> None:
@@ -39,14 +39,18 @@ def build(path: Path, version: int, *, index: bool = True) -> None:
         if index:
             database.execute("CREATE INDEX timestamp_idx ON messages (timestamp ASC)")
         if version >= 3:
-            database.execute("CREATE TABLE schema(schema_version INTEGER PRIMARY KEY, ros_distro TEXT NOT NULL)")
+            database.execute(
+                "CREATE TABLE schema(schema_version INTEGER PRIMARY KEY, ros_distro TEXT NOT NULL)"
+            )
             database.execute("INSERT INTO schema VALUES (?, 'iron')", (version,))
         if version >= 4:
             database.execute(
                 "CREATE TABLE message_definitions(id INTEGER PRIMARY KEY, topic_type TEXT, encoding TEXT, "
                 "encoded_message_definition TEXT, type_description_hash TEXT)"
             )
-            database.execute("INSERT INTO message_definitions VALUES (1, 'a/msg/A', 'ros2msg', 'int8 x\n', 'RIHS01_a')")
+            database.execute(
+                "INSERT INTO message_definitions VALUES (1, 'a/msg/A', 'ros2msg', 'int8 x\n', 'RIHS01_a')"
+            )
             database.execute("INSERT INTO message_definitions VALUES (2, 'a/msg/B', '', '', '')")
         extra: list[list[str]] = [[], []]
         if version >= 2:
@@ -85,7 +89,7 @@ def test_every_schema_version_is_read(tmp_path: Path, version: int, index: bool)
         assert (summary.container, summary.compression, summary.message_count) == ("sqlite3", ("none",), 4)
         assert (summary.start_ns, summary.end_ns) == (5, 20)
         assert 0 < reader.bytes_read <= summary.size_bytes
-    assert os.listdir(tmp_path) == ["x.db3"]
+    assert names(tmp_path) == ["x.db3"]
 
 
 @pytest.mark.parametrize("index", [True, False])
@@ -120,7 +124,9 @@ def test_a_definition_is_chosen_by_hash(tmp_path: Path) -> None:
     build(tmp_path / "x.db3", 4)
     with closing(sqlite3.connect(tmp_path / "x.db3")) as database:
         database.execute("UPDATE message_definitions SET type_description_hash = 'RIHS01_old' WHERE id = 1")
-        database.execute("INSERT INTO message_definitions VALUES (3, 'a/msg/A', 'ros2idl', 'idl', 'RIHS01_a')")
+        database.execute(
+            "INSERT INTO message_definitions VALUES (3, 'a/msg/A', 'ros2idl', 'idl', 'RIHS01_a')"
+        )
         database.execute("INSERT INTO message_definitions VALUES (4, 'a/msg/B', 'unknown', '', '')")
         database.commit()
     with closing(Sqlite3Reader(tmp_path / "x.db3")) as reader:
@@ -157,7 +163,7 @@ def test_a_hot_write_ahead_log_counts_and_nothing_is_touched(tmp_path: Path) -> 
         copy = reader._copy
         assert copy is not None
     assert {entry.name: entry.read_bytes() for entry in folder.iterdir()} == before
-    assert not os.path.exists(copy.name)
+    assert not Path(copy.name).exists()
 
 
 def test_a_hot_rollback_journal_is_rolled_back(tmp_path: Path) -> None:
@@ -215,7 +221,10 @@ def test_damaged_compressed_messages_are_named(tmp_path: Path) -> None:
     with closing(sqlite3.connect(tmp_path / "x.db3")) as database:
         database.execute("UPDATE messages SET data = ?", (zstandard.compress(b"hello" * 100)[:-3],))
         database.commit()
-    with closing(Sqlite3Reader(tmp_path / "x.db3")) as reader, pytest.raises(RecordingError, match=r"/a: .*cut off"):
+    with (
+        closing(Sqlite3Reader(tmp_path / "x.db3")) as reader,
+        pytest.raises(RecordingError, match=r"/a: .*cut off"),
+    ):
         list(reader.messages())
     build(tmp_path / "y.db3", 2)
     with (
@@ -245,7 +254,8 @@ def test_a_truncated_database_is_a_recording_error(tmp_path: Path) -> None:
     build(path, 2)
     with closing(sqlite3.connect(path)) as database:
         database.executemany(
-            "INSERT INTO messages(topic_id, timestamp, data) VALUES (1, ?, zeroblob(9000))", [(n,) for n in range(50)]
+            "INSERT INTO messages(topic_id, timestamp, data) VALUES (1, ?, zeroblob(9000))",
+            [(n,) for n in range(50)],
         )
         database.commit()
     with path.open("r+b") as file:
@@ -264,7 +274,10 @@ def test_text_where_bytes_belong(tmp_path: Path) -> None:
     with closing(sqlite3.connect(tmp_path / "x.db3")) as database:
         database.execute("UPDATE messages SET data = 'text'")
         database.commit()
-    with closing(Sqlite3Reader(tmp_path / "x.db3")) as reader, pytest.raises(RecordingError, match="is str, not bytes"):
+    with (
+        closing(Sqlite3Reader(tmp_path / "x.db3")) as reader,
+        pytest.raises(RecordingError, match="is str, not bytes"),
+    ):
         list(reader.messages())
 
 
@@ -299,7 +312,7 @@ def test_round_trip(tmp_path: Path, compression: str) -> None:
     writer.write(again, 10, b"\0\1\0\0early" * 50, 9, sequence=4)
     writer.add_bag_metadata(8, "version: 8")
     writer.finish()
-    assert os.listdir(tmp_path) == [path.name]
+    assert names(tmp_path) == [path.name]
     with closing(Sqlite3Reader(path)) as reader:
         assert [c.id for c in reader.connections] == [handle, again]
         for connection in reader.connections:
@@ -357,7 +370,11 @@ def test_a_full_disk_is_an_output_error(tmp_path: Path) -> None:
     writer = Sqlite3Writer(tmp_path / "x.db3")
     handle = writer.add_connection(CLOUD)
     writer._database.execute("PRAGMA max_page_count=20")
-    with pytest.raises(OutputError, match="full"):
+
+    def fill() -> None:
         for number in range(100):
             writer.write(handle, number, bytes(4000), number)
+
+    with pytest.raises(OutputError, match="full"):
+        fill()
     writer.abort()

@@ -18,6 +18,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 
+def names(folder: str | Path) -> list[str]:
+    return sorted(entry.name for entry in Path(folder).iterdir())
+
+
 def make_file(path: Path) -> None:
     path.write_text("new")
 
@@ -44,7 +48,7 @@ def test_success(tmp_path: Path, make: Callable[[Path], None]) -> None:
         make(partial)
         assert not dst.exists()
     assert is_new(dst)
-    assert os.listdir(tmp_path) == ["out.mcap"]
+    assert names(tmp_path) == ["out.mcap"]
 
 
 @make
@@ -67,7 +71,7 @@ def test_failure_leaves_everything_as_it_was(
 
     with pytest.raises(error):
         run()
-    assert os.listdir(tmp_path) == ([] if existing == "nothing" else ["out"])
+    assert names(tmp_path) == ([] if existing == "nothing" else ["out"])
     assert existing == "nothing" or not is_new(dst)
 
 
@@ -87,7 +91,7 @@ def test_overwriting(tmp_path: Path, make: Callable[[Path], None], existing: str
         assert os.path.lexists(dst) == (existing != "nothing")
     assert is_new(dst)
     assert not dst.is_symlink()
-    assert os.listdir(tmp_path) == ["out"]
+    assert names(tmp_path) == ["out"]
 
 
 def test_overwriting_a_link_leaves_its_target(tmp_path: Path) -> None:
@@ -111,7 +115,7 @@ def test_what_exists_is_not_overwritten_unasked(tmp_path: Path, existing: str) -
     with pytest.raises(DestinationError, match="exists already") as caught, staged(dst, overwrite=False):
         pytest.fail("the body must not run")
     assert "--overwrite" in (caught.value.hint or "")
-    assert os.listdir(tmp_path) == ["out"]
+    assert names(tmp_path) == ["out"]
 
 
 @make
@@ -137,7 +141,7 @@ def test_what_appears_meanwhile_is_not_overwritten(
     with pytest.raises(DestinationError, match="exists already"):
         run()
     assert (dst / "x_0.db3" if dst.is_dir() else dst).read_text() == "rival"
-    assert os.listdir(tmp_path) == ["out"]
+    assert names(tmp_path) == ["out"]
 
 
 def no_links(*_: object) -> None:
@@ -149,7 +153,7 @@ def test_file_systems_without_links(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     with staged(tmp_path / "out", overwrite=False) as partial:
         make_file(partial)
     assert is_new(tmp_path / "out")
-    assert os.listdir(tmp_path) == ["out"]
+    assert names(tmp_path) == ["out"]
 
 
 @pytest.mark.parametrize("foreign", ["thesis.tex", "sub"])
@@ -160,7 +164,10 @@ def test_a_directory_with_other_things_is_never_replaced(tmp_path: Path, foreign
         (dst / foreign).mkdir()
     else:
         (dst / foreign).touch()
-    with pytest.raises(DestinationError, match=f"more than a recording \\({foreign}\\)"), staged(dst, overwrite=True):
+    with (
+        pytest.raises(DestinationError, match=f"more than a recording \\({foreign}\\)"),
+        staged(dst, overwrite=True),
+    ):
         pytest.fail("the body must not run")
     assert (dst / foreign).exists()
 
@@ -190,12 +197,15 @@ def test_a_failing_rename_brings_the_old_back(tmp_path: Path, monkeypatch: pytes
     with pytest.raises(OutputError, match="cannot be put in its place: Input/output error"):
         run()
     assert (dst / "metadata.yaml").read_text() == "old"
-    assert os.listdir(tmp_path) == ["out"]
+    assert names(tmp_path) == ["out"]
 
 
 def test_what_an_interrupted_overwrite_left_is_not_lost(tmp_path: Path) -> None:
     (tmp_path / "out.pc2scan-old").mkdir()
-    with pytest.raises(DestinationError, match="left by an interrupted run"), staged(tmp_path / "out", overwrite=True):
+    with (
+        pytest.raises(DestinationError, match="left by an interrupted run"),
+        staged(tmp_path / "out", overwrite=True),
+    ):
         pytest.fail("the body must not run")
     assert (tmp_path / "out.pc2scan-old").exists()
 
@@ -210,7 +220,7 @@ def test_what_a_dead_run_left_is_removed(
     with staged(tmp_path / "out", overwrite=False) as partial:
         assert not partial.exists()
         make(partial)
-    assert os.listdir(tmp_path) == ["out"]
+    assert names(tmp_path) == ["out"]
 
 
 def test_a_left_link_is_removed_and_not_followed(tmp_path: Path) -> None:
@@ -245,10 +255,10 @@ def test_two_runs_at_once(tmp_path: Path) -> None:
             pytest.fail("the body must not run")
         assert (tmp_path / "out.pc2scan-partial").read_text() == "other"
         other.kill()
-    assert sorted(os.listdir(tmp_path)) == ["out.pc2scan-partial", "out.pc2scan-partial.lock"]
+    assert names(tmp_path) == ["out.pc2scan-partial", "out.pc2scan-partial.lock"]
     with staged(tmp_path / "out", overwrite=False) as partial:
         make_file(partial)
-    assert os.listdir(tmp_path) == ["out"]
+    assert names(tmp_path) == ["out"]
 
 
 def test_without_locks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -263,7 +273,7 @@ def test_without_locks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "fcntl", None)
     with staged(tmp_path / "windows", overwrite=False) as partial:
         make_file(partial)
-    assert sorted(os.listdir(tmp_path)) == ["file system", "windows"]
+    assert names(tmp_path) == ["file system", "windows"]
 
 
 def test_sources_are_protected(tmp_path: Path) -> None:
@@ -327,4 +337,4 @@ def test_a_file_system_that_refuses(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 def test_a_body_that_makes_nothing(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="No such file"), staged(tmp_path / "out", overwrite=False):
         pass
-    assert os.listdir(tmp_path) == []
+    assert names(tmp_path) == []

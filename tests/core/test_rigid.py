@@ -267,3 +267,19 @@ def test_rigid_is_immutable_and_copies() -> None:
         assert rigid.pose == IDENTITY_POSE
     translation[0] = 5
     assert Rigid.from_pose((1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0)).pose == (1, 2, 3, 0, 0, 0, 1)
+
+
+@given(st.floats(-3.1, 3.1), st.floats(-1.57, 1.57), st.floats(-3.1, 3.1))
+def test_rpy_is_the_inverse_of_from_rpy(roll: float, pitch: float, yaw: float) -> None:
+    again = Rigid.from_rpy(*Rigid.from_rpy(roll, pitch, yaw).rpy)
+    # The matrix entries are exact to some 1e-16; the angle near +-pi/2 to their square root.
+    np.testing.assert_allclose(again.matrix, Rigid.from_rpy(roll, pitch, yaw).matrix, atol=1e-7)
+
+
+@pytest.mark.parametrize("pitch", [math.pi / 2, -math.pi / 2])
+def test_rpy_at_the_poles(pitch: float) -> None:
+    roll, found, yaw = Rigid.from_rpy(0.3, pitch, 0.7).rpy
+    assert (roll, found) == (0.0, pytest.approx(pitch, abs=1e-7))
+    np.testing.assert_allclose(
+        Rigid.from_rpy(roll, found, yaw).matrix, Rigid.from_rpy(0.3, pitch, 0.7).matrix, atol=1e-7
+    )

@@ -118,7 +118,7 @@ class TestLookup:
     def test_order_of_arrival_does_not_matter_and_of_equal_stamps_the_first_is_kept(self) -> None:
         buffer = built([row("a", "b", second, x=x) for second, x in [(3, 3), (1, 1), (2, 2), (1, 9), (3, 9)]])
         assert [x_of(buffer, "a", "b", at(second)) for second in (1, 1.5, 2, 3)] == [1, 1.5, 2, 3]
-        (info,) = buffer.infos()
+        (info,) = buffer.infos
         assert (info.transforms, info.received) == (3, 5)
 
     def test_a_new_parent_holds_from_its_first_sample_on(self) -> None:
@@ -320,7 +320,7 @@ class TestRejections:
         np.testing.assert_allclose(
             buffer.lookup("a", "b", at(0)).matrix, Rigid.from_rpy(0, 0, 0.5).matrix, atol=1e-15
         )
-        assert buffer.infos()[0].denormalized == (norm in {2.0, 1e-200, 1e200})
+        assert buffer.infos[0].denormalized == (norm in {2.0, 1e-200, 1e200})
 
     def test_list_is_bounded_and_in_order_and_the_count_is_not(self) -> None:
         rows = [row("a", f"f{number}", number, norm=0) for number in range(MAX_REJECTIONS + 50)]
@@ -339,7 +339,7 @@ class TestInfos:
             + [row("odom", "cart", 3), row("base", "cart", 1), row("base", "cart", 2)],
             [row("base", "lidar", 4), row("base", "lidar", 9)],
         )
-        base, cart, lidar = buffer.infos()
+        base, cart, lidar = buffer.infos
         assert base == FrameInfo(
             child="base",
             parents=("odom",),
@@ -370,7 +370,7 @@ class TestInfos:
 
     def test_nothing(self) -> None:
         buffer = built()
-        assert (buffer.infos(), buffer.trees, buffer.frames, len(buffer)) == ((), (), (), 0)
+        assert (buffer.infos, buffer.trees, buffer.frames, len(buffer)) == ((), (), (), 0)
 
     def test_history(self) -> None:
         buffer = built([row("a", "b", second, x=second) for second in (2, 1)], [row("b", "c", 0)])

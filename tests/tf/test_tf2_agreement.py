@@ -267,9 +267,11 @@ def test_a_stamp_of_zero_is_the_latest_common_time() -> None:
         (row("base", "lidar", EPOCH, random_pose(rng)), True),
         (row("base", "late", EPOCH + 9 * SECOND, random_pose(rng)), False),
         (row("base", "unstamped", 0, random_pose(rng)), False),
+        (row("base", "since_zero", 0, random_pose(rng)), False),
+        (row("base", "since_zero", EPOCH, random_pose(rng)), False),
         (row("unstamped", "static", 0, random_pose(rng)), True),
     ]
-    frames = ["map", "odom", "base", "lidar", "late", "unstamped", "static"]
+    frames = ["map", "odom", "base", "lidar", "late", "unstamped", "since_zero", "static"]
     kinds = assert_agreement(rows, [(target, source, 0) for target in frames for source in frames])
     assert kinds["ExtrapolationException"] > 0
     assert kinds["found"] > 20

@@ -5,8 +5,8 @@ Reads JSON from standard input::
     {"transforms": [[parent, child, stamp_ns, tx, ty, tz, qx, qy, qz, qw, static], ...],
      "lookups": [[target, source, stamp_ns], ...]}
 
-and writes a list with one answer a lookup: seven numbers (translation, quaternion), or tf2's name for the error
-and its text. Standard library and ROS only.
+and writes a list with one answer a lookup: seven numbers (translation, quaternion), or tf2's name for the
+error and its text. Standard library and ROS only.
 """
 
 from __future__ import annotations

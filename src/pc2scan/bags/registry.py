@@ -246,7 +246,7 @@ def _recognised(head: bytes, path: Path, state: str = "") -> str:
         raise RecordingError(f"is empty{state}", path=path)
     if head.startswith(b"#ROSBAG V1"):
         raise RecordingError(
-            f"is a ROS bag of version {_shown(head[9:13])}{state}, only 2.0 can be read",
+            f"is a ROS bag of version {_shown(head[9:12])}{state}, only 2.0 can be read",
             path=path,
             hint="ROS 1's rosbag reindex converts it",
         )

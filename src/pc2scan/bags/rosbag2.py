@@ -23,7 +23,6 @@ from __future__ import annotations
 import io
 import os
 import re
-import shutil
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PureWindowsPath
@@ -233,9 +232,18 @@ def unpacked(path: Path, folder: Path) -> Path:
     target = folder / name
     try:
         with path.open("rb") as packed, target.open("wb") as out:
-            # Recordings are large: a file may be several frames (pzstd, zstd -T).
-            reader = zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True)
-            shutil.copyfileobj(reader, out, 1 << 20)
+            complete = True
+            decoder = zstandard.ZstdDecompressor().decompressobj()
+            # Small pieces: zeros shrink to a thirty-thousandth, and a piece's result is held in memory.
+            while piece := packed.read(1 << 14):
+                while piece:
+                    out.write(decoder.decompress(piece))
+                    complete, piece = decoder.eof, decoder.unused_data
+                    if complete:
+                        # Another frame may follow: pzstd writes many.
+                        decoder = zstandard.ZstdDecompressor().decompressobj()
+        if not complete:
+            raise RecordingError("cannot be decompressed: it is cut off", path=path)
     except zstandard.ZstdError as err:
         raise RecordingError(f"cannot be decompressed: {err}", path=path) from err
     except OSError as err:

@@ -6,7 +6,7 @@ import signal
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 
 from pc2scan.errors import Pc2ScanError
 
@@ -23,6 +23,23 @@ __all__ = ["app"]
 EPILOG = "Exit status: 0 done, 1 failed and nothing written, 2 wrong usage, 3 written but with messages skipped."
 
 _INTERRUPTED = 128 + signal.SIGINT
+
+
+class _Command(TyperCommand):
+    """Help in sections as plain text: typer's own sections need rich, which takes as long to import as all the rest."""
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write the options of each section, in the order in which the sections first occur."""
+        sections: dict[str, list[tuple[str, str]]] = {}
+        for parameter in self.get_params(ctx):
+            record = parameter.get_help_record(ctx)
+            if record is not None:
+                title = getattr(parameter, "rich_help_panel", None)
+                default = "Arguments" if parameter.param_type_name == "argument" else "Options"
+                sections.setdefault(title or default, []).append(record)
+        for title, records in sections.items():
+            with formatter.section(title):
+                formatter.write_dl(records)
 
 
 class _Group(TyperGroup):
@@ -85,6 +102,5 @@ def root(
     """Recorded 3D lidar to the 2D laser scans that SLAM and navigation need, without a ROS installation."""
 
 
-app.command()(convert)
-app.command()(info)
-app.command()(tf)
+for command in (convert, info, tf):
+    app.command(cls=_Command)(command)

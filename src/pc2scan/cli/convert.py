@@ -15,7 +15,7 @@ from .render import count, printable, size, table
 
 if TYPE_CHECKING:
     from pc2scan.pipeline.parameters import ResolvedParams
-    from pc2scan.pipeline.report import Report
+    from pc2scan.pipeline.report import Report, Skipped
 
 __all__ = ["convert"]
 
@@ -65,16 +65,21 @@ _REVERSE = "The way back"
 _OUTPUT = "Output"
 _REPORT = "Report"
 
+#: Reasons for skipping that are shown unless --verbose asks for all that are listed.
+_SHOWN = 5
+
 
 def _parameter(name: str) -> typer.models.OptionInfo:
     """The option of one upstream parameter; unset unless given, so that files can speak."""
     parameter = PARAMETERS[name]
-    flag = name.replace("_", "-")
-    unit = f" [{parameter.unit}]" if parameter.unit else ""
+    default = str(parameter.default).lower() if parameter.kind == "bool" else str(parameter.default)
+    told = f"  [default: {' '.join(filter(None, (default, parameter.unit)))}]" if default else ""
+    flag = parameter.option
     option: typer.models.OptionInfo = typer.Option(
-        f"--{flag}/--no-{flag}" if parameter.kind == "bool" else f"--{flag}",
-        help=f"{parameter.help}{unit}",
-        show_default=f"{parameter.default}" if parameter.default != "" else "the cloud's own",
+        f"{flag}/--no-{flag.removeprefix('--')}" if parameter.kind == "bool" else flag,
+        help=parameter.help + told,
+        show_default=False,
+        metavar={"float": parameter.unit.upper(), "int": "N", "str": "FRAME"}.get(parameter.kind),
         rich_help_panel=_PARAMS,
     )
     return option
@@ -248,31 +253,31 @@ def convert(
     channels: Annotated[
         list[Channel],
         typer.Option(
-            "--channel", help="Further fields of the cloud. Repeatable.", rich_help_panel=_REVERSE
+            "--channel", metavar="NAME", help="Further fields of the cloud: distances, stamps, viewpoint. Repeatable.", rich_help_panel=_REVERSE
         ),
     ] = [],  # noqa: B006
     range_cutoff: Annotated[
         float | None,
         typer.Option(
-            help="Keep only returns nearer than this (m).", show_default="the scan's range_max", rich_help_panel=_REVERSE
+            metavar="M", help="Keep only returns nearer than this.  [default: the scan's range_max]", rich_help_panel=_REVERSE
         ),
     ] = None,
     storage: Annotated[
         Storage | None,
-        typer.Option(help="Storage of a rosbag2 directory.", show_default="mcap", rich_help_panel=_OUTPUT),
+        typer.Option(help="Storage of a rosbag2 directory.  [default: mcap]", rich_help_panel=_OUTPUT),
     ] = None,
     compression: Annotated[
         Compression | None,
         typer.Option(
-            help="As the container allows: bag none|lz4|bz2, MCAP none|lz4|zstd, sqlite3 none|zstd.",
-            show_default="lz4 for bags, zstd for MCAP, none for sqlite3",
+            help="Bags: lz4 (default), none, bz2. MCAP: zstd (default), none, lz4. sqlite3: none (default), zstd.",
+            show_default=False,
             rich_help_panel=_OUTPUT,
         ),
     ] = None,
     profile: Annotated[
         Profile | None,
         typer.Option(
-            help="ROS generation of an .mcap file.", show_default="the source's", rich_help_panel=_OUTPUT
+            help="ROS generation of an .mcap file.  [default: the source's]", rich_help_panel=_OUTPUT
         ),
     ] = None,
     metadata_version: Annotated[
@@ -280,6 +285,7 @@ def convert(
         typer.Option(
             min=8,
             max=9,
+            metavar="8|9",
             help="Version of a rosbag2 directory's metadata.yaml; older readers refuse 9.",
             rich_help_panel=_OUTPUT,
         ),
@@ -288,8 +294,8 @@ def convert(
         str,
         typer.Option(
             metavar="NAME",
-            help="Whose message definitions stand in for those that a recording lacks.",
-            show_default="noetic or jazzy",
+            help="Whose message definitions stand in for those that a recording lacks.  [default: noetic, jazzy]",
+            show_default=False,
             rich_help_panel=_OUTPUT,
         ),
     ] = "",
@@ -309,8 +315,9 @@ def convert(
             "--jobs",
             "-j",
             min=0,
-            help="Threads; the output does not depend on it.",
-            show_default="the cores",
+            metavar="N",
+            help="Threads; the output does not depend on it.  [default: the cores]",
+            show_default=False,
             rich_help_panel=_REPORT,
         ),
     ] = 0,
@@ -493,17 +500,29 @@ def _show(report: Report, *, verbose: bool) -> None:
             left=("on",),
         )
     typer.echo()
-    for entry in report.skipped if verbose else report.skipped[:10]:
-        stamp = "unknown" if entry.stamp_ns is None else stamp_text(entry.stamp_ns)
-        typer.echo(printable(f"skipped: {entry.topic}, stamp {stamp}: {entry.reason}"), err=True)
-    for hint in dict.fromkeys(entry.hint for entry in report.skipped if entry.hint):
-        typer.echo(printable(f"hint: {hint}"), err=True)
-    shown = len(report.skipped) if verbose else min(10, len(report.skipped))
-    if report.skipped_count > shown:
-        typer.echo(f"skipped: {report.skipped_count - shown:,} more", err=True)
+    _show_skipped(report, limit=len(report.skipped) if verbose else _SHOWN)
     typer.echo(
         printable(
             f"{report.destination}: {size(report.bytes_written)} from {size(report.bytes_read)} "
             f"in {report.seconds:.1f} s"
         )
     )
+
+
+def _show_skipped(report: Report, limit: int) -> None:
+    """List skipped messages, those of one reason together, and what to do about the first."""
+    reasons: dict[tuple[str, str], list[Skipped]] = {}
+    for entry in report.skipped:
+        reasons.setdefault((entry.topic, entry.reason), []).append(entry)
+    shown = 0
+    for (topic, reason), entries in list(reasons.items())[:limit]:
+        first = entries[0]
+        stamp = "unknown" if first.stamp_ns is None else stamp_text(first.stamp_ns)
+        several = f" and {len(entries) - 1} more" if len(entries) > 1 else ""
+        typer.echo(printable(f"skipped: {topic}, stamp {stamp}{several}: {reason}"), err=True)
+        shown += len(entries)
+    if report.skipped_count > shown:
+        typer.echo(f"skipped: {report.skipped_count - shown:,} more (--verbose or --report tell them)", err=True)
+    hints = [entry.hint for entry in report.skipped if entry.hint]
+    if hints:
+        typer.echo(printable(f"hint: {hints[0]}"), err=True)

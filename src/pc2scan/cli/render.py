@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import shutil
-import sys
 from typing import TYPE_CHECKING
+
+import typer
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -12,9 +12,6 @@ if TYPE_CHECKING:
     from pc2scan.errors import Pc2ScanError
 
 __all__ = ["count", "error_text", "printable", "size", "table"]
-
-#: Output that is not on a terminal is not cut to one's width.
-_PIPE_WIDTH = 10_000
 
 
 def printable(text: str) -> str:
@@ -51,7 +48,9 @@ def size(number: float) -> str:
 
 
 def table(columns: Sequence[str], rows: Sequence[Sequence[str]], *, left: Sequence[str] = ()) -> None:
-    """Print a table on standard output.
+    """Print a table on standard output, one line a row whatever the width of the terminal.
+
+    Not with rich: importing it takes a third of the time that converting a small recording takes.
 
     Parameters
     ----------
@@ -62,17 +61,13 @@ def table(columns: Sequence[str], rows: Sequence[Sequence[str]], *, left: Sequen
     left
         The headings of columns aligned to the left; the others are numbers.
     """
-    from rich.box import SIMPLE_HEAD
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    terminal = sys.stdout.isatty()
-    width = shutil.get_terminal_size().columns if terminal else _PIPE_WIDTH
-    console = Console(file=sys.stdout, width=width, highlight=False, soft_wrap=not terminal)
-    grid = Table(box=SIMPLE_HEAD, show_edge=False, pad_edge=False, header_style="bold")
-    for heading in columns:
-        grid.add_column(heading, justify="left" if heading in left else "right", overflow="fold")
-    for row in rows:
-        grid.add_row(*(Text(printable(cell)) for cell in row))
-    console.print(grid)
+    cells = [list(columns), *([printable(cell) for cell in row] for row in rows)]
+    widths = [max(len(line[i]) for line in cells) for i in range(len(columns))]
+    for number, line in enumerate(cells):
+        aligned = (
+            cell.ljust(width) if heading in left else cell.rjust(width)
+            for heading, cell, width in zip(columns, line, widths, strict=True)
+        )
+        typer.echo("   ".join(aligned).rstrip())
+        if number == 0:
+            typer.echo("-" * (sum(widths) + 3 * (len(widths) - 1)))

@@ -19,20 +19,20 @@ if TYPE_CHECKING:
 
 __all__ = ["Grid"]
 
-#: How far NumPy's float32 arctan2 may be from the exact angle's float32, radians. NumPy allows its vectorised
-#: functions 4 ulp, 0.95e-6 close to pi; the largest error that was seen is 0.34e-6.
+#: How far NumPy's float32 arctan2 may be from the angle's float32, radians. NumPy allows its vectorised functions
+#: 4 ulp, which are 0.95e-6 close to pi; the largest error that was seen is 0.34e-6.
 _ANGLE_ERROR = 1.1e-6
 
-#: In smaller blocks, computing every angle in float64 is cheaper than finding out which ones need it.
+#: For fewer points it is cheaper to compute every angle in float64 than to find out which ones need it.
 _FEW_POINTS = 4096
 
 
 class Grid:
-    """The beams of a scan, as slots of an array: one for each beam, then one for each fate that is no beam.
+    """The beams of a scan as slots of an array: one for each beam, then one for each fate that is no beam.
 
-    Beam ``i`` is half open: ``angle_min + i * angle_increment <= angle < angle_min + (i + 1) *
-    angle_increment``; ``angle_max``, inclusive, cuts the last one off. If the sector is a multiple of the
-    increment, ``angle_max`` itself is behind the last beam: there upstream writes past its array.
+    Beam ``i`` is half open, ``angle_min + i * angle_increment <= angle < angle_min + (i + 1) *
+    angle_increment``, and ``angle_max``, inclusive, cuts the last one off. If the sector is a multiple of the
+    increment, ``angle_max`` itself lies behind the last beam: there upstream writes past its array.
 
     Parameters
     ----------
@@ -42,9 +42,9 @@ class Grid:
     Attributes
     ----------
     beams
-        Length of the scan's ``ranges``, N.
+        N, the length of the scan's ``ranges``.
     past_end
-        N, the slot of angles in the sector but behind the last beam.
+        N, the slot of angles that are in the sector but behind the last beam.
     outside
         N + 1, the slot of angles that are not in the sector.
     slots
@@ -75,19 +75,15 @@ class Grid:
         self._min = np.float32(params.angle_min)
         self._max = np.float32(params.angle_max)
         self._increment = np.float64(np.float32(params.angle_increment))
-        # No angle is beyond float32's pi, the largest that atan2 returns.
+        # atan2 returns nothing beyond float32's pi.
         self.whole_circle = bool(self._min <= -np.float32(np.pi) and self._max >= np.float32(np.pi))
 
-        # In float32 the quotient is about angle * scale + shift. It is off, in beams, by the angle's error and by
-        # the rounding of scale, shift, product and sum: each 2**-24 of no more than reach, one spare.
-        scale = 1 / float(self._increment)
-        shift = -float(self._min) * scale
-        reach = math.pi * scale + abs(shift)
-        self._doubt = scale * _ANGLE_ERROR + 5 * 2.0**-24 * reach
-        if self._doubt < 0.1:
-            self._scale = np.float32(scale)
-            # Shifted by the doubt, what may belong to the beam below has a small fraction, and nothing has to look up.
-            self._shift = np.float32(shift + self._doubt)
+        # The quotient is nearly angle * scale + shift. In float32 that is off, in beams, by the angle's error, and by the
+        # roundings of scale, shift, product and sum: each at most 2**-24 of reach. One more is to spare.
+        self._scale = 1 / float(self._increment)
+        self._shift = -float(self._min) * self._scale
+        reach = math.pi * self._scale + abs(self._shift)
+        self._doubt = _ANGLE_ERROR * self._scale + 5 * 2.0**-24 * reach
 
     def slots_of_angles(self, angles: NDArray[np.float32]) -> NDArray[np.intp]:
         """Slots of angles, by upstream's rule.
@@ -95,7 +91,7 @@ class Grid:
         Parameters
         ----------
         angles
-            (M,), float32, radians, not NaN.
+            (M,), float32, radians, within -pi to pi, not NaN.
 
         Returns
         -------
@@ -109,10 +105,10 @@ class Grid:
         return slots
 
     def slots_of_points(self, x: NDArray[np.float32], y: NDArray[np.float32]) -> NDArray[np.intp]:
-        """Slots of points: those of ``float32(atan2(y, x))``.
+        """Slots of points: those of the angles ``float32(atan2(y, x))``.
 
-        NumPy's arctan2 of float32 is fast but off by some ulp, its arctan2 of float64 is exact enough to be
-        rounded. The fast one decides wherever its error does not matter: away from the edges of beams.
+        NumPy's arctan2 is several times as fast in float32, but some ulp off. That decides for all points but those
+        close to an edge of a beam.
 
         Parameters
         ----------
@@ -123,28 +119,63 @@ class Grid:
         -------
         (M,) intp, 0 to N + 1.
         """
-        if x.size < _FEW_POINTS or not self._doubt < 0.1:
+        if x.size < _FEW_POINTS or self._doubt > 0.1:
             return self.slots_of_angles(_angles(x, y))
-        quotients = np.arctan2(y, x)
-        quotients *= self._scale
-        quotients += self._shift
+        # Moved up by the doubt: whatever may belong to another beam than its floor says has a small fraction.
+        quotients = self._approximate(x, y, 1, self._doubt)
         floors = np.floor(quotients)
-        if not self.whole_circle:
-            # What is far outside must not wrap around; everything below the sector becomes -1 and is moved below.
-            np.clip(floors, -1, self.outside, out=floors)
-        slots = floors.astype(np.intp)
         quotients -= floors
-        doubtful = quotients < 2 * self._doubt
+        doubtful = quotients < np.float32(2 * self._doubt)
+        if not self.whole_circle:
+            # Below the sector is -1, which is the slot `outside` by its other name. angle_max may be anywhere in the
+            # last beam.
+            np.clip(floors, -1, self.outside, out=floors)
+            doubtful |= floors == self.beams - 1
+        slots = floors.astype(np.intp)
         if not self.whole_circle:
             slots[slots < 0] = self.outside
-            # angle_max may be anywhere in the last beam.
-            doubtful |= slots == self.beams - 1
-        redo = np.flatnonzero(doubtful)
-        if redo.size:
-            slots[redo] = self.slots_of_angles(_angles(x[redo], y[redo]))
+        again = np.flatnonzero(doubtful)
+        if again.size:
+            slots[again] = self.slots_of_angles(_angles(x.take(again), y.take(again)))
         return slots
+
+    def divisible(self, parts: int) -> bool:
+        """Whether beams are wide enough for `cells_of_points` to be right: off by less than half a cell."""
+        return 4 * parts * self._doubt < 1
+
+    def cells_of_points(self, x: NDArray[np.float32], y: NDArray[np.float32], parts: int) -> NDArray[np.intp]:
+        """Cells of points: a coarse answer that is quick, and right about what it says.
+
+        Around each edge ``i`` of a beam, 0 to N, there is a cell ``1 + i * parts`` of a width of ``1 / parts`` beam,
+        and between two of them ``parts - 1`` more. What is inside such a cell, in truth, is no farther than
+        half a width from where it seems to be: a point whose cell lies between two edges belongs to the beam there,
+        a point in an edge's cell to one of the two beams that meet. Cells up to 0, and from ``2 + N * parts`` on,
+        are outside the sector.
+
+        Parameters
+        ----------
+        x, y
+            (M,), float32, metres. NaN may get any cell.
+        parts
+            Cells for each beam, see `divisible`.
+
+        Returns
+        -------
+        (M,) intp.
+        """
+        # 1 for the cell of edge 0, 0.5 to round.
+        return self._approximate(x, y, parts, 1.5 / parts).astype(np.intp)
+
+    def _approximate(
+        self, x: NDArray[np.float32], y: NDArray[np.float32], parts: int, ahead: float
+    ) -> NDArray[np.float32]:
+        """``parts * ((angle - angle_min) / angle_increment + ahead)`` in float32."""
+        quotients = np.arctan2(y, x)
+        quotients *= np.float32(parts * self._scale)
+        quotients += np.float32(parts * (self._shift + ahead))
+        return quotients
 
 
 def _angles(x: NDArray[np.float32], y: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Angles as upstream's atan2f returns them: next to the true ones. float64 leaves no more doubt than libm."""
+    """Angles as libm's atan2f rounds them: float64 is off by so little that the rounding hides it."""
     return np.arctan2(y, x, dtype=np.float64).astype(np.float32)

@@ -15,12 +15,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 from .grid import Grid
-from .params import ProjectionParams
+from .params import ProjectionParams, float32
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -96,7 +96,7 @@ class ProjectedScan:
 
 
 class Projector:
-    """The projection with given parameters. It has no state: threads may share one.
+    """The projection with given parameters. It keeps nothing from call to call: threads may share one.
 
     Parameters
     ----------
@@ -104,21 +104,18 @@ class Projector:
         The projection's parameters; ``target_frame`` is the caller's business.
     """
 
+    __slots__ = ("grid", "limits", "params")
+
     def __init__(self, params: ProjectionParams) -> None:
         self.params = params
-        self._grid = Grid(params)
-        self._no_return = params.no_return
-        # A float32 is compared with a float64 limit by comparing it with the next float32 inside the limit: there is
-        # none between the two.
-        self._lowest = _at_least(params.min_height)
-        self._highest = _at_most(params.max_height)
-        self._least, self._most = _squared_limits(params.range_min, params.range_max)
+        self.grid = Grid(params)
+        self.limits = _Limits(params)
 
     def __call__(
         self,
-        x: NDArray[np.generic],
-        y: NDArray[np.generic],
-        z: NDArray[np.generic],
+        x: NDArray[Any],
+        y: NDArray[Any],
+        z: NDArray[Any],
         target_from_source: Transform | None = None,
     ) -> ProjectedScan:
         """Project a cloud.
@@ -126,71 +123,179 @@ class Projector:
         Parameters
         ----------
         x, y, z
-            Coordinates of the points in metres: arrays of one shape, (M,) or (H, W), of real numbers in any
-            byte order and with any strides. They are read, never copied as a whole, and rounded to float32.
+            Coordinates in metres, of one shape, (M,) or (H, W): integers or floats of any size, byte order,
+            alignment and strides. They are read a block at a time and rounded to float32.
         target_from_source
-            Rotation and translation to apply first, in float64, to the coordinates as they are given. What
-            it returns is rounded to float32.
+            A transform to apply first, in float64, to the coordinates as they are; what it returns is
+            rounded to float32.
 
         Returns
         -------
         ProjectedScan
-            ``ranges`` is a new array. NaN drops a point; infinite coordinates are stopped only by limits.
-        """
-        grid = self._grid
-        # Beams are compared by squared range: roots of beams, not of points. A cloud of few points is the opposite.
-        squared = x.size > grid.beams
-        lowest: NDArray[np.floating] = (
-            np.full(grid.slots, np.inf) if squared else np.full(grid.slots, self._no_return)
-        )
-        nan = height = too_far = 0
-        outside = past_end = 0
-        with np.errstate(all="ignore"):
-            for block in _blocks(x, y, z):
-                xs, ys, zs = (
-                    [_float32(part) for part in block]
-                    if target_from_source is None
-                    else _transformed(block, target_from_source)
-                )
-                squares = np.square(xs, dtype=np.float64)
-                squares += np.square(ys, dtype=np.float64)
-                inside = zs >= self._lowest
-                inside &= zs <= self._highest
-                kept = squares <= self._most
-                kept &= inside
-                if self._least > 0:
-                    kept &= squares >= self._least
-                keeps = np.count_nonzero(kept)
-                if keeps < xs.size:
-                    number = np.isnan(squares)
-                    inside &= ~number
-                    number |= np.isnan(zs)
-                    nans = np.count_nonzero(number)
-                    level = np.count_nonzero(inside)
-                    nan += nans
-                    height += xs.size - nans - level
-                    too_far += level - keeps
-                    where = np.flatnonzero(kept)
-                    xs, ys, squares = xs.take(where), ys.take(where), squares.take(where)
-                slots = grid.slots_of_points(xs, ys)
-                if not grid.whole_circle:
-                    outside += np.count_nonzero(slots == grid.outside)
-                past_end += np.count_nonzero(slots == grid.past_end)
-                np.minimum.at(lowest, slots, squares if squared else np.sqrt(squares).astype(np.float32))
-            ranges = lowest[: grid.beams]
-            if squared:
-                ranges = np.minimum(np.sqrt(ranges).astype(np.float32), self._no_return)
-        used = x.size - nan - height - too_far - outside - past_end
-        return ProjectedScan(ranges, PointCounts(x.size, used, nan, height, too_far, outside, past_end))
+            Its ``ranges`` are a new array. Infinite coordinates are stopped only by the limits.
 
-def _float32(a):
-    return np.ascontiguousarray(a,np.float32).reshape(-1)
-def _blocks(x,y,z):
-    for i in range(0,x.size,BLOCK):
-        yield x[i:i+BLOCK],y[i:i+BLOCK],z[i:i+BLOCK]
-def _at_least(v):
-    f=np.float32(v) if abs(v)<3e38 else np.float32(np.copysign(np.inf,v))
-    return f
-def _at_most(v):
-    return np.float32(v) if abs(v)<3e38 else np.float32(3.4028235e38)
-def _squared_limits(a,b): return float(a)**2, 1e77
+        Raises
+        ------
+        ValueError
+            If the shapes differ, or have more than two dimensions.
+        """
+        if not (x.shape == y.shape == z.shape and 1 <= x.ndim <= 2):
+            raise ValueError(f"x, y and z have the shapes {x.shape}, {y.shape} and {z.shape}, expected one of (M,) or (H, W)")
+        cloud = _Cloud(self.grid, self.limits, x.size)
+        with np.errstate(all="ignore"):
+            for block in _blocks(x, y, z, target_from_source):
+                cloud.add(*block)
+            return cloud.scan()
+
+
+class _Limits:
+    """What coordinates are compared with.
+
+    A float32 is within float64 limits exactly if it is within the float32 numbers next to them on the inner
+    side, for there are no others in between. And a range, the root of a square rounded twice, does not fall when
+    the square grows: so there is a smallest square with a range of ``range_min``, and a largest one with
+    ``range_max``.
+    """
+
+    __slots__ = ("highest", "least", "lowest", "most", "no_return")
+
+    def __init__(self, params: ProjectionParams) -> None:
+        self.lowest = _first_from(params.min_height)
+        self.highest = _last_to(params.max_height)
+        with np.errstate(over="ignore"):
+            self.least = _first_square(_first_from(params.range_min))
+            beyond = np.nextafter(_last_to(params.range_max), np.float32(np.inf))
+            self.most = np.inf if params.range_max == np.inf else np.nextafter(_first_square(beyond), -np.inf)
+        self.no_return = np.float32(params.no_return)
+
+
+def _first_from(limit: float) -> np.float32:
+    """The smallest float32 that is not below a limit."""
+    rounded = np.float32(float32(limit))
+    return rounded if rounded >= np.float64(limit) else np.nextafter(rounded, np.float32(np.inf))
+
+
+def _last_to(limit: float) -> np.float32:
+    """The largest float32 that is not above a limit."""
+    return -_first_from(-limit)
+
+
+def _first_square(limit: np.float32) -> np.float64:
+    """The smallest float64 whose root, rounded to float32, is not below a limit; 0 for limits below 0.
+
+    Bisects the bit patterns, which positive floats are in the order of.
+    """
+    below, enough = -1, int(np.float64(np.inf).view(np.int64))
+    while enough - below > 1:
+        middle = (below + enough) // 2
+        if np.sqrt(np.int64(middle).view(np.float64)).astype(np.float32) >= limit:
+            enough = middle
+        else:
+            below = middle
+    return np.int64(enough).view(np.float64)
+
+
+class _Cloud:
+    """A cloud on its way into a scan: the smallest range of each slot so far, and the counts.
+
+    Points pass three stages, each cheaper for a point than the next one: the heights; if it pays, a filter that
+    knows which points cannot change the scan; the rule itself.
+    """
+
+    def __init__(self, grid: Grid, limits: _Limits, total: int) -> None:
+        self._grid = grid
+        self._limits = limits
+        self._total = total
+        # Squares are compared, which saves the points' roots, unless there are more beams than points.
+        self._squared = total > grid.beams
+        self._smallest = (
+            np.full(grid.slots, np.inf) if self._squared else np.full(grid.slots, limits.no_return, np.float32)
+        )
+        self._nan = self._height = self._range = self._angle = self._past_end = 0
+
+    def add(self, x: NDArray[np.float32], y: NDArray[np.float32], z: NDArray[np.float32]) -> None:
+        """Take a block of points, (M,) each."""
+        level = z >= self._limits.lowest
+        level &= z <= self._limits.highest
+        if np.count_nonzero(level) < z.size:
+            nan = np.isnan(x)
+            nan |= np.isnan(y)
+            nan |= np.isnan(z)
+            nans = np.count_nonzero(nan)
+            np.greater(level, nan, out=level)
+            kept = np.flatnonzero(level)
+            self._nan += nans
+            self._height += z.size - nans - kept.size
+            x, y = x.take(kept), y.take(kept)
+        self._project(x, y)
+
+    def _project(self, x: NDArray[np.float32], y: NDArray[np.float32]) -> None:
+        """Upstream's rule."""
+        grid, limits = self._grid, self._limits
+        # float64 holds the product of two float32 exactly: this is how libm's hypotf computes a range.
+        squares = x.astype(np.float64)
+        squares *= squares
+        more = y.astype(np.float64)
+        more *= more
+        squares += more
+        near = squares <= limits.most
+        if limits.least > 0:
+            near &= squares >= limits.least
+        if np.count_nonzero(near) < x.size:
+            nans = np.count_nonzero(np.isnan(squares))
+            kept = np.flatnonzero(near)
+            self._nan += nans
+            self._range += x.size - nans - kept.size
+            x, y, squares = x.take(kept), y.take(kept), squares.take(kept)
+        slots = grid.slots_of_points(x, y)
+        values = squares if self._squared else np.sqrt(squares).astype(np.float32)
+        if RUNS and 8*np.count_nonzero(slots[1:1025]!=slots[:1024][:slots.size-1])<min(slots.size,1024):
+            starts = np.flatnonzero(slots[1:] != slots[:-1])
+            starts += 1
+            starts = np.concatenate(([0], starts))
+            values = np.minimum.reduceat(values, starts)
+            np.minimum.at(self._smallest, slots.take(starts), values)
+        else:
+            np.minimum.at(self._smallest, slots, values)
+        if self._smallest[grid.outside]<np.inf:
+            self._angle += np.count_nonzero(slots == grid.outside)
+            self._smallest[grid.outside]=np.inf
+        if self._smallest[grid.past_end]<np.inf:
+            self._past_end += np.count_nonzero(slots == grid.past_end)
+            self._smallest[grid.past_end]=np.inf
+
+    def scan(self) -> ProjectedScan:
+        """The scan of the blocks so far."""
+        ranges = self._smallest[: self._grid.beams]
+        if self._squared:
+            # Upstream's beams begin with what they read without a return, and a return has to be below that.
+            ranges = np.minimum(np.sqrt(ranges).astype(np.float32), self._limits.no_return)
+        rejected = self._nan + self._height + self._range + self._angle + self._past_end
+        return ProjectedScan(
+            ranges,
+            PointCounts(
+                self._total,
+                self._total - rejected,
+                self._nan,
+                self._height,
+                self._range,
+                self._angle,
+                self._past_end,
+            ),
+        )
+
+
+def _blocks(x, y, z, target_from_source):
+    for tile in _tiles(x.shape):
+        yield [part[tile].astype(np.float32, order="C", copy=False).reshape(-1) for part in (x, y, z)]
+
+def _tiles(shape):
+    for i in range(0,shape[0],BLOCK): yield slice(i,i+BLOCK)
+
+_SAMPLE = 7
+_PARTS = 4
+_POINTS_PER_BEAM = 64
+_SLACK = 2.0**-21
+_TINY = 1e-37
+
+RUNS=True

@@ -279,6 +279,22 @@ class Rigid:
             ]
         )
 
+    @property
+    def rpy(self) -> tuple[float, float, float]:
+        """Roll, pitch and yaw in radians, as `from_rpy` takes them; pitch in -pi/2 to pi/2.
+
+        At a pitch of +-pi/2 only the sum or the difference of the others is known: roll is then 0.
+        """
+        m = self.matrix
+        pitch = math.asin(min(1.0, max(-1.0, -float(m[2, 0]))))
+        if abs(m[2, 0]) > 1 - 1e-12:
+            return 0.0, pitch, math.atan2(-float(m[0, 1]), float(m[1, 1]))
+        return (
+            math.atan2(float(m[2, 1]), float(m[2, 2])),
+            pitch,
+            math.atan2(float(m[1, 0]), float(m[0, 0])),
+        )
+
     def compose(self, other: Rigid) -> Rigid:
         """``a_from_b.compose(b_from_c)`` is ``a_from_c``."""
         return Rigid.from_pose(compose_poses(self.pose, other.pose))

@@ -73,4 +73,4 @@ def frame_tree(sources: Sequence[Path], options: FrameOptions | None = None) -> 
             stack.callback(reader.close)
             readers.append(reader)
         buffer, warnings = read_transforms(readers, options)
-    return FrameTree(buffer.infos(), buffer.trees, tuple(warnings), buffer)
+    return FrameTree(buffer.infos, buffer.trees, tuple(warnings), buffer)

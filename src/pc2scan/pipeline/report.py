@@ -129,7 +129,9 @@ class Report:
     def conclude(self) -> None:
         """Add the warnings that only the whole conversion can tell."""
         for topic in self.topics:
-            if topic.action == "converted":
+            if topic.action == "converted" and topic.messages_in and not topic.messages_out:
+                self.warnings.append(f"no message of {topic.topic} could be converted")
+            elif topic.action == "converted":
                 self.warnings += _point_warnings(topic, self.params, self.origins)
 
     def as_dict(self) -> dict[str, Any]:

@@ -30,6 +30,7 @@ import struct
 from array import array
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import takewhile
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -285,7 +286,7 @@ class _Walk:
     loop: int | None = None
 
 
-@dataclass(frozen=True, eq=False)  # not slotted: `trees` is computed when it is first asked for
+@dataclass(frozen=True, eq=False)  # not slotted: `infos` and `trees` are computed when first asked for
 class TransformBuffer:
     """The transforms of a whole recording. Built by `TransformBuilder`; the rules are in the module's text.
 
@@ -364,6 +365,7 @@ class TransformBuffer:
         time_ns = stamp_ns or self._latest_common_time(query)
         return Rigid.from_pose(self._chain(query, time_ns).target_from_source(time_ns))
 
+    @cached_property
     def infos(self) -> tuple[FrameInfo, ...]:
         """What is known of each child frame, sorted by name."""
         children = np.flatnonzero(np.diff(self._offsets)).tolist()
@@ -510,13 +512,8 @@ class TransformBuffer:
         return _Chain(self._below(common, target_walk), self._below(common, source_walk))
 
     def _below(self, ancestor: int, walk: _Walk) -> tuple[FrameHistory, ...]:
-        links: list[FrameHistory] = []
-        for frame in walk.frames:
-            link = self._history(frame)
-            if frame == ancestor or link is None:
-                break
-            links.append(link)
-        return tuple(links)
+        frames = takewhile(lambda frame: frame != ancestor, walk.frames)
+        return tuple(link for frame in frames if (link := self._history(frame)) is not None)
 
     def _latest_common_time(self, query: _Query) -> int | None:
         """The earliest of the latest stamps on the way; None where no frame on it is dynamic.

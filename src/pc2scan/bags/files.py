@@ -1,0 +1,79 @@
+"""A recording's file, read at given places."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING
+
+from pc2scan.errors import RecordingError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+__all__ = ["SourceFile"]
+
+
+class SourceFile:
+    """A file's bytes by their place: what is not there is an error, never a short answer.
+
+    Bytes are read, not mapped: a file that shrinks under a map kills the process (SIGBUS), and the pages of
+    a map count as the process's memory.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Raises
+    ------
+    RecordingError
+        If it cannot be opened; while reading, if the system refuses or the file has become shorter.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._descriptor = -1
+        try:
+            self._descriptor = os.open(path, os.O_RDONLY)
+            self.size = os.fstat(self._descriptor).st_size
+        except OSError as err:
+            self.close()
+            raise self.error(f"cannot be opened: {err.strerror}") from err
+
+    def close(self) -> None:
+        """Release the file; reading afterwards is an error."""
+        descriptor, self._descriptor = self._descriptor, -1
+        if descriptor >= 0:
+            os.close(descriptor)
+
+    def error(self, message: str, hint: str | None = None) -> RecordingError:
+        """Make an error that names this file."""
+        return RecordingError(message, path=self.path, hint=hint)
+
+    def damage(self, message: str) -> Exception:
+        """Make the error for bytes that are declared and not there; formats say it in their own way."""
+        return self.error(message)
+
+    def read(self, offset: int, length: int) -> bytes:
+        """Read exactly ``length`` bytes."""
+        if offset + length > self.size:
+            raise self.damage(
+                f"{length} bytes are declared from byte {offset} on, but the file has {self.size} bytes"
+            )
+        try:
+            data = os.pread(self._descriptor, length, offset)
+            # One call returns 2 GiB at most.
+            while len(data) < length and (
+                more := os.pread(self._descriptor, length - len(data), offset + len(data))
+            ):
+                data += more
+        except OSError as err:
+            raise self.error(f"cannot be read at byte {offset}: {err.strerror}") from err
+        except MemoryError as err:
+            raise self.error(f"{length} bytes from byte {offset} on do not fit into memory") from err
+        if len(data) < length:
+            raise self.error(
+                f"ended at byte {offset + len(data)} while it was read; it had {self.size} bytes when opened",
+                "wait until the recording is complete",
+            )
+        return data

@@ -1,0 +1,156 @@
+"""MCAP's chunks: where one lies, and its records, decompressed."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from .mcap_records import CHUNK, OP_CHUNK, RECORD, REPAIR, UINT64
+from .segments import Segment
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from .mcap_records import RecordFile
+    from .model import Buffer
+
+__all__ = ["CHUNK_HEAD_SIZE", "ChunkSegment", "chunk_at", "payload"]
+
+# No compression has a longer name; a longer one is garbage.
+_MAX_COMPRESSION_NAME = 64
+
+CHUNK_HEAD_SIZE = RECORD.size + CHUNK.size + _MAX_COMPRESSION_NAME + UINT64.size
+
+
+@dataclass(frozen=True, slots=True)
+class ChunkSegment(Segment):
+    """A chunk. `crc` is that of a chunk whose header was read, else 0; loading goes by the header itself.
+
+    Attributes
+    ----------
+    record_offset
+        Where the chunk's record begins in the file.
+    """
+
+    record_offset: int = 0
+
+
+def chunk_at(data: Buffer, position: int, record_offset: int, file: RecordFile) -> ChunkSegment:
+    """Read the header of the chunk whose record begins at ``data[position]``."""
+    malformed = f"the chunk at byte {record_offset} has a malformed header"
+    try:
+        _, record_length = RECORD.unpack_from(data, position)
+        start_ns, end_ns, size, crc, name_size = CHUNK.unpack_from(data, position + RECORD.size)
+        name_at = position + RECORD.size + CHUNK.size
+        (length,) = UINT64.unpack_from(data, name_at + min(name_size, _MAX_COMPRESSION_NAME))
+        name = str(data[name_at : name_at + name_size], "utf-8")
+    except (struct.error, UnicodeDecodeError) as err:
+        raise file.error(malformed, REPAIR) from err
+    if name_size > _MAX_COMPRESSION_NAME:
+        raise file.error(f"{malformed}: its compression has a name of {name_size} bytes", REPAIR)
+    head = CHUNK.size + name_size + UINT64.size
+    if head + length > record_length:
+        raise file.error(
+            f"the chunk at byte {record_offset} declares {length} bytes of records in {record_length} bytes",
+            REPAIR,
+        )
+    return ChunkSegment(
+        offset=record_offset + RECORD.size + head,
+        length=length,
+        compression=name or "none",
+        uncompressed_size=size,
+        crc=crc,
+        start_ns=start_ns,
+        end_ns=end_ns,
+        record_offset=record_offset,
+    )
+
+
+def payload(file: RecordFile, segment: Segment, *, verify: bool = True) -> memoryview:
+    """Read a segment's records, decompressed.
+
+    Raises
+    ------
+    RecordingError
+        If the bytes are not there, do not decompress to the declared size, or fail their CRC.
+    """
+    if not isinstance(segment, ChunkSegment):
+        return memoryview(file.read(segment.offset, segment.length))
+    # The header in front of the payload comes with the same read. An index has no CRC; the header does.
+    head = segment.offset - segment.record_offset
+    data = memoryview(file.read(segment.record_offset, head + segment.length))
+    chunk = chunk_at(data, 0, segment.record_offset, file)
+    if data[0] != OP_CHUNK or _storage(chunk) != _storage(segment):
+        raise file.error(
+            f"the index and the chunk at byte {segment.record_offset} contradict each other", REPAIR
+        )
+    unpacked = memoryview(_decompressed(data[head:], chunk, file))
+    if verify and chunk.crc and (actual := zlib.crc32(unpacked)) != chunk.crc:
+        raise file.error(
+            f"the chunk at byte {chunk.record_offset} has CRC {actual:08x}, recorded is {chunk.crc:08x}",
+            REPAIR,
+        )
+    return unpacked
+
+
+def _storage(segment: Segment) -> tuple[int, int, str, int]:
+    return segment.offset, segment.length, segment.compression, segment.uncompressed_size
+
+
+def _decompressed(data: memoryview, chunk: ChunkSegment, file: RecordFile) -> Buffer:
+    """Decompress a chunk's payload into exactly the declared size."""
+    size = chunk.uncompressed_size
+    where = f"the chunk at byte {chunk.record_offset}"
+    if size == 0:
+        return b""
+    if chunk.compression not in _DECOMPRESS:
+        raise file.error(f"{where} has compression {chunk.compression!r}, known are none, lz4 and zstd")
+    try:
+        unpacked = _DECOMPRESS[chunk.compression](data, size)
+    except (MemoryError, OverflowError) as err:
+        raise file.error(f"{where} declares {size} bytes uncompressed, which do not fit into memory") from err
+    except (ValueError, RuntimeError) as err:
+        raise file.error(
+            f"{where} cannot be decompressed to the declared {size} bytes: {err}", REPAIR
+        ) from err
+    if len(unpacked) != size:
+        raise file.error(f"{where} decompresses to {len(unpacked)} bytes, declared are {size}", REPAIR)
+    return unpacked
+
+
+def _stored(data: memoryview, _size: int) -> Buffer:
+    return data
+
+
+def _from_lz4(data: memoryview, size: int) -> Buffer:
+    import lz4.frame  # noqa: PLC0415  (only recordings that need it pay for it)
+
+    decompressor = lz4.frame.LZ4FrameDecompressor()
+    # One byte more than allowed, to tell "too long" from "just right".
+    unpacked: bytes = decompressor.decompress(data, max_length=size + 1)
+    if len(unpacked) > size:
+        raise ValueError("there is more")
+    if not decompressor.eof:
+        raise ValueError(f"it ends after {len(unpacked)} bytes")
+    return unpacked
+
+
+def _from_zstd(data: memoryview, size: int) -> Buffer:
+    import zstandard  # noqa: PLC0415  (only recordings that need it pay for it)
+
+    try:
+        # The size in the frame's own header would win over the limit given here.
+        declared = zstandard.frame_content_size(data)
+        if declared >= 0 and declared != size:
+            raise ValueError(f"the compressed data declare {declared} bytes")
+        return zstandard.ZstdDecompressor().decompress(data, max_output_size=size)
+    except zstandard.ZstdError as err:
+        raise ValueError(str(err)) from err
+
+_DECOMPRESS: dict[str, Callable[[memoryview, int], Buffer]] = {
+    "none": _stored,
+    "lz4": _from_lz4,
+    "zstd": _from_zstd,
+}

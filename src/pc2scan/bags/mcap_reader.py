@@ -1,0 +1,275 @@
+"""Reading MCAP files, one chunk at a time."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from typing import TYPE_CHECKING
+
+from mcap import records
+from mcap.opcode import Opcode
+
+from .mcap_chunks import payload
+from .mcap_contents import find_contents
+from .mcap_records import MESSAGE, OP_MESSAGE, RECORD, REPAIR, RecordFile, parse
+from .model import Attachment, Connection, Definition, Metadata, RawMessage, Summary
+from .qos import latches
+from .segments import in_time_order
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from .mcap_contents import Contents
+    from .segments import Segment
+
+__all__ = ["McapReader"]
+
+_SERIALIZATION_OF_SCHEMA = {"ros1msg": "ros1", "ros2msg": "cdr", "ros2idl": "cdr"}
+
+_SERIALIZATION_OF_PROFILE = {"ros1": "ros1", "ros2": "cdr"}
+
+
+class McapReader:
+    """An open MCAP file; see `pc2scan.bags.model.Reader`.
+
+    Channels become connections one to one: two channels of one topic stay two. Types, definitions
+    and metadata are passed on as recorded, whatever the profile.
+
+    Parameters
+    ----------
+    path
+        The file.
+    verify
+        Whether to compare the CRCs of the summary, the chunks and the attachments, where recorded. That
+        of the data section as a whole is not compared: it would need everything to be read.
+
+    Raises
+    ------
+    RecordingError
+        If the file cannot be read, is not MCAP, is cut off or contradicts itself. Damage inside chunks
+        is found when they are read.
+    """
+
+    def __init__(self, path: Path, *, verify: bool = True) -> None:
+        self._file = RecordFile(path)
+        self._verify = verify
+        self._bytes_read = 0
+        try:
+            self._contents = find_contents(self._file, verify=verify)
+            self._connections = tuple(_connections(self._contents, self._file))
+        except BaseException:
+            self._file.close()
+            raise
+        self._summary = _summary(self._contents, self._file.size)
+
+    @property
+    def path(self) -> Path:
+        """Where it was opened."""
+        return self._file.path
+
+    @property
+    def connections(self) -> Sequence[Connection]:
+        """One for each channel, in the order of the summary or, without one, of the file."""
+        return self._connections
+
+    @property
+    def summary(self) -> Summary:
+        """What is known without reading messages."""
+        return self._summary
+
+    @property
+    def bytes_read(self) -> int:
+        """Bytes of the segments loaded so far; those read twice count twice."""
+        return self._bytes_read
+
+    def messages(
+        self,
+        connections: Collection[Connection] | None = None,
+        start_ns: int | None = None,
+        stop_ns: int | None = None,
+    ) -> Iterator[RawMessage]:
+        """Messages by log time, those of one log time in the order of the file.
+
+        Parameters
+        ----------
+        connections
+            Only messages of these; None means all. Chunks without any are not read.
+        start_ns, stop_ns
+            Only messages with ``start_ns <= log_time_ns < stop_ns``.
+
+        Yields
+        ------
+        RawMessage
+            Its data are a view into the decompressed chunk, which lives as long as the view.
+
+        Raises
+        ------
+        RecordingError
+            If a chunk is damaged, or a message belongs to no channel.
+        """
+        known = {connection.id: connection for connection in self._connections}
+        wanted = known
+        if connections is not None:
+            wanted = {
+                connection.id: known[connection.id] for connection in connections if connection.id in known
+            }
+        ids = None if connections is None else frozenset(wanted)
+        first = 0 if start_ns is None else start_ns
+        stop = 1 << 64 if stop_ns is None else stop_ns
+
+        def load(segment: Segment) -> list[RawMessage]:
+            data = payload(self._file, segment, verify=self._verify)
+            self._bytes_read += segment.length
+            found, others, sound = _messages_in(data, wanted, first, stop)
+            if sound != len(data):
+                raise self._file.error(
+                    f"the records from byte {segment.offset} on are sound for {sound} of {len(data)} bytes",
+                    REPAIR,
+                )
+            if unknown := others - known.keys():
+                raise self._file.error(
+                    f"channel {min(unknown)} has messages near byte {segment.offset}, but is not declared",
+                    REPAIR,
+                )
+            return found
+
+        if ids is None or ids:
+            segments = [s for s in self._contents.segments if s.may_hold(ids, start_ns, stop_ns)]
+            yield from in_time_order(segments, load)
+
+    def attachments(self) -> Iterator[Attachment]:
+        """Attachments in the order of the file, each read when it is asked for."""
+        for offset in sorted(self._contents.attachments):
+            content = self._file.record(offset, Opcode.ATTACHMENT)
+            record = parse(records.Attachment, content, offset, self._file)
+            # The CRC is behind the data, which are behind two times, two strings and their own length.
+            texts = len(record.name.encode()) + len(record.media_type.encode())
+            covered = 8 + 8 + 4 + 4 + texts + 8 + len(record.data)
+            (crc,) = struct.unpack_from("<I", content, covered)
+            if self._verify and crc and (actual := zlib.crc32(memoryview(content)[:covered])) != crc:
+                raise self._file.error(
+                    f"attachment {record.name!r} has CRC {actual:08x}, recorded is {crc:08x}",
+                    REPAIR,
+                )
+            yield Attachment(record.name, record.media_type, record.log_time, record.create_time, record.data)
+
+    def metadata(self) -> Iterator[Metadata]:
+        """Metadata records in the order of the file."""
+        for offset in sorted(self._contents.metadata):
+            record = parse(records.Metadata, self._file.record(offset, Opcode.METADATA), offset, self._file)
+            yield Metadata(record.name, record.metadata)
+
+    def close(self) -> None:
+        """Release the file."""
+        self._file.close()
+
+
+def _messages_in(
+    data: memoryview, wanted: Mapping[int, Connection], start_ns: int, stop_ns: int
+) -> tuple[list[RawMessage], set[int], int]:
+    """Scan records for messages.
+
+    Returns
+    -------
+    tuple[list[RawMessage], set[int], int]
+        The wanted messages in the order of the file, the other channels met, and how many bytes were sound.
+    """
+    found: list[RawMessage] = []
+    others: set[int] = set()
+    append, unpack = found.append, MESSAGE.unpack_from
+    # The class's own constructor takes twice as long, and this is where readers of small messages wait.
+    new: Callable[[type[RawMessage], tuple[object, ...]], RawMessage] = tuple.__new__
+    size = len(data)
+    last = size - MESSAGE.size
+    position = 0
+    while position <= last:
+        opcode, length, channel_id, sequence, log_time_ns, publish_time_ns = unpack(data, position)
+        following = position + 9 + length
+        if following > size:
+            return found, others, position
+        if opcode == OP_MESSAGE:
+            if length < 22:
+                return found, others, position
+            connection = wanted.get(channel_id)
+            if connection is None:
+                others.add(channel_id)
+            elif start_ns <= log_time_ns < stop_ns:
+                data_view = data[position + 31 : following]
+                append(new(RawMessage, (connection, log_time_ns, data_view, publish_time_ns, sequence)))
+        position = following
+    # What is left is too short for a message, but may be another record.
+    while position + 9 <= size and data[position] != OP_MESSAGE:
+        following = position + 9 + RECORD.unpack_from(data, position)[1]
+        if following > size:
+            break
+        position = following
+    return found, others, position
+
+
+def _connections(contents: Contents, file: RecordFile) -> Iterator[Connection]:
+    for channel in contents.channels.values():
+        schema = contents.schemas.get(channel.schema_id)
+        if schema is None and channel.schema_id:
+            raise file.error(
+                f"channel {channel.id} has schema {channel.schema_id}, which is not in the file",
+                REPAIR,
+            )
+        yield _connection(channel, schema, contents)
+
+
+def _connection(channel: records.Channel, schema: records.Schema | None, contents: Contents) -> Connection:
+    metadata = channel.metadata
+    encoding = schema.encoding if schema else ""
+    serialization = (
+        channel.message_encoding
+        or _SERIALIZATION_OF_SCHEMA.get(encoding)
+        or _SERIALIZATION_OF_PROFILE.get(contents.profile, "")
+    )
+    qos = metadata.get("offered_qos_profiles", "")
+    ros1 = serialization == "ros1"
+    return Connection(
+        id=channel.id,
+        topic=channel.topic,
+        msgtype=schema.name if schema else "",
+        serialization=serialization,
+        definition=Definition(encoding, schema.data) if schema else Definition(),
+        digest=metadata.get("topic_type_hash") or metadata.get("md5sum", ""),
+        callerid=metadata.get("callerid"),
+        latching=metadata.get("latching") in ("1", "true", "True") if ros1 else latches(qos),
+        qos=qos,
+        metadata=metadata,
+        message_count=_message_count(channel.id, contents),
+    )
+
+
+def _message_count(channel_id: int, contents: Contents) -> int | None:
+    statistics = contents.statistics
+    if statistics is None:
+        return contents.counts[channel_id] if contents.all_counted else None
+    # Writers may leave the counts by channel out.
+    if statistics.message_count and not statistics.channel_message_counts:
+        return None
+    return statistics.channel_message_counts.get(channel_id, 0)
+
+
+def _summary(contents: Contents, size_bytes: int) -> Summary:
+    statistics = contents.statistics
+    if statistics is not None:
+        count: int | None = statistics.message_count
+        times = (statistics.message_start_time, statistics.message_end_time) if count else None
+    else:
+        count = contents.counts.total() if contents.all_counted else None
+        # A chunk without messages has both times zero.
+        held = [s for s in contents.segments if s.connection_ids is not None or s.end_ns]
+        times = (min(s.start_ns for s in held), max(s.end_ns for s in held)) if held else None
+    return Summary(
+        container="mcap",
+        storage="",
+        compression=tuple(sorted({segment.compression for segment in contents.segments})),
+        size_bytes=size_bytes,
+        message_count=count,
+        start_ns=times[0] if times else None,
+        end_ns=times[1] if times else None,
+        profile=contents.profile,
+    )

@@ -1,0 +1,165 @@
+"""MCAP's records: their fixed parts, a file that they are read from, and taking them apart.
+
+Source of the format: https://mcap.dev/spec and https://mcap.dev/spec/registry.
+"""
+
+from __future__ import annotations
+
+import struct
+from io import BytesIO
+from typing import TYPE_CHECKING, TypeVar
+
+from mcap import records
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import EndOfFile
+
+from .files import SourceFile
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from mcap.opcode import Opcode
+
+    from pc2scan.errors import RecordingError
+
+    from .model import Buffer
+
+__all__ = [
+    "CHUNK",
+    "MAGIC",
+    "MESSAGE",
+    "OP_CHUNK",
+    "OP_MESSAGE",
+    "OP_MESSAGE_INDEX",
+    "RECORD",
+    "REPAIR",
+    "UINT64",
+    "RecordFile",
+    "parse",
+    "split",
+]
+
+#: The first and the last eight bytes of every file.
+MAGIC = b"\x89MCAP0\r\n"
+
+# Opcode and length of the content: how every record begins.
+RECORD = struct.Struct("<BQ")
+
+# The same with a message's channel id, sequence, log time and publish time.
+MESSAGE = struct.Struct("<BQHIQQ")
+
+# A chunk's first and last log time, uncompressed size, CRC, and the length of its compression's name.
+CHUNK = struct.Struct("<QQQII")
+
+UINT64 = struct.Struct("<Q")
+
+# Plain integers: comparing an IntEnum member costs a method call for each message.
+OP_MESSAGE, OP_CHUNK, OP_MESSAGE_INDEX = 0x05, 0x06, 0x07
+
+REPAIR = "copy the recording again, or repair it with `mcap recover`"
+
+
+class RecordFile:
+    """A file that is read at given places; whatever fails is a `RecordingError`.
+
+    Bytes are read, not mapped: a file that is truncated meanwhile gives an error and no SIGBUS.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._descriptor = -1
+        try:
+            self._descriptor = os.open(path, os.O_RDONLY)
+            self.size = os.fstat(self._descriptor).st_size
+        except OSError as err:
+            self.close()
+            raise self.error(f"cannot be opened: {err.strerror}") from err
+
+    def close(self) -> None:
+        """Release the file; reading afterwards is an error."""
+        if self._descriptor >= 0:
+            os.close(self._descriptor)
+            self._descriptor = -1
+
+    def error(self, message: str, hint: str | None = None) -> RecordingError:
+        """Make an error that names this file."""
+        return RecordingError(message, path=self.path, hint=hint)
+
+    def read(self, offset: int, length: int) -> bytes:
+        """Read exactly ``length`` bytes."""
+        if offset + length > self.size:
+            raise self.error(
+                f"{length} bytes are declared from byte {offset} on, but the file has {self.size}", REPAIR
+            )
+        try:
+            data = os.pread(self._descriptor, length, offset)
+            # One call returns 2 GiB at most.
+            while len(data) < length and (
+                more := os.pread(self._descriptor, length - len(data), offset + len(data))
+            ):
+                data += more
+        except OSError as err:
+            raise self.error(f"cannot be read at byte {offset}: {err.strerror}") from err
+        except MemoryError as err:
+            raise self.error(f"{length} bytes from byte {offset} on do not fit into memory") from err
+        if len(data) < length:
+            raise self.error(
+                f"ended at byte {offset + len(data)} while it was read; it had {self.size} bytes when opened",
+                "wait until the recording is complete",
+            )
+        return data
+
+    def record(self, offset: int, opcode: Opcode) -> bytes:
+        """Read the content of a record of a known kind."""
+        actual, length = RECORD.unpack(self.read(offset, RECORD.size))
+        if actual != opcode:
+            raise self.error(
+                f"a record of kind {opcode} ({opcode.name}) is declared at byte {offset}, found {actual}",
+                REPAIR,
+            )
+        return self.read(offset + RECORD.size, length)
+
+
+class _Fields(ReadDataStream):
+    """The content of one record for the library's parsers, which take short reads for granted otherwise."""
+
+    def __init__(self, content: Buffer) -> None:
+        super().__init__(BytesIO())
+        self._content = memoryview(content)
+
+    def read(self, length: int) -> bytes:
+        data = bytes(self._content[self._count : self._count + length])
+        if len(data) < length:
+            raise EndOfFile
+        self._count += length
+        return data
+
+_Record = TypeVar("_Record", bound=records.McapRecord)
+
+
+def parse(kind: type[_Record], content: Buffer, offset: int, file: RecordFile) -> _Record:
+    """Parse a record's content; ``offset`` is its place in the file, for the error."""
+    try:
+        parsed: _Record = kind.read(_Fields(content))  # type: ignore[attr-defined]
+    except (EndOfFile, struct.error, UnicodeDecodeError) as err:
+        raise file.error(
+            f"the {kind.__name__} record at byte {offset} ({len(content)} bytes) contradicts its own lengths",
+            REPAIR,
+        ) from err
+    return parsed
+
+
+def split(data: memoryview, origin: int, file: RecordFile) -> Iterator[tuple[int, memoryview]]:
+    """Split a sequence of records into opcodes and contents; ``origin`` is its place, for the error."""
+    position = 0
+    while position < len(data):
+        start = position + RECORD.size
+        if start > len(data):
+            break
+        opcode, length = RECORD.unpack_from(data, position)
+        position = start + length
+        if position > len(data):
+            break
+        yield opcode, data[start:position]
+    if position != len(data):
+        raise file.error(f"the records from byte {origin} on do not end after {len(data)} bytes", REPAIR)
