@@ -1,18 +1,24 @@
 """Recordings: one module a format, one protocol for all, and a registry that picks by content.
 
-=============  =======================================================================
-module         what it is about
-=============  =======================================================================
-``model``      connections, messages, and the protocols `Reader` and `Writer`
-``registry``   telling formats apart, opening sources, planning destinations
-``rosbag1``    ROS 1 bags (``.bag``)
-``mcap``       MCAP files
-``sqlite3``    rosbag2's sqlite3 storage (``.db3``)
-``rosbag2``    rosbag2 directories: metadata.yaml and storage files
-``segments``   the order of time within a chunked file
-``merged``     several recordings as one
-``staging``    a destination appears whole or not at all
-=============  =======================================================================
+===================  =======================================================================
+module               what it is about
+===================  =======================================================================
+``model``            connections, messages, and the protocols `Reader` and `Writer`
+``registry``         telling formats apart, opening sources, planning destinations
+``rosbag1_*``        ROS 1 bags (``.bag``)
+``mcap_*``           MCAP files
+``rosbag2_*``        rosbag2 directories: metadata.yaml and storage files
+``sqlite3``          rosbag2's sqlite3 storage (``.db3``)
+``qos``, ``yaml``    QoS profiles, and the YAML that they and metadata.yaml are written in
+``zstd``             zstd around files and messages
+``files``            a recording's file, read at given places
+``segments``         the order of time within a chunked file
+``merged``           several recordings as one
+``staging``          a destination appears whole or not at all
+===================  =======================================================================
+
+Of a chunked format, ``*_records`` knows its records and ``*_chunks`` its chunks; ``*_contents`` finds out
+what is where; ``*_reader`` and ``*_writer`` have the classes that the registry opens.
 
 Importing this package imports no format: each is loaded when the first file of its kind is opened.
 """

@@ -149,6 +149,7 @@ def _from_zstd(data: memoryview, size: int) -> Buffer:
     except zstandard.ZstdError as err:
         raise ValueError(str(err)) from err
 
+
 _DECOMPRESS: dict[str, Callable[[memoryview, int], Buffer]] = {
     "none": _stored,
     "lz4": _from_lz4,

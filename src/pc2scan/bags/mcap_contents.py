@@ -192,9 +192,7 @@ def _indexed_chunk(content: memoryview, origin: int, file: RecordFile) -> tuple[
         compressed, uncompressed = struct.unpack_from("<QQ", content, position)
         name = str(content[position - name_size : position], "utf-8")
     except (struct.error, UnicodeDecodeError) as err:
-        raise file.error(
-            f"a ChunkIndex record in the summary at byte {origin} is malformed", REPAIR
-        ) from err
+        raise file.error(f"a ChunkIndex record in the summary at byte {origin} is malformed", REPAIR) from err
     chunk = ChunkSegment(
         offset=offset + RECORD.size + CHUNK.size + name_size + UINT64.size,
         length=compressed,

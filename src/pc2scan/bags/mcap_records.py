@@ -44,13 +44,10 @@ MAGIC = b"\x89MCAP0\r\n"
 
 # Opcode and length of the content: how every record begins.
 RECORD = struct.Struct("<BQ")
-
 # The same with a message's channel id, sequence, log time and publish time.
 MESSAGE = struct.Struct("<BQHIQQ")
-
 # A chunk's first and last log time, uncompressed size, CRC, and the length of its compression's name.
 CHUNK = struct.Struct("<QQQII")
-
 UINT64 = struct.Struct("<Q")
 
 # Plain integers: comparing an IntEnum member costs a method call for each message.
@@ -59,55 +56,12 @@ OP_MESSAGE, OP_CHUNK, OP_MESSAGE_INDEX = 0x05, 0x06, 0x07
 REPAIR = "copy the recording again, or repair it with `mcap recover`"
 
 
-class RecordFile:
-    """A file that is read at given places; whatever fails is a `RecordingError`.
+class RecordFile(SourceFile):
+    """An MCAP file that records are read from; whatever fails is a `RecordingError`."""
 
-    Bytes are read, not mapped: a file that is truncated meanwhile gives an error and no SIGBUS.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self._descriptor = -1
-        try:
-            self._descriptor = os.open(path, os.O_RDONLY)
-            self.size = os.fstat(self._descriptor).st_size
-        except OSError as err:
-            self.close()
-            raise self.error(f"cannot be opened: {err.strerror}") from err
-
-    def close(self) -> None:
-        """Release the file; reading afterwards is an error."""
-        if self._descriptor >= 0:
-            os.close(self._descriptor)
-            self._descriptor = -1
-
-    def error(self, message: str, hint: str | None = None) -> RecordingError:
-        """Make an error that names this file."""
-        return RecordingError(message, path=self.path, hint=hint)
-
-    def read(self, offset: int, length: int) -> bytes:
-        """Read exactly ``length`` bytes."""
-        if offset + length > self.size:
-            raise self.error(
-                f"{length} bytes are declared from byte {offset} on, but the file has {self.size}", REPAIR
-            )
-        try:
-            data = os.pread(self._descriptor, length, offset)
-            # One call returns 2 GiB at most.
-            while len(data) < length and (
-                more := os.pread(self._descriptor, length - len(data), offset + len(data))
-            ):
-                data += more
-        except OSError as err:
-            raise self.error(f"cannot be read at byte {offset}: {err.strerror}") from err
-        except MemoryError as err:
-            raise self.error(f"{length} bytes from byte {offset} on do not fit into memory") from err
-        if len(data) < length:
-            raise self.error(
-                f"ended at byte {offset + len(data)} while it was read; it had {self.size} bytes when opened",
-                "wait until the recording is complete",
-            )
-        return data
+    def damage(self, message: str) -> RecordingError:
+        """Make the error for a file that is damaged."""
+        return self.error(message, REPAIR)
 
     def record(self, offset: int, opcode: Opcode) -> bytes:
         """Read the content of a record of a known kind."""
@@ -133,6 +87,7 @@ class _Fields(ReadDataStream):
             raise EndOfFile
         self._count += length
         return data
+
 
 _Record = TypeVar("_Record", bound=records.McapRecord)
 

@@ -388,6 +388,7 @@ def _to_zstd(data: memoryview) -> Buffer:
 
     return zstandard.ZstdCompressor().compress(data)
 
+
 _COMPRESS: dict[str, Callable[[memoryview], Buffer]] = {
     "none": _as_stored,
     "lz4": _to_lz4,

@@ -1,6 +1,6 @@
 """Several sources read as one recording: connections unified, messages merged by log time.
 
-A split rosbag2 is the same thing on a smaller scale; `pc2scan.bags.rosbag2` builds on this class.
+A split rosbag2 is the same thing on a smaller scale; `pc2scan.bags.rosbag2_reader` builds on this class.
 """
 
 from __future__ import annotations

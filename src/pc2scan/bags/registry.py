@@ -5,10 +5,11 @@ from __future__ import annotations
 import stat
 from dataclasses import dataclass, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Literal
 
 from pc2scan.errors import DestinationError, RecordingError
+
+from . import zstd
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
@@ -28,7 +29,6 @@ __all__ = [
 
 Container = Literal["rosbag1", "mcap", "rosbag2"]
 
-_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 _MAGICS = {b"#ROSBAG V2.0\n": "rosbag1", b"\x89MCAP0\r\n": "mcap", b"SQLite format 3\0": "sqlite3"}
 _HEAD_SIZE = max(map(len, _MAGICS))
 
@@ -114,7 +114,7 @@ def sniff(path: Path) -> str:
         raise RecordingError("there is nothing of this name", path=path) from err
     except OSError as err:
         raise RecordingError(f"cannot be read: {err.strerror}", path=path) from err
-    if head.startswith(_ZSTD_MAGIC):
+    if head.startswith(zstd.MAGIC):
         return f"{_recognised(_unpacked_head(path), path, ' (after zstd decompression)')}+zstd"
     return _recognised(head, path)
 
@@ -143,18 +143,18 @@ def open_recording(path: Path, *, verify: bool = True) -> Reader:
 def _open(path: Path, form: str, *, verify: bool) -> Reader:
     # Each format brings its libraries along: only the one that is read is imported.
     if form == "rosbag1":
-        from .rosbag1 import Rosbag1Reader  # noqa: PLC0415
+        from .rosbag1_reader import Rosbag1Reader  # noqa: PLC0415
 
         return Rosbag1Reader(path)
     if form == "mcap":
-        from .mcap import McapReader  # noqa: PLC0415
+        from .mcap_reader import McapReader  # noqa: PLC0415
 
         return McapReader(path, verify=verify)
     if form == "sqlite3":
         from .sqlite3 import Sqlite3Reader  # noqa: PLC0415
 
         return Sqlite3Reader(path)
-    from .rosbag2 import Rosbag2Reader  # noqa: PLC0415
+    from .rosbag2_reader import Rosbag2Reader  # noqa: PLC0415
 
     return Rosbag2Reader(path, verify=verify)
 
@@ -163,12 +163,12 @@ class _UnpackedReader:
     """A file that was compressed as a whole, read from a temporary copy."""
 
     def __init__(self, path: Path, form: str, *, verify: bool) -> None:
-        from .rosbag2 import unpacked  # noqa: PLC0415
+        from tempfile import TemporaryDirectory  # noqa: PLC0415  (it loads the compression modules)
 
         self._path = path
         self._temporary = TemporaryDirectory(prefix="pc2scan-")
         try:
-            self._inner = _open(unpacked(path, Path(self._temporary.name)), form, verify=verify)
+            self._inner = _open(zstd.unpacked_file(path, Path(self._temporary.name)), form, verify=verify)
         except BaseException:
             self._temporary.cleanup()
             raise
@@ -176,7 +176,7 @@ class _UnpackedReader:
         self._inner_size = inner.size_bytes
         self._summary = replace(
             inner,
-            compression=tuple(sorted({"zstd", *inner.compression} - {"none"})),
+            compression=zstd.compressions(inner.compression),
             size_bytes=path.stat().st_size,
         )
 
@@ -216,7 +216,7 @@ class _UnpackedReader:
 
 
 def _sniff_directory(path: Path) -> str:
-    from .rosbag2 import METADATA_NAME, storage_files  # noqa: PLC0415
+    from .rosbag2_metadata import METADATA_NAME, storage_files  # noqa: PLC0415
 
     if (path / METADATA_NAME).exists() or storage_files(path):
         return "rosbag2"
@@ -425,14 +425,14 @@ def open_writer(destination: Destination, staged_path: Path, name: str) -> Write
         If it cannot be created.
     """
     if destination.container == "rosbag1":
-        from .rosbag1 import Rosbag1Writer  # noqa: PLC0415  (each format brings its libraries along)
+        from .rosbag1_writer import Rosbag1Writer  # noqa: PLC0415  (each format brings its libraries along)
 
         return Rosbag1Writer(staged_path, destination.compression)
     if destination.container == "mcap":
-        from .mcap import McapWriter  # noqa: PLC0415
+        from .mcap_writer import McapWriter  # noqa: PLC0415
 
         return McapWriter(staged_path, destination.compression, destination.profile)
-    from .rosbag2 import Rosbag2Writer  # noqa: PLC0415
+    from .rosbag2_writer import Rosbag2Writer  # noqa: PLC0415
 
     return Rosbag2Writer(
         staged_path,

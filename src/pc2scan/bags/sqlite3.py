@@ -32,8 +32,9 @@ import zstandard
 
 from pc2scan.errors import OutputError, RecordingError
 
-from .mcap import latches
+from . import zstd
 from .model import Connection, Definition, RawMessage, Summary
+from .qos import latches
 from .staging import sync_file
 
 if TYPE_CHECKING:
@@ -41,9 +42,7 @@ if TYPE_CHECKING:
 
     from .model import Attachment, Buffer, Metadata
 
-__all__ = ["Sqlite3Reader", "Sqlite3Writer", "decompressed_message"]
-
-_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+__all__ = ["Sqlite3Reader", "Sqlite3Writer"]
 
 #: What a recorder that died, or is still running, leaves beside the database; the rows in it count.
 _SIDE_FILES = ("-wal", "-journal")
@@ -158,7 +157,7 @@ class Sqlite3Reader:
                     )
                 self._bytes_read += len(data)
                 if self._compressed:
-                    data = decompressed_message(data, self._path, known[topic_id].topic)  # noqa: PLW2901
+                    data = zstd.unpacked_message(data, self._path, known[topic_id].topic)  # noqa: PLW2901
                 yield RawMessage(known[topic_id], time_ns, data, time_ns)
         except sqlite3.Error as err:
             raise self._error(err) from err
@@ -291,7 +290,7 @@ class Sqlite3Reader:
     def _first_is_compressed(self) -> bool:
         """Whether the first message is a zstd frame. A CDR message begins with a zero byte and is none."""
         row = self._query("SELECT substr(data, 1, 4) FROM messages LIMIT 1").fetchone()
-        return row is not None and row[0] == _ZSTD_MAGIC
+        return row is not None and row[0] == zstd.MAGIC
 
     def _rows(
         self, topic_ids: list[int], start_ns: int | None, stop_ns: int | None
@@ -314,25 +313,6 @@ class Sqlite3Reader:
             for topic_id, time_ns, message_id in rows:
                 row = self._query("SELECT data FROM messages WHERE id = ?", (message_id,)).fetchone()
                 yield topic_id, time_ns, row and row[0]
-
-
-def decompressed_message(data: Buffer, path: Path, topic: str) -> bytes:
-    """Return a message that was compressed by itself (rosbag2's compression mode ``message``).
-
-    Raises
-    ------
-    RecordingError
-        If it is not a complete zstd frame.
-    """
-    # Not `decompress`: it trusts the frame's word on the size and needs one.
-    decoder = zstandard.ZstdDecompressor().decompressobj()
-    try:
-        message = decoder.decompress(data)
-    except zstandard.ZstdError as err:
-        raise RecordingError(f"a message cannot be decompressed: {err}", path=path, topic=topic) from err
-    if not decoder.eof:
-        raise RecordingError("a message's zstd frame is cut off", path=path, topic=topic)
-    return message
 
 
 def _beside(path: Path, suffix: str) -> Path:

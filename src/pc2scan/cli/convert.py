@@ -422,7 +422,9 @@ def _resolve(
 
     A file whose section is ``laserscan_to_pointcloud`` asks for the way back.
     """
-    from pc2scan.pipeline.parameters import Setting, load_params_file, parse_param, resolve
+    from pc2scan.pipeline.param_assignment import parse_param
+    from pc2scan.pipeline.parameters import Setting, resolve
+    from pc2scan.pipeline.params_file import load_params_file
 
     settings = [Setting(name, value, PARAMETERS[name].option) for name, value in options.items()]
     settings += [parse_param(text) for text in reversed(param)]

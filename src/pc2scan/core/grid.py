@@ -26,6 +26,9 @@ _ANGLE_ERROR = 1.1e-6
 #: For fewer points it is cheaper to compute every angle in float64 than to find out which ones need it.
 _FEW_POINTS = 4096
 
+#: From this share of a beam on, the neighbourhoods of the edges are too large a part of it to gain anything.
+_MUCH_DOUBT = 0.1
+
 
 class Grid:
     """The beams of a scan as slots of an array: one for each beam, then one for each fate that is no beam.
@@ -78,12 +81,16 @@ class Grid:
         # atan2 returns nothing beyond float32's pi.
         self.whole_circle = bool(self._min <= -np.float32(np.pi) and self._max >= np.float32(np.pi))
 
-        # The quotient is nearly angle * scale + shift. In float32 that is off, in beams, by the angle's error, and by the
-        # roundings of scale, shift, product and sum: each at most 2**-24 of reach. One more is to spare.
-        self._scale = 1 / float(self._increment)
-        self._shift = -float(self._min) * self._scale
-        reach = math.pi * self._scale + abs(self._shift)
-        self._doubt = _ANGLE_ERROR * self._scale + 5 * 2.0**-24 * reach
+        # The quotient is nearly angle * scale + shift. In float32 that is off, in beams, by the angle's error and by
+        # the roundings of scale, shift, product and sum, each at most 2**-24 of reach; one more is to spare.
+        scale = 1 / float(self._increment)
+        shift = -float(self._min) * scale
+        reach = math.pi * scale + abs(shift)
+        self._doubt = _ANGLE_ERROR * scale + 5 * 2.0**-24 * reach
+        if self._doubt < _MUCH_DOUBT:
+            self._scale = np.float32(scale)
+            # Moved up by the doubt, a quotient that may belong to the beam below has a small fraction.
+            self._shift = np.float32(shift + self._doubt)
 
     def slots_of_angles(self, angles: NDArray[np.float32]) -> NDArray[np.intp]:
         """Slots of angles, by upstream's rule.
@@ -97,85 +104,61 @@ class Grid:
         -------
         (M,) intp, 0 to N + 1.
         """
-        quotients = np.subtract(angles, self._min, dtype=np.float64)
+        quotients = angles.astype(np.float64)
+        quotients -= self._min
         quotients /= self._increment
         slots = quotients.astype(np.intp)
         if not self.whole_circle:
             slots[(angles < self._min) | (angles > self._max)] = self.outside
         return slots
 
-    def slots_of_points(self, x: NDArray[np.float32], y: NDArray[np.float32]) -> NDArray[np.intp]:
+    def slots_of_points(
+        self,
+        x: NDArray[np.float32],
+        y: NDArray[np.float32],
+        out: NDArray[np.intp],
+        scratch: tuple[NDArray[np.float32], NDArray[np.float32]],
+    ) -> NDArray[np.intp]:
         """Slots of points: those of the angles ``float32(atan2(y, x))``.
 
-        NumPy's arctan2 is several times as fast in float32, but some ulp off. That decides for all points but those
-        close to an edge of a beam.
+        NumPy's arctan2 is a lot faster in float32, but some ulp off. That is good enough for all points but those
+        that seem to be close to an edge of a beam.
 
         Parameters
         ----------
         x, y
             (M,), float32, metres, not NaN.
+        out
+            (M,) intp, to return the result in.
+        scratch
+            Two of (M,), float32, to overwrite.
 
         Returns
         -------
         (M,) intp, 0 to N + 1.
         """
-        if x.size < _FEW_POINTS or self._doubt > 0.1:
+        if x.size < _FEW_POINTS or self._doubt >= _MUCH_DOUBT:
             return self.slots_of_angles(_angles(x, y))
-        # Moved up by the doubt: whatever may belong to another beam than its floor says has a small fraction.
-        quotients = self._approximate(x, y, 1, self._doubt)
-        floors = np.floor(quotients)
+        quotients, floors = scratch
+        np.arctan2(y, x, out=quotients)
+        quotients *= self._scale
+        quotients += self._shift
+        np.floor(quotients, out=floors)
         quotients -= floors
         doubtful = quotients < np.float32(2 * self._doubt)
         if not self.whole_circle:
-            # Below the sector is -1, which is the slot `outside` by its other name. angle_max may be anywhere in the
-            # last beam.
+            # Below the sector is -1: by its other name, the last slot, outside. Where the last beam ends is not known.
             np.clip(floors, -1, self.outside, out=floors)
             doubtful |= floors == self.beams - 1
-        slots = floors.astype(np.intp)
+        np.copyto(out, floors, casting="unsafe")
         if not self.whole_circle:
-            slots[slots < 0] = self.outside
+            out[out < 0] = self.outside
         again = np.flatnonzero(doubtful)
         if again.size:
-            slots[again] = self.slots_of_angles(_angles(x.take(again), y.take(again)))
-        return slots
-
-    def divisible(self, parts: int) -> bool:
-        """Whether beams are wide enough for `cells_of_points` to be right: off by less than half a cell."""
-        return 4 * parts * self._doubt < 1
-
-    def cells_of_points(self, x: NDArray[np.float32], y: NDArray[np.float32], parts: int) -> NDArray[np.intp]:
-        """Cells of points: a coarse answer that is quick, and right about what it says.
-
-        Around each edge ``i`` of a beam, 0 to N, there is a cell ``1 + i * parts`` of a width of ``1 / parts`` beam,
-        and between two of them ``parts - 1`` more. What is inside such a cell, in truth, is no farther than
-        half a width from where it seems to be: a point whose cell lies between two edges belongs to the beam there,
-        a point in an edge's cell to one of the two beams that meet. Cells up to 0, and from ``2 + N * parts`` on,
-        are outside the sector.
-
-        Parameters
-        ----------
-        x, y
-            (M,), float32, metres. NaN may get any cell.
-        parts
-            Cells for each beam, see `divisible`.
-
-        Returns
-        -------
-        (M,) intp.
-        """
-        # 1 for the cell of edge 0, 0.5 to round.
-        return self._approximate(x, y, parts, 1.5 / parts).astype(np.intp)
-
-    def _approximate(
-        self, x: NDArray[np.float32], y: NDArray[np.float32], parts: int, ahead: float
-    ) -> NDArray[np.float32]:
-        """``parts * ((angle - angle_min) / angle_increment + ahead)`` in float32."""
-        quotients = np.arctan2(y, x)
-        quotients *= np.float32(parts * self._scale)
-        quotients += np.float32(parts * (self._shift + ahead))
-        return quotients
+            out[again] = self.slots_of_angles(_angles(x.take(again), y.take(again)))
+        return out
 
 
 def _angles(x: NDArray[np.float32], y: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Angles as libm's atan2f rounds them: float64 is off by so little that the rounding hides it."""
+    """Angles as libm's atan2f rounds them: what float64 is off by is lost in the rounding."""
     return np.arctan2(y, x, dtype=np.float64).astype(np.float32)

@@ -14,6 +14,7 @@ The others lower the range of their beam to their own. Heights and ranges are co
 from __future__ import annotations
 
 import math
+import threading
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -96,7 +97,7 @@ class ProjectedScan:
 
 
 class Projector:
-    """The projection with given parameters. It keeps nothing from call to call: threads may share one.
+    """The projection with given parameters. Threads may share one.
 
     Parameters
     ----------
@@ -104,12 +105,12 @@ class Projector:
         The projection's parameters; ``target_frame`` is the caller's business.
     """
 
-    __slots__ = ("grid", "limits", "params")
+    __slots__ = ("_grid", "_limits", "params")
 
     def __init__(self, params: ProjectionParams) -> None:
         self.params = params
-        self.grid = Grid(params)
-        self.limits = _Limits(params)
+        self._grid = Grid(params)
+        self._limits = _Limits(params)
 
     def __call__(
         self,
@@ -137,139 +138,275 @@ class Projector:
         Raises
         ------
         ValueError
-            If the shapes differ, or have more than two dimensions.
+            If the shapes differ, or have not one or two dimensions.
         """
         if not (x.shape == y.shape == z.shape and 1 <= x.ndim <= 2):
-            raise ValueError(f"x, y and z have the shapes {x.shape}, {y.shape} and {z.shape}, expected one of (M,) or (H, W)")
-        cloud = _Cloud(self.grid, self.limits, x.size)
+            raise ValueError(
+                f"x, y and z have the shapes {x.shape}, {y.shape} and {z.shape}, expected the same (M,) or (H, W)"
+            )
+        cloud = _Cloud(self._grid, self._limits, x.size)
         with np.errstate(all="ignore"):
-            for block in _blocks(x, y, z, target_from_source):
-                cloud.add(*block)
+            for tile in _tiles(x.shape):
+                cloud.add(x[tile], y[tile], z[tile], target_from_source)
             return cloud.scan()
 
 
-class _Limits:
-    """What coordinates are compared with.
+def project(points: ArrayLike, params: ProjectionParams | None = None) -> ProjectedScan:
+    """Project a cloud to a scan, as pointcloud_to_laserscan does it.
 
-    A float32 is within float64 limits exactly if it is within the float32 numbers next to them on the inner
-    side, for there are no others in between. And a range, the root of a square rounded twice, does not fall when
-    the square grows: so there is a smallest square with a range of ``range_min``, and a largest one with
-    ``range_max``.
+    Parameters
+    ----------
+    points
+        (M, 3) or (H, W, 3), integers or floats: x, y and z in metres, in the scan's frame. They are rounded to float32,
+        which is what upstream reads. NaN drops a point; infinite coordinates are stopped only by the limits.
+    params
+        The projection's parameters, upstream's defaults if None. Those **drop everything at or below z = 0**.
+
+    Returns
+    -------
+    ProjectedScan
+        The smallest range of each beam, and where the points went.
+
+    Raises
+    ------
+    ValueError
+        If ``points`` has another shape.
+    TypeError
+        If ``points`` are not real numbers.
+
+    Examples
+    --------
+    >>> from pc2scan import ProjectionParams, project
+    >>> scan = project([[2.0, 0.1, 0.3], [1.0, 0.1, 0.9]], ProjectionParams(max_height=0.5))
+    >>> float(scan.ranges.min()), scan.counts.used, scan.counts.height
+    (2.0024983882904053, 1, 1)
+    """
+    array = np.asarray(points)
+    if array.ndim not in {2, 3} or array.shape[-1] != 3:
+        raise ValueError(f"points have the shape {array.shape}, expected (M, 3) or (H, W, 3)")
+    if array.dtype.kind not in "biuf":
+        raise TypeError(f"points are of type {array.dtype}, expected integers or floats")
+    projector = Projector(ProjectionParams() if params is None else params)
+    return projector(array[..., 0], array[..., 1], array[..., 2])
+
+
+class _Limits:
+    """What the coordinates are compared with.
+
+    A float32 is within float64 limits exactly if it is within the float32 next to them on the inner side, for
+    there is none in between. And a range, the root of a square rounded twice, does not fall when the square grows:
+    there is a smallest square whose range reaches ``range_min``, and a largest one within ``range_max``.
     """
 
     __slots__ = ("highest", "least", "lowest", "most", "no_return")
 
     def __init__(self, params: ProjectionParams) -> None:
         self.lowest = _first_from(params.min_height)
-        self.highest = _last_to(params.max_height)
-        with np.errstate(over="ignore"):
-            self.least = _first_square(_first_from(params.range_min))
-            beyond = np.nextafter(_last_to(params.range_max), np.float32(np.inf))
-            self.most = np.inf if params.range_max == np.inf else np.nextafter(_first_square(beyond), -np.inf)
+        self.highest = -_first_from(-params.max_height)
+        self.least = _first_square(_first_from(params.range_min))
+        self.most = math.inf
+        if params.range_max < math.inf:
+            beyond = np.nextafter(-_first_from(-params.range_max), np.float32(np.inf))
+            self.most = math.nextafter(_first_square(beyond), -math.inf)
         self.no_return = np.float32(params.no_return)
 
 
 def _first_from(limit: float) -> np.float32:
     """The smallest float32 that is not below a limit."""
-    rounded = np.float32(float32(limit))
-    return rounded if rounded >= np.float64(limit) else np.nextafter(rounded, np.float32(np.inf))
+    nearest = np.float32(float32(limit))
+    return nearest if float(nearest) >= limit else np.nextafter(nearest, np.float32(np.inf))
 
 
-def _last_to(limit: float) -> np.float32:
-    """The largest float32 that is not above a limit."""
-    return -_first_from(-limit)
+def _first_square(limit: np.float32) -> float:
+    """The smallest float64, from 0 on, whose root is not below a limit once it is rounded to float32.
 
-
-def _first_square(limit: np.float32) -> np.float64:
-    """The smallest float64 whose root, rounded to float32, is not below a limit; 0 for limits below 0.
-
-    Bisects the bit patterns, which positive floats are in the order of.
+    Bisects bit patterns: those of positive floats are in the order of their values.
     """
     below, enough = -1, int(np.float64(np.inf).view(np.int64))
     while enough - below > 1:
         middle = (below + enough) // 2
-        if np.sqrt(np.int64(middle).view(np.float64)).astype(np.float32) >= limit:
+        if float32(math.sqrt(np.int64(middle).view(np.float64))) >= limit:
             enough = middle
         else:
             below = middle
-    return np.int64(enough).view(np.float64)
+    return float(np.int64(enough).view(np.float64))
+
+
+def _tiles(shape: tuple[int, ...]) -> Iterator[tuple[slice, ...]]:
+    """Parts of a cloud of about `BLOCK` points: whole rows, or equal parts of one row where rows are long."""
+    *rows, columns = shape
+    parts = max(1, math.ceil(columns / BLOCK))
+    width = max(1, math.ceil(columns / parts))
+    height = max(1, BLOCK // width)
+    for top in range(0, rows[0] if rows else 1, height):
+        for left in range(0, columns, width):
+            across = slice(left, left + width)
+            yield (slice(top, top + height), across) if rows else (across,)
+
+
+class _Scratch:
+    """Arrays for what is computed from a block, of one length, and used again for block after block.
+
+    Fresh memory is no alternative: the allocator hands blocks of this size back to the system, and each of their pages
+    has to be faulted in again.
+    """
+
+    __slots__ = ("_shorter", "arrays", "coordinates", "doubles", "masks", "singles", "size", "slots")
+
+    def __init__(self, singles, doubles, masks, slots) -> None:
+        self.arrays = singles, doubles, masks, slots
+        self.size = singles.shape[1]
+        self.coordinates = singles[:3]
+        self.singles = tuple(singles)
+        self.doubles = tuple(doubles)
+        self.masks = tuple(masks)
+        self.slots = slots
+        self._shorter: _Scratch | None = None
+
+    @classmethod
+    def of_size(cls, size: int) -> _Scratch:
+        return cls(
+            np.empty((6, size), np.float32),
+            np.empty((2, size)),
+            np.empty((2, size), np.bool_),
+            np.empty(size, np.intp),
+        )
+
+    def cut(self, size: int) -> _Scratch:
+        """The same arrays up to a length."""
+        if size == self.size:
+            return self
+        if self._shorter is None or self._shorter.size != size:
+            self._shorter = _Scratch(*(array[..., :size] for array in self.arrays))
+        return self._shorter
+
+
+class _PerThread(threading.local):
+    """Scratch arrays of a thread."""
+
+    scratch: _Scratch | None = None
+
+    def of_size(self, size: int) -> _Scratch:
+        if self.scratch is None or self.scratch.size < size:
+            self.scratch = _Scratch.of_size(max(size, BLOCK))
+        return self.scratch.cut(size)
+
+
+_PER_THREAD = _PerThread()
 
 
 class _Cloud:
-    """A cloud on its way into a scan: the smallest range of each slot so far, and the counts.
+    """A cloud on its way into a scan: the smallest range of each slot so far, and the counts."""
 
-    Points pass three stages, each cheaper for a point than the next one: the heights; if it pays, a filter that
-    knows which points cannot change the scan; the rule itself.
-    """
+    __slots__ = (
+        "_angle",
+        "_grid",
+        "_height",
+        "_limits",
+        "_nan",
+        "_past_end",
+        "_range",
+        "_smallest",
+        "_squared",
+        "_total",
+    )
 
     def __init__(self, grid: Grid, limits: _Limits, total: int) -> None:
         self._grid = grid
         self._limits = limits
         self._total = total
+        self._nan = self._height = self._range = self._angle = self._past_end = 0
         # Squares are compared, which saves the points' roots, unless there are more beams than points.
         self._squared = total > grid.beams
-        self._smallest = (
-            np.full(grid.slots, np.inf) if self._squared else np.full(grid.slots, limits.no_return, np.float32)
-        )
-        self._nan = self._height = self._range = self._angle = self._past_end = 0
+        if self._squared:
+            self._smallest = np.full(grid.slots, np.inf)
+        else:
+            self._smallest = np.full(grid.slots, limits.no_return, np.float32)
+            self._smallest[grid.beams :] = np.inf
 
-    def add(self, x: NDArray[np.float32], y: NDArray[np.float32], z: NDArray[np.float32]) -> None:
-        """Take a block of points, (M,) each."""
-        level = z >= self._limits.lowest
-        level &= z <= self._limits.highest
-        if np.count_nonzero(level) < z.size:
-            nan = np.isnan(x)
-            nan |= np.isnan(y)
-            nan |= np.isnan(z)
+    def add(self, x, y, z, target_from_source) -> None:
+        """Take a block of points."""
+        size = x.size
+        scratch = _PER_THREAD.of_size(size)
+        xs, ys, zs = scratch.singles[:3]
+        if target_from_source is None:
+            for array, part in ((xs, x), (ys, y), (zs, z)):
+                np.copyto(array.reshape(part.shape) if part.ndim > 1 else array, part, casting="unsafe")
+        else:
+            _transform(x, y, z, target_from_source, scratch)
+
+        level, mask = scratch.masks
+        np.greater_equal(zs, self._limits.lowest, out=level)
+        np.less_equal(zs, self._limits.highest, out=mask)
+        level &= mask
+        if np.count_nonzero(level) < size:
+            nan = np.isnan(xs, out=mask)
+            nan |= np.isnan(ys)
+            nan |= np.isnan(zs)
             nans = np.count_nonzero(nan)
-            np.greater(level, nan, out=level)
-            kept = np.flatnonzero(level)
+            kept = np.flatnonzero(np.greater(level, nan, out=level))
             self._nan += nans
-            self._height += z.size - nans - kept.size
-            x, y = x.take(kept), y.take(kept)
-        self._project(x, y)
+            self._height += size - nans - kept.size
+            scratch = scratch.cut(kept.size)
+            xs = xs.take(kept, out=scratch.singles[3], mode="clip")
+            ys = ys.take(kept, out=scratch.singles[4], mode="clip")
+        self._project(xs, ys, scratch)
 
-    def _project(self, x: NDArray[np.float32], y: NDArray[np.float32]) -> None:
-        """Upstream's rule."""
-        grid, limits = self._grid, self._limits
+    def _project(self, x: NDArray[np.float32], y: NDArray[np.float32], scratch: _Scratch) -> None:
+        """Take points that passed the heights; their coordinates are in the scratch, or not."""
+        limits = self._limits
         # float64 holds the product of two float32 exactly: this is how libm's hypotf computes a range.
-        squares = x.astype(np.float64)
+        squares, more = scratch.doubles
+        np.copyto(squares, x)
         squares *= squares
-        more = y.astype(np.float64)
+        np.copyto(more, y)
         more *= more
         squares += more
-        near = squares <= limits.most
+        near, mask = scratch.masks
+        np.less_equal(squares, limits.most, out=near)
         if limits.least > 0:
-            near &= squares >= limits.least
+            near &= np.greater_equal(squares, limits.least, out=mask)
         if np.count_nonzero(near) < x.size:
-            nans = np.count_nonzero(np.isnan(squares))
+            nans = np.count_nonzero(np.isnan(squares, out=mask))
             kept = np.flatnonzero(near)
             self._nan += nans
             self._range += x.size - nans - kept.size
-            x, y, squares = x.take(kept), y.take(kept), squares.take(kept)
-        slots = grid.slots_of_points(x, y)
-        values = squares if self._squared else np.sqrt(squares).astype(np.float32)
-        if RUNS and 8*np.count_nonzero(slots[1:1025]!=slots[:1024][:slots.size-1])<min(slots.size,1024):
-            starts = np.flatnonzero(slots[1:] != slots[:-1])
-            starts += 1
-            starts = np.concatenate(([0], starts))
-            values = np.minimum.reduceat(values, starts)
-            np.minimum.at(self._smallest, slots.take(starts), values)
+            scratch = scratch.cut(kept.size)
+            x = x.take(kept, out=scratch.singles[0], mode="clip")
+            y = y.take(kept, out=scratch.singles[1], mode="clip")
+            squares = squares.take(kept, out=scratch.doubles[1], mode="clip")
+        slots = self._grid.slots_of_points(x, y, scratch.slots, (scratch.singles[2], scratch.singles[5]))
+        ranges = squares
+        if not self._squared:
+            ranges = scratch.singles[5]
+            np.copyto(ranges, np.sqrt(squares, out=squares), casting="same_kind")
+        self._lower(slots, ranges)
+
+    def _lower(self, slots, ranges) -> None:
+        smallest = self._smallest
+        # Lowering the same beam again and again waits for itself: where neighbours share a beam, each run does it once.
+        probe = slots[:_PROBE]
+        if probe.size==_PROBE and np.count_nonzero(probe[1:] != probe[:-1]) * 8 < _PROBE:
+            starts = np.flatnonzero(np.concatenate(([True], slots[1:] != slots[:-1])))
+            np.minimum.at(smallest, slots.take(starts), np.minimum.reduceat(ranges, starts))
         else:
-            np.minimum.at(self._smallest, slots, values)
-        if self._smallest[grid.outside]<np.inf:
-            self._angle += np.count_nonzero(slots == grid.outside)
-            self._smallest[grid.outside]=np.inf
-        if self._smallest[grid.past_end]<np.inf:
-            self._past_end += np.count_nonzero(slots == grid.past_end)
-            self._smallest[grid.past_end]=np.inf
+            np.minimum.at(smallest, slots, ranges)
+        grid = self._grid
+        self._angle += self._fell_into(grid.outside, slots)
+        self._past_end += self._fell_into(grid.past_end, slots)
+
+    def _fell_into(self, slot, slots):
+        if self._limits.most < math.inf:
+            if self._smallest[slot] == math.inf: return 0
+            self._smallest[slot] = math.inf
+        return np.count_nonzero(slots == slot)
 
     def scan(self) -> ProjectedScan:
         """The scan of the blocks so far."""
         ranges = self._smallest[: self._grid.beams]
         if self._squared:
             # Upstream's beams begin with what they read without a return, and a return has to be below that.
-            ranges = np.minimum(np.sqrt(ranges).astype(np.float32), self._limits.no_return)
+            ranges = np.minimum(np.sqrt(ranges, out=ranges).astype(np.float32), self._limits.no_return)
         rejected = self._nan + self._height + self._range + self._angle + self._past_end
         return ProjectedScan(
             ranges,
@@ -283,19 +420,5 @@ class _Cloud:
                 self._past_end,
             ),
         )
-
-
-def _blocks(x, y, z, target_from_source):
-    for tile in _tiles(x.shape):
-        yield [part[tile].astype(np.float32, order="C", copy=False).reshape(-1) for part in (x, y, z)]
-
-def _tiles(shape):
-    for i in range(0,shape[0],BLOCK): yield slice(i,i+BLOCK)
-
-_SAMPLE = 7
-_PARTS = 4
-_POINTS_PER_BEAM = 64
-_SLACK = 2.0**-21
-_TINY = 1e-37
-
+_PROBE=512
 RUNS=True

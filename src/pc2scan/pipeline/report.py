@@ -50,7 +50,7 @@ class TopicReport:
     target
         Where it went: the scan's topic if converted, its own if it passed through, None if it was left out.
     action
-        ``converted``, ``passed``, ``re-encoded`` or ``left out``.
+        ``converted``, ``passed``, ``re-encoded``, ``left out``, or ``added`` (transforms given by the user).
     note
         Why it was left out, or what is worth knowing; empty otherwise.
     messages_in, messages_out, skipped

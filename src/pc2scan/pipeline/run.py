@@ -24,11 +24,12 @@ from pc2scan.bags.model import Connection, RawMessage, Reader, Writer
 from pc2scan.bags.staging import staged
 from pc2scan.errors import MessageError, UsageError
 from pc2scan.messages.definitions import definition
+from pc2scan.messages.tfmessage import encode_transforms
 from pc2scan.messages.transcode import DEFAULT_DISTRO, LATCHED_QOS, defined, transcoder
 
 from .conversion import CloudToScan, Conversion, Converted, ScanToCloud
-from .frames import Frames, is_static, read_transforms
-from .options import ConvertOptions, TimeBound
+from .frames import FrameOptions, Frames, is_static, read_transforms
+from .options import ConvertOptions
 from .ordered import map_in_order
 from .plan import Route, make_plan
 from .report import Report, Skipped, TopicReport
@@ -133,7 +134,10 @@ def run(
                 lanes = _lanes(plan.routes, conversion, target, options, writer, report)
                 if not options.only_scans:
                     _carry_extras(reader, target, writer, report)
-                _stream(reader, lanes, options, writer, report, progress)
+                span = _span(reader, options)
+                if options.frames.write_static:
+                    _write_static(options.frames, span.first_ns, target, writer, report)
+                _stream(reader, lanes, options, span, writer, report, progress)
                 writer.finish()
             except BaseException:
                 writer.abort()
@@ -304,6 +308,7 @@ def _stream(
     reader: Reader,
     lanes: Mapping[int, _Lane],
     options: ConvertOptions,
+    span: _Span,
     writer: Writer,
     report: Report,
     progress: Progress | None,
@@ -313,7 +318,7 @@ def _stream(
     jobs = options.jobs or _cores()
     outcomes = map_in_order(
         _work,
-        ((lanes[message.connection.id], message) for message in _cut(reader, lanes, options)),
+        ((lanes[message.connection.id], message) for message in _cut(reader, lanes, span)),
         is_heavy=lambda item: item[0].convert is not None or item[0].encode is not None,
         jobs=jobs,
         window=options.params.queue_size or 2 * jobs,
@@ -331,28 +336,63 @@ def _cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _cut(reader: Reader, lanes: Mapping[int, _Lane], options: ConvertOptions) -> Iterator[RawMessage]:
-    """The wanted messages between start and end, after the latched ones from before the start."""
-    wanted = [lane.connection for lane in lanes.values()]
-    if options.start is None and options.end is None:
-        return reader.messages(wanted)
+class _Span(NamedTuple):
+    """The cut in log times: ``start_ns <= t < stop_ns`` (None: no limit), and the first time that matters."""
+
+    start_ns: int | None
+    stop_ns: int | None
+    first_ns: int
+
+
+def _span(reader: Reader, options: ConvertOptions) -> _Span:
+    """Resolve the cut against the recording's beginning."""
     beginning = reader.summary.start_ns
     if beginning is None:
         first = next(reader.messages(), None)
         beginning = first.log_time_ns if first is not None else 0
-
-    def resolved(bound: TimeBound | None) -> int | None:
-        return None if bound is None else bound.resolve(beginning)
-
-    start, stop = resolved(options.start), resolved(options.end)
+    start = None if options.start is None else options.start.resolve(beginning)
+    stop = None if options.end is None else options.end.resolve(beginning)
     if start is not None and stop is not None and start >= stop:
         raise UsageError("the cut is empty: start is not before end")
+    return _Span(start, stop, beginning if start is None else max(start, beginning))
+
+
+def _cut(reader: Reader, lanes: Mapping[int, _Lane], span: _Span) -> Iterator[RawMessage]:
+    """The wanted messages of the cut, after the latched ones from before it."""
+    wanted = [lane.connection for lane in lanes.values()]
+    start, stop = span.start_ns, span.stop_ns
     messages = reader.messages(wanted, start, stop)
     lasting = [c for c in wanted if c.latching or is_static(c.topic)]
     if start is None or not lasting:
         return messages
-    until = start if stop is None else min(start, stop)
-    return chain(reader.messages(lasting, None, until), messages)
+    return chain(reader.messages(lasting, None, start), messages)
+
+
+def _write_static(
+    frames: FrameOptions, log_time_ns: int, target: Destination, writer: Writer, report: Report
+) -> None:
+    """Write the added transforms as one more latched publisher of /tf_static."""
+    msgtype = "tf2_msgs/msg/TFMessage"
+    text, digest = definition(msgtype, target.generation)
+    serialization = "ros1" if target.generation == 1 else "cdr"
+    handle = writer.add_connection(
+        Connection(
+            id=0,
+            topic="/tf_static",
+            msgtype=msgtype,
+            serialization=serialization,
+            definition=text,
+            digest=digest,
+            callerid="/pc2scan" if target.generation == 1 else None,
+            latching=True,
+            qos=LATCHED_QOS if target.generation == 2 else "",
+        )
+    )
+    rows = [transform.row(log_time_ns) for transform in frames.static]
+    writer.write(handle, log_time_ns, encode_transforms(rows, serialization), log_time_ns)
+    report.topics.append(
+        TopicReport("/tf_static", msgtype, "/tf_static", "added", "from --static-tf", messages_out=1)
+    )
 
 
 def _work(item: tuple[_Lane, RawMessage]) -> _Outcome:

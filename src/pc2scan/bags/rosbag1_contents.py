@@ -1,0 +1,156 @@
+"""What a ROS 1 bag holds: its connections and chunks, from its index."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from pc2scan.errors import RecordingError
+
+from .rosbag1_chunks import payload, records_in
+from .rosbag1_records import (
+    BAG_HEADER,
+    CHUNK,
+    CHUNK_INFO,
+    COMPRESSIONS,
+    CONNECTION,
+    DAMAGED,
+    FIRST_LINE,
+    MESSAGE,
+    REINDEX,
+    Damaged,
+    field_of,
+    kind_of,
+    parsed_connection,
+    text_of,
+    time_field,
+    uint32_field,
+    uint64_field,
+)
+from .segments import Segment
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from .model import Connection
+    from .rosbag1_records import BagFile
+
+__all__ = ["Contents", "read_index"]
+
+
+@dataclass(frozen=True, slots=True)
+class Contents:
+    """What a bag holds, whichever way it was found out."""
+
+    connections: dict[int, Connection]
+    segments: list[Segment]
+
+
+def read_index(file: BagFile) -> Contents:
+    """Find out what a bag holds from its index."""
+    position, connection_count, chunk_count = _read_bag_header(file)
+    connections: dict[int, Connection] = {}
+    for _ in range(connection_count):
+        fields, start, position = file.record(position, CONNECTION)
+        connection = parsed_connection(fields, file.body(start, position))
+        connections.setdefault(connection.id, connection)
+
+    counts = dict.fromkeys(connections, 0)
+    located = []
+    # Most chunks have the same connections: one set serves them all.
+    sets: dict[frozenset[int], frozenset[int]] = {}
+    for _ in range(chunk_count):
+        fields, start, position = file.record(position, CHUNK_INFO)
+        if (version := uint32_field(fields, "ver")) != 1:
+            raise Damaged(f"a chunk info has version {version}, only 1 can be read")
+        entries = uint32_field(fields, "count")
+        if 8 * entries > position - start:
+            raise Damaged(f"a chunk info of {position - start} bytes declares {entries} counts of 8 bytes")
+        numbers = struct.unpack(f"<{2 * entries}I", file.body(start, start + 8 * entries))
+        for identity, count in zip(numbers[::2], numbers[1::2], strict=True):
+            counts[identity] = counts.get(identity, 0) + count
+        ids = frozenset(numbers[::2])
+        if ids:
+            place = uint64_field(fields, "chunk_pos")
+            times = (time_field(fields, "start_time"), time_field(fields, "end_time"))
+            located.append((place, *times, sets.setdefault(ids, ids)))
+
+    segments = []
+    for place, start_ns, end_ns, ids in located:
+        segment = replace(_segment(file, place), start_ns=start_ns, end_ns=end_ns, connection_ids=ids)
+        # Times that cannot be, and zeros of a recorder that did not know, are found out by looking.
+        known = segment if start_ns <= end_ns and end_ns else _with_times(file, segment)
+        if known:
+            segments.append(known)
+    connections.update(_find_connections(file, segments, set(counts) - set(connections)))
+    return Contents(
+        {key: replace(connection, message_count=counts[key]) for key, connection in connections.items()},
+        segments,
+    )
+
+
+def _read_bag_header(file: BagFile) -> tuple[int, int, int]:
+    """Read where the index is, and how many connections and chunks it holds."""
+    first = file.head(len(FIRST_LINE))
+    if first != FIRST_LINE:
+        if first.startswith((b"#ROSBAG V1", b"#ROSRECORD")):
+            raise RecordingError(
+                f"begins with {first!r}, only bags of format 2.0 can be read",
+                path=file.path,
+                hint="Rewrite it with ROS 1: rosbag fix OLD.bag NEW.bag",
+            )
+        raise RecordingError(
+            f"begins with {first!r}, a ROS 1 bag begins with {FIRST_LINE!r}", path=file.path, hint=DAMAGED
+        )
+    fields, _, _ = file.record(len(FIRST_LINE), BAG_HEADER)
+    if encryptor := text_of(fields.get(b"encryptor", b"")):
+        raise RecordingError(
+            f"is encrypted ({encryptor}), only bags that are not can be read",
+            path=file.path,
+            hint="Decrypt it with ROS 1: rosbag decrypt FILE",
+        )
+    index_pos = uint64_field(fields, "index_pos")
+    if index_pos == 0:
+        raise RecordingError("has no index: index_pos is 0", path=file.path, hint=REINDEX)
+    if index_pos > file.size:
+        raise Damaged(f"the index should be at byte {index_pos}, the file has {file.size} bytes")
+    return index_pos, uint32_field(fields, "conn_count"), uint32_field(fields, "chunk_count")
+
+
+def _segment(file: BagFile, chunk_pos: int) -> Segment:
+    """Make a segment of a chunk's record, as yet without times and connections."""
+    fields, start, stop = file.record(chunk_pos, CHUNK)
+    compression = text_of(field_of(fields, "compression"))
+    if compression not in COMPRESSIONS:
+        raise RecordingError(
+            f"the chunk at byte {chunk_pos} is compressed with {compression!r}, a ROS 1 bag knows "
+            f"{', '.join(COMPRESSIONS)}",
+            path=file.path,
+            hint="The bag is damaged or of a later format.",
+        )
+    size = uint32_field(fields, "size")
+    return Segment(start, stop - start, compression, size, crc=0, start_ns=0, end_ns=0)
+
+
+def _with_times(file: BagFile, segment: Segment) -> Segment | None:
+    """Find out a chunk's times by reading it; None if it has no messages."""
+    records = records_in(memoryview(payload(file, segment)))
+    stamps = [time_field(fields, "time") for fields, _ in records if kind_of(fields) == MESSAGE]
+    return replace(segment, start_ns=min(stamps), end_ns=max(stamps)) if stamps else None
+
+
+def _find_connections(
+    file: BagFile, segments: Sequence[Segment], missing: set[int]
+) -> Iterator[tuple[int, Connection]]:
+    """Look inside the chunks for connections that have messages and are not in the index."""
+    for segment in segments:
+        if not missing:
+            return
+        for fields, body in records_in(memoryview(payload(file, segment))):
+            if kind_of(fields) == CONNECTION and uint32_field(fields, "conn") in missing:
+                connection = parsed_connection(fields, body)
+                missing.discard(connection.id)
+                yield connection.id, connection
+    if missing:
+        raise Damaged(f"connection {min(missing)} has messages and is described nowhere")

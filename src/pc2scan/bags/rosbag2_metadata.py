@@ -1,0 +1,223 @@
+"""rosbag2's metadata.yaml, and the storage files that it is about.
+
+Versions of metadata.yaml (source: rosbag2_storage/yaml.hpp and bag_metadata.hpp):
+
+========  ==============================================================================
+version   what it added
+========  ==============================================================================
+1, 2      the beginning; paths are prefixed with the directory's name
+3         ``compression_format`` and ``compression_mode``
+4         ``offered_qos_profiles`` (YAML in a string, enumerations as numbers)
+5         ``files``, with times and counts
+6         ``custom_data``
+7         ``type_description_hash``
+8         ``ros_distro``
+9         ``offered_qos_profiles`` as a list, enumerations by name
+========  ==============================================================================
+
+Reading takes keys where they are, whatever the version says.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from dataclasses import dataclass, field
+from pathlib import Path, PureWindowsPath
+from typing import TYPE_CHECKING, Any
+
+from pc2scan.errors import RecordingError
+
+from . import zstd
+from .model import Connection
+from .qos import latches
+from .yaml import dump_yaml, load_yaml
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+__all__ = [
+    "METADATA_NAME",
+    "NEWEST_VERSION",
+    "RECORD_NAME",
+    "ROOT",
+    "BagInfo",
+    "located_file",
+    "read_info",
+    "storage_files",
+]
+
+METADATA_NAME = "metadata.yaml"
+
+#: The name of the MCAP metadata record in which rosbag2 repeats metadata.yaml.
+RECORD_NAME = "rosbag2"
+
+ROOT = "rosbag2_bagfile_information"
+NEWEST_VERSION = 9
+_SUFFIXES = {".db3": "sqlite3", ".mcap": "mcap"}
+
+_WITHOUT_METADATA = f"move {METADATA_NAME} away to have the files beside it read without it"
+
+
+@dataclass(frozen=True, slots=True)
+class BagInfo:
+    """What metadata.yaml says, as far as it matters. ``topics`` are connections with ids from 1 on."""
+
+    storage: str
+    files: tuple[str, ...]
+    message_compression: str = "none"
+    topics: tuple[Connection, ...] = ()
+    custom_data: Mapping[str, str] = field(default_factory=dict)
+
+
+def read_info(folder: Path) -> BagInfo:
+    """Read metadata.yaml, or find out what matters from the files where there is none.
+
+    Raises
+    ------
+    RecordingError
+        If it cannot be read or understood, or there is no recording.
+    """
+    path = folder / METADATA_NAME
+    try:
+        if not os.path.lexists(path):
+            return _guessed_info(folder)
+        text = path.read_text("utf-8")
+    except UnicodeDecodeError as err:
+        raise RecordingError(f"is not UTF-8: {err.reason}", path=path, hint=_WITHOUT_METADATA) from err
+    except OSError as err:
+        raise RecordingError(f"cannot be read: {err.strerror}", path=Path(err.filename or path)) from err
+    try:
+        return _parsed_info(load_yaml(text))
+    except ValueError as err:
+        raise RecordingError(str(err), path=path, hint=_WITHOUT_METADATA) from err
+
+
+def storage_files(folder: Path) -> list[Path]:
+    """Files of a directory that are named like rosbag2's storages, in natural order: 2 comes before 10."""
+    found = [path for path in folder.iterdir() if path.is_file() and _storage_of(path.name) is not None]
+    return sorted(
+        found, key=lambda path: [int(part) if part.isdigit() else part for part in _parts(path.name)]
+    )
+
+
+def located_file(folder: Path, name: str) -> Path:
+    """Find a file that metadata.yaml names, or its like.
+
+    Files get packed and unpacked without metadata.yaml being told.
+
+    Raises
+    ------
+    RecordingError
+        If it is not in the directory.
+    """
+    plain = zstd.without_suffix(name)
+    for candidate in (name, plain, *(plain + suffix for suffix in zstd.SUFFIXES)):
+        if (folder / candidate).is_file():
+            return folder / candidate
+    raise RecordingError(
+        f"{METADATA_NAME} names {name}, which is not in the directory",
+        path=folder,
+        hint=f"copy the missing file, or move {METADATA_NAME} away to read the files that are there",
+    )
+
+
+def _storage_of(name: str) -> str | None:
+    return _SUFFIXES.get(Path(zstd.without_suffix(name)).suffix)
+
+
+def _parts(name: str) -> list[str]:
+    # Text and numbers take turns, so that only like is compared with like.
+    return re.split(r"(\d+)", name, flags=re.ASCII)
+
+
+def _guessed_info(folder: Path) -> BagInfo:
+    files = storage_files(folder)
+    storages = sorted({_storage_of(file.name) or "" for file in files})
+    if not files:
+        raise RecordingError(f"has neither {METADATA_NAME} nor .db3 or .mcap files", path=folder)
+    if len(storages) > 1:
+        raise RecordingError(
+            f"has {' and '.join(storages)} files, but no {METADATA_NAME} that tells which are the recording",
+            path=folder,
+            hint="name the files themselves",
+        )
+    return BagInfo(storages[0], tuple(file.name for file in files))
+
+
+def _parsed_info(document: Any) -> BagInfo:
+    root = _get(document, ROOT, dict, "the file")
+    version = _get(root, "version", int, ROOT)
+    if not 1 <= version <= NEWEST_VERSION:
+        raise ValueError(f"has version {version}; 1 to {NEWEST_VERSION} are known")
+    storage = _get(root, "storage_identifier", str, ROOT)
+    if storage not in _SUFFIXES.values():
+        raise ValueError(f"has storage {storage!r}; {' and '.join(sorted(_SUFFIXES.values()))} can be read")
+    files = [_file_name(path) for path in _get(root, "relative_file_paths", list, ROOT)]
+    if not files:
+        raise ValueError("names no files")
+    return BagInfo(
+        storage=storage,
+        files=tuple(dict.fromkeys(files)),
+        message_compression=_message_compression(root),
+        topics=tuple(
+            _topic(number, entry)
+            for number, entry in enumerate(_get(root, "topics_with_message_count", list, ROOT, []), 1)
+        ),
+        custom_data={
+            str(key): str(value) for key, value in _get(root, "custom_data", dict, ROOT, {}).items()
+        },
+    )
+
+
+def _get(mapping: Any, key: str, kind: type, where: str, default: Any = None) -> Any:
+    """One value of a mapping, checked; absent or null gives the default, which None makes an error."""
+    value = mapping.get(key) if isinstance(mapping, dict) else None
+    if value is None and default is not None:
+        return default
+    if not isinstance(value, kind) or isinstance(value, bool):
+        found = "is missing" if value is None else f"is {value!r:.60}"
+        raise ValueError(f"{key} of {where} {found}, expected {_KINDS[kind]}")  # noqa: TRY004 - of a file
+    return value
+
+
+_KINDS = {dict: "a mapping", list: "a list", int: "an integer", str: "text"}
+
+
+def _file_name(path: Any) -> str:
+    """The last part of a path: what lies outside the directory is not part of the recording."""
+    name = PureWindowsPath(path).name if isinstance(path, str) else ""
+    if name in {"", ".."}:
+        raise ValueError(f"relative_file_paths names {path!r:.60}, expected a file")
+    return name
+
+
+def _message_compression(root: Any) -> str:
+    mode = _get(root, "compression_mode", str, ROOT, "").lower()
+    if mode in {"", "none", "storage"}:
+        return "none"
+    if mode not in {"file", "message"}:
+        raise ValueError(f"has compression_mode {mode!r}, expected none, file or message")
+    name = _get(root, "compression_format", str, ROOT, "").lower()
+    if name != "zstd":
+        raise ValueError(f"has compression_format {name!r}; only zstd can be read")
+    # Compressed files are recognised by their content.
+    return "zstd" if mode == "message" else "none"
+
+
+def _topic(number: int, entry: Any) -> Connection:
+    where = f"topic {number}"
+    topic = _get(entry, "topic_metadata", dict, where)
+    qos = topic.get("offered_qos_profiles") or ""
+    if not isinstance(qos, str):
+        qos = dump_yaml(qos)
+    return Connection(
+        id=number,
+        topic=_get(topic, "name", str, where),
+        msgtype=_get(topic, "type", str, where),
+        serialization=_get(topic, "serialization_format", str, where, "cdr"),
+        digest=_get(topic, "type_description_hash", str, where, ""),
+        latching=latches(qos),
+        qos=qos,
+        message_count=0,
+    )

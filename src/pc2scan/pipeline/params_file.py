@@ -1,0 +1,415 @@
+"""Parameter files: reading ROS 2's and ROS 1's, and writing ROS 2's."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, get_args
+
+from pc2scan.errors import ParameterError
+
+from .parameters import (
+    ALIASES,
+    PARAMETERS,
+    SCALAR_PARAMETERS,
+    TOPICS,
+    Direction,
+    Setting,
+    names_of,
+    shown,
+    unknown_parameter,
+)
+from .yaml_nodes import compose, is_empty, is_mapping, is_scalar, place_of, scalar_value
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterable, Iterator
+    from pathlib import Path
+
+    from pc2scan.core.params import ProjectionParams
+
+__all__ = ["ParamsFile", "load_params_file", "render_params_file"]
+
+#: A parameter file is a page of text. Whatever is larger was given by mistake.
+MAX_FILE_BYTES = 1_000_000
+
+#: Deeper nesting than any namespace has; it stops an alias that contains itself.
+MAX_DEPTH = 50
+
+#: Parameters that every ROS 2 node has.
+_EVERY_NODE = frozenset({"use_sim_time", "start_type_description_service", "qos_overrides"})
+
+
+@dataclass(frozen=True, slots=True)
+class ParamsFile:
+    """What `load_params_file` took from a file.
+
+    Attributes
+    ----------
+    direction
+        Told by the node's name, or for a renamed node by its parameters; None if neither tells.
+    settings
+        One for each parameter, in the order of the file.
+    node
+        Fully qualified name of the node (or the wildcard) whose section was taken; ``/`` for the
+        flat mapping of a ROS 1 file.
+    ignored
+        Origins of what was read and left aside: names of topics, wildcard parameters that are
+        another node's, a ``concurrency_level`` beside a ``queue_size``. Worth telling the user.
+    """
+
+    direction: Direction | None
+    settings: tuple[Setting, ...]
+    node: str
+    ignored: tuple[str, ...] = ()
+
+
+def load_params_file(path: Path, *, node: str | None = None) -> ParamsFile:
+    """Read a ROS 2 parameter file or a ROS 1 YAML.
+
+    A file with ``ros__parameters`` in it is ROS 2's: nodes by their names, with namespaces in the name or
+    around it, ``/**`` and ``/*`` as wildcards. Anything else is ROS 1's: parameters, flat or
+    below the name of the node, as ``rosparam load`` takes them, with ``deg(90)`` and ``rad(pi/2)``.
+
+    The section taken is that of ``node``; or else of the only node with ``pointcloud_to_laserscan`` or
+    ``laserscan_to_pointcloud`` in its name; or else the only section whose parameters are all upstream's.
+    Sections with wildcards that match the node too are merged below it: the specific beats the wildcard
+    (ROS 2 did so until Galactic; since Humble the later one in the file wins). What every ROS 2 node has
+    (``use_sim_time``, ``qos_overrides``) is left out.
+
+    Parameters
+    ----------
+    path
+        The file: UTF-8, at most 1 MB.
+    node
+        Name of the node whose section is wanted, with or without its namespace.
+
+    Returns
+    -------
+    ParamsFile
+        Names are checked and known; types and values are not, `resolve` does that.
+
+    Raises
+    ------
+    ParameterError
+        If the file cannot be read or is not YAML (with line and column), a key is there twice, no section
+        or several could be meant, a parameter is unknown to the node, or a value is not a scalar.
+    """
+    text = _read_text(path)
+    root = compose(text, str(path))
+    if root is None or is_empty(root):
+        raise ParameterError(f"{path}: the file is empty")
+    if not is_mapping(root):
+        found = "a list" if root.id == "sequence" else f"only the text {shown(root.value)}"
+        raise ParameterError(f"{path}: expected parameters as 'name: value', got {found}")
+    leaves = []
+    for leaf in _leaves(root, path, ()):
+        leaves.append(leaf)
+        if len(leaves) > len(text):  # impossible without aliases of aliases
+            raise ParameterError(f"{path}: its aliases multiply to more values than the file has characters")
+    ros1 = not any(_MARK in leaf.path for leaf in leaves)
+    sections = _ros1_sections(leaves) if ros1 else _ros2_sections(leaves, path)
+    target = _chosen(sections, node, path)
+    if ros1:
+        sections = _with_nested(sections, target)
+    return _merged(sections, target, ros1=ros1)
+
+
+def _read_text(path: Path) -> str:
+    try:
+        with path.open("rb") as file:
+            data = file.read(MAX_FILE_BYTES + 1)
+    except FileNotFoundError as err:
+        raise ParameterError(f"{path}: there is no such file") from err
+    except IsADirectoryError as err:
+        raise ParameterError(f"{path}: this is a directory, not a parameter file") from err
+    except OSError as err:
+        raise ParameterError(f"{path}: cannot be read: {err.strerror or err}") from err
+    if len(data) > MAX_FILE_BYTES:
+        raise ParameterError(
+            f"{path}: larger than {MAX_FILE_BYTES:,} bytes, which no parameter file is",
+            hint="Was a recording given as --params-file?",
+        )
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as err:
+        line = data.count(b"\n", 0, err.start) + 1
+        raise ParameterError(
+            f"{path}, line {line}: byte 0x{data[err.start]:02x} is not UTF-8 text",
+            hint="Save the file as UTF-8.",
+        ) from err
+
+
+_MARK = "ros__parameters"
+
+
+@dataclass(frozen=True, slots=True)
+class _Leaf:
+    """A value in the file: the keys above it, its YAML node, and for the user its place."""
+
+    path: tuple[str, ...]
+    node: Any
+    origin: str
+
+
+#: Parameters by name, for each node by its fully qualified name (or pattern).
+_Sections = dict[str, dict[str, _Leaf]]
+
+
+def _leaves(mapping: Any, file: Path, above: tuple[str, ...]) -> Iterator[_Leaf]:
+    """Every value below a mapping. Empty mappings count as values, and so does all that a parameter holds."""
+    if len(above) > MAX_DEPTH:
+        raise ParameterError(f"{file}, {place_of(mapping)}: nested more than {MAX_DEPTH} levels deep")
+    first_lines: dict[str, int] = {}
+    for key, value in mapping.value:
+        if not is_scalar(key):
+            raise ParameterError(f"{file}, {place_of(key)}: a name must be plain text")
+        name, line = str(key.value), key.start_mark.line + 1
+        if name in first_lines:
+            raise ParameterError(
+                f"{file}, {place_of(key)}: {name!r} is there twice, first in line {first_lines[name]}",
+                name=name,
+            )
+        first_lines[name] = line
+        keys = (*above, name)
+        if is_mapping(value) and value.value and name not in SCALAR_PARAMETERS:
+            yield from _leaves(value, file, keys)
+        else:
+            yield _Leaf(keys, value, f"{file}, line {line}, {'.'.join(keys)}")
+
+
+def _qualified(parts: Iterable[str]) -> str:
+    """Fully qualified name of a node from the keys that lead to it."""
+    return "/" + "/".join(token for part in parts for token in part.split("/") if token)
+
+
+def _ros2_sections(leaves: Iterable[_Leaf], file: Path) -> _Sections:
+    sections: _Sections = {}
+    for leaf in leaves:
+        if _MARK not in leaf.path:
+            if is_empty(leaf.node):
+                continue
+            raise ParameterError(
+                f"{leaf.path[-1]!r} is outside of any ros__parameters (from {leaf.origin})",
+                name=leaf.path[-1],
+                hint="In a ROS 2 file the parameters of a node are below 'node_name: ros__parameters:'.",
+            )
+        mark = leaf.path.index(_MARK)
+        section = sections.setdefault(_qualified(leaf.path[:mark]), {})
+        name = ".".join(leaf.path[mark + 1 :])
+        if name:
+            section[name] = leaf
+        elif not is_empty(leaf.node):
+            raise ParameterError(
+                f"{file}, {place_of(leaf.node)}: "
+                "expected parameters below ros__parameters, got a single value"
+            )
+    return sections
+
+
+def _ros1_sections(leaves: Iterable[_Leaf]) -> _Sections:
+    """ROS 1 makes no difference between ``a: {b: 1}`` and ``a/b: 1``; the last part is the parameter."""
+    sections: _Sections = {}
+    for leaf in leaves:
+        full = _qualified(key.removeprefix("~") for key in leaf.path)
+        above, _, name = full.rpartition("/")
+        if is_empty(leaf.node) and name not in SCALAR_PARAMETERS:
+            sections.setdefault(full, {})
+        else:
+            sections.setdefault(above or "/", {})[name] = leaf
+    return sections
+
+
+def _with_nested(sections: _Sections, target: str) -> _Sections:
+    """Add to a ROS 1 node what lies in namespaces below it: parameters too, by names with slashes."""
+    below = target.rstrip("/") + "/"
+    own = dict(sections[target])
+    for full, parameters in sections.items():
+        if full.startswith(below) and full != target:
+            inner = full.removeprefix(below)
+            own |= {f"{inner}/{name}": leaf for name, leaf in parameters.items()}
+    return {target: own}
+
+
+def _chosen(sections: _Sections, node: str | None, file: Path) -> str:
+    """Name of the node to take the parameters of: a key of ``sections``, or a name that wildcards match."""
+    if node is not None:
+        return _asked_for(sections, node, file)
+    named = _most_specific([full for full in sections if _direction_of(full)])
+    if len(named) == 1:
+        return named[0]
+    if named:
+        raise ParameterError(
+            f"{file}: several nodes could be meant: {', '.join(named)}",
+            hint=f"Choose one with --node, for example --node {named[0]}.",
+        )
+    own = {full: _own_names(parameters) for full, parameters in sections.items()}
+    upstreams = _most_specific([full for full, names in own.items() if _only_upstreams(names)])
+    if len(upstreams) == 1:
+        return upstreams[0]
+    # Alone in the file and partly right, it is the one that was meant; its unknown names are told later.
+    if len(own) == 1:
+        [(only, names)] = own.items()
+        if len(_foreign(names)) < len(names) or not names:
+            return only
+    raise ParameterError(
+        f"{file}: no section is named pointcloud_to_laserscan or laserscan_to_pointcloud, and "
+        f"{'several have' if upstreams else 'none has'} only their parameters; found {_listed(sections)}",
+        hint="Choose one with --node." if upstreams else None,
+    )
+
+
+def _asked_for(sections: _Sections, node: str, file: Path) -> str:
+    wanted = _qualified([node])
+    if wanted in sections:
+        return wanted
+    if "/" not in node:
+        ending = [full for full in sections if full.endswith(f"/{node}")]
+        literal = _most_specific(ending)
+        if len(literal) == 1:
+            return literal[0]
+        if literal:
+            raise ParameterError(
+                f"{file}: several nodes are named {node!r}: {', '.join(literal)}",
+                hint="Give --node the whole name, with its namespace.",
+            )
+    if any(_matches(pattern, wanted) for pattern in sections):
+        return wanted
+    raise ParameterError(
+        f"{file}: no section is for the node {node!r} (from --node); found {_listed(sections)}"
+    )
+
+
+def _listed(sections: Iterable[str]) -> str:
+    names = sorted(sections)
+    more = f" and {len(names) - 10} more" if len(names) > 10 else ""
+    return (", ".join(names[:10]) or "none") + more
+
+
+def _is_every_nodes(name: str) -> bool:
+    return name.partition(".")[0] in _EVERY_NODE
+
+
+def _own_names(parameters: Iterable[str]) -> list[str]:
+    return [name for name in parameters if not _is_every_nodes(name)]
+
+
+def _foreign(names: Iterable[str]) -> list[str]:
+    return [name for name in names if name not in SCALAR_PARAMETERS and name not in TOPICS]
+
+
+def _only_upstreams(names: Collection[str]) -> bool:
+    return not _foreign(names) and any(name in SCALAR_PARAMETERS for name in names)
+
+
+def _direction_of(full: str) -> Direction | None:
+    """The direction that a node's name tells, whatever stands before or after upstream's name."""
+    directions: tuple[Direction, ...] = get_args(Direction)
+    last = full.rpartition("/")[2]
+    return next((direction for direction in directions if direction in last), None)
+
+
+def _vagueness(pattern: str) -> tuple[int, int, int]:
+    """Sorts patterns: the less they say, the larger."""
+    tokens = pattern.split("/")
+    any_number, one = tokens.count("**"), tokens.count("*")
+    return any_number, one, any_number + one - len(tokens)
+
+
+def _matches(pattern: str, full: str) -> bool:
+    """Whether a section is for a node: ``*`` is one part of the name, ``**`` any number of them.
+
+    Source of the rule: ``parameter_map_from`` of rclcpp/src/rclcpp/parameter_map.cpp.
+    """
+    parts = {"*": "/[^/]+", "**": "(/[^/]+)*"}
+    expression = "".join(parts.get(token, "/" + re.escape(token)) for token in pattern.split("/")[1:])
+    return pattern == full or re.fullmatch(expression, full) is not None
+
+
+def _most_specific(patterns: Collection[str]) -> list[str]:
+    """The names without the wildcards that cover another of them."""
+    return [
+        one
+        for one in patterns
+        if not any(_vagueness(other) < _vagueness(one) and _matches(one, other) for other in patterns)
+    ]
+
+
+def _merged(sections: _Sections, target: str, *, ros1: bool) -> ParamsFile:
+    """Merge what is meant for a node, wildcards below, and check the names."""
+    # Stable, so that of two equally specific sections the later one wins, as in ROS 2.
+    applying = sorted((s for s in sections if _matches(s, target)), key=_vagueness, reverse=True)
+    direction = _direction_of(target)
+    if direction is None and any(
+        "laserscan_to_pointcloud" not in PARAMETERS[name].directions
+        for section in applying
+        for name in sections[section]
+        if name in PARAMETERS
+    ):
+        direction = "pointcloud_to_laserscan"
+    known = names_of(direction)
+    merged: dict[str, _Leaf] = {}
+    ignored: list[str] = []
+    for section in applying:
+        parameters = sections[section]
+        for written in _own_names(parameters):
+            leaf = parameters[written]
+            name = ALIASES.get(written, written)
+            if name in known and (name == written or name not in parameters):
+                merged[name] = leaf
+            elif written in TOPICS or name in known or section != applying[-1]:
+                ignored.append(leaf.origin)
+            else:
+                raise unknown_parameter(written, leaf.origin, direction)
+    settings = tuple(_file_setting(name, leaf, ros1=ros1) for name, leaf in merged.items())
+    return ParamsFile(direction, settings, target, tuple(ignored))
+
+
+def _file_setting(name: str, leaf: _Leaf, *, ros1: bool) -> Setting:
+    value = scalar_value(leaf.node, name, leaf.origin, ros1=ros1)
+    # roscpp takes 0 and 1 for a bool; rclcpp refuses them.
+    if ros1 and PARAMETERS[name].kind == "bool" and isinstance(value, int) and value in {0, 1}:
+        value = bool(value)
+    return Setting(name, value, leaf.origin)
+
+
+def render_params_file(params: ProjectionParams, *, direction: Direction = "pointcloud_to_laserscan") -> str:
+    """Write a ROS 2 parameter file that reproduces a run, here or with upstream's node.
+
+    Parameters
+    ----------
+    params
+        Every value is written out, except a ``queue_size`` of 0: for pc2scan and, left out, for
+        upstream it means the number of processor cores.
+    direction
+        Names the node, and leaves out what that node does not have.
+
+    Returns
+    -------
+    str
+        YAML that reads the same under YAML 1.1 and 1.2; floats keep every bit.
+    """
+    lines = [f"{direction}:", "  ros__parameters:"]
+    for name in names_of(direction):
+        value = getattr(params, name)
+        if name != "queue_size" or value:
+            unit = PARAMETERS[name].unit
+            lines.append(f"    {name}: {_rendered(value)}{f'  # {unit}' if unit else ''}")
+    return "\n".join(lines) + "\n"
+
+
+def _rendered(value: float | bool | str) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return f'"{"".join(map(_escaped, value))}"'
+    text = repr(value)
+    if "inf" in text:
+        return text.replace("inf", ".inf")
+    # Without a dot, YAML 1.1 reads 1e+300 as text.
+    return text.replace("e", ".0e") if "e" in text and "." not in text else text
+
+
+def _escaped(character: str) -> str:
+    if character in '"\\':
+        return f"\\{character}"
+    return character if character.isprintable() else f"\\U{ord(character):08x}"

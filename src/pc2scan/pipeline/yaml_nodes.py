@@ -1,0 +1,104 @@
+"""YAML as nodes that know their lines, and their scalars as ROS reads them."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+from pc2scan.errors import ParameterError
+
+from .parameters import expected_message
+from .ros_scalars import ANGLE, angle_value, plain_scalar, written_angle
+
+__all__ = ["compose", "is_empty", "is_mapping", "is_scalar", "place_of", "scalar_value"]
+
+_YAML_TAG = "tag:yaml.org,2002:"
+
+#: What YAML itself makes of plain text; every other tag was written by hand.
+_PLAIN_TAGS = frozenset(
+    _YAML_TAG + kind for kind in ("str", "int", "float", "bool", "null", "timestamp", "merge", "value")
+)
+
+_ROS1_ANGLE_TAGS = {"!degrees": "deg", "!radians": "rad"}
+
+
+def compose(text: str, place: str) -> Any:
+    """Parse YAML into ruamel's nodes, which know their lines; None for an empty document.
+
+    Nodes instead of values: aliases stay shared (no expansion), tags construct nothing, and scalars
+    are read by ROS's rules.
+    """
+    from ruamel.yaml import YAML  # noqa: PLC0415 - imported when a file or --param is given
+    from ruamel.yaml.error import YAMLError  # noqa: PLC0415
+
+    # ROS 2's parser takes tabs between tokens, ruamel does not; in indentation both refuse them.
+    spaced = re.sub(r"(?m)(?<=[^ \t\n])[ \t]*\t[ \t]*", lambda tabs: " " * len(tabs.group()), text)
+    yaml = YAML(typ="safe", pure=True)
+    # An anchor that is used again is legal, and no business of the user of one section.
+    yaml.composer.warn_double_anchors = False
+    try:
+        return yaml.compose(spaced)
+    except YAMLError as err:
+        problem = getattr(err, "problem", None) or getattr(err, "reason", None) or "a syntax error"
+        hint = "Indent with spaces, not with tabs." if r"'\t'" in str(problem) else None
+        message = f"{place}, {_yaml_position(err, spaced)}: not valid YAML: {problem}"
+        raise ParameterError(message, hint=hint) from err
+    except RecursionError as err:
+        raise ParameterError(f"{place}: nested too deeply") from err
+
+
+def _yaml_position(err: Exception, text: str) -> str:
+    """`line 3, column 5` of a YAML error: most carry a mark, unreadable characters only an index."""
+    mark = getattr(err, "problem_mark", None)
+    if mark is not None:
+        return f"line {mark.line + 1}, column {mark.column + 1}"
+    before = text[: getattr(err, "position", 0)]
+    return f"line {before.count(chr(10)) + 1}, column {len(before) - before.rfind(chr(10))}"
+
+
+def place_of(node: Any) -> str:
+    """``line 3, column 5`` of a node."""
+    return f"line {node.start_mark.line + 1}, column {node.start_mark.column + 1}"
+
+
+def is_mapping(node: Any) -> bool:
+    """Whether it is a mapping."""
+    return bool(node.id == "mapping")
+
+
+def is_scalar(node: Any) -> bool:
+    """Whether it is neither a mapping nor a list."""
+    return bool(node.id == "scalar")
+
+
+def is_empty(node: Any) -> bool:
+    """Whether nothing, or an empty mapping, was written."""
+    return (is_mapping(node) and not node.value) or (is_scalar(node) and not node.style and not node.value)
+
+
+def scalar_value(node: Any, name: str, origin: str, *, ros1: bool) -> object:
+    """Value of a scalar node.
+
+    Raises
+    ------
+    ParameterError
+        If it is a list or a mapping, or bears a tag that means more than plain text.
+    """
+    if not is_scalar(node):
+        found = "a mapping" if is_mapping(node) else "a list"
+        raise ParameterError(expected_message(name, found, origin), name=name)
+    if ros1 and node.tag in _ROS1_ANGLE_TAGS:
+        unit = _ROS1_ANGLE_TAGS[node.tag]
+        inner = ANGLE.fullmatch(node.value.strip())
+        try:
+            return angle_value(unit, inner[2] if inner else node.value)
+        except ValueError as err:
+            shown = f"{node.tag} {node.value}"
+            raise ParameterError(expected_message(name, shown, origin), name=name) from err
+    if node.tag not in _PLAIN_TAGS:
+        tag = node.tag.replace(_YAML_TAG, "!!")
+        raise ParameterError(f"{name}: the YAML tag {tag} is not supported (from {origin})", name=name)
+    if node.style:  # quoted, or a block of text
+        return node.value
+    angle = written_angle(node.value) if ros1 else None
+    return plain_scalar(node.value) if angle is None else angle

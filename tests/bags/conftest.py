@@ -1,0 +1,44 @@
+"""Fixtures that tests of several modules of a format need."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from bags.rosbag1_files import ros1_missing
+from pc2scan.bags import mcap_chunks, mcap_contents, mcap_reader
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from pc2scan.bags.mcap_records import RecordFile
+    from pc2scan.bags.segments import Segment
+
+
+@pytest.fixture
+def loads(monkeypatch: pytest.MonkeyPatch) -> list[Segment]:
+    """Every segment of an MCAP file whose payload is read."""
+    seen: list[Segment] = []
+    original = mcap_chunks.payload
+
+    def counting(file: RecordFile, segment: Segment, *, verify: bool = True) -> memoryview:
+        seen.append(segment)
+        return original(file, segment, verify=verify)
+
+    for module in (mcap_contents, mcap_reader):
+        monkeypatch.setattr(module, "payload", counting)
+    return seen
+
+
+@pytest.fixture
+def needs_ros1() -> None:
+    if reason := ros1_missing():
+        pytest.skip(f"ROS 1's own rosbag (Debian: python3-rosbag, python3-std-msgs) is not here: {reason}")
+
+
+@pytest.fixture
+def bag(tmp_path: Path) -> Path:
+    folder = tmp_path / "bag"
+    folder.mkdir()
+    return folder

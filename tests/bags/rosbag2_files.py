@@ -1,0 +1,133 @@
+"""rosbag2 directories for tests, with metadata.yaml of every version."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import zstandard
+from rosbags.typesys import Stores, get_typestore
+from ruamel.yaml import YAML
+
+from pc2scan.bags.mcap_writer import McapWriter
+from pc2scan.bags.model import Connection, Definition
+from pc2scan.bags.rosbag2_reader import Rosbag2Reader
+from pc2scan.bags.sqlite3 import Sqlite3Writer
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+
+STORE = get_typestore(Stores.ROS2_HUMBLE)
+
+
+STRING = "std_msgs/msg/String"
+
+
+DEFINITION = Definition("ros2msg", b"string data\n")
+
+
+QOS_NUMBERS = """\
+- history: 1
+  depth: 5
+  reliability: 1
+  durability: 1
+  deadline:
+    sec: 9223372036
+    nsec: 854775807
+  lifespan:
+    sec: 9223372036
+    nsec: 854775807
+  liveliness: 1
+  liveliness_lease_duration:
+    sec: 9223372036
+    nsec: 854775807
+  avoid_ros_namespace_conventions: false"""
+
+
+QOS_NAMES = (
+    QOS_NUMBERS.replace("history: 1", "history: keep_last")
+    .replace("reliability: 1", "reliability: reliable")
+    .replace("durability: 1", "durability: transient_local")
+    .replace("liveliness: 1", "liveliness: automatic")
+)
+
+
+def names(folder: str | Path) -> list[str]:
+    return sorted(entry.name for entry in Path(folder).iterdir())
+
+
+def text(value: str) -> bytes:
+    return bytes(STORE.serialize_cdr(STORE.types[STRING](data=value), STRING))
+
+
+def topic(name: str, **changes: Any) -> Connection:
+    known: dict[str, Any] = {
+        "id": 1,
+        "topic": name,
+        "msgtype": STRING,
+        "serialization": "cdr",
+        "definition": DEFINITION,
+        "digest": STORE.hash_rihs01(STRING),
+        "qos": QOS_NUMBERS,
+        "latching": True,
+    }
+    return Connection(**(known | changes))
+
+
+def write_storage(path: Path, messages: Sequence[tuple[str, int]], **changes: Any) -> None:
+    """One storage file with messages (topic, time), whose data is their time."""
+    writer = Sqlite3Writer(path) if path.suffix == ".db3" else McapWriter(path, "none")
+    handles: dict[str, int] = {}
+    for name, time_ns in messages:
+        if name not in handles:
+            handles[name] = writer.add_connection(topic(name, **changes))
+        writer.write(handles[name], time_ns, text(str(time_ns)), time_ns)
+    writer.finish()
+
+
+def listed(name: str, version: int, count: int = 1) -> dict[str, Any]:
+    entry: dict[str, Any] = {"name": name, "type": STRING, "serialization_format": "cdr"}
+    if version >= 4:
+        entry["offered_qos_profiles"] = QOS_NUMBERS
+    if version >= 7:
+        entry["type_description_hash"] = "RIHS01_listed"
+    if version >= 9:
+        entry["offered_qos_profiles"] = YAML(typ="safe").load(QOS_NAMES)
+    return {"topic_metadata": entry, "message_count": count}
+
+
+def write_metadata(
+    folder: Path, version: int, files: Sequence[str], storage: str = "sqlite3", /, **changes: Any
+) -> None:
+    info: dict[str, Any] = {
+        "version": version,
+        "storage_identifier": storage,
+        "relative_file_paths": [f"{folder.name}/{file}" if version < 4 else file for file in files],
+        "duration": {"nanoseconds": 7},
+        "starting_time": {"nanoseconds_since_epoch": 3},
+        "message_count": 77,
+        "topics_with_message_count": [listed("/a", version), listed("/silent", version, 0)],
+    }
+    if version >= 3:
+        info |= {"compression_format": "", "compression_mode": ""}
+    if version >= 5:
+        info["files"] = []
+    if version >= 6:
+        info["custom_data"] = None
+    if version >= 8:
+        info["ros_distro"] = "rolling"
+    info = {key: value for key, value in (info | changes).items() if value is not ...}
+    with (folder / "metadata.yaml").open("w") as stream:
+        YAML(typ="safe").dump({"rosbag2_bagfile_information": info}, stream)
+
+
+def read(path: Path) -> list[tuple[str, int, bytes]]:
+    with closing(Rosbag2Reader(path)) as reader:
+        return [(m.connection.topic, m.log_time_ns, bytes(m.data)) for m in reader.messages()]
+
+
+def compress_file(path: Path) -> None:
+    path.with_name(path.name + ".zstd").write_bytes(zstandard.compress(path.read_bytes()))
+    path.unlink()

@@ -1,0 +1,76 @@
+"""A recording's file, read at given places."""
+
+from __future__ import annotations
+
+import os
+from contextlib import closing
+from typing import TYPE_CHECKING
+
+import pytest
+
+from pc2scan.bags.files import SourceFile
+from pc2scan.errors import RecordingError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    path = tmp_path / "file"
+    path.write_bytes(bytes(range(100)))
+    return path
+
+
+@pytest.fixture
+def file(path: Path) -> Iterator[SourceFile]:
+    with closing(SourceFile(path)) as opened:
+        yield opened
+
+
+def test_exactly_what_was_asked_for(file: SourceFile) -> None:
+    assert file.size == 100
+    assert file.read(0, 100) == bytes(range(100))
+    assert file.read(10, 3) == b"\x0a\x0b\x0c"
+    assert file.read(100, 0) == b""
+
+
+def test_short_answers_of_the_system_are_completed(file: SourceFile, monkeypatch: pytest.MonkeyPatch) -> None:
+    real = os.pread
+    monkeypatch.setattr(os, "pread", lambda fd, length, offset: real(fd, min(length, 7), offset))
+    assert file.read(5, 90) == bytes(range(5, 95))
+
+
+def test_what_is_not_there_is_an_error(file: SourceFile) -> None:
+    with pytest.raises(
+        RecordingError, match="2 bytes are declared from byte 99 on, but the file has 100 bytes"
+    ):
+        file.read(99, 2)
+
+
+def test_a_file_that_became_shorter(file: SourceFile, path: Path) -> None:
+    os.truncate(path, 60)
+    with pytest.raises(
+        RecordingError, match="ended at byte 60 while it was read; it had 100 bytes"
+    ) as caught:
+        file.read(50, 20)
+    assert caught.value.path == path
+
+
+def test_a_format_makes_its_own_error_of_damage(path: Path) -> None:
+    class Strict(SourceFile):
+        def damage(self, message: str) -> Exception:
+            return ValueError(message)
+
+    with closing(Strict(path)) as file, pytest.raises(ValueError, match="declared from byte 101"):
+        file.read(101, 1)
+
+
+def test_a_file_that_is_closed_or_missing(file: SourceFile, tmp_path: Path) -> None:
+    file.close()
+    file.close()
+    with pytest.raises(RecordingError, match="cannot be read at byte 3: Bad file descriptor"):
+        file.read(3, 1)
+    with pytest.raises(RecordingError, match="cannot be opened: No such file"):
+        SourceFile(tmp_path / "none")

@@ -1,0 +1,42 @@
+"""QoS profiles: what they say, and how they are spelled."""
+
+from __future__ import annotations
+
+import pytest
+
+from bags.mcap_files import QOS
+from bags.rosbag2_files import QOS_NAMES, QOS_NUMBERS
+from pc2scan.bags.qos import latches, respelled_qos
+
+
+@pytest.mark.parametrize(
+    ("qos", "expected"),
+    [
+        ("", False),
+        (QOS, True),
+        ("- history: 3\n  depth: 0\n  reliability: 1\n  durability: 2\n  deadline:\n    sec: 1", False),
+        ("- durability: volatile\n- durability: transient_local\n", True),
+        ("- durability: transient_local_ish", False),
+        ("- durability: 10", False),
+        ("- {history: 1, durability: 1}", True),
+        ('- {"durability": "transient_local"}', True),
+        ("- durability:\n  depth: 1", False),
+        ("- some_durability: 1", False),
+        ("- reliability: 1", False),
+        ("durability: TRANSIENT_LOCAL", True),
+    ],
+)
+def test_latches(qos: str, *, expected: bool) -> None:
+    assert latches(qos) is expected
+
+
+def test_respelling_profiles() -> None:
+    assert respelled_qos(QOS_NUMBERS, by_name=True) == QOS_NAMES
+    assert respelled_qos(QOS_NAMES, by_name=False) == QOS_NUMBERS
+    verbatim = "# as it was\n- {history: 1,   durability: 2}"
+    assert respelled_qos(verbatim, by_name=False) == verbatim
+    assert respelled_qos("", by_name=True) == ""
+    odd = "- history: 99\n  reliability: sometimes\n  durability: true\n  liveliness: null"
+    assert respelled_qos(odd, by_name=True) == odd
+    assert respelled_qos(odd, by_name=False) == odd
+    assert respelled_qos("- reliability: Best_Effort", by_name=False) == "- reliability: 2"

@@ -1,0 +1,46 @@
+"""Zstandard around files and messages."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+import zstandard
+
+from pc2scan.bags import zstd
+from pc2scan.errors import RecordingError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+@pytest.mark.parametrize("name", ["a.mcap", "a.mcap.zst", "a.mcap.zstd"])
+def test_names_without_the_suffix(name: str) -> None:
+    assert zstd.without_suffix(name) == "a.mcap"
+
+
+def test_compressions_around_others() -> None:
+    assert zstd.compressions(["none"]) == ("zstd",)
+    assert zstd.compressions(["zstd", "lz4"]) == ("lz4", "zstd")
+
+
+def test_files_are_recognised_by_content_and_unpacked(tmp_path: Path) -> None:
+    plain, packed = tmp_path / "a.mcap", tmp_path / "b.mcap.zst"
+    plain.write_bytes(b"content")
+    packed.write_bytes(zstandard.compress(b"con") + zstandard.compress(b"tent"))
+    assert not zstd.is_zstd(plain)
+    assert zstd.is_zstd(packed)
+    folder = tmp_path / "unpacked"
+    folder.mkdir()
+    assert zstd.unpacked_file(packed, folder) == folder / "b.mcap"
+    assert (folder / "b.mcap").read_bytes() == b"content"
+
+
+def test_messages(tmp_path: Path) -> None:
+    frame = zstandard.compress(b"data" * 100)
+    assert zstd.unpacked_message(memoryview(frame), tmp_path, "/a") == b"data" * 100
+    with pytest.raises(RecordingError, match="frame is cut off") as caught:
+        zstd.unpacked_message(frame[:-1], tmp_path, "/a")
+    assert (caught.value.path, caught.value.topic) == (tmp_path, "/a")
+    with pytest.raises(RecordingError, match="a message cannot be decompressed"):
+        zstd.unpacked_message(b"nonsense", tmp_path, "/a")

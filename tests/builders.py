@@ -1,0 +1,679 @@
+"""Recordings for tests, in every container that pc2scan reads, made without pc2scan.
+
+Messages are serialised by rosbags, ROS 1 bags written by rosbags, MCAP by the mcap library, and SQLite by the
+standard library, so that pc2scan's own encoders and writers never check themselves. `CONTENT` is one small
+recording with everything that a conversion must keep; `build` puts it into any container.
+"""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from contextlib import closing
+from dataclasses import dataclass, field, replace
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import zstandard
+from mcap.writer import CompressionType
+from mcap.writer import Writer as McapLibraryWriter
+from rosbags.rosbag1 import Writer as Rosbag1LibraryWriter
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+T0 = 1_700_000_000_123_456_789
+"""Log time of the first message, ns: with digits that a float of seconds would lose."""
+
+SECOND = 1_000_000_000
+CLOUD, SCAN = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/LaserScan"
+TF, STRING, IMU = "tf2_msgs/msg/TFMessage", "std_msgs/msg/String", "sensor_msgs/msg/Imu"
+BATTERY = "custom_msgs/msg/Battery"
+
+_RULE = "=" * 80
+_TF_TEXT = "geometry_msgs/TransformStamped[] transforms\n"
+_BATTERY_TEXTS = {
+    1: "# Charge of the pack,\n#   as its controller reports it.\n"
+    "Header header\nfloat64 voltage  # V\nuint8[] cells\nduration uptime\n",
+    2: "# Charge of the pack,\n#   as its controller reports it.\n"
+    "std_msgs/Header header\nfloat64 voltage  # V\nuint8[] cells\nbuiltin_interfaces/Duration uptime\n",
+}
+
+
+# --- Messages ---
+
+
+@cache
+def typestore(generation: int) -> Any:
+    """The message types of a ROS generation, with those that rosbags lacks."""
+    store = get_typestore(Stores.ROS1_NOETIC if generation == 1 else Stores.ROS2_HUMBLE)
+    added = get_types_from_msg(_BATTERY_TEXTS[generation], BATTERY)
+    if generation == 1:
+        added |= get_types_from_msg(_TF_TEXT, TF) | get_types_from_msg(_TF_TEXT, "tf/msg/tfMessage")
+    store.register(added)
+    return store
+
+
+def serialized(store: Any, message: Any, msgtype: str, generation: int) -> bytes:
+    """A message's bytes: ROS 1's, or little-endian CDR."""
+    if generation == 1:
+        return bytes(store.serialize_ros1(message, msgtype))
+    return bytes(store.serialize_cdr(message, msgtype))
+
+
+def deserialized(data: bytes, msgtype: str, generation: int) -> Any:
+    """A message as rosbags decodes it."""
+    store = typestore(generation)
+    return (store.deserialize_ros1 if generation == 1 else store.deserialize_cdr)(data, msgtype)
+
+
+def header(store: Any, generation: int, seq: int, stamp_ns: int, frame_id: str) -> Any:
+    stamp = store.types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, SECOND))
+    kind = store.types["std_msgs/msg/Header"]
+    return kind(seq, stamp, frame_id) if generation == 1 else kind(stamp, frame_id)
+
+
+def cloud(
+    points: NDArray[np.float32],
+    generation: int,
+    *,
+    seq: int = 0,
+    stamp_ns: int = T0,
+    frame_id: str = "lidar",
+    names: Sequence[str] = ("x", "y", "z"),
+    cut: int = 0,
+) -> bytes:
+    """A serialised PointCloud2 of float32 columns; ``cut`` bytes of its data are missing."""
+    store = typestore(generation)
+    fields = [
+        store.types["sensor_msgs/msg/PointField"](name, 4 * index, 7, 1) for index, name in enumerate(names)
+    ]
+    data = np.ascontiguousarray(points, "<f4").tobytes()
+    message = store.types[CLOUD](
+        header=header(store, generation, seq, stamp_ns, frame_id),
+        height=1,
+        width=len(points),
+        fields=fields,
+        is_bigendian=False,
+        point_step=4 * len(names),
+        row_step=4 * len(names) * len(points),
+        data=np.frombuffer(data[: len(data) - cut], np.uint8),
+        is_dense=False,
+    )
+    return serialized(store, message, CLOUD, generation)
+
+
+def scan(
+    ranges: NDArray[np.float32], generation: int, *, seq: int = 0, stamp_ns: int = T0, frame_id: str = "laser"
+) -> bytes:
+    """A serialised LaserScan over a half circle."""
+    store = typestore(generation)
+    message = store.types[SCAN](
+        header=header(store, generation, seq, stamp_ns, frame_id),
+        angle_min=-1.5,
+        angle_max=1.5,
+        angle_increment=3.0 / max(1, len(ranges) - 1),
+        time_increment=0.0,
+        scan_time=0.1,
+        range_min=0.1,
+        range_max=30.0,
+        ranges=np.ascontiguousarray(ranges, np.float32),
+        intensities=np.empty(0, np.float32),
+    )
+    return serialized(store, message, SCAN, generation)
+
+
+def string(text: str, generation: int) -> bytes:
+    store = typestore(generation)
+    return serialized(store, store.types[STRING](text), STRING, generation)
+
+
+def transforms(
+    rows: Iterable[tuple[str, str, int, tuple[float, float, float]]],
+    generation: int,
+    seq: int = 0,
+    msgtype: str = TF,
+) -> bytes:
+    """A serialised TFMessage of (parent, child, stamp in ns, translation) without rotations."""
+    store = typestore(generation)
+    types = store.types
+    stamped = [
+        types["geometry_msgs/msg/TransformStamped"](
+            header(store, generation, seq, stamp_ns, parent),
+            child,
+            types["geometry_msgs/msg/Transform"](
+                types["geometry_msgs/msg/Vector3"](*translation),
+                types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0),
+            ),
+        )
+        for parent, child, stamp_ns, translation in rows
+    ]
+    return serialized(store, types[msgtype](stamped), msgtype, generation)
+
+
+def imu(generation: int, *, seq: int, stamp_ns: int) -> bytes:
+    store = typestore(generation)
+    types = store.types
+    vector = types["geometry_msgs/msg/Vector3"]
+    message = types[IMU](
+        header(store, generation, seq, stamp_ns, "imu"),
+        types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.6, 0.8),
+        np.arange(9.0),
+        vector(0.25, -0.5, 1.0),
+        np.arange(9.0) / 2,
+        vector(0.0, 0.125, 9.75),
+        np.arange(9.0) / 4,
+    )
+    return serialized(store, message, IMU, generation)
+
+
+def battery(generation: int, *, seq: int, stamp_ns: int) -> bytes:
+    store = typestore(generation)
+    message = store.types[BATTERY](
+        header(store, generation, seq, stamp_ns, "base_link"),
+        24.5 + seq,
+        np.array([1, 2, 3], np.uint8),
+        store.types["builtin_interfaces/msg/Duration"](12, 345_678_901),
+    )
+    return serialized(store, message, BATTERY, generation)
+
+
+# --- Content ---
+
+
+@dataclass(frozen=True, slots=True)
+class Stream:
+    """One publisher of one topic. ``ros1_type`` is spelled as ROS 2 does, like ``msgtype``."""
+
+    topic: str
+    msgtype: str
+    publisher: str = "/robot"
+    latched: bool = False
+    ros1_type: str = ""
+
+    def type_in(self, generation: int) -> str:
+        """The type in ROS 2's spelling."""
+        return self.ros1_type if generation == 1 and self.ros1_type else self.msgtype
+
+
+@dataclass(frozen=True, slots=True)
+class Item:
+    """One message: ``data`` by ROS generation, and ``unnumbered`` as ROS 1 has it with all ``seq`` 0."""
+
+    stream: Stream
+    log_time_ns: int
+    data: dict[int, bytes]
+    unnumbered: bytes
+
+    @property
+    def publish_time_ns(self) -> int:
+        return self.log_time_ns - 1_001
+
+    def expected(self, source: int, target: int) -> bytes:
+        """The payload after a conversion from one generation to another; ROS 2 has no ``seq``."""
+        return self.unnumbered if (source, target) == (2, 1) else self.data[target]
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    streams: tuple[Stream, ...]
+    items: tuple[Item, ...]
+
+    def of(self, topic: str) -> list[Item]:
+        return [item for item in self.items if item.stream.topic == topic]
+
+    def halves(self) -> tuple[Recording, Recording]:
+        middle = len(self.items) // 2
+        return replace(self, items=self.items[:middle]), replace(self, items=self.items[middle:])
+
+
+def item(stream: Stream, log_time_ns: int, make: Callable[[int, int], bytes], seq: int = 0) -> Item:
+    """Serialise a message for both generations; ``make`` takes the generation and the sequence number."""
+    return Item(stream, log_time_ns, {1: make(1, seq), 2: make(2, seq)}, make(1, 0))
+
+
+def points_of(step: int, count: int = 60) -> NDArray[np.float32]:
+    """The x, y, z of a made-up cloud, some points NaN, some below the floor."""
+    random = np.random.default_rng(step)
+    points = random.uniform(-8, 8, (count, 3)).astype(np.float32)
+    points[3] = np.nan
+    return points
+
+
+MOUNT = Stream("/tf_static", TF, "/mount", latched=True)
+BODY = Stream("/tf_static", TF, "/body", latched=True)
+ODOMETRY = Stream("/tf", TF, "/odometry", ros1_type="tf/msg/tfMessage")
+POINTS = Stream("/points", CLOUD, "/lidar_driver")
+CHATTER = Stream("/chatter", STRING)
+INERTIA = Stream("/imu", IMU)
+CHARGE = Stream("/battery", BATTERY)
+
+
+def _content() -> Recording:
+    def at(step: int) -> int:
+        return T0 + step * SECOND // 10
+
+    def fixed(parent: str, child: str, stamp_ns: int) -> Callable[[int, int], bytes]:
+        return lambda generation, seq: transforms([(parent, child, stamp_ns, (0.0, 0.0, 0.5))], generation, seq)
+
+    items = [
+        item(MOUNT, T0, fixed("base_link", "lidar", T0)),
+        item(BODY, T0 + 1, fixed("base_link", "imu", T0)),
+    ]
+    for step in range(3):
+        moved = [("odom", "base_link", at(step), (0.5 * step, 0.0, 0.0))]
+        kind = ODOMETRY.type_in
+        items += [
+            item(ODOMETRY, at(step) + 2, lambda g, s, m=moved: transforms(m, g, s, kind(g)), step),  # type: ignore[misc]
+            item(
+                POINTS,
+                at(step) + 5_000_003,
+                lambda g, s: cloud(points_of(s), g, seq=s, stamp_ns=at(s)),
+                step,
+            ),
+            # Equal log times: the order of the file decides.
+            item(INERTIA, at(step) + 6_000_000, lambda g, s: imu(g, seq=s, stamp_ns=at(s)), step),
+            item(CHATTER, at(step) + 6_000_000, lambda g, s: string(f"hello {s}", g), step),
+            item(CHARGE, at(step) + 6_000_000, lambda g, s: battery(g, seq=s, stamp_ns=at(s)), step),
+        ]
+    return Recording((MOUNT, BODY, ODOMETRY, POINTS, CHATTER, INERTIA, CHARGE), tuple(items))
+
+
+CONTENT = _content()
+
+
+# --- Definitions ---
+
+
+@cache
+def definition(msgtype: str, generation: int) -> str:
+    """The definition as a recorder stores it; the custom type's carries comments."""
+    store = typestore(generation)
+    text: str = store.generate_msgdef(msgtype, ros_version=generation)[0]
+    if msgtype == BATTERY:
+        # What rosbags makes anew has no comments: the first part is the author's own.
+        text = _BATTERY_TEXTS[generation] + text[text.index(_RULE) :]
+    return text
+
+
+def md5sum(msgtype: str) -> str:
+    return str(typestore(1).generate_msgdef(msgtype, ros_version=1)[1])
+
+
+def _idl(name: str, members: str) -> str:
+    package, _, kind = name.split("/")
+    body = f"module {package} {{\n  module msg {{\n    struct {kind} {{\n{members}    }};\n  }};\n}};\n"
+    return f"{_RULE}\nIDL: {name}\n{body}"
+
+
+_TIME_IDL = _idl("builtin_interfaces/msg/Time", "      int32 sec;\n      uint32 nanosec;\n")
+_HEADER_IDL = (
+    _idl("std_msgs/msg/Header", "      builtin_interfaces::msg::Time stamp;\n      string frame_id;\n") + _TIME_IDL
+)
+IDL = {
+    STRING: _idl(STRING, "      @verbatim (language=\"comment\", text=\"said aloud\")\n      string data;\n"),
+    BATTERY: _idl(
+        BATTERY,
+        "      std_msgs::msg::Header header;\n      double voltage;\n"
+        "      sequence<uint8> cells;\n      builtin_interfaces::msg::Duration uptime;\n",
+    )
+    + _HEADER_IDL
+    + _idl("builtin_interfaces/msg/Duration", "      int32 sec;\n      uint32 nanosec;\n"),
+    CLOUD: _idl(
+        CLOUD,
+        "      std_msgs::msg::Header header;\n      uint32 height;\n      uint32 width;\n"
+        "      sequence<sensor_msgs::msg::PointField> fields;\n      boolean is_bigendian;\n"
+        "      uint32 point_step;\n      uint32 row_step;\n      sequence<uint8> data;\n      boolean is_dense;\n",
+    )
+    + _idl(
+        "sensor_msgs/msg/PointField",
+        "      string name;\n      uint32 offset;\n      uint8 datatype;\n      uint32 count;\n",
+    )
+    + _HEADER_IDL,
+}
+
+
+def ros1_name(msgtype: str) -> str:
+    return msgtype.replace("/msg/", "/")
+
+
+# --- QoS ---
+
+_PROFILE: dict[str, Any] = {
+    "history": 1,
+    "depth": 10,
+    "reliability": 1,
+    "durability": 2,
+    "deadline": {"sec": 9223372036, "nsec": 854775807},
+    "lifespan": {"sec": 9223372036, "nsec": 854775807},
+    "liveliness": 1,
+    "liveliness_lease_duration": {"sec": 9223372036, "nsec": 854775807},
+    "avoid_ros_namespace_conventions": False,
+}
+_NAMES = {"history": "keep_last", "reliability": "reliable", "liveliness": "automatic"}
+
+
+def profiles(streams: Sequence[Stream], *, by_name: bool = False) -> list[dict[str, Any]]:
+    """One offered QoS profile a publisher; enumerations as numbers, or by name as from metadata version 9 on."""
+    found = []
+    for stream in streams:
+        profile = {**_PROFILE, "durability": 1 if stream.latched else 2}
+        if by_name:
+            profile |= _NAMES | {"durability": "transient_local" if stream.latched else "volatile"}
+        found.append(profile)
+    return found
+
+
+def qos_text(streams: Sequence[Stream], *, by_name: bool = False) -> str:
+    """Profiles as the YAML text that rosbag2 stores, in its own layout."""
+    lines = []
+    for profile in profiles(streams, by_name=by_name):
+        for number, (key, value) in enumerate(profile.items()):
+            lead = "- " if number == 0 else "  "
+            if isinstance(value, dict):
+                lines += [f"{lead}{key}:", *(f"    {name}: {part}" for name, part in value.items())]
+            else:
+                lines.append(f"{lead}{key}: {str(value).lower() if isinstance(value, bool) else value}")
+    return "\n".join(lines)
+
+
+# --- Containers ---
+
+
+def write_rosbag1(path: Path, recording: Recording, compression: str = "none") -> Path:
+    writer = Rosbag1LibraryWriter(path)
+    if compression != "none":
+        writer.set_compression(Rosbag1LibraryWriter.CompressionFormat[compression.upper()])
+    with writer:
+        connections = {
+            stream: writer.add_connection(
+                stream.topic,
+                stream.type_in(1),
+                msgdef=definition(stream.type_in(1), 1),
+                md5sum=md5sum(stream.type_in(1)),
+                callerid=stream.publisher,
+                latching=int(stream.latched),
+            )
+            for stream in recording.streams
+        }
+        for entry in recording.items:
+            writer.write(connections[entry.stream], entry.log_time_ns, entry.data[1])
+    return path
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Mcap:
+    """How an MCAP file is written."""
+
+    generation: int = 2
+    profile: str = "ros2"
+    compression: str = "zstd"
+    chunked: bool = True
+    idl: bool = False
+    pack: Callable[[bytes], bytes] = bytes
+    joined: bool = False
+    by_name: bool = False
+    attachments: Sequence[tuple[str, str, int, int, bytes]] = field(default=())
+    metadata: Sequence[tuple[str, dict[str, str]]] = field(default=())
+
+
+def write_mcap(path: Path, recording: Recording, form: Mcap = Mcap()) -> Path:
+    """Write an MCAP file; ``joined`` has one channel a topic, as rosbag2 does, otherwise one a publisher."""
+    with path.open("wb") as file:
+        writer = McapLibraryWriter(
+            file,
+            chunk_size=2_000,
+            compression=CompressionType[form.compression.upper()],
+            use_chunking=form.chunked,
+        )
+        writer.start(profile=form.profile, library="tests")
+        schemas: dict[str, int] = {}
+        channels: dict[Any, int] = {}
+        sequences: dict[int, int] = {}
+        for stream in recording.streams:
+            key: Any = stream.topic if form.joined else stream
+            if key in channels:
+                continue
+            kind = stream.type_in(form.generation)
+            if kind not in schemas:
+                schemas[kind] = _schema(writer, kind, form)
+            channels[key] = writer.register_channel(
+                stream.topic,
+                "ros1" if form.generation == 1 else "cdr",
+                schemas[kind],
+                _channel_metadata(stream, recording, form),
+            )
+        for entry in recording.items:
+            channel = channels[entry.stream.topic if form.joined else entry.stream]
+            sequences[channel] = sequences.get(channel, 40) + 1
+            writer.add_message(
+                channel,
+                entry.log_time_ns,
+                form.pack(entry.data[form.generation]),
+                entry.publish_time_ns,
+                sequences[channel],
+            )
+        for name, media_type, log_time_ns, create_time_ns, data in form.attachments:
+            writer.add_attachment(create_time_ns, log_time_ns, name, media_type, data)
+        for name, entries in form.metadata:
+            writer.add_metadata(name, entries)
+        writer.finish()
+    return path
+
+
+def _schema(writer: McapLibraryWriter, msgtype: str, form: Mcap) -> int:
+    if form.generation == 1:
+        return writer.register_schema(ros1_name(msgtype), "ros1msg", definition(msgtype, 1).encode())
+    if form.idl and msgtype in IDL:
+        return writer.register_schema(msgtype, "ros2idl", IDL[msgtype].encode())
+    return writer.register_schema(msgtype, "ros2msg", definition(msgtype, 2).encode())
+
+
+def _channel_metadata(stream: Stream, recording: Recording, form: Mcap) -> dict[str, str]:
+    if form.generation == 1:
+        latching = {"latching": "1"} if stream.latched else {}
+        return {"callerid": stream.publisher, "md5sum": md5sum(stream.type_in(1)), **latching}
+    same = [other for other in recording.streams if other.topic == stream.topic] if form.joined else [stream]
+    own = {} if form.joined else {"publisher": stream.publisher}
+    return {"offered_qos_profiles": qos_text(same, by_name=form.by_name), **own}
+
+
+def write_db3(
+    path: Path, recording: Recording, *, schema: int = 4, pack: Callable[[bytes], bytes] = bytes, by_name: bool = False
+) -> Path:
+    """Write rosbag2's SQLite storage: schema 4 carries definitions, 3 QoS profiles, 2 neither."""
+    kinds = dict.fromkeys(stream.msgtype for stream in recording.streams)
+    columns = ["name", "type", "serialization_format", "offered_qos_profiles", "type_description_hash"]
+    columns = columns[: {2: 3, 3: 4, 4: 5}[schema]]
+    with closing(sqlite3.connect(path)) as database, database:
+        database.execute(f"CREATE TABLE topics(id INTEGER PRIMARY KEY, {', '.join(f'{c} TEXT NOT NULL' for c in columns)})")
+        database.execute(
+            "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL, timestamp INTEGER NOT NULL,"
+            " data BLOB NOT NULL)"
+        )
+        database.execute("CREATE INDEX timestamp_idx ON messages (timestamp ASC)")
+        if schema >= 3:
+            database.execute("CREATE TABLE schema(schema_version INTEGER PRIMARY KEY, ros_distro TEXT NOT NULL)")
+            database.execute("INSERT INTO schema VALUES (?, 'humble')", (schema,))
+        if schema >= 4:
+            database.execute(
+                "CREATE TABLE message_definitions(id INTEGER PRIMARY KEY, topic_type TEXT NOT NULL, encoding TEXT NOT"
+                " NULL, encoded_message_definition TEXT NOT NULL, type_description_hash TEXT NOT NULL)"
+            )
+            database.executemany(
+                "INSERT INTO message_definitions VALUES (NULL, ?, 'ros2msg', ?, '')",
+                [(kind, definition(kind, 2)) for kind in kinds],
+            )
+        ids: dict[str, int] = {}
+        for topic, streams in _by_topic(recording).items():
+            ids[topic] = len(ids) + 1
+            values = [topic, streams[0].msgtype, "cdr", qos_text(streams, by_name=by_name), ""][: len(columns)]
+            marks = ", ".join("?" * len(columns))
+            database.execute(f"INSERT INTO topics VALUES ({ids[topic]}, {marks})", values)
+        database.executemany(
+            "INSERT INTO messages(topic_id, timestamp, data) VALUES (?, ?, ?)",
+            [(ids[entry.stream.topic], entry.log_time_ns, pack(entry.data[2])) for entry in recording.items],
+        )
+    return path
+
+
+def _by_topic(recording: Recording) -> dict[str, list[Stream]]:
+    topics: dict[str, list[Stream]] = {}
+    for stream in recording.streams:
+        topics.setdefault(stream.topic, []).append(stream)
+    return topics
+
+
+def write_rosbag2(
+    folder: Path,
+    recording: Recording,
+    *,
+    storage: str = "sqlite3",
+    version: int = 8,
+    mode: str = "",
+    parts: int = 1,
+    metadata: bool = True,
+) -> Path:
+    """Write a rosbag2 directory; ``mode`` is ``file`` or ``message`` for compression by zstd."""
+    folder.mkdir()
+    pack = zstandard.ZstdCompressor().compress
+    by_name = version >= 9
+    names = []
+    for number, part in enumerate(recording.halves() if parts == 2 else (recording,)):
+        path = folder / f"{folder.name}_{number}.{'db3' if storage == 'sqlite3' else 'mcap'}"
+        packer = pack if mode == "message" else bytes
+        if storage == "sqlite3":
+            # Definitions came into the storage about when metadata.yaml reached version 6, QoS with version 4.
+            schema = 4 if version >= 6 else 3 if version >= 4 else 2
+            write_db3(path, part, schema=schema, pack=packer, by_name=by_name)
+        else:
+            write_mcap(path, part, Mcap(pack=packer, joined=True, by_name=by_name))
+        if mode == "file":
+            packed = path.with_name(f"{path.name}.zstd")
+            packed.write_bytes(pack(path.read_bytes()))
+            path.unlink()
+            path = packed
+        names.append(path.name)
+    if metadata:
+        text = metadata_yaml(folder.name, recording, names, storage=storage, version=version, mode=mode)
+        (folder / "metadata.yaml").write_text(text)
+    return folder
+
+
+def metadata_yaml(
+    folder: str, recording: Recording, names: Sequence[str], *, storage: str, version: int, mode: str
+) -> str:
+    """metadata.yaml as the versions of rosbag2 write it."""
+    times = [entry.log_time_ns for entry in recording.items]
+    lines = [
+        "rosbag2_bagfile_information:",
+        f"  version: {version}",
+        f"  storage_identifier: {storage}",
+        "  duration:",
+        f"    nanoseconds: {max(times) - min(times)}",
+        "  starting_time:",
+        f"    nanoseconds_since_epoch: {min(times)}",
+        f"  message_count: {len(times)}",
+        "  topics_with_message_count:",
+    ]
+    for topic, streams in _by_topic(recording).items():
+        lines += [
+            "    - topic_metadata:",
+            f"        name: {topic}",
+            f"        type: {streams[0].msgtype}",
+            "        serialization_format: cdr",
+        ]
+        if version >= 9:
+            lines.append(f"        offered_qos_profiles: {json.dumps(profiles(streams, by_name=True))}")
+        elif version >= 4:
+            lines.append(f"        offered_qos_profiles: {json.dumps(qos_text(streams))}")
+        if version >= 7:
+            lines.append('        type_description_hash: ""')
+        lines.append(f"      message_count: {len(recording.of(topic))}")
+    if version >= 3:
+        lines += [f'  compression_format: "{"zstd" if mode else ""}"', f'  compression_mode: "{mode.upper()}"']
+    prefix = f"{folder}/" if version < 3 else ""
+    lines += ["  relative_file_paths:", *(f"    - {prefix}{name}" for name in names)]
+    if version >= 5:
+        lines.append("  files:")
+        parts = recording.halves() if len(names) == 2 else (recording,)
+        for name, part in zip(names, parts, strict=True):
+            inside = [entry.log_time_ns for entry in part.items]
+            lines += [
+                f"    - path: {name}",
+                "      starting_time:",
+                f"        nanoseconds_since_epoch: {min(inside)}",
+                "      duration:",
+                f"        nanoseconds: {max(inside) - min(inside)}",
+                f"      message_count: {len(inside)}",
+            ]
+    if version >= 6:
+        lines.append("  custom_data: ~")
+    if version >= 8:
+        lines.append("  ros_distro: humble")
+    return "\n".join(lines) + "\n"
+
+
+SOURCES: dict[str, Callable[[Path, Recording], Path]] = {
+    **{
+        f"bag-{name}": (lambda folder, recording, name=name: write_rosbag1(folder / "drive.bag", recording, name))  # type: ignore[misc]
+        for name in ("none", "bz2", "lz4")
+    },
+    **{
+        f"rosbag2-sqlite3-v{version}": (
+            lambda folder, recording, version=version: write_rosbag2(folder / "drive", recording, version=version)  # type: ignore[misc]
+        )
+        for version in (2, 4, 5, 8, 9)
+    },
+    **{
+        f"rosbag2-mcap-v{version}": (
+            lambda folder, recording, version=version: write_rosbag2(  # type: ignore[misc]
+                folder / "drive", recording, storage="mcap", version=version
+            )
+        )
+        for version in (5, 8, 9)
+    },
+    **{
+        f"rosbag2-{storage}-zstd-{mode}": (
+            lambda folder, recording, storage=storage, mode=mode: write_rosbag2(  # type: ignore[misc]
+                folder / "drive", recording, storage=storage, mode=mode
+            )
+        )
+        for storage in ("sqlite3", "mcap")
+        for mode in ("file", "message")
+    },
+    **{
+        f"rosbag2-{storage}-split": (
+            lambda folder, recording, storage=storage: write_rosbag2(  # type: ignore[misc]
+                folder / "drive", recording, storage=storage, parts=2
+            )
+        )
+        for storage in ("sqlite3", "mcap")
+    },
+    "rosbag2-without-metadata": lambda folder, recording: write_rosbag2(folder / "drive", recording, metadata=False),
+    "db3": lambda folder, recording: write_db3(folder / "drive.db3", recording),
+    **{
+        f"mcap-{name}": (lambda folder, recording, form=form: write_mcap(folder / "drive.mcap", recording, form))  # type: ignore[misc]
+        for name, form in {
+            "unchunked": Mcap(chunked=False),
+            "none": Mcap(compression="none"),
+            "lz4": Mcap(compression="lz4"),
+            "zstd": Mcap(),
+            "ros1": Mcap(generation=1, profile="ros1"),
+            "ros1-unchunked-no-profile": Mcap(generation=1, profile="", chunked=False),
+            "no-profile": Mcap(profile=""),
+            "ros2idl": Mcap(idl=True),
+        }.items()
+    },
+}
+"""Every kind of source, by name: takes a folder and the recording, returns the source's path."""
+
+
+def generation_of(source: str) -> int:
+    """The ROS generation of a kind of source."""
+    return 1 if source.startswith(("bag", "mcap-ros1")) else 2
