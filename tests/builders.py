@@ -241,7 +241,7 @@ def points_of(step: int, count: int = 60) -> NDArray[np.float32]:
     """The x, y, z of a made-up cloud, some points NaN, some below the floor."""
     random = np.random.default_rng(step)
     points = random.uniform(-8, 8, (count, 3)).astype(np.float32)
-    points[3] = np.nan
+    points[3:4] = np.nan
     return points
 
 

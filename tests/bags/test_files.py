@@ -1,15 +1,16 @@
-"""A recording's file, read at given places."""
+"""The file of a recording: read at given places, or written from start to end."""
 
 from __future__ import annotations
 
+import errno
 import os
 from contextlib import closing
 from typing import TYPE_CHECKING
 
 import pytest
 
-from pc2scan.bags.files import SourceFile
-from pc2scan.errors import RecordingError
+from pc2scan.bags.files import NewFile, SourceFile
+from pc2scan.errors import OutputError, RecordingError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -74,3 +75,32 @@ def test_a_file_that_is_closed_or_missing(file: SourceFile, tmp_path: Path) -> N
         file.read(3, 1)
     with pytest.raises(RecordingError, match="cannot be opened: No such file"):
         SourceFile(tmp_path / "none")
+
+
+def test_a_new_file_tells_where_everything_is(tmp_path: Path) -> None:
+    file = NewFile(tmp_path / "new")
+    assert file.put(b"head", memoryview(b"er")) == 0
+    assert file.put(b"body") == 6
+    assert file.position == 10
+    file.replace(0, b"HEAD")
+    file.finish()
+    assert (tmp_path / "new").read_bytes() == b"HEADerbody"
+
+
+def test_a_new_file_overwrites_nothing(path: Path) -> None:
+    with pytest.raises(FileExistsError):
+        NewFile(path)
+    assert path.stat().st_size == 100
+
+
+def test_a_disk_that_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fsync(_fd: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    file = NewFile(tmp_path / "new")
+    monkeypatch.setattr(os, "fsync", fsync)
+    with pytest.raises(OutputError, match="cannot be written: No space left on device") as caught:
+        file.finish()
+    assert caught.value.path == tmp_path / "new"
+    file.abort()
+    file.abort()

@@ -10,7 +10,7 @@ from pc2scan.bags.yaml import dump_yaml, load_yaml
 def test_block_style_in_the_order_given() -> None:
     value = {"b": [{"z": 1, "a": "ü" * 200}], "a": None, "none": []}
     text = dump_yaml(value)
-    assert text == f"b:\n- z: 1\n  a: {'ü' * 200}\na:\nnone: []\n"
+    assert text == f"b:\n- z: 1\n  a: {'ü' * 200}\na: null\nnone: []\n"
     assert load_yaml(text) == value
 
 

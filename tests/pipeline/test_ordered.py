@@ -3,19 +3,28 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
 from pc2scan.pipeline.ordered import map_in_order
 
 
-@pytest.mark.parametrize("jobs", [1, 2, 5])
-def test_results_come_in_the_order_of_the_input(jobs: int) -> None:
+@pytest.fixture(params=[None, 2, 5])
+def pool(request: pytest.FixtureRequest) -> Iterator[ThreadPoolExecutor | None]:
+    if request.param is None:
+        yield None
+    else:
+        with ThreadPoolExecutor(request.param) as threads:
+            yield threads
+
+
+def test_results_come_in_the_order_of_the_input(pool: ThreadPoolExecutor | None) -> None:
     def work(item: int) -> int:
         time.sleep(0.002 * (item % 3))
         return item * item
 
-    results = map_in_order(work, range(60), is_heavy=lambda i: i % 4 != 0, jobs=jobs, window=4)
+    results = map_in_order(work, range(60), is_heavy=lambda i: i % 4 != 0, pool=pool, window=4)
     assert list(results) == [i * i for i in range(60)]
 
 
@@ -39,13 +48,14 @@ def test_no_more_than_the_window_is_in_flight(window: int) -> None:
             done += 1
         return item
 
-    assert len(list(map_in_order(work, items(), is_heavy=lambda _: True, jobs=4, window=window))) == 40
+    with ThreadPoolExecutor(4) as pool:
+        results = list(map_in_order(work, items(), is_heavy=lambda _: True, pool=pool, window=window))
+    assert results == list(range(40))
     # The item that waits for its place has been read too.
     assert worst <= window + 1
 
 
-@pytest.mark.parametrize("jobs", [1, 3])
-def test_an_error_is_raised_in_its_turn(jobs: int) -> None:
+def test_an_error_is_raised_in_its_turn(pool: ThreadPoolExecutor | None) -> None:
     def work(item: int) -> int:
         if item == 5:
             raise ValueError("five")
@@ -53,13 +63,21 @@ def test_an_error_is_raised_in_its_turn(jobs: int) -> None:
 
     seen = []
     with pytest.raises(ValueError, match="five"):
-        for result in map_in_order(work, range(10), is_heavy=lambda _: True, jobs=jobs, window=8):
+        for result in map_in_order(work, range(10), is_heavy=lambda _: True, pool=pool, window=8):
             seen.append(result)  # noqa: PERF402 - what was seen before the error matters
     assert seen == [0, 1, 2, 3, 4]
 
 
-def test_leaving_early_leaves_no_threads() -> None:
-    results = map_in_order(lambda i: i, range(100), is_heavy=lambda _: True, jobs=2, window=4)
-    assert next(results) == 0
-    results.close()  # type: ignore[attr-defined]
-    assert not [t for t in threading.enumerate() if t.name.startswith("pc2scan")]
+def test_leaving_early_gives_up_what_has_not_begun() -> None:
+    begun = []
+
+    def work(item: int) -> int:
+        begun.append(item)
+        time.sleep(0.01)
+        return item
+
+    with ThreadPoolExecutor(1) as pool:
+        results = map_in_order(work, range(100), is_heavy=lambda _: True, pool=pool, window=20)
+        assert next(results) == 0
+        results.close()
+    assert len(begun) < 20

@@ -1,16 +1,19 @@
-"""A recording's file, read at given places."""
+"""The file of a recording: read at given places, or written from start to end."""
 
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
-from pc2scan.errors import RecordingError
+from pc2scan.errors import OutputError, RecordingError
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-__all__ = ["SourceFile"]
+    from .model import Buffer
+
+__all__ = ["NewFile", "SourceFile"]
 
 
 class SourceFile:
@@ -77,3 +80,60 @@ class SourceFile:
                 "wait until the recording is complete",
             )
         return data
+
+
+class NewFile:
+    """A file being written; every method that fails raises an `OutputError`.
+
+    Parameters
+    ----------
+    path
+        Must not exist.
+
+    Raises
+    ------
+    OSError
+        If it cannot be created.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        #: Where the next bytes come to lie.
+        self.position = 0
+        self._file = path.open("xb")
+
+    def put(self, *parts: Buffer) -> int:
+        """Write at the end; returns where that was."""
+        start = self.position
+        try:
+            self._file.writelines(parts)
+        except OSError as err:
+            raise self._failed(err) from err
+        self.position += sum(map(len, parts))
+        return start
+
+    def replace(self, offset: int, data: Buffer) -> None:
+        """Write over what was written; nothing is put after that."""
+        try:
+            self._file.seek(offset)
+            self._file.write(data)
+        except OSError as err:
+            raise self._failed(err) from err
+
+    def finish(self) -> None:
+        """Put everything on the disk."""
+        try:
+            self._file.flush()
+            os.fsync(self._file.fileno())
+            self._file.close()
+        except OSError as err:
+            raise self._failed(err) from err
+
+    def abort(self) -> None:
+        """Release the file; what was written is left for the caller to remove."""
+        # Closing writes what is buffered, and there may be no room for it: the reason for aborting.
+        with suppress(OSError):
+            self._file.close()
+
+    def _failed(self, err: OSError) -> OutputError:
+        return OutputError(f"cannot be written: {err.strerror}", path=self._path)

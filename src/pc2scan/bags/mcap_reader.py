@@ -18,6 +18,7 @@ from .segments import in_time_order
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+    from concurrent.futures import Executor
     from pathlib import Path
 
     from .mcap_contents import Contents
@@ -55,6 +56,7 @@ class McapReader:
         self._file = RecordFile(path)
         self._verify = verify
         self._bytes_read = 0
+        self._pool: Executor | None = None
         try:
             self._contents = find_contents(self._file, verify=verify)
             self._connections = tuple(_connections(self._contents, self._file))
@@ -136,7 +138,11 @@ class McapReader:
 
         if ids is None or ids:
             segments = [s for s in self._contents.segments if s.may_hold(ids, start_ns, stop_ns)]
-            yield from in_time_order(segments, load)
+            yield from in_time_order(segments, load, pool=self._pool)
+
+    def read_ahead(self, pool: Executor) -> None:
+        """Let the following calls of `messages` read and decompress what comes next on these threads."""
+        self._pool = pool
 
     def attachments(self) -> Iterator[Attachment]:
         """Attachments in the order of the file, each read when it is asked for."""

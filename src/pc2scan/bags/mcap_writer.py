@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import os
 import struct
 import zlib
-from contextlib import suppress
 from io import BytesIO
 from typing import TYPE_CHECKING
 
@@ -15,6 +13,7 @@ from mcap.opcode import Opcode
 
 from pc2scan.errors import DestinationError, OutputError
 
+from .files import NewFile
 from .mcap_records import CHUNK, MAGIC, MESSAGE, OP_CHUNK, OP_MESSAGE, OP_MESSAGE_INDEX, RECORD, UINT64
 from .model import normalized_type, ros1_type
 
@@ -84,7 +83,6 @@ class McapWriter:
         self._compression = "" if compression == "none" else compression
         self._compress = _COMPRESS[compression]
         self._chunk_size = chunk_size
-        self._offset = 0
         self._schemas: dict[tuple[str, str, bytes], records.Schema] = {}
         self._channels: list[records.Channel] = []
         self._counts: dict[int, int] = {}
@@ -94,10 +92,10 @@ class McapWriter:
         self._groups: dict[Opcode, list[bytes]] = {opcode: [] for opcode in _SUMMARY_GROUPS}
         self._chunk = _OpenChunk(BytesIO())
         try:
-            self._file = path.open("xb")
+            self._file = NewFile(path)
         except OSError as err:
-            raise self._failed(err) from err
-        self._put(MAGIC, _encoded(records.Header(profile, "pc2scan")))
+            raise OutputError(f"cannot be written: {err.strerror}", path=path) from err
+        self._file.put(MAGIC, _encoded(records.Header(profile, "pc2scan")))
         for record in metadata:
             self.add_metadata(record)
 
@@ -148,7 +146,7 @@ class McapWriter:
 
     def _declare(self, opcode: Opcode, record: records.McapRecord) -> None:
         encoded = _encoded(record)
-        self._put(encoded)
+        self._file.put(encoded)
         self._groups[opcode].append(encoded)
 
     def write(
@@ -188,7 +186,7 @@ class McapWriter:
             stored = self._compress(data)
             name = self._compression.encode()
             head_size = CHUNK.size + len(name) + UINT64.size
-            offset = self._put(
+            offset = self._file.put(
                 RECORD.pack(OP_CHUNK, head_size + len(stored)),
                 CHUNK.pack(chunk.first_ns, chunk.last_ns, chunk.size, crc, len(name)),
                 name,
@@ -196,10 +194,10 @@ class McapWriter:
                 stored,
             )
             stored_size = len(stored)
-        length = self._offset - offset
+        length = self._file.position - offset
         places = {}
         for channel_id, entries in chunk.index.items():
-            places[channel_id] = self._put(
+            places[channel_id] = self._file.put(
                 struct.pack("<BQHI", OP_MESSAGE_INDEX, 6 + 8 * len(entries), channel_id, 8 * len(entries)),
                 struct.pack(f"<{len(entries)}Q", *entries),
             )
@@ -209,7 +207,7 @@ class McapWriter:
             compression=self._compression,
             compressed_size=stored_size,
             message_end_time=chunk.last_ns,
-            message_index_length=self._offset - offset - length,
+            message_index_length=self._file.position - offset - length,
             message_index_offsets=places,
             message_start_time=chunk.first_ns,
             uncompressed_size=chunk.size,
@@ -237,7 +235,7 @@ class McapWriter:
                 path=self._path,
             ) from err
         index = records.AttachmentIndex(
-            offset=self._put(encoded),
+            offset=self._file.put(encoded),
             length=len(encoded),
             log_time=record.log_time,
             create_time=record.create_time,
@@ -250,15 +248,15 @@ class McapWriter:
     def add_metadata(self, metadata: Metadata) -> None:
         """Append a metadata record, with index."""
         encoded = _encoded(records.Metadata(metadata.name, dict(metadata.entries)))
-        index = records.MetadataIndex(offset=self._put(encoded), length=len(encoded), name=metadata.name)
+        index = records.MetadataIndex(offset=self._file.put(encoded), length=len(encoded), name=metadata.name)
         self._groups[Opcode.METADATA_INDEX].append(_encoded(index))
 
     def finish(self) -> None:
         """Write the last chunk and the summary, and put everything on the disk."""
         self._finish_chunk()
-        self._put(_encoded(records.DataEnd(0)))
+        self._file.put(_encoded(records.DataEnd(0)))
         self._groups[Opcode.STATISTICS].append(_encoded(self._statistics()))
-        start = position = self._offset
+        start = position = self._file.position
         summary, offsets = [], []
         for opcode, group in self._groups.items():
             if group:
@@ -268,19 +266,12 @@ class McapWriter:
                 position += len(encoded)
         tail = b"".join((*summary, *offsets, _encoded(records.Footer(start, position, 0))))
         # The footer's last field is the CRC of the summary and of the footer in front of it.
-        self._put(tail[:-4], struct.pack("<I", zlib.crc32(tail[:-4])), MAGIC)
-        try:
-            self._file.flush()
-            os.fsync(self._file.fileno())
-            self._file.close()
-        except OSError as err:
-            raise self._failed(err) from err
+        self._file.put(tail[:-4], struct.pack("<I", zlib.crc32(tail[:-4])), MAGIC)
+        self._file.finish()
 
     def abort(self) -> None:
         """Release the file; what was written is left for the caller to remove."""
-        # Closing writes what is buffered, and there may be no room for it: the reason for aborting.
-        with suppress(OSError):
-            self._file.close()
+        self._file.abort()
 
     def _statistics(self) -> records.Statistics:
         return records.Statistics(
@@ -294,19 +285,6 @@ class McapWriter:
             metadata_count=len(self._groups[Opcode.METADATA_INDEX]),
             schema_count=len(self._schemas),
         )
-
-    def _put(self, *parts: Buffer) -> int:
-        """Write at the end of the file; returns where that was."""
-        offset = self._offset
-        try:
-            self._file.writelines(parts)
-        except OSError as err:
-            raise self._failed(err) from err
-        self._offset += sum(map(len, parts))
-        return offset
-
-    def _failed(self, err: OSError) -> OutputError:
-        return OutputError(f"cannot be written: {err.strerror}", path=self._path)
 
 
 class _OpenChunk:

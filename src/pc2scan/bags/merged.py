@@ -24,6 +24,7 @@ if TYPE_CHECKING:
         Mapping,
         Sequence,
     )
+    from concurrent.futures import Executor
     from pathlib import Path
 
     from .model import Attachment, Connection, Metadata, RawMessage, Reader
@@ -125,6 +126,11 @@ class MergedReader:
                 continue
             waiting.append(_Source(index, due_ns, _adopted(reader, known, chosen, start_ns, stop_ns)))
         return _by_time(waiting)
+
+    def read_ahead(self, pool: Executor) -> None:
+        """Let the following calls of `messages` read and decompress what comes next on these threads."""
+        for reader in self._readers:
+            reader.read_ahead(pool)
 
     def attachments(self) -> Iterator[Attachment]:
         """MCAP attachments, source by source."""

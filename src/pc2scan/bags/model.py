@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
+    from concurrent.futures import Executor
     from pathlib import Path
 
 Buffer = bytes | memoryview
@@ -186,6 +187,10 @@ class Reader(Protocol):
         start_ns, stop_ns
             Only messages with ``start_ns <= log_time_ns < stop_ns``.
         """
+        ...
+
+    def read_ahead(self, pool: Executor) -> None:
+        """Let the following calls of `messages` read and decompress what comes next on these threads."""
         ...
 
     def attachments(self) -> Iterator[Attachment]:

@@ -13,6 +13,7 @@ from . import zstd
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
+    from concurrent.futures import Executor
 
     from .model import Attachment, Connection, Metadata, RawMessage, Reader, Summary, Writer
 
@@ -203,6 +204,10 @@ class _UnpackedReader:
         stop_ns: int | None = None,
     ) -> Iterator[RawMessage]:
         return self._inner.messages(connections, start_ns, stop_ns)
+
+    def read_ahead(self, pool: Executor) -> None:
+        """Let the following calls of `messages` read and decompress what comes next on these threads."""
+        self._inner.read_ahead(pool)
 
     def attachments(self) -> Iterator[Attachment]:
         return self._inner.attachments()

@@ -14,6 +14,7 @@ from .segments import in_time_order
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
+    from concurrent.futures import Executor
     from pathlib import Path
 
     from .model import Attachment, Connection, Metadata, RawMessage
@@ -44,6 +45,7 @@ class Rosbag1Reader:
         self._path = path
         self._file = BagFile(path)
         self._bytes_read = 0
+        self._pool: Executor | None = None
         try:
             self._contents = read_index(self._file)
         except Damaged as err:
@@ -125,7 +127,11 @@ class Rosbag1Reader:
                 ) from err
 
         due = [segment for segment in self._contents.segments if segment.may_hold(ids, start_ns, stop_ns)]
-        return in_time_order(due, load)
+        return in_time_order(due, load, pool=self._pool)
+
+    def read_ahead(self, pool: Executor) -> None:
+        """Let the following calls of `messages` read and decompress what comes next on these threads."""
+        self._pool = pool
 
     def attachments(self) -> Iterator[Attachment]:
         """None: a ROS 1 bag has no attachments."""

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import os
 import struct
-from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import chain
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import DestinationError, OutputError
 
+from .files import NewFile
 from .model import ros1_type
 from .rosbag1_chunks import USUAL_LAYOUT
 from .rosbag1_records import (
@@ -77,18 +76,17 @@ class Rosbag1Writer:
         # The part of a message's record before its time, for each connection.
         self._prefixes: list[bytes] = []
         self._chunk_infos: list[bytes] = []
-        self._position = 0
         self._declared: set[int] = set()
         self._chunk = _OpenChunk()
         try:
-            self._file = path.open("xb")
+            self._file = NewFile(path)
         except FileExistsError as err:
             raise DestinationError(
                 "exists already", path=path, hint="Remove it, or choose another name."
             ) from err
         except OSError as err:
             raise OutputError(f"cannot be created: {err.strerror}", path=path) from err
-        self._put(FIRST_LINE, _pack_bag_header(0, 0, 0))
+        self._file.put(FIRST_LINE, _pack_bag_header(0, 0, 0))
 
     def add_connection(self, connection: Connection) -> int:
         """Declare a connection; equal ones stay apart.
@@ -193,23 +191,15 @@ class Rosbag1Writer:
     def finish(self) -> None:
         """Write the open chunk and the index, complete the header, and put everything on the disk."""
         self._flush()
-        index_pos = self._position
-        self._put(*self._connections, *self._chunk_infos)
+        index_pos = self._file.position
+        self._file.put(*self._connections, *self._chunk_infos)
         header = _pack_bag_header(index_pos, len(self._connections), len(self._chunk_infos))
-        try:
-            self._file.seek(len(FIRST_LINE))
-            self._file.write(header)
-            self._file.flush()
-            os.fsync(self._file.fileno())
-            self._file.close()
-        except OSError as err:
-            raise self._failed(err) from err
+        self._file.replace(len(FIRST_LINE), header)
+        self._file.finish()
 
     def abort(self) -> None:
         """Release the file; without its index it is not a bag."""
-        # Closing writes what is buffered, and fails again where writing did.
-        with suppress(OSError):
-            self._file.close()
+        self._file.abort()
 
     def _flush(self) -> None:
         """Write the open chunk with its index, if it has anything in it."""
@@ -217,23 +207,12 @@ class Rosbag1Writer:
         if not chunk.parts:
             return
         self._chunk = _OpenChunk()
-        self._chunk_infos.append(_pack_chunk_info(chunk, self._position))
+        self._chunk_infos.append(_pack_chunk_info(chunk, self._file.position))
         stored = _compressed(chunk.parts, self._compression)
         header = {"compression": self._compression.encode(), "size": UINT32.pack(chunk.size)}
         length = sum(len(part) for part in stored)
-        self._put(_pack_header(CHUNK, header), UINT32.pack(length), *stored)
-        self._put(*(_pack_index(handle, entries) for handle, entries in chunk.index.items()))
-
-    def _put(self, *parts: Buffer) -> None:
-        try:
-            for part in parts:
-                self._file.write(part)
-                self._position += len(part)
-        except OSError as err:
-            raise self._failed(err) from err
-
-    def _failed(self, err: OSError) -> OutputError:
-        return OutputError(f"cannot be written: {err.strerror}", path=self.path)
+        self._file.put(_pack_header(CHUNK, header), UINT32.pack(length), *stored)
+        self._file.put(*(_pack_index(handle, entries) for handle, entries in chunk.index.items()))
 
 
 @dataclass(slots=True)

@@ -8,17 +8,23 @@ segment is loaded when its first message is due and forgotten after its last.
 from __future__ import annotations
 
 import heapq
+from collections import deque
 from dataclasses import dataclass
 from operator import attrgetter
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from concurrent.futures import Executor, Future
 
     from .model import RawMessage
 
 #: Loaded segments may take this much before the ones needed last are dropped and later read again.
 MAX_OPEN_BYTES = 128 << 20
+
+#: Segments are loaded ahead of their turn until they take this much together, or there are this many.
+MAX_AHEAD_BYTES = 32 << 20
+MAX_AHEAD = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +85,7 @@ def in_time_order(
     load: Callable[[Segment], list[RawMessage]],
     *,
     max_open_bytes: int = MAX_OPEN_BYTES,
+    pool: Executor | None = None,
 ) -> Iterator[RawMessage]:
     """Merge the messages of overlapping segments.
 
@@ -91,6 +98,9 @@ def in_time_order(
         a segment is loaded again if more than ``max_open_bytes`` of segments overlap at one time.
     max_open_bytes
         Bound on the payload of the segments held at one time (one is always held).
+    pool
+        Threads on which segments are loaded ahead of their turn; ``load`` must bear that. None loads each when it is
+        due. The messages are the same.
 
     Yields
     ------
@@ -98,8 +108,6 @@ def in_time_order(
         By log time; equal log times in the order of the file.
     """
     waiting = sorted(segments, key=attrgetter("start_ns", "offset"))
-    heap: list[_Open] = []
-    due = 0
 
     def loaded(segment: Segment) -> list[RawMessage]:
         messages = load(segment)
@@ -107,11 +115,58 @@ def in_time_order(
         messages.sort(key=attrgetter("log_time_ns"))
         return messages
 
+    arrivals = _Ahead(waiting, loaded, pool) if pool is not None else map(loaded, waiting)
+    try:
+        yield from _merged(waiting, iter(arrivals), loaded, max_open_bytes)
+    finally:
+        if isinstance(arrivals, _Ahead):
+            arrivals.cancel()
+
+
+class _Ahead:
+    """Segments loaded on other threads before their turn, in the order given, within the bounds above."""
+
+    def __init__(
+        self, segments: Sequence[Segment], load: Callable[[Segment], list[RawMessage]], pool: Executor
+    ) -> None:
+        self._segments = segments
+        self._load = load
+        self._pool = pool
+        self._pending: deque[tuple[Segment, Future[list[RawMessage]]]] = deque()
+
+    def __iter__(self) -> Iterator[list[RawMessage]]:
+        held = 0
+        for segment in self._segments:
+            size = segment.uncompressed_size
+            while self._pending and (held + size > MAX_AHEAD_BYTES or len(self._pending) >= MAX_AHEAD):
+                first, future = self._pending.popleft()
+                held -= first.uncompressed_size
+                yield future.result()
+            self._pending.append((segment, self._pool.submit(self._load, segment)))
+            held += size
+        while self._pending:
+            yield self._pending.popleft()[1].result()
+
+    def cancel(self) -> None:
+        """Give up what has not begun."""
+        for _, future in self._pending:
+            future.cancel()
+
+
+def _merged(
+    waiting: Sequence[Segment],
+    arrivals: Iterator[list[RawMessage]],
+    loaded: Callable[[Segment], list[RawMessage]],
+    max_open_bytes: int,
+) -> Iterator[RawMessage]:
+    """Merge segments, given their messages in the same order; ``loaded`` is for those that were dropped."""
+    heap: list[_Open] = []
+    due = 0
     while heap or due < len(waiting):
         while due < len(waiting) and (not heap or waiting[due].start_ns <= heap[0].key[0]):
             segment = waiting[due]
             due += 1
-            messages = loaded(segment)
+            messages = next(arrivals)
             if messages:
                 heapq.heappush(heap, _Open(segment, messages))
                 _evict(heap, max_open_bytes)

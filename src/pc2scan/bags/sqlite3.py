@@ -39,6 +39,7 @@ from .staging import sync_file
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
+    from concurrent.futures import Executor
 
     from .model import Attachment, Buffer, Metadata
 
@@ -161,6 +162,10 @@ class Sqlite3Reader:
                 yield RawMessage(known[topic_id], time_ns, data, time_ns)
         except sqlite3.Error as err:
             raise self._error(err) from err
+
+    def read_ahead(self, pool: Executor) -> None:
+        """Let the following calls of `messages` read and decompress what comes next on these threads."""
+        # A database is read in order, by the thread that opened it.
 
     def attachments(self) -> Iterator[Attachment]:
         """None: the storage has no attachments."""

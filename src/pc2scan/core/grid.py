@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Grid"]
 
-#: How far NumPy's float32 arctan2 may be from the angle's float32, radians. NumPy allows its vectorised functions
-#: 4 ulp, which are 0.95e-6 close to pi; the largest error that was seen is 0.34e-6.
+#: How far NumPy's float32 arctan2 may be from the angle's float32, radians. NumPy allows its vectorised
+#: functions 4 ulp, which are 0.95e-6 close to pi; the largest error that was seen is 0.34e-6.
 _ANGLE_ERROR = 1.1e-6
 
 #: For fewer points it is cheaper to compute every angle in float64 than to find out which ones need it.
@@ -81,12 +81,12 @@ class Grid:
         # atan2 returns nothing beyond float32's pi.
         self.whole_circle = bool(self._min <= -np.float32(np.pi) and self._max >= np.float32(np.pi))
 
-        # The quotient is nearly angle * scale + shift. In float32 that is off, in beams, by the angle's error and by
-        # the roundings of scale, shift, product and sum, each at most 2**-24 of reach; one more is to spare.
+        # The quotient is nearly angle * scale + shift. In float32 that is off, in beams, by the angle's error
+        # and by roundings of 2**-24 each: scale and product, at most turn; shift; the sum, at most both.
         scale = 1 / float(self._increment)
         shift = -float(self._min) * scale
-        reach = math.pi * scale + abs(shift)
-        self._doubt = _ANGLE_ERROR * scale + 5 * 2.0**-24 * reach
+        turn = math.pi * scale
+        self._doubt = _ANGLE_ERROR * scale + 1.1 * 2.0**-24 * (3 * turn + 2 * abs(shift) + 1)
         if self._doubt < _MUCH_DOUBT:
             self._scale = np.float32(scale)
             # Moved up by the doubt, a quotient that may belong to the beam below has a small fraction.
@@ -121,8 +121,8 @@ class Grid:
     ) -> NDArray[np.intp]:
         """Slots of points: those of the angles ``float32(atan2(y, x))``.
 
-        NumPy's arctan2 is a lot faster in float32, but some ulp off. That is good enough for all points but those
-        that seem to be close to an edge of a beam.
+        NumPy's arctan2 is a lot faster in float32, but some ulp off. That is good enough for all points but
+        those that seem to be close to an edge of a beam.
 
         Parameters
         ----------
@@ -146,13 +146,11 @@ class Grid:
         np.floor(quotients, out=floors)
         quotients -= floors
         doubtful = quotients < np.float32(2 * self._doubt)
-        if not self.whole_circle:
-            # Below the sector is -1: by its other name, the last slot, outside. Where the last beam ends is not known.
-            np.clip(floors, -1, self.outside, out=floors)
-            doubtful |= floors == self.beams - 1
         np.copyto(out, floors, casting="unsafe")
         if not self.whole_circle:
-            out[out < 0] = self.outside
+            out[(floors < 0) | (floors >= self.beams)] = self.outside
+            # The sector ends somewhere in its last beam.
+            doubtful |= floors == self.beams - 1
         again = np.flatnonzero(doubtful)
         if again.size:
             out[again] = self.slots_of_angles(_angles(x.take(again), y.take(again)))

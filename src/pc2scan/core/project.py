@@ -24,7 +24,7 @@ from .grid import Grid
 from .params import ProjectionParams, float32
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import ArrayLike, NDArray
 
@@ -33,9 +33,13 @@ __all__ = ["PointCounts", "ProjectedScan", "Projector", "project"]
 #: Rotation (3, 3) and translation (3,), float64: ``target = rotation @ source + translation``.
 Transform: TypeAlias = "tuple[NDArray[np.float64], NDArray[np.float64]]"
 
-#: Points at a time: what is computed from them stays in the processor's second-level cache, and calling NumPy still
-#: costs little beside them.
+#: Points at a time: few enough for the cache, and enough to make the cost of calling NumPy small.
 BLOCK = 16384
+
+#: How many points of a block are looked at to tell whether neighbours share a beam, and from which mean
+#: length on it pays to take runs of neighbours together.
+_PROBE = 1024
+_LONG_RUN = 32
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,12 +146,12 @@ class Projector:
         """
         if not (x.shape == y.shape == z.shape and 1 <= x.ndim <= 2):
             raise ValueError(
-                f"x, y and z have the shapes {x.shape}, {y.shape} and {z.shape}, expected the same (M,) or (H, W)"
+                f"x, y and z have the shapes {x.shape}, {y.shape}, {z.shape}, expected one of (M,) or (H, W)"
             )
         cloud = _Cloud(self._grid, self._limits, x.size)
         with np.errstate(all="ignore"):
             for tile in _tiles(x.shape):
-                cloud.add(x[tile], y[tile], z[tile], target_from_source)
+                cloud.add((x[tile], y[tile], z[tile]), target_from_source)
             return cloud.scan()
 
 
@@ -157,8 +161,9 @@ def project(points: ArrayLike, params: ProjectionParams | None = None) -> Projec
     Parameters
     ----------
     points
-        (M, 3) or (H, W, 3), integers or floats: x, y and z in metres, in the scan's frame. They are rounded to float32,
-        which is what upstream reads. NaN drops a point; infinite coordinates are stopped only by the limits.
+        (M, 3) or (H, W, 3), integers or floats: x, y and z in metres, in the scan's frame. They are rounded
+        to float32, as upstream reads them. NaN drops a point; infinite coordinates are stopped only by the
+        limits.
     params
         The projection's parameters, upstream's defaults if None. Those **drop everything at or below z = 0**.
 
@@ -194,8 +199,9 @@ class _Limits:
     """What the coordinates are compared with.
 
     A float32 is within float64 limits exactly if it is within the float32 next to them on the inner side, for
-    there is none in between. And a range, the root of a square rounded twice, does not fall when the square grows:
-    there is a smallest square whose range reaches ``range_min``, and a largest one within ``range_max``.
+    there is none in between. And a range, the root of a square rounded twice, does not fall when the square
+    grows: there is a smallest square whose range reaches ``range_min``, and a largest one that stays within
+    ``range_max``.
     """
 
     __slots__ = ("highest", "least", "lowest", "most", "no_return")
@@ -206,7 +212,8 @@ class _Limits:
         self.least = _first_square(_first_from(params.range_min))
         self.most = math.inf
         if params.range_max < math.inf:
-            beyond = np.nextafter(-_first_from(-params.range_max), np.float32(np.inf))
+            with np.errstate(over="ignore"):
+                beyond = np.nextafter(-_first_from(-params.range_max), np.float32(np.inf))
             self.most = math.nextafter(_first_square(beyond), -math.inf)
         self.no_return = np.float32(params.no_return)
 
@@ -214,29 +221,29 @@ class _Limits:
 def _first_from(limit: float) -> np.float32:
     """The smallest float32 that is not below a limit."""
     nearest = np.float32(float32(limit))
-    return nearest if float(nearest) >= limit else np.nextafter(nearest, np.float32(np.inf))
+    with np.errstate(over="ignore"):
+        return nearest if float(nearest) >= limit else np.nextafter(nearest, np.float32(np.inf))
 
 
 def _first_square(limit: np.float32) -> float:
-    """The smallest float64, from 0 on, whose root is not below a limit once it is rounded to float32.
-
-    Bisects bit patterns: those of positive floats are in the order of their values.
-    """
-    below, enough = -1, int(np.float64(np.inf).view(np.int64))
-    while enough - below > 1:
-        middle = (below + enough) // 2
-        if float32(math.sqrt(np.int64(middle).view(np.float64))) >= limit:
-            enough = middle
-        else:
-            below = middle
-    return float(np.int64(enough).view(np.float64))
+    """The smallest float64, from 0 on, whose root is not below a limit once it is rounded to float32."""
+    if limit <= 0:
+        return 0.0
+    # What is rounded to the limit begins half way from the float32 before it, some steps beside its square at
+    # most. Rounding treats infinity as the power of two that would be next.
+    before = np.nextafter(limit, np.float32(0))
+    square = ((float(before) + min(float(limit), 2.0**128)) / 2) ** 2
+    while float32(math.sqrt(square)) >= limit:
+        square = math.nextafter(square, 0)
+    while float32(math.sqrt(square)) < limit:
+        square = math.nextafter(square, math.inf)
+    return square
 
 
 def _tiles(shape: tuple[int, ...]) -> Iterator[tuple[slice, ...]]:
-    """Parts of a cloud of about `BLOCK` points: whole rows, or equal parts of one row where rows are long."""
+    """Parts of a cloud, up to `BLOCK` points each: whole rows, or equal parts of rows that are longer."""
     *rows, columns = shape
-    parts = max(1, math.ceil(columns / BLOCK))
-    width = max(1, math.ceil(columns / parts))
+    width = max(1, math.ceil(columns / max(1, math.ceil(columns / BLOCK))))
     height = max(1, BLOCK // width)
     for top in range(0, rows[0] if rows else 1, height):
         for left in range(0, columns, width):
@@ -245,54 +252,61 @@ def _tiles(shape: tuple[int, ...]) -> Iterator[tuple[slice, ...]]:
 
 
 class _Scratch:
-    """Arrays for what is computed from a block, of one length, and used again for block after block.
+    """Arrays of one length for what is computed from a block, to be used again for the next.
 
-    Fresh memory is no alternative: the allocator hands blocks of this size back to the system, and each of their pages
-    has to be faulted in again.
+    Fresh arrays may cost more than what is computed in them: allocators hand memory of such a size back to
+    the system, which has to provide it again page by page.
     """
 
-    __slots__ = ("_shorter", "arrays", "coordinates", "doubles", "masks", "singles", "size", "slots")
+    __slots__ = ("_rows", "_shorter", "doubles", "masks", "singles", "slots")
 
-    def __init__(self, singles, doubles, masks, slots) -> None:
-        self.arrays = singles, doubles, masks, slots
-        self.size = singles.shape[1]
-        self.coordinates = singles[:3]
+    def __init__(
+        self,
+        singles: NDArray[np.float32],
+        doubles: NDArray[np.float64],
+        masks: NDArray[np.bool_],
+        slots: NDArray[np.intp],
+    ) -> None:
+        self._rows = singles, doubles, masks, slots
+        self._shorter: _Scratch | None = None
         self.singles = tuple(singles)
         self.doubles = tuple(doubles)
         self.masks = tuple(masks)
         self.slots = slots
-        self._shorter: _Scratch | None = None
 
-    @classmethod
-    def of_size(cls, size: int) -> _Scratch:
-        return cls(
-            np.empty((6, size), np.float32),
-            np.empty((2, size)),
-            np.empty((2, size), np.bool_),
-            np.empty(size, np.intp),
-        )
+    @property
+    def size(self) -> int:
+        return self.slots.size
 
     def cut(self, size: int) -> _Scratch:
-        """The same arrays up to a length."""
+        """The same memory, as arrays of another length."""
         if size == self.size:
             return self
         if self._shorter is None or self._shorter.size != size:
-            self._shorter = _Scratch(*(array[..., :size] for array in self.arrays))
+            singles, doubles, masks, slots = self._rows
+            self._shorter = _Scratch(singles[:, :size], doubles[:, :size], masks[:, :size], slots[:size])
         return self._shorter
 
 
-class _PerThread(threading.local):
-    """Scratch arrays of a thread."""
+class _ScratchOfThread(threading.local):
+    """Where each thread keeps its `_Scratch`."""
 
     scratch: _Scratch | None = None
 
     def of_size(self, size: int) -> _Scratch:
+        """The thread's memory, enlarged if it has to be."""
         if self.scratch is None or self.scratch.size < size:
-            self.scratch = _Scratch.of_size(max(size, BLOCK))
+            most = max(size, BLOCK)
+            self.scratch = _Scratch(
+                np.empty((6, most), np.float32),
+                np.empty((5, most), np.float64),
+                np.empty((2, most), np.bool_),
+                np.empty(most, np.intp),
+            )
         return self.scratch.cut(size)
 
 
-_PER_THREAD = _PerThread()
+_SCRATCH = _ScratchOfThread()
 
 
 class _Cloud:
@@ -316,47 +330,48 @@ class _Cloud:
         self._limits = limits
         self._total = total
         self._nan = self._height = self._range = self._angle = self._past_end = 0
-        # Squares are compared, which saves the points' roots, unless there are more beams than points.
+        # The smallest square has the smallest root: only beams need roots, or the points if they are fewer.
         self._squared = total > grid.beams
+        self._smallest: NDArray[np.float32] | NDArray[np.float64]
         if self._squared:
-            self._smallest = np.full(grid.slots, np.inf)
+            self._smallest = np.empty(grid.slots, np.float64)
+            self._smallest.fill(np.inf)
         else:
-            self._smallest = np.full(grid.slots, limits.no_return, np.float32)
+            self._smallest = np.empty(grid.slots, np.float32)
+            self._smallest.fill(limits.no_return)
             self._smallest[grid.beams :] = np.inf
 
-    def add(self, x, y, z, target_from_source) -> None:
+    def add(self, tile: tuple[NDArray[Any], NDArray[Any], NDArray[Any]], transform: Transform | None) -> None:
         """Take a block of points."""
-        size = x.size
-        scratch = _PER_THREAD.of_size(size)
-        xs, ys, zs = scratch.singles[:3]
-        if target_from_source is None:
-            for array, part in ((xs, x), (ys, y), (zs, z)):
-                np.copyto(array.reshape(part.shape) if part.ndim > 1 else array, part, casting="unsafe")
+        size = tile[0].size
+        scratch = _SCRATCH.of_size(size)
+        x, y, z = scratch.singles[:3]
+        if transform is None:
+            _copy(tile, (x, y, z))
         else:
-            _transform(x, y, z, target_from_source, scratch)
-
+            _transform(tile, transform, (x, y, z), scratch.doubles)
         level, mask = scratch.masks
-        np.greater_equal(zs, self._limits.lowest, out=level)
-        np.less_equal(zs, self._limits.highest, out=mask)
+        np.greater_equal(z, self._limits.lowest, out=level)
+        np.less_equal(z, self._limits.highest, out=mask)
         level &= mask
         if np.count_nonzero(level) < size:
-            nan = np.isnan(xs, out=mask)
-            nan |= np.isnan(ys)
-            nan |= np.isnan(zs)
-            nans = np.count_nonzero(nan)
+            nan = np.isnan(x, out=mask)
+            nan |= np.isnan(y)
+            nan |= np.isnan(z)
             kept = np.flatnonzero(np.greater(level, nan, out=level))
+            nans = int(np.count_nonzero(nan))
             self._nan += nans
             self._height += size - nans - kept.size
             scratch = scratch.cut(kept.size)
-            xs = xs.take(kept, out=scratch.singles[3], mode="clip")
-            ys = ys.take(kept, out=scratch.singles[4], mode="clip")
-        self._project(xs, ys, scratch)
+            x = x.take(kept, out=scratch.singles[3], mode="clip")
+            y = y.take(kept, out=scratch.singles[4], mode="clip")
+        self._project(x, y, scratch)
 
     def _project(self, x: NDArray[np.float32], y: NDArray[np.float32], scratch: _Scratch) -> None:
-        """Take points that passed the heights; their coordinates are in the scratch, or not."""
+        """Take the points of a block whose height is right."""
         limits = self._limits
-        # float64 holds the product of two float32 exactly: this is how libm's hypotf computes a range.
-        squares, more = scratch.doubles
+        # float64 holds the squares of float32 exactly, and libm's hypotf adds them in float64.
+        squares, more, *_ = scratch.doubles
         np.copyto(squares, x)
         squares *= squares
         np.copyto(more, y)
@@ -367,7 +382,7 @@ class _Cloud:
         if limits.least > 0:
             near &= np.greater_equal(squares, limits.least, out=mask)
         if np.count_nonzero(near) < x.size:
-            nans = np.count_nonzero(np.isnan(squares, out=mask))
+            nans = int(np.count_nonzero(np.isnan(squares, out=mask)))
             kept = np.flatnonzero(near)
             self._nan += nans
             self._range += x.size - nans - kept.size
@@ -375,50 +390,79 @@ class _Cloud:
             x = x.take(kept, out=scratch.singles[0], mode="clip")
             y = y.take(kept, out=scratch.singles[1], mode="clip")
             squares = squares.take(kept, out=scratch.doubles[1], mode="clip")
-        slots = self._grid.slots_of_points(x, y, scratch.slots, (scratch.singles[2], scratch.singles[5]))
-        ranges = squares
-        if not self._squared:
-            ranges = scratch.singles[5]
-            np.copyto(ranges, np.sqrt(squares, out=squares), casting="same_kind")
-        self._lower(slots, ranges)
-
-    def _lower(self, slots, ranges) -> None:
-        smallest = self._smallest
-        # Lowering the same beam again and again waits for itself: where neighbours share a beam, each run does it once.
-        probe = slots[:_PROBE]
-        if probe.size==_PROBE and np.count_nonzero(probe[1:] != probe[:-1]) * 8 < _PROBE:
-            starts = np.flatnonzero(np.concatenate(([True], slots[1:] != slots[:-1])))
-            np.minimum.at(smallest, slots.take(starts), np.minimum.reduceat(ranges, starts))
+        spare = scratch.singles[2], scratch.singles[5]
+        slots = self._grid.slots_of_points(x, y, scratch.slots, spare)
+        if self._squared:
+            self._lower(slots, squares)
         else:
-            np.minimum.at(smallest, slots, ranges)
-        grid = self._grid
-        self._angle += self._fell_into(grid.outside, slots)
-        self._past_end += self._fell_into(grid.past_end, slots)
+            np.copyto(spare[0], np.sqrt(squares, out=squares), casting="same_kind")
+            self._lower(slots, spare[0])
 
-    def _fell_into(self, slot, slots):
-        if self._limits.most < math.inf:
-            if self._smallest[slot] == math.inf: return 0
-            self._smallest[slot] = math.inf
-        return np.count_nonzero(slots == slot)
+    def _lower(self, slots: NDArray[np.intp], ranges: NDArray[np.float32] | NDArray[np.float64]) -> None:
+        """Lower the slots' ranges, or their squares, to those of points."""
+        if _has_long_runs(slots):
+            # Each change of a slot waits for the one before: for a run of points in one beam, change it once.
+            starts = np.flatnonzero(np.concatenate(([True], slots[1:] != slots[:-1])))
+            np.minimum.at(self._smallest, slots.take(starts), np.minimum.reduceat(ranges, starts))
+        else:
+            np.minimum.at(self._smallest, slots, ranges)
+        self._angle += self._fell_into(self._grid.outside, slots)
+        self._past_end += self._fell_into(self._grid.past_end, slots)
+
+    def _fell_into(self, slot: int, slots: NDArray[np.intp]) -> int:
+        """How many points fell into a slot that is no beam; mostly, one look at the slot says none."""
+        if self._smallest[slot] == np.inf and self._limits.most < math.inf:
+            return 0
+        self._smallest[slot] = np.inf
+        return int(np.count_nonzero(slots == slot))
 
     def scan(self) -> ProjectedScan:
         """The scan of the blocks so far."""
-        ranges = self._smallest[: self._grid.beams]
+        smallest = self._smallest[: self._grid.beams]
+        if self._squared:
+            np.sqrt(smallest, out=smallest)
+        ranges = smallest.astype(np.float32, copy=False)
         if self._squared:
             # Upstream's beams begin with what they read without a return, and a return has to be below that.
-            ranges = np.minimum(np.sqrt(ranges, out=ranges).astype(np.float32), self._limits.no_return)
+            np.minimum(ranges, self._limits.no_return, out=ranges)
         rejected = self._nan + self._height + self._range + self._angle + self._past_end
-        return ProjectedScan(
-            ranges,
-            PointCounts(
-                self._total,
-                self._total - rejected,
-                self._nan,
-                self._height,
-                self._range,
-                self._angle,
-                self._past_end,
-            ),
+        counts = PointCounts(
+            self._total,
+            self._total - rejected,
+            self._nan,
+            self._height,
+            self._range,
+            self._angle,
+            self._past_end,
         )
-_PROBE=512
-RUNS=True
+        return ProjectedScan(ranges, counts)
+
+
+def _copy(tile: Sequence[NDArray[Any]], into: Sequence[NDArray[Any]]) -> None:
+    """Copy coordinates to contiguous arrays, converted to their type."""
+    for part, array in zip(tile, into, strict=True):
+        array.reshape(part.shape)[...] = part
+
+
+def _transform(
+    tile: Sequence[NDArray[Any]],
+    target_from_source: Transform,
+    into: Sequence[NDArray[np.float32]],
+    doubles: Sequence[NDArray[np.float64]],
+) -> None:
+    """Copy coordinates, transformed. Written out: a matrix product may sum in any order."""
+    rotation, translation = target_from_source
+    total, product, *source = doubles
+    _copy(tile, source)
+    for row, offset, array in zip(rotation, translation, into, strict=True):
+        np.multiply(source[0], row[0], out=total)
+        total += np.multiply(source[1], row[1], out=product)
+        total += np.multiply(source[2], row[2], out=product)
+        total += offset
+        np.copyto(array, total, casting="same_kind")
+
+
+def _has_long_runs(slots: NDArray[np.intp]) -> bool:
+    """Whether neighbours mostly share a beam, as in clouds that are stored column by column."""
+    probe = slots[:_PROBE]
+    return slots.size >= 4 * _PROBE and int(np.count_nonzero(probe[1:] != probe[:-1])) * _LONG_RUN < _PROBE

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections import deque
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from typing import TYPE_CHECKING, TypeVar
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable, Generator, Iterable
+    from concurrent.futures import Executor
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -21,10 +22,10 @@ def map_in_order(
     items: Iterable[Item],
     *,
     is_heavy: Callable[[Item], bool],
-    jobs: int,
+    pool: Executor | None,
     window: int,
-) -> Iterator[Result]:
-    """Apply ``work`` to every item, the heavy ones on ``jobs`` threads.
+) -> Generator[Result, None, None]:
+    """Apply ``work`` to every item, the heavy ones on other threads.
 
     Parameters
     ----------
@@ -32,8 +33,8 @@ def map_in_order(
         Must not depend on the order of calls.
     is_heavy
         Which items are worth a thread; the others are worked on where they are read.
-    jobs
-        Threads; 1 means none but the caller's.
+    pool
+        The threads; None means none but the caller's.
     window
         Heavy items in flight at most: items are read no further than that, so memory stays bounded.
 
@@ -43,28 +44,27 @@ def map_in_order(
         In the order of ``items``, whatever the number of threads. An exception of ``work`` is raised
         when its turn comes.
     """
-    if jobs == 1:
+    if pool is None:
         yield from map(work, items)
         return
-    with ThreadPoolExecutor(jobs, thread_name_prefix="pc2scan") as pool:
-        queue: deque[Future[Result]] = deque()
-        in_flight: deque[Future[Result]] = deque()
-        try:
-            for item in items:
-                if is_heavy(item):
-                    while len(in_flight) >= window:
-                        # The oldest heavy item has to be done before another one is read.
-                        in_flight.popleft().exception()
-                    future = pool.submit(work, item)
-                    in_flight.append(future)
-                else:
-                    future = Future()
-                    future.set_result(work(item))
-                queue.append(future)
-                while queue and (queue[0].done() or len(queue) > _MAX_QUEUED):
-                    yield queue.popleft().result()
-            while queue:
+    queue: deque[Future[Result]] = deque()
+    in_flight: deque[Future[Result]] = deque()
+    try:
+        for item in items:
+            if is_heavy(item):
+                while len(in_flight) >= window:
+                    # The oldest heavy item has to be done before another one is read.
+                    in_flight.popleft().exception()
+                future = pool.submit(work, item)
+                in_flight.append(future)
+            else:
+                future = Future()
+                future.set_result(work(item))
+            queue.append(future)
+            while queue and (queue[0].done() or len(queue) > _MAX_QUEUED):
                 yield queue.popleft().result()
-        finally:
-            for future in queue:
-                future.cancel()
+        while queue:
+            yield queue.popleft().result()
+    finally:
+        for future in queue:
+            future.cancel()

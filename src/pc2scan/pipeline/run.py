@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from itertools import chain
@@ -316,17 +317,24 @@ def _stream(
     """Read, work on several threads, and write in the order of reading."""
     total = reader.summary.size_bytes
     jobs = options.jobs or _cores()
-    outcomes = map_in_order(
-        _work,
-        ((lanes[message.connection.id], message) for message in _cut(reader, lanes, span)),
-        is_heavy=lambda item: item[0].convert is not None or item[0].encode is not None,
-        jobs=jobs,
-        window=options.params.queue_size or 2 * jobs,
-    )
-    for count, outcome in enumerate(outcomes, 1):
-        _write(outcome, writer, report, options.on_error)
-        if progress is not None and count % _PROGRESS_EVERY == 0:
-            progress(reader.bytes_read, total, count)
+    with ExitStack() as stack:
+        pool = None
+        if jobs > 1:
+            pool = stack.enter_context(ThreadPoolExecutor(jobs, thread_name_prefix="pc2scan"))
+            reader.read_ahead(pool)
+        outcomes = map_in_order(
+            _work,
+            ((lanes[message.connection.id], message) for message in _cut(reader, lanes, span)),
+            is_heavy=lambda item: item[0].convert is not None or item[0].encode is not None,
+            pool=pool,
+            window=options.params.queue_size or 2 * jobs,
+        )
+        # Closed before the pool is waited for, so that an error gives up what has not begun.
+        stack.callback(outcomes.close)
+        for count, outcome in enumerate(outcomes, 1):
+            _write(outcome, writer, report, options.on_error)
+            if progress is not None and count % _PROGRESS_EVERY == 0:
+                progress(reader.bytes_read, total, count)
     if progress is not None:
         progress(total, total, sum(entry.messages_in for entry in report.topics))
 

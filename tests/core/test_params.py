@@ -1,0 +1,127 @@
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pc2scan import ProjectionParams
+from pc2scan.core.params import MAX_BEAMS, beam_count, float32
+from pc2scan.errors import ParameterError
+
+ANGLES = st.floats(-7, 7)
+
+
+@given(st.floats(allow_nan=False))
+def test_float32_rounds_as_numpy_does(value: float) -> None:
+    with np.errstate(over="ignore"):
+        assert float32(value) == float(np.float32(value))
+
+
+@pytest.mark.parametrize("value", [3.4028235e38, 3.4028235677973366e38, 3.4028236e38, 1e300])
+def test_float32_overflows_to_infinity_as_numpy_does(value: float) -> None:
+    with np.errstate(over="ignore"):
+        assert float32(value) == float(np.float32(value))
+        assert float32(-value) == float(np.float32(-value))
+
+
+@given(ANGLES, ANGLES, st.floats(1e-6, 10))
+def test_beam_count_is_the_ceiling_of_the_float32_quotient(low: float, high: float, increment: float) -> None:
+    quotient = (np.float32(high) - np.float32(low)) / np.float32(increment)
+    assert beam_count(low, high, increment) == max(0, math.ceil(quotient))
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "increment", "count"),
+    [
+        (-math.pi, math.pi, math.pi / 180, 360),
+        (-math.pi, math.pi, 0.0061359, 1025),
+        (0.5, 2.6, 0.0035, 600),
+        (-1.5708, 1.5708, 0.0087, 362),
+        (0, 1, 5, 1),
+        (0, 1, 0, 0),
+        (0, 1, 1e-60, 0),
+        (1, 0, 0.1, 0),
+        (-3e38, 3e38, 1e38, 0),
+    ],
+)
+def test_beam_count(low: float, high: float, increment: float, count: int) -> None:
+    assert beam_count(low, high, increment) == count
+
+
+def test_defaults_are_upstreams() -> None:
+    assert dataclasses.asdict(ProjectionParams()) == {
+        "target_frame": "",
+        "transform_tolerance": 0.01,
+        "min_height": 2.2250738585072014e-308,
+        "max_height": 1.7976931348623157e308,
+        "angle_min": -math.pi,
+        "angle_max": math.pi,
+        "angle_increment": math.pi / 180,
+        "scan_time": 1 / 30,
+        "range_min": 0.0,
+        "range_max": 1.7976931348623157e308,
+        "use_inf": True,
+        "inf_epsilon": 1.0,
+        "queue_size": 0,
+    }
+
+
+@pytest.mark.parametrize(
+    ("values", "named"),
+    [
+        ({"min_height": math.nan}, "min_height"),
+        ({"inf_epsilon": math.nan}, "inf_epsilon"),
+        ({"scan_time": -0.1}, "scan_time"),
+        ({"transform_tolerance": -1.0}, "transform_tolerance"),
+        ({"queue_size": -1}, "queue_size"),
+        ({"angle_min": -math.inf}, "angle_min"),
+        ({"angle_max": math.inf}, "angle_max"),
+        ({"angle_increment": math.inf}, "angle_increment"),
+        ({"angle_increment": 0.0}, "angle_increment"),
+        ({"angle_increment": -0.1}, "angle_increment"),
+        ({"angle_increment": 1e-60}, "angle_increment"),
+        ({"angle_min": 1.0, "angle_max": 1.0}, "angle_min"),
+        ({"angle_min": 1.0, "angle_max": 1.0 + 1e-12}, "angle_min"),
+        ({"range_min": 2.0, "range_max": 1.0}, "range_min"),
+        ({"min_height": 2.0, "max_height": 1.0}, "min_height"),
+        ({"angle_increment": 1e-9}, "angle_increment"),
+        ({"angle_increment": 1e300}, "angle_increment"),
+    ],
+)
+def test_values_that_cannot_be_are_refused_by_name(values: dict[str, float], named: str) -> None:
+    with pytest.raises(ParameterError) as caught:
+        ProjectionParams(**values)  # type: ignore[arg-type]
+    assert caught.value.name == named
+    assert named in caught.value.message
+
+
+def test_too_many_beams_are_counted_in_the_message() -> None:
+    with pytest.raises(ParameterError, match=f"at most {MAX_BEAMS:,} are allowed"):
+        ProjectionParams(angle_increment=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("values", "expected"),
+    [
+        ({}, math.inf),
+        ({"use_inf": False}, math.inf),
+        ({"use_inf": False, "range_max": 30.0}, 31.0),
+        ({"use_inf": False, "range_max": 30.0, "inf_epsilon": 0.1}, 30.100000381469727),
+        ({"use_inf": False, "range_max": 0.1, "inf_epsilon": 0.0}, 0.10000000149011612),
+        ({"use_inf": False, "range_max": 30.0, "inf_epsilon": -40.0}, -10.0),
+        ({"use_inf": True, "range_max": 30.0}, math.inf),
+    ],
+)
+def test_no_return(values: dict[str, float], expected: float) -> None:
+    assert ProjectionParams(**values).no_return == expected  # type: ignore[arg-type]
+
+
+def test_params_are_immutable_and_hashable() -> None:
+    params = ProjectionParams(range_max=5)
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        params.range_max = 6.0  # type: ignore[misc]
+    assert hash(params) == hash(ProjectionParams(range_max=5))
