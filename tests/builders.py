@@ -203,12 +203,11 @@ class Stream:
 
 @dataclass(frozen=True, slots=True)
 class Item:
-    """One message: ``data`` by ROS generation, and ``unnumbered`` as ROS 1 has it with all ``seq`` 0."""
+    """One message: ``data`` by ROS generation."""
 
     stream: Stream
     log_time_ns: int
     data: dict[int, bytes]
-    unnumbered: bytes
 
     @property
     def publish_time_ns(self) -> int:
@@ -216,7 +215,7 @@ class Item:
 
     def expected(self, source: int, target: int) -> bytes:
         """The payload after a conversion from one generation to another; ROS 2 has no ``seq``."""
-        return self.unnumbered if (source, target) == (2, 1) else self.data[target]
+        return unnumbered(self.data[1], self.stream.type_in(1)) if (source, target) == (2, 1) else self.data[target]
 
 
 @dataclass(frozen=True, slots=True)
@@ -234,7 +233,16 @@ class Recording:
 
 def item(stream: Stream, log_time_ns: int, make: Callable[[int, int], bytes], seq: int = 0) -> Item:
     """Serialise a message for both generations; ``make`` takes the generation and the sequence number."""
-    return Item(stream, log_time_ns, {1: make(1, seq), 2: make(2, seq)}, make(1, 0))
+    return Item(stream, log_time_ns, {1: make(1, seq), 2: make(2, seq)})
+
+
+def unnumbered(data: bytes, msgtype: str) -> bytes:
+    """A ROS 1 message with every header's ``seq`` set to 0."""
+    message = deserialized(data, msgtype, 1)
+    for part in (message, *getattr(message, "transforms", ())):
+        if hasattr(part, "header"):
+            object.__setattr__(part.header, "seq", 0)
+    return serialized(typestore(1), message, msgtype, 1)
 
 
 def points_of(step: int, count: int = 60) -> NDArray[np.float32]:

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from .api import convert as convert
-    from .pipeline.report import Report as Report
     from .core.params import ProjectionParams as ProjectionParams
     from .core.project import PointCounts as PointCounts
     from .core.project import ProjectedScan as ProjectedScan
     from .core.project import project as project
     from .inspect.info import info as info
+    from .pipeline.report import Report as Report
 
 __version__ = "0.1.0"
 

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from .core.params import ProjectionParams
 from .pipeline.options import ConvertOptions, TimeBound, TopicRequest
 from .pipeline.run import OutputOptions, Progress, run
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
-    from os import PathLike
 
-    from .core.params import ProjectionParams
     from .pipeline.report import Report
 
 __all__ = ["convert"]
@@ -86,9 +86,9 @@ def convert(
     >>> report.exit_status  # doctest: +SKIP
     0
     """
-    paths = [sources] if isinstance(sources, str) or not isinstance(sources, (list, tuple)) else sources
+    paths = [sources] if isinstance(sources, str | PathLike) else sources
     options = ConvertOptions(
-        **({} if params is None else {"params": params}),
+        params=params or ProjectionParams(),
         topics=tuple(TopicRequest.parse(topic) for topic in topics),
         keep_clouds=keep_clouds,
         only_scans=only_scans,

@@ -24,7 +24,12 @@ def test_an_error_says_what_where_and_what_to_do() -> None:
 
 @pytest.mark.parametrize(
     ("stamp_ns", "text"),
-    [(0, "0.000000000"), (1604515190231374463, "1604515190.231374463"), (-5, "-0.000000005"), (-10**9, "-1.000000000")],
+    [
+        (0, "0.000000000"),
+        (1604515190231374463, "1604515190.231374463"),
+        (-5, "-0.000000005"),
+        (-(10**9), "-1.000000000"),
+    ],
 )
 def test_stamps_keep_every_digit(stamp_ns: int, text: str) -> None:
     assert stamp_text(stamp_ns) == text
@@ -32,7 +37,13 @@ def test_stamps_keep_every_digit(stamp_ns: int, text: str) -> None:
 
 def test_numbers() -> None:
     assert [count(0), count(1234567)] == ["-", "1,234,567"]
-    assert [size(0), size(999), size(1000), size(2.5e9), size(3e15)] == ["0 B", "999 B", "1.0 kB", "2.5 GB", "3000.0 TB"]
+    assert [size(0), size(999), size(1000), size(2.5e9), size(3e15)] == [
+        "0 B",
+        "999 B",
+        "1.0 kB",
+        "2.5 GB",
+        "3000.0 TB",
+    ]
 
 
 def test_a_table_lines_up_and_escapes(capsys: pytest.CaptureFixture[str]) -> None:

@@ -418,7 +418,7 @@ def test_scans_that_cannot_be_converted_back(tmp_path: Path) -> None:
     stream = Stream("/base_scan", "sensor_msgs/msg/LaserScan")
     good = [item(stream, T0 + step, lambda g, s: scan(np.full(31, 2.0, np.float32), g, seq=s), step) for step in range(2)]
     whole = good[0].data[1]
-    short = Item(stream, T0 + 5, {1: whole[:-40], 2: whole}, whole[:-40])
+    short = Item(stream, T0 + 5, {1: whole[:-40], 2: whole})
     source = write_rosbag1(tmp_path / "drive.bag", Recording((stream,), (*good, short)))
     done = run("convert", source, "-o", tmp_path / "out.bag", "--reverse")
     assert done.status == 3, done.stderr
@@ -437,7 +437,9 @@ def test_more_skipped_messages_than_are_listed(tmp_path: Path) -> None:
     assert done.status == 3
     found = json.loads(report.read_text())
     assert (found["skipped_count"], len(found["skipped"])) == (150, 100)
-    assert "140 more" in done.stderr
+    # All alike: one line tells what is listed, another that there are more.
+    assert "99 more" in done.stderr
+    assert "50 more" in done.stderr
 
 
 # --- What the command prints ---

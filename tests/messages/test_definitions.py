@@ -57,9 +57,7 @@ def test_md5sum_is_that_of_the_text_according_to_rosbags(msgtype: str) -> None:
 
 @pytest.mark.parametrize("msgtype", sorted(TYPES))
 @pytest.mark.parametrize("distro", ["ROS2_HUMBLE", "ROS2_JAZZY", "ROS2_LYRICAL"])
-def test_hash_is_that_of_the_text_and_of_the_distribution_according_to_rosbags(
-    msgtype: str, distro: str
-) -> None:
+def test_hash_is_that_of_the_text_and_of_the_distribution_according_to_rosbags(msgtype: str, distro: str) -> None:
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     written, digest = definition(msgtype, 2)

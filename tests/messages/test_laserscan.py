@@ -19,6 +19,10 @@ ROS2 = get_typestore(Stores.ROS2_JAZZY)
 FLOATS = arrays(np.float32, st.integers(0, 20), elements=st.floats(width=32))
 
 
+def floats(*values: float) -> Any:
+    return np.array(values, np.float32)
+
+
 def scan(ranges: Any, intensities: Any, frame: str = "laser", stamp_ns: int = 5_000_000_006) -> LaserScan:
     return LaserScan(3, stamp_ns, frame, -1.5, 1.5, 0.25, 0.0, 0.1, 0.2, 30.0, ranges, intensities)
 
@@ -54,7 +58,7 @@ def test_round_trip(serialization: str, ranges: Any, intensities: Any) -> None:
 
 
 def test_big_endian_scans_are_read() -> None:
-    little = encode_laserscan(scan(np.float32([1.5, math.inf]), np.float32([7])), "cdr")
+    little = encode_laserscan(scan(floats(1.5, math.inf), floats(7)), "cdr")
     built = ROS2.deserialize_cdr(little, LASERSCAN)
     big = ROS2.serialize_cdr(built, LASERSCAN, little_endian=False)
     read = decode_laserscan(big, "cdr")
@@ -64,7 +68,7 @@ def test_big_endian_scans_are_read() -> None:
 
 
 def test_a_default_range_max_arrives_as_infinity() -> None:
-    wide = LaserScan(0, 0, "", 0, 1, 1, 0, 0, 0, 1.7976931348623157e308, np.float32([]))
+    wide = LaserScan(0, 0, "", 0, 1, 1, 0, 0, 0, 1.7976931348623157e308, floats())
     assert decode_laserscan(encode_laserscan(wide, "ros1"), "ros1").range_max == math.inf
 
 
@@ -74,17 +78,17 @@ def test_a_default_range_max_arrives_as_infinity() -> None:
 )
 def test_a_stamp_that_does_not_fit_is_an_error(serialization: str, stamp_ns: int) -> None:
     with pytest.raises(DecodeError, match="does not fit"):
-        encode_laserscan(scan(np.float32([]), np.float32([]), stamp_ns=stamp_ns), serialization)
+        encode_laserscan(scan(floats(), floats(), stamp_ns=stamp_ns), serialization)
 
 
 def test_stamps_before_1970_survive_in_ros_2() -> None:
-    encoded = encode_laserscan(scan(np.float32([]), np.float32([]), stamp_ns=-1), "cdr")
+    encoded = encode_laserscan(scan(floats(), floats(), stamp_ns=-1), "cdr")
     assert decode_laserscan(encoded, "cdr").stamp_ns == -1
 
 
 @given(st.integers(0, 80))
 def test_a_scan_cut_anywhere_is_an_error(length: int) -> None:
-    encoded = encode_laserscan(scan(np.ones(4, np.float32), np.float32([])), "ros1")
+    encoded = encode_laserscan(scan(np.ones(4, np.float32), floats()), "ros1")
     if length < len(encoded):
         with pytest.raises(DecodeError):
             decode_laserscan(encoded[:length], "ros1")

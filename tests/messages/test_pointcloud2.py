@@ -38,15 +38,15 @@ def message(
     t = ROS2.types
     return t["sensor_msgs/msg/PointCloud2"](
         header=t["std_msgs/msg/Header"](
-            stamp=t["builtin_interfaces/msg/Time"](sec=12, nanosec=345),  # type: ignore[arg-type]
+            stamp=t["builtin_interfaces/msg/Time"](sec=12, nanosec=345),
             frame_id=frame,
-        ),  # type: ignore[arg-type]
+        ),
         height=height,
         width=width,
         fields=[
             t["sensor_msgs/msg/PointField"](name=f.name, offset=f.offset, datatype=f.datatype, count=f.count)
             for f in fields
-        ],  # type: ignore[arg-type]
+        ],
         is_bigendian=big_endian,
         point_step=point_step,
         row_step=width * point_step if row_step is None else row_step,
@@ -67,12 +67,12 @@ def test_ros1_header_and_fields() -> None:
     built = t["sensor_msgs/msg/PointCloud2"](
         header=t["std_msgs/msg/Header"](
             seq=7,
-            stamp=t["builtin_interfaces/msg/Time"](sec=2_000_000_000, nanosec=999_999_999),  # type: ignore[arg-type]
+            stamp=t["builtin_interfaces/msg/Time"](sec=2_000_000_000, nanosec=999_999_999),
             frame_id="velodyne",
-        ),  # type: ignore[arg-type]
+        ),
         height=1,
         width=2,
-        fields=[t["sensor_msgs/msg/PointField"](name="x", offset=0, datatype=7, count=1)],  # type: ignore[arg-type]
+        fields=[t["sensor_msgs/msg/PointField"](name="x", offset=0, datatype=7, count=1)],
         is_bigendian=False,
         point_step=4,
         row_step=8,
@@ -161,8 +161,14 @@ def test_a_view_is_not_a_copy_and_not_writable() -> None:
         ({"fields": [PointField("x", 0, 9)], "data": bytes(12)}, ["datatype 9"]),
         ({"fields": [PointField("x", 10, 7)], "data": bytes(12)}, ["10 to 14", "point_step is 12"]),
         ({"fields": XYZ, "data": bytes(23), "width": 2}, ["23 bytes", "1 x 2", "take 24"]),
-        ({"fields": XYZ, "data": bytes(48), "height": 2, "width": 2, "row_step": 20}, ["row_step is 20", "take 24"]),
-        ({"fields": XYZ, "data": bytes(12), "height": 2**31, "width": 2**31, "row_step": 2**32 - 1}, ["row_step"]),
+        (
+            {"fields": XYZ, "data": bytes(48), "height": 2, "width": 2, "row_step": 20},
+            ["row_step is 20", "take 24"],
+        ),
+        (
+            {"fields": XYZ, "data": bytes(12), "height": 2**31, "width": 2**31, "row_step": 2**32 - 1},
+            ["row_step"],
+        ),
     ],
 )
 def test_contradictions_are_errors_with_the_numbers_and_the_stamp(kwargs: dict[str, Any], words: list[str]) -> None:

@@ -35,9 +35,7 @@ rows = st.lists(
 def encoded_by_rosbags(transforms: list[TransformRow], serialization: str) -> bytes:
     store = get_typestore(Stores.ROS1_NOETIC if serialization == "ros1" else Stores.ROS2_HUMBLE)
     if "tf2_msgs/msg/TFMessage" not in store.types:
-        store.register(
-            get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage")
-        )
+        store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage"))
     types = store.types
     messages = []
     for parent, child, stamp_ns, *pose in transforms:

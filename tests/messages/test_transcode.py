@@ -264,9 +264,7 @@ WORDS = [*CODES, "string", "time", "duration", "Header", "pkg/Inner", "pkg/Deep"
 @st.composite
 def ros1_definitions(draw: st.DrawFn) -> str:
     def fields(words: list[str], most: int) -> str:
-        drawn = draw(
-            st.lists(st.tuples(st.sampled_from(words), st.sampled_from(["", "[]", "[3]"])), max_size=most)
-        )
+        drawn = draw(st.lists(st.tuples(st.sampled_from(words), st.sampled_from(["", "[]", "[3]"])), max_size=most))
         # A sequence of messages without fields is refused: it is not bounded by the message's size.
         return "".join(
             f"{word}{'' if word == 'pkg/Void' and shape == '[]' else shape} f{index}\n"
@@ -436,9 +434,9 @@ def test_old_type_names() -> None:
     assert transcoder(there, 1).connection.msgtype == "tf2_msgs/TFMessage"
     old = f"Header header\n{SEPARATOR}\nMSG: roslib/Header\nuint32 seq\ntime stamp\nstring frame_id\n"
     check_both_ways(ros1(old), "pkg/msg/Type", parsed(ros1(old)), 1)
-    assert transcoder(
-        ros1("uint32 seq\ntime stamp\nstring frame_id\n", "roslib/Header"), 2
-    ).connection.msgtype == ("std_msgs/msg/Header")
+    assert transcoder(ros1("uint32 seq\ntime stamp\nstring frame_id\n", "roslib/Header"), 2).connection.msgtype == (
+        "std_msgs/msg/Header"
+    )
 
 
 def test_other_generations_field_names_where_the_layout_is_the_same() -> None:
@@ -481,8 +479,7 @@ def test_without_definition_the_message_set_is_used_and_noted() -> None:
 def test_distribution_tells_the_layout() -> None:
     """Range got a ``variance`` after humble."""
     messages = {
-        distro: Twin(schema.known(f"ros2_{distro}"), "sensor_msgs/msg/Range", 1).cdr
-        for distro in ("humble", "jazzy")
+        distro: Twin(schema.known(f"ros2_{distro}"), "sensor_msgs/msg/Range", 1).cdr for distro in ("humble", "jazzy")
     }
     assert len(messages["humble"]) < len(messages["jazzy"])
     connection = Connection(1, "/t", "sensor_msgs/msg/Range", "cdr")
@@ -518,9 +515,7 @@ def test_distributions_are_those_of_rosbags() -> None:
 def test_latching_becomes_transient_local_and_back() -> None:
     from ruamel.yaml import YAML
 
-    latched = ros1(
-        "uint8 a\n", latching=True, callerid="/node", metadata={"callerid": "/node", "mine": "kept"}
-    )
+    latched = ros1("uint8 a\n", latching=True, callerid="/node", metadata={"callerid": "/node", "mine": "kept"})
     there = transcoder(latched, 2).connection
     (profile,) = YAML(typ="safe").load(there.qos)
     assert there.qos == LATCHED_QOS
@@ -712,9 +707,7 @@ def executed(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     ],
     ids=repr,
 )
-def test_hostile_names_are_refused_before_any_code_is_made(
-    connection: Connection, executed: list[str]
-) -> None:
+def test_hostile_names_are_refused_before_any_code_is_made(connection: Connection, executed: list[str]) -> None:
     with pytest.raises(DecodeError):
         transcoder(connection, 3 - (connection.generation or 1))
     assert not [source for source in executed if "__import__('os')" in source or "import rosbags" in source]
@@ -789,7 +782,5 @@ def test_real_ros2_recording_reaches_ros1(name: str) -> None:
 
 
 def test_importing_this_module_loads_no_ros_library() -> None:
-    script = (
-        "import sys, pc2scan.messages.transcode; sys.exit(any('rosbags' in name for name in sys.modules))"
-    )
+    script = "import sys, pc2scan.messages.transcode; sys.exit(any('rosbags' in name for name in sys.modules))"
     assert subprocess.run([sys.executable, "-c", script], check=False).returncode == 0

@@ -1,9 +1,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -20,6 +18,10 @@ from pc2scan.pipeline.frames import (
     tf_connections,
 )
 
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
 TF = "tf2_msgs/TFMessage"
 
 
@@ -30,7 +32,7 @@ def connection(number: int, topic: str, kind: str = TF) -> Connection:
 class Recording:
     """The part of a reader that transforms are read through."""
 
-    def __init__(self, *messages: tuple[str, list[Any]]) -> None:
+    def __init__(self, *messages: tuple[str, Any]) -> None:
         topics = list(dict.fromkeys(topic for topic, _ in messages))
         self.connections = [connection(i, topic) for i, topic in enumerate(topics)]
         by_topic = {c.topic: c for c in self.connections}
@@ -187,7 +189,12 @@ def test_unusable_transforms_become_warnings() -> None:
 
 def test_only_topics_named_tf_count_by_default() -> None:
     chosen = tf_connections(
-        [connection(1, "/tf"), connection(2, "/tf_static"), connection(3, "/tf_old"), connection(4, "/tf", "std_msgs/String")]
+        [
+            connection(1, "/tf"),
+            connection(2, "/tf_static"),
+            connection(3, "/tf_old"),
+            connection(4, "/tf", "std_msgs/String"),
+        ]
     )
     assert [c.id for c in chosen] == [1, 2]
     assert [c.id for c in tf_connections([connection(3, "/tf_old"), connection(1, "/tf")], ["tf_old"])] == [3]

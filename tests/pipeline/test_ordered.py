@@ -2,12 +2,15 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING
 
 import pytest
 
 from pc2scan.pipeline.ordered import map_in_order
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 
 @pytest.fixture(params=[None, 2, 5])
@@ -61,11 +64,10 @@ def test_an_error_is_raised_in_its_turn(pool: ThreadPoolExecutor | None) -> None
             raise ValueError("five")
         return item
 
-    seen = []
+    results = map_in_order(work, range(10), is_heavy=lambda _: True, pool=pool, window=8)
+    assert [next(results) for _ in range(5)] == [0, 1, 2, 3, 4]
     with pytest.raises(ValueError, match="five"):
-        for result in map_in_order(work, range(10), is_heavy=lambda _: True, pool=pool, window=8):
-            seen.append(result)  # noqa: PERF402 - what was seen before the error matters
-    assert seen == [0, 1, 2, 3, 4]
+        next(results)
 
 
 def test_leaving_early_gives_up_what_has_not_begun() -> None:

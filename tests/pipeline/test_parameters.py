@@ -28,9 +28,7 @@ def test_the_table_lists_every_parameter_of_the_projection_in_order() -> None:
 def test_each_parameter_says_what_the_help_needs(name: str) -> None:
     parameter = PARAMETERS[name]
     assert parameter.name == name
-    assert parameter.kind == {"target_frame": "str", "use_inf": "bool", "queue_size": "int"}.get(
-        name, "float"
-    )
+    assert parameter.kind == {"target_frame": "str", "use_inf": "bool", "queue_size": "int"}.get(name, "float")
     assert parameter.unit in {"", "m", "rad", "s"}
     assert parameter.help.endswith(".")
     assert 20 < len(parameter.help) < 150
@@ -168,10 +166,7 @@ def test_nothing_set_is_upstreams_defaults() -> None:
         ),
         (
             {"range_min": 5, "range_max": 1},
-            (
-                "range_min 5.0 m is above range_max 1.0 m "
-                "(range_min from --range-min; range_max from --range-max)"
-            ),
+            ("range_min 5.0 m is above range_max 1.0 m (range_min from --range-min; range_max from --range-max)"),
         ),
         (
             {"max_height": -1.0},

@@ -43,14 +43,10 @@ SAMPLE = {
 
 
 @needs_shared
-@pytest.mark.parametrize(
-    "case", sorted(p.name for p in GOLDEN.iterdir() if p.is_dir()) if GOLDEN.is_dir() else []
-)
+@pytest.mark.parametrize("case", sorted(p.name for p in GOLDEN.iterdir() if p.is_dir()) if GOLDEN.is_dir() else [])
 def test_the_golden_files_load(case: str) -> None:
     file = load_params_file(GOLDEN / case / "params.yaml")
-    assert file.direction == (
-        "laserscan_to_pointcloud" if case.startswith("scan_") else "pointcloud_to_laserscan"
-    )
+    assert file.direction == ("laserscan_to_pointcloud" if case.startswith("scan_") else "pointcloud_to_laserscan")
     assert not file.ignored
     origin = resolve(file.settings, direction=file.direction).origin
     text = (GOLDEN / case / "params.yaml").read_text()
@@ -389,9 +385,7 @@ def test_node_may_be_one_that_only_wildcards_match(load: Load) -> None:
 @pytest.mark.parametrize("node", ["/c", "c", "/laserscan", "a"])
 def test_node_that_is_not_there(load: Load, node: str) -> None:
     err = failure(lambda: load(two_nodes(), node=node))
-    assert f"no section is for the node {node!r} (from --node); found /a/pointcloud_to_laserscan, /b/" in str(
-        err
-    )
+    assert f"no section is for the node {node!r} (from --node); found /a/pointcloud_to_laserscan, /b/" in str(err)
 
 
 def test_a_file_for_other_nodes_lists_them(load: Load) -> None:
@@ -522,9 +516,7 @@ def test_a_list_that_multiplies_is_never_expanded(load: Load) -> None:
 
 
 def test_the_merge_key_is_named(load: Load) -> None:
-    err = failure(
-        lambda: load("d: &d {min_height: 1}\npointcloud_to_laserscan:\n  <<: *d\n  max_height: 2\n")
-    )
+    err = failure(lambda: load("d: &d {min_height: 1}\npointcloud_to_laserscan:\n  <<: *d\n  max_height: 2\n"))
     assert "unknown parameter '<</min_height'" in str(err)
     assert "merge key" in str(err.hint)
 
@@ -590,9 +582,7 @@ def test_the_line_of_a_wrong_value_is_told(load: Load) -> None:
 
 
 def test_a_value_left_out_is_nothing(load: Load) -> None:
-    assert "range_min: expected a number, got nothing" in str(
-        failure(lambda: params_of(load(ros2({"range_min": ""}))))
-    )
+    assert "range_min: expected a number, got nothing" in str(failure(lambda: params_of(load(ros2({"range_min": ""})))))
 
 
 # Writing
@@ -664,6 +654,4 @@ def test_a_rendered_file_of_the_reverse_direction(tmp_path: Path) -> None:
 
 
 def test_the_defaults_read_back_as_the_defaults(tmp_path: Path) -> None:
-    assert (
-        params_of(reread(render_params_file(ProjectionParams()), tmp_path / "p.yaml")) == ProjectionParams()
-    )
+    assert params_of(reread(render_params_file(ProjectionParams()), tmp_path / "p.yaml")) == ProjectionParams()

@@ -14,9 +14,7 @@ CLOUD, IMU, SCAN = "sensor_msgs/PointCloud2", "sensor_msgs/msg/Imu", "sensor_msg
 
 def plan(topics: dict[str, str], *requests: str, **options: Any) -> Plan:
     connections = [Connection(i, topic, kind, "ros1") for i, (topic, kind) in enumerate(topics.items())]
-    return make_plan(
-        connections, ConvertOptions(topics=tuple(TopicRequest.parse(r) for r in requests), **options)
-    )
+    return make_plan(connections, ConvertOptions(topics=tuple(TopicRequest.parse(r) for r in requests), **options))
 
 
 def routes(made: Plan) -> dict[str, tuple[str | None, bool]]:
@@ -24,12 +22,18 @@ def routes(made: Plan) -> dict[str, tuple[str | None, bool]]:
 
 
 def test_one_cloud_becomes_scan_and_is_left_out() -> None:
-    assert routes(plan({"/points": CLOUD, "/imu": IMU})) == {"/points": ("/scan", False), "/imu": (None, True)}
+    assert routes(plan({"/points": CLOUD, "/imu": IMU})) == {
+        "/points": ("/scan", False),
+        "/imu": (None, True),
+    }
 
 
 def test_several_clouds_become_a_scan_each() -> None:
     made = plan({"/front/points": CLOUD, "/rear/points/": CLOUD})
-    assert routes(made) == {"/front/points": ("/front/points/scan", False), "/rear/points/": ("/rear/points/scan", False)}
+    assert routes(made) == {
+        "/front/points": ("/front/points/scan", False),
+        "/rear/points/": ("/rear/points/scan", False),
+    }
 
 
 def test_requests_choose_and_rename_and_the_rest_passes() -> None:
@@ -54,7 +58,10 @@ def test_keep_clouds_and_only_scans() -> None:
 
 def test_keep_and_drop_take_names_and_globs_and_drop_wins() -> None:
     topics = {"/points": CLOUD, "/cam/left": IMU, "/cam/right": IMU, "/imu": IMU}
-    assert [t for t, r in routes(plan(topics, keep=("/cam/*",))).items() if r[1]] == ["/cam/left", "/cam/right"]
+    assert [t for t, r in routes(plan(topics, keep=("/cam/*",))).items() if r[1]] == [
+        "/cam/left",
+        "/cam/right",
+    ]
     assert [t for t, r in routes(plan(topics, drop=("cam/*",))).items() if r[1]] == ["/imu"]
     assert [t for t, r in routes(plan(topics, keep=("/cam/*",), drop=("/cam/left",))).items() if r[1]] == ["/cam/right"]
 
@@ -66,7 +73,9 @@ def test_a_dropped_cloud_is_not_converted_unless_named() -> None:
 
 
 def test_a_pattern_that_matches_nothing_is_worth_a_warning() -> None:
-    assert plan({"/points": CLOUD}, drop=("/camera/*",), keep=("/p*",)).warnings == ("--drop /camera/* matches no topic",)
+    assert plan({"/points": CLOUD}, drop=("/camera/*",), keep=("/p*",)).warnings == (
+        "--drop /camera/* matches no topic",
+    )
 
 
 def test_two_publishers_of_a_cloud_share_its_scan_topic() -> None:
@@ -78,11 +87,19 @@ def test_two_publishers_of_a_cloud_share_its_scan_topic() -> None:
     ("topics", "requests", "words"),
     [
         ({"/points": CLOUD, "/imu": IMU}, ["/pionts"], ["no topic /pionts", "did you mean /points?"]),
-        ({"/points": CLOUD, "/imu": IMU}, ["/imu"], ["/imu is sensor_msgs/msg/Imu", "PointCloud2 topics: /points"]),
+        (
+            {"/points": CLOUD, "/imu": IMU},
+            ["/imu"],
+            ["/imu is sensor_msgs/msg/Imu", "PointCloud2 topics: /points"],
+        ),
         ({"/imu": IMU}, ["/points"], ["PointCloud2 topics: none"]),
         ({"/imu": IMU}, [], ["no PointCloud2 topic", "/imu (sensor_msgs/msg/Imu)"]),
         ({}, [], ["no topics"]),
-        ({"/points": CLOUD, "/scan": SCAN}, [], ["already has a topic /scan", "--topic /points:=/points/scan"]),
+        (
+            {"/points": CLOUD, "/scan": SCAN},
+            [],
+            ["already has a topic /scan", "--topic /points:=/points/scan"],
+        ),
         ({"/a": CLOUD, "/b": CLOUD}, ["/a:=/s", "/b:=/s"], ["both become /s"]),
         ({"/a": CLOUD, "/a/scan": SCAN, "/scan": SCAN}, ["/a"], ["--topic /a:=/scan_2"]),
     ],

@@ -11,7 +11,7 @@ from pc2scan.core.project import PointCounts
 from pc2scan.pipeline.report import MAX_LISTED, Report, Skipped, TopicReport
 
 
-def report(params: ProjectionParams | None = None, **counts: Any) -> Report:
+def report(params: ProjectionParams | None = None, /, **counts: Any) -> Report:
     made = Report(["a.bag"], "b.bag", params or ProjectionParams())
     points = {"total": 100, **{k: v for k, v in counts.items() if k not in ("messages_out", "empty_scans")}}
     made.topics.append(

@@ -60,15 +60,11 @@ class SourceFile:
     def read(self, offset: int, length: int) -> bytes:
         """Read exactly ``length`` bytes."""
         if offset + length > self.size:
-            raise self.damage(
-                f"{length} bytes are declared from byte {offset} on, but the file has {self.size} bytes"
-            )
+            raise self.damage(f"{length} bytes are declared from byte {offset} on, but the file has {self.size} bytes")
         try:
             data = os.pread(self._descriptor, length, offset)
             # One call returns 2 GiB at most.
-            while len(data) < length and (
-                more := os.pread(self._descriptor, length - len(data), offset + len(data))
-            ):
+            while len(data) < length and (more := os.pread(self._descriptor, length - len(data), offset + len(data))):
                 data += more
         except OSError as err:
             raise self.error(f"cannot be read at byte {offset}: {err.strerror}") from err

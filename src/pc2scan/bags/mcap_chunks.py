@@ -83,9 +83,7 @@ def payload(file: RecordFile, segment: Segment, *, verify: bool = True) -> memor
     data = memoryview(file.read(segment.record_offset, head + segment.length))
     chunk = chunk_at(data, 0, segment.record_offset, file)
     if data[0] != OP_CHUNK or _storage(chunk) != _storage(segment):
-        raise file.error(
-            f"the index and the chunk at byte {segment.record_offset} contradict each other", REPAIR
-        )
+        raise file.error(f"the index and the chunk at byte {segment.record_offset} contradict each other", REPAIR)
     unpacked = memoryview(_decompressed(data[head:], chunk, file))
     if verify and chunk.crc and (actual := zlib.crc32(unpacked)) != chunk.crc:
         raise file.error(
@@ -112,9 +110,7 @@ def _decompressed(data: memoryview, chunk: ChunkSegment, file: RecordFile) -> Bu
     except (MemoryError, OverflowError) as err:
         raise file.error(f"{where} declares {size} bytes uncompressed, which do not fit into memory") from err
     except (ValueError, RuntimeError) as err:
-        raise file.error(
-            f"{where} cannot be decompressed to the declared {size} bytes: {err}", REPAIR
-        ) from err
+        raise file.error(f"{where} cannot be decompressed to the declared {size} bytes: {err}", REPAIR) from err
     if len(unpacked) != size:
         raise file.error(f"{where} decompresses to {len(unpacked)} bytes, declared are {size}", REPAIR)
     return unpacked

@@ -142,25 +142,19 @@ def _read_summary(file: RecordFile, contents: Contents, *, verify: bool) -> tupl
     tail = file.read(footer_offset, _FOOTER_SIZE + len(MAGIC)) if footer_offset > len(MAGIC) else b""
     opcode, length = RECORD.unpack_from(tail) if tail else (0, 0)
     if not tail.endswith(MAGIC) or opcode != Opcode.FOOTER or length != _FOOTER_SIZE - RECORD.size:
-        raise file.error(
-            f"has no footer at the end of its {file.size} bytes: the recording was cut off", REPAIR
-        )
+        raise file.error(f"has no footer at the end of its {file.size} bytes: the recording was cut off", REPAIR)
     footer = parse(records.Footer, tail[RECORD.size : _FOOTER_SIZE], footer_offset, file)
     start = footer.summary_start
     if start == 0:
         return footer_offset, {}
     if not len(MAGIC) <= start <= footer_offset:
-        raise file.error(
-            f"the footer places the summary at byte {start}, allowed is up to {footer_offset}", REPAIR
-        )
+        raise file.error(f"the footer places the summary at byte {start}, allowed is up to {footer_offset}", REPAIR)
     data = file.read(start, footer_offset - start)
     if verify and footer.summary_crc:
         # The footer counts too, up to the CRC itself.
         actual = zlib.crc32(tail[: _FOOTER_SIZE - 4], zlib.crc32(data))
         if actual != footer.summary_crc:
-            raise file.error(
-                f"the summary's CRC is {actual:08x}, recorded is {footer.summary_crc:08x}", REPAIR
-            )
+            raise file.error(f"the summary's CRC is {actual:08x}, recorded is {footer.summary_crc:08x}", REPAIR)
     accounted: dict[int, int] = {}
     for kind, content in split(memoryview(data), start, file):
         if kind == Opcode.CHUNK_INDEX:
@@ -268,9 +262,7 @@ class Walk:
         Chunks that are known already: their place, and the place of the record to look at next.
     """
 
-    def __init__(
-        self, file: RecordFile, contents: Contents, accounted: Mapping[int, int] | None = None
-    ) -> None:
+    def __init__(self, file: RecordFile, contents: Contents, accounted: Mapping[int, int] | None = None) -> None:
         self._file = file
         self._contents = contents
         self._accounted = accounted or {}
@@ -319,9 +311,7 @@ class Walk:
             self._close(complete=complete)
 
     def _beyond(self, offset: int, following: int, end: int) -> RecordingError:
-        return self._file.error(
-            f"the record at byte {offset} ends at byte {following}, the data at byte {end}", REPAIR
-        )
+        return self._file.error(f"the record at byte {offset} ends at byte {following}, the data at byte {end}", REPAIR)
 
     def _message(self, data: bytes, position: int, offset: int, following: int) -> None:
         if following - offset < MESSAGE.size:

@@ -113,9 +113,7 @@ class McapReader:
         known = {connection.id: connection for connection in self._connections}
         wanted = known
         if connections is not None:
-            wanted = {
-                connection.id: known[connection.id] for connection in connections if connection.id in known
-            }
+            wanted = {connection.id: known[connection.id] for connection in connections if connection.id in known}
         ids = None if connections is None else frozenset(wanted)
         first = 0 if start_ns is None else start_ns
         stop = 1 << 64 if stop_ns is None else stop_ns

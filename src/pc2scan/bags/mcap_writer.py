@@ -111,9 +111,7 @@ class McapWriter:
             If there are 65535 channels already.
         """
         if len(self._channels) == _MAX_CHANNELS:
-            raise OutputError(
-                f"MCAP has room for {_MAX_CHANNELS} channels, one more is needed", path=self._path
-            )
+            raise OutputError(f"MCAP has room for {_MAX_CHANNELS} channels, one more is needed", path=self._path)
         # Declared outside the chunks: readers without the index find them without decompressing anything.
         channel = records.Channel(
             id=len(self._channels) + 1,
@@ -149,9 +147,7 @@ class McapWriter:
         self._file.put(encoded)
         self._groups[opcode].append(encoded)
 
-    def write(
-        self, handle: int, log_time_ns: int, data: Buffer, publish_time_ns: int, sequence: int = 0
-    ) -> None:
+    def write(self, handle: int, log_time_ns: int, data: Buffer, publish_time_ns: int, sequence: int = 0) -> None:
         """Append a message; its data are copied.
 
         Raises

@@ -77,8 +77,7 @@ class MergedReader:
         self._unchanged = self._unchanged and completed == self._connections
         self._connections = completed
         self._maps = [
-            {own: amended.get(connection.id, connection) for own, connection in known.items()}
-            for known in self._maps
+            {own: amended.get(connection.id, connection) for own, connection in known.items()} for known in self._maps
         ]
 
     @property

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Sequence
+    from collections.abc import Collection, Iterator, Mapping, Sequence
     from concurrent.futures import Executor
     from pathlib import Path
 
@@ -213,9 +212,7 @@ class Writer(Protocol):
         """Declare a connection; returns the handle that `write` takes. Its ``id`` is ignored."""
         ...
 
-    def write(
-        self, handle: int, log_time_ns: int, data: Buffer, publish_time_ns: int, sequence: int = 0
-    ) -> None:
+    def write(self, handle: int, log_time_ns: int, data: Buffer, publish_time_ns: int, sequence: int = 0) -> None:
         """Append a message."""
         ...
 

@@ -10,9 +10,7 @@ from .yaml import dump_yaml, load_yaml
 
 __all__ = ["latches", "parsed_qos", "respelled_qos"]
 
-_TRANSIENT_LOCAL = re.compile(
-    r"""\bdurability["']?[ \t]*:[ \t]*["']?(?:1|transient_local)\b""", re.IGNORECASE
-)
+_TRANSIENT_LOCAL = re.compile(r"""\bdurability["']?[ \t]*:[ \t]*["']?(?:1|transient_local)\b""", re.IGNORECASE)
 
 # rmw/types.h: the place in the list is the value of the enumeration.
 _NAMES = {
@@ -64,10 +62,7 @@ def respelled_qos(text: str, *, by_name: bool) -> str:
     if profiles is None:
         return text
     changed = [
-        {
-            key: _respelled(key, value, by_name=by_name) if key in _NAMES else value
-            for key, value in profile.items()
-        }
+        {key: _respelled(key, value, by_name=by_name) if key in _NAMES else value for key, value in profile.items()}
         for profile in profiles
     ]
     return text if changed == profiles else dump_yaml(changed).rstrip("\n")

@@ -62,9 +62,7 @@ _CONTAINERS: dict[str, Container] = {".bag": "rosbag1", ".mcap": "mcap"}
 
 #: Names that promise something that is not written; a directory called so would only confuse.
 _REFUSED_SUFFIXES = {
-    **dict.fromkeys(
-        (".db3", ".sqlite3", ".db"), "rosbag2 keeps .db3 files in a directory: name that directory"
-    ),
+    **dict.fromkeys((".db3", ".sqlite3", ".db"), "rosbag2 keeps .db3 files in a directory: name that directory"),
     **dict.fromkeys((".yaml", ".yml"), "metadata.yaml is written inside a directory: name that directory"),
     **dict.fromkeys(
         (".zip", ".gz", ".tgz", ".bz2", ".xz", ".7z", ".tar", ".lz4", ".zst", ".zstd"),
@@ -106,9 +104,7 @@ def sniff(path: Path) -> str:
             return _sniff_directory(path)
         # Opening a FIFO would wait for a writer, and a device has no end.
         if not stat.S_ISREG(mode):
-            raise RecordingError(
-                "is neither a file nor a directory", path=path, hint="save it as a file first"
-            )
+            raise RecordingError("is neither a file nor a directory", path=path, hint="save it as a file first")
         with path.open("rb") as file:
             head = file.read(64)
     except FileNotFoundError as err:
@@ -264,9 +260,7 @@ def _recognised(head: bytes, path: Path, state: str = "") -> str:
     for magic, description in _LOOKALIKES.items():
         if head.startswith(magic):
             raise RecordingError(f"is no recording: it is {description}{state}", path=path, hint=_READABLE)
-    raise RecordingError(
-        f"is no recording: it begins with {_shown(head[:16])}{state}", path=path, hint=_READABLE
-    )
+    raise RecordingError(f"is no recording: it begins with {_shown(head[:16])}{state}", path=path, hint=_READABLE)
 
 
 def _shown(head: bytes) -> str:
@@ -361,21 +355,15 @@ def plan_destination(
         raise DestinationError("--profile is for .mcap files", path=path, hint="leave it out")
     storage = _one_of("--storage", storage or "mcap", _STORAGES, path) if container == "rosbag2" else ""
     if container == "mcap":
-        profile = _one_of(
-            "--profile", profile or ("ros1" if source_generation == 1 else "ros2"), _PROFILES, path
-        )
+        profile = _one_of("--profile", profile or ("ros1" if source_generation == 1 else "ros2"), _PROFILES, path)
     if metadata_version not in _METADATA_VERSIONS:
-        raise DestinationError(
-            f"metadata version {metadata_version} cannot be written, only 8 and 9", path=path
-        )
+        raise DestinationError(f"metadata version {metadata_version} cannot be written, only 8 and 9", path=path)
     form = storage or container
     return Destination(
         path=path,
         container=container,
         storage=storage,
-        compression=_one_of(
-            "--compression", compression or _DEFAULT_COMPRESSION[form], _COMPRESSIONS[form], path
-        ),
+        compression=_one_of("--compression", compression or _DEFAULT_COMPRESSION[form], _COMPRESSIONS[form], path),
         profile=profile or "",
         metadata_version=metadata_version,
     )
@@ -383,9 +371,7 @@ def plan_destination(
 
 def _one_of(option: str, value: str, allowed: Sequence[str], path: Path) -> str:
     if value not in allowed:
-        raise DestinationError(
-            f"{option} {value} is not possible here; allowed: {', '.join(allowed)}", path=path
-        )
+        raise DestinationError(f"{option} {value} is not possible here; allowed: {', '.join(allowed)}", path=path)
     return value
 
 

@@ -187,17 +187,13 @@ def messages_in(
             if kind_of(fields) == CONNECTION:
                 continue
             if kind_of(fields) != MESSAGE:
-                raise Damaged(
-                    f"a record of kind {kind_of(fields)} lies where only messages and connections may"
-                )
+                raise Damaged(f"a record of kind {kind_of(fields)} lies where only messages and connections may")
             identity = uint32_field(fields, "conn")
             stamp = time_field(fields, "time")
         try:
             connection = wanted[identity]
         except KeyError:
-            raise Damaged(
-                f"it has a message of connection {identity}, which the index does not know"
-            ) from None
+            raise Damaged(f"it has a message of connection {identity}, which the index does not know") from None
         if connection is not None and low <= stamp < high:
             messages.append(RawMessage(connection, stamp, data[start:position], stamp))
     return messages

@@ -203,8 +203,7 @@ class BagFile(SourceFile):
             )
         if body + length > self.size:
             raise Damaged(
-                f"the {_KINDS[kind]} at byte {offset} reaches to byte {body + length}, "
-                f"the file has {self.size} bytes"
+                f"the {_KINDS[kind]} at byte {offset} reaches to byte {body + length}, the file has {self.size} bytes"
             )
         return fields, body, body + length
 

@@ -81,9 +81,7 @@ class Rosbag1Writer:
         try:
             self._file = NewFile(path)
         except FileExistsError as err:
-            raise DestinationError(
-                "exists already", path=path, hint="Remove it, or choose another name."
-            ) from err
+            raise DestinationError("exists already", path=path, hint="Remove it, or choose another name.") from err
         except OSError as err:
             raise OutputError(f"cannot be created: {err.strerror}", path=path) from err
         self._file.put(FIRST_LINE, _pack_bag_header(0, 0, 0))
@@ -127,9 +125,7 @@ class Rosbag1Writer:
         self._prefixes.append(b"%b%b%b" % (literals[0], UINT32.pack(handle), literals[1]))
         return handle
 
-    def write(
-        self, handle: int, log_time_ns: int, data: Buffer, publish_time_ns: int, sequence: int = 0
-    ) -> None:
+    def write(self, handle: int, log_time_ns: int, data: Buffer, publish_time_ns: int, sequence: int = 0) -> None:
         """Append a message. ``data`` is not referred to after the call.
 
         Parameters

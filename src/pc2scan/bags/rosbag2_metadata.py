@@ -96,9 +96,7 @@ def read_info(folder: Path) -> BagInfo:
 def storage_files(folder: Path) -> list[Path]:
     """Files of a directory that are named like rosbag2's storages, in natural order: 2 comes before 10."""
     found = [path for path in folder.iterdir() if path.is_file() and _storage_of(path.name) is not None]
-    return sorted(
-        found, key=lambda path: [int(part) if part.isdigit() else part for part in _parts(path.name)]
-    )
+    return sorted(found, key=lambda path: [int(part) if part.isdigit() else part for part in _parts(path.name)])
 
 
 def located_file(folder: Path, name: str) -> Path:
@@ -164,9 +162,7 @@ def _parsed_info(document: Any) -> BagInfo:
             _topic(number, entry)
             for number, entry in enumerate(_get(root, "topics_with_message_count", list, ROOT, []), 1)
         ),
-        custom_data={
-            str(key): str(value) for key, value in _get(root, "custom_data", dict, ROOT, {}).items()
-        },
+        custom_data={str(key): str(value) for key, value in _get(root, "custom_data", dict, ROOT, {}).items()},
     )
 
 

@@ -89,18 +89,14 @@ class Rosbag2Writer:
             from .mcap_writer import McapWriter  # noqa: PLC0415
 
             mcap = McapWriter(file, compression, "ros2")
-            self._keep_info = lambda text: mcap.add_metadata(
-                Metadata(RECORD_NAME, {"serialized_metadata": text})
-            )
+            self._keep_info = lambda text: mcap.add_metadata(Metadata(RECORD_NAME, {"serialized_metadata": text}))
             self._storage = mcap
 
     def add_connection(self, connection: Connection) -> int:
         """Declare a topic, with type and QoS profiles as rosbag2 spells them."""
         qos = respelled_qos(connection.qos, by_name=self._version >= NEWEST_VERSION)
         # The MCAP writer prefers the text among the channel's metadata.
-        metadata = {
-            key: qos if key == "offered_qos_profiles" else value for key, value in connection.metadata.items()
-        }
+        metadata = {key: qos if key == "offered_qos_profiles" else value for key, value in connection.metadata.items()}
         msgtype = connection.ros_type if connection.serialization == "cdr" else connection.msgtype
         spelled = replace(connection, msgtype=msgtype, qos=qos, metadata=metadata)
         handle = self._storage.add_connection(spelled)
@@ -108,9 +104,7 @@ class Rosbag2Writer:
         self._counts[handle] = 0
         return handle
 
-    def write(
-        self, handle: int, log_time_ns: int, data: Buffer, publish_time_ns: int, sequence: int = 0
-    ) -> None:
+    def write(self, handle: int, log_time_ns: int, data: Buffer, publish_time_ns: int, sequence: int = 0) -> None:
         """Append a message."""
         self._storage.write(handle, log_time_ns, data, publish_time_ns, sequence)
         self._counts[handle] += 1

@@ -182,9 +182,7 @@ def _merged(
             limit = arrival if limit is None or arrival < limit else limit
         messages, position = current.messages, current.position
         offset = current.segment.offset
-        while position < len(messages) and (
-            limit is None or (messages[position].log_time_ns, offset) < limit
-        ):
+        while position < len(messages) and (limit is None or (messages[position].log_time_ns, offset) < limit):
             yield messages[position]
             position += 1
         if position < len(messages):

@@ -223,8 +223,7 @@ class Sqlite3Reader:
         for table, columns in needed.items():
             if missing := columns - self._columns(table):
                 raise RecordingError(
-                    "is an SQLite database, but not one of rosbag2: "
-                    f"table {table} lacks {', '.join(sorted(missing))}",
+                    f"is an SQLite database, but not one of rosbag2: table {table} lacks {', '.join(sorted(missing))}",
                     path=self._path,
                 )
 
@@ -264,8 +263,7 @@ class Sqlite3Reader:
                     topic=topic,
                     msgtype=msgtype,
                     serialization=serialization,
-                    definition=definitions.get((msgtype, digest))
-                    or definitions.get((msgtype, None), Definition()),
+                    definition=definitions.get((msgtype, digest)) or definitions.get((msgtype, None), Definition()),
                     digest=digest,
                     latching=latches(qos),
                     qos=qos,
@@ -404,9 +402,7 @@ class Sqlite3Writer:
         """Append a message."""
         if self._compressor is not None:
             data = self._compressor.compress(data)
-        self._insert(
-            "INSERT INTO messages(timestamp, topic_id, data) VALUES (?, ?, ?)", (log_time_ns, handle, data)
-        )
+        self._insert("INSERT INTO messages(timestamp, topic_id, data) VALUES (?, ?, ?)", (log_time_ns, handle, data))
         self._pending += len(data)
         if self._pending >= _BATCH_BYTES:
             self._pending = 0

@@ -101,13 +101,9 @@ def _check_sources(dst: Path, sources: Sequence[Path]) -> None:
     for source in sources:
         origin = source.resolve()
         if target == origin or (dst.exists() and source.exists() and dst.samefile(source)):
-            raise DestinationError(
-                "is a source", path=dst, hint="sources are never changed; choose another name"
-            )
+            raise DestinationError("is a source", path=dst, hint="sources are never changed; choose another name")
         if target.is_relative_to(origin):
-            raise DestinationError(
-                f"lies inside the source {source}", path=dst, hint="choose a place outside"
-            )
+            raise DestinationError(f"lies inside the source {source}", path=dst, hint="choose a place outside")
         if origin.is_relative_to(target):
             raise DestinationError(f"contains the source {source}", path=dst, hint="choose another name")
 

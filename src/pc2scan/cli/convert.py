@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pc2scan.pipeline.parameters import PARAMETERS
 from pc2scan.errors import OutputError, UsageError, stamp_text
+from pc2scan.pipeline.parameters import PARAMETERS
 
 from .render import count, printable, size, table
 
 if TYPE_CHECKING:
-    from pc2scan.pipeline.parameters import ResolvedParams
+    from pc2scan.pipeline.parameters import Direction, ResolvedParams
     from pc2scan.pipeline.report import Report, Skipped
 
 __all__ = ["convert"]
@@ -163,7 +163,9 @@ def convert(
     node: Annotated[
         str | None,
         typer.Option(
-            metavar="NAME", help="Whose section of the parameter file, if it has several.", rich_help_panel=_PARAMS
+            metavar="NAME",
+            help="Whose section of the parameter file, if it has several.",
+            rich_help_panel=_PARAMS,
         ),
     ] = None,
     param: Annotated[
@@ -206,7 +208,9 @@ def convert(
     write_static_tf: Annotated[
         bool,
         typer.Option(
-            "--write-static-tf", help="Write the added transforms to DST's /tf_static.", rich_help_panel=_FRAMES
+            "--write-static-tf",
+            help="Write the added transforms to DST's /tf_static.",
+            rich_help_panel=_FRAMES,
         ),
     ] = False,
     tf_from: Annotated[
@@ -239,7 +243,9 @@ def convert(
     reverse: Annotated[
         bool,
         typer.Option(
-            "--reverse", help="Convert LaserScan to PointCloud2, as laserscan_to_pointcloud does.", rich_help_panel=_REVERSE
+            "--reverse",
+            help="Convert LaserScan to PointCloud2, as laserscan_to_pointcloud does.",
+            rich_help_panel=_REVERSE,
         ),
     ] = False,
     deskew: Annotated[
@@ -253,13 +259,18 @@ def convert(
     channels: Annotated[
         list[Channel],
         typer.Option(
-            "--channel", metavar="NAME", help="Further fields of the cloud: distances, stamps, viewpoint. Repeatable.", rich_help_panel=_REVERSE
+            "--channel",
+            metavar="NAME",
+            help="Further fields of the cloud: distances, stamps, viewpoint. Repeatable.",
+            rich_help_panel=_REVERSE,
         ),
     ] = [],  # noqa: B006
     range_cutoff: Annotated[
         float | None,
         typer.Option(
-            metavar="M", help="Keep only returns nearer than this.  [default: the scan's range_max]", rich_help_panel=_REVERSE
+            metavar="M",
+            help="Keep only returns nearer than this.  [default: the scan's range_max]",
+            rich_help_panel=_REVERSE,
         ),
     ] = None,
     storage: Annotated[
@@ -276,9 +287,7 @@ def convert(
     ] = None,
     profile: Annotated[
         Profile | None,
-        typer.Option(
-            help="ROS generation of an .mcap file.  [default: the source's]", rich_help_panel=_OUTPUT
-        ),
+        typer.Option(help="ROS generation of an .mcap file.  [default: the source's]", rich_help_panel=_OUTPUT),
     ] = None,
     metadata_version: Annotated[
         int,
@@ -338,7 +347,7 @@ def convert(
     Every other topic passes through. Nothing is dropped in silence: what could not be converted is counted,
     listed, and told by the exit status.
     """
-    options = {
+    options: dict[str, object] = {
         name: value
         for name, value in (
             ("target_frame", target_frame),
@@ -436,7 +445,7 @@ def _resolve(
         reverse = reverse or file.direction == "laserscan_to_pointcloud"
         for origin in file.ignored:
             typer.echo(f"warning: not a parameter of the projection, ignored: {printable(origin)}", err=True)
-    direction = "laserscan_to_pointcloud" if reverse else "pointcloud_to_laserscan"
+    direction: Direction = "laserscan_to_pointcloud" if reverse else "pointcloud_to_laserscan"
     return reverse, resolve(settings, direction=direction)
 
 
@@ -458,10 +467,7 @@ def _show(report: Report, *, verbose: bool) -> None:
     if verbose:
         table(
             ("parameter", "value", "from"),
-            [
-                (name, str(getattr(report.params, name)), report.origins.get(name, "default"))
-                for name in PARAMETERS
-            ],
+            [(name, str(getattr(report.params, name)), report.origins.get(name, "default")) for name in PARAMETERS],
             left=("parameter", "from"),
         )
         typer.echo()

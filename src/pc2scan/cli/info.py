@@ -94,10 +94,7 @@ def _show_cloud(cloud: CloudInfo) -> None:
         typer.echo()
         table(
             ("[m]", "min", "5%", "median", "95%", "max"),
-            [
-                (name, *(f"{value:.3f}" for value in (s.min, s.p5, s.median, s.p95, s.max)))
-                for name, s in spreads
-            ],
+            [(name, *(f"{value:.3f}" for value in (s.min, s.p5, s.median, s.p95, s.max))) for name, s in spreads],
             left=("[m]",),
         )
     _show_heights(cloud)

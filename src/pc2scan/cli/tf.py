@@ -55,9 +55,7 @@ def tf(
 
     if at is not None and frames is None:
         raise UsageError("--at goes with --lookup", hint="--lookup base_link lidar --at 1604515190.25")
-    options = FrameOptions(
-        tf_topics=tuple(tf_topic), static=tuple(StaticTransform.parse(text) for text in static_tf)
-    )
+    options = FrameOptions(tf_topics=tuple(tf_topic), static=tuple(StaticTransform.parse(text) for text in static_tf))
     tree = frame_tree(sources, options)
     if frames is not None:
         stamp_ns = 0 if at is None else _stamp(at)
@@ -161,7 +159,6 @@ def _drawn(roots: tuple[str, ...], children: dict[str, list[FrameInfo]]) -> list
             continue
         seen.add(name)
         stack += [
-            (frame.child, depth + 1, " (static)" if frame.static else "")
-            for frame in reversed(children.get(name, []))
+            (frame.child, depth + 1, " (static)" if frame.static else "") for frame in reversed(children.get(name, []))
         ]
     return lines

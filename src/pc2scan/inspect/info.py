@@ -184,7 +184,12 @@ def info(sources: Sequence[Path], *, samples: int = 10) -> Info:
 
 def _file_info(path: Path, summary: Summary) -> FileInfo:
     return FileInfo(
-        str(path), summary.container, summary.storage, summary.profile, summary.compression, summary.size_bytes
+        str(path),
+        summary.container,
+        summary.storage,
+        summary.profile,
+        summary.compression,
+        summary.size_bytes,
     )
 
 
@@ -194,7 +199,11 @@ def _counts(reader: Reader) -> tuple[Counter[int], int | None, int | None]:
     if summary.start_ns is not None and summary.end_ns is not None:
         known = {c.id: c.message_count for c in reader.connections}
         if None not in known.values():
-            return Counter({key: value or 0 for key, value in known.items()}), summary.start_ns, summary.end_ns
+            return (
+                Counter({key: value or 0 for key, value in known.items()}),
+                summary.start_ns,
+                summary.end_ns,
+            )
     counts: Counter[int] = Counter()
     start_ns = end_ns = None
     for message in reader.messages():

@@ -82,7 +82,7 @@ def decode_laserscan(data: Buffer, serialization: str) -> LaserScan:
     """
     cursor = Cursor(data, serialization)
     sequence, stamp_ns, frame_id = cursor.header()
-    geometry = cursor.read("7f")
+    angle_min, angle_max, angle_increment, time_increment, scan_time, range_min, range_max = cursor.float32s(7)
     dtype = np.dtype(cursor.byte_order + "f4")
 
     def floats() -> NDArray[np.float32]:
@@ -90,7 +90,21 @@ def decode_laserscan(data: Buffer, serialization: str) -> LaserScan:
         return np.frombuffer(raw, dtype).astype(np.float32, copy=False)
 
     ranges = floats()
-    return LaserScan(sequence, stamp_ns, frame_id, *geometry, ranges, floats())
+    intensities = floats()
+    return LaserScan(
+        sequence,
+        stamp_ns,
+        frame_id,
+        angle_min,
+        angle_max,
+        angle_increment,
+        time_increment,
+        scan_time,
+        range_min,
+        range_max,
+        ranges,
+        intensities,
+    )
 
 
 def encode_laserscan(scan: LaserScan, serialization: str) -> bytes:

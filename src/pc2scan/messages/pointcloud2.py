@@ -18,7 +18,14 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.model import Buffer
 
-__all__ = ["DATATYPES", "POINTCLOUD2", "PointCloud2", "PointField", "decode_pointcloud2", "encode_pointcloud2"]
+__all__ = [
+    "DATATYPES",
+    "POINTCLOUD2",
+    "PointCloud2",
+    "PointField",
+    "decode_pointcloud2",
+    "encode_pointcloud2",
+]
 
 #: The type in ROS 2's spelling.
 POINTCLOUD2 = "sensor_msgs/msg/PointCloud2"

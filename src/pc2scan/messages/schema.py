@@ -173,9 +173,7 @@ def parse(definition: Definition, msgtype: str) -> dict[str, Struct]:
         If the text is of another encoding, beyond 1 MB, or not a definition.
     """
     if definition.encoding not in {"ros1msg", "ros2msg", "ros2idl"}:
-        raise DecodeError(
-            f"{msgtype} is defined in {definition.encoding!r}, expected ros1msg, ros2msg or ros2idl"
-        )
+        raise DecodeError(f"{msgtype} is defined in {definition.encoding!r}, expected ros1msg, ros2msg or ros2idl")
     if len(definition.data) > MAX_BYTES:
         raise DecodeError(f"{msgtype}: definition of {len(definition.data)} bytes, allowed are {MAX_BYTES}")
     ros1 = definition.encoding == "ros1msg"
@@ -482,9 +480,7 @@ def closure(root: str, lookup: Callable[[str], Struct | None]) -> Schema:
 def _width(field: Field) -> int:
     """How many elements rosbags' conversion handles one by one."""
     return (
-        max(field.size, 1)
-        if field.shape == "array" and (field.type not in PRIMITIVES or field.type == "string")
-        else 1
+        max(field.size, 1) if field.shape == "array" and (field.type not in PRIMITIVES or field.type == "string") else 1
     )
 
 

@@ -266,18 +266,14 @@ def _title(store: str) -> str:
     return f"ROS {word[-1]} {distro}"
 
 
-def _recorded(
-    msgtype: str, definition: Definition, here: str
-) -> tuple[Mapping[str, Struct], tuple[str, ...]]:
+def _recorded(msgtype: str, definition: Definition, here: str) -> tuple[Mapping[str, Struct], tuple[str, ...]]:
     """Read the recording's definition; where it says nothing, the generation's message set does."""
     if definition.data.strip():
         return schemas.parse(definition, msgtype), ()
     if schemas.canonical(msgtype) in schemas.known(here):
         # A message without fields has an empty definition, which is then the same as none.
         empty = not schemas.known(here)[schemas.canonical(msgtype)].fields
-        return {}, () if empty else (
-            f"no definition in the recording: {_title(here)}'s {msgtype} is assumed",
-        )
+        return {}, () if empty else (f"no definition in the recording: {_title(here)}'s {msgtype} is assumed",)
     return schemas.parse(definition, msgtype) if definition.encoding else {}, ()
 
 
@@ -321,9 +317,7 @@ def _declared(connection: Connection, plan: _Plan) -> Connection:
         digest=plan.digest,
         callerid=None,
         qos=LATCHED_QOS if target == 2 and connection.latching else "",
-        metadata={
-            key: value for key, value in connection.metadata.items() if key not in _METADATA_OF[source]
-        },
+        metadata={key: value for key, value in connection.metadata.items() if key not in _METADATA_OF[source]},
     )
 
 

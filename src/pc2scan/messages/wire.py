@@ -87,9 +87,9 @@ class Cursor:
         """Read a uint32."""
         return self.read("I")[0]
 
-    def float64s(self, count: int) -> tuple[float, ...]:
-        """Read ``count`` float64."""
-        return self.read(f"{count}d")
+    def float32s(self, count: int) -> tuple[float, ...]:
+        """Read ``count`` float32."""
+        return self.read(f"{count}f")
 
     def take(self, size: int) -> memoryview:
         """Read ``size`` bytes as a view."""
@@ -173,8 +173,7 @@ class Packer:
         low, high = (0, 2**32 - 1) if self.ros1 else (-(2**31), 2**31 - 1)
         if not low <= seconds <= high:
             raise DecodeError(
-                f"a stamp of {seconds} s does not fit into ROS {1 if self.ros1 else 2}'s "
-                f"{low} to {high} s",
+                f"a stamp of {seconds} s does not fit into ROS {1 if self.ros1 else 2}'s {low} to {high} s",
                 stamp_ns=stamp_ns,
             )
         self.write("II" if self.ros1 else "iI", seconds, nanoseconds)

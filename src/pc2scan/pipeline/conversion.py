@@ -148,16 +148,12 @@ class ScanToCloud:
             err.stamp_ns = scan.stamp_ns
             raise
         frame_id, points = self._moved(scan, points)
-        names = points.points.dtype.names or ()
-        offsets = points.points.dtype.fields or {}
         message = encode_pointcloud2(
             serialization=target,
             sequence=scan.sequence,
             stamp_ns=scan.stamp_ns,
             frame_id=frame_id,
-            fields=[
-                PointField(name, offsets[name][1], _DATATYPE_CODES[offsets[name][0].str[1:]]) for name in names
-            ],
+            fields=_fields(points.points.dtype),
             point_step=points.points.dtype.itemsize,
             data=points.points.tobytes(),
             is_dense=False,
@@ -183,3 +179,12 @@ class ScanToCloud:
         lasts = max(points.beam_count - 1, 0) * scan.time_increment
         end = self._frames.place(scan.frame_id, scan.stamp_ns + int(lasts * 1e9)).target_from_source
         return place.frame_id, deskew(points, start, end or start)
+
+
+def _fields(dtype: np.dtype[np.void]) -> list[PointField]:
+    """Describe a structured type as sensor_msgs/PointField does."""
+    fields = []
+    for name in dtype.names or ():
+        kind, offset = dtype[name], dtype.fields[name][1]  # type: ignore[index]  # a type with names has fields
+        fields.append(PointField(name, offset, _DATATYPE_CODES[kind.str[1:]]))
+    return fields

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.core.rigid import Rigid
@@ -13,6 +12,7 @@ from pc2scan.tf.buffer import TransformBuffer, TransformBuilder
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
+    from pathlib import Path
 
     from pc2scan.bags.model import Connection, Reader
     from pc2scan.core.rigid import TransformRow
@@ -67,9 +67,7 @@ class StaticTransform:
         return cls.of(words[0], words[1], numbers[:3], numbers[3:])
 
     @classmethod
-    def of(
-        cls, parent: str, child: str, translation: Sequence[float], rotation: Sequence[float]
-    ) -> StaticTransform:
+    def of(cls, parent: str, child: str, translation: Sequence[float], rotation: Sequence[float]) -> StaticTransform:
         """Take a translation, and a rotation as x, y, z, w or as roll, pitch, yaw.
 
         Raises
@@ -207,9 +205,7 @@ def is_static(topic: str) -> bool:
     return topic.rsplit("/", 1)[-1] == "tf_static"
 
 
-def read_transforms(
-    readers: Iterable[Reader], options: FrameOptions
-) -> tuple[TransformBuffer, list[str]]:
+def read_transforms(readers: Iterable[Reader], options: FrameOptions) -> tuple[TransformBuffer, list[str]]:
     """Read every transform of recordings, whatever their place in the file, and the user's own.
 
     Parameters
@@ -254,15 +250,16 @@ def load_static_transforms(path: Path) -> tuple[StaticTransform, ...]:
     """Read a YAML list of static transforms.
 
     Each entry is a text as `StaticTransform.parse` reads it, or a mapping of ``parent`` (or ``frame_id``), ``child``
-    (or ``child_frame_id``), ``translation: [x, y, z]`` and ``rotation: [qx, qy, qz, qw]`` or ``rpy: [roll, pitch, yaw]``.
+    (or ``child_frame_id``), ``translation: [x, y, z]`` and ``rotation: [qx, qy, qz, qw]`` or
+    ``rpy: [roll, pitch, yaw]``.
 
     Raises
     ------
     UsageError
         If the file cannot be read as that.
     """
-    from ruamel.yaml import YAML
-    from ruamel.yaml.error import YAMLError
+    from ruamel.yaml import YAML  # noqa: PLC0415  # heavy
+    from ruamel.yaml.error import YAMLError  # noqa: PLC0415
 
     try:
         if path.stat().st_size > _MAX_FILE_BYTES:

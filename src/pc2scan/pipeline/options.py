@@ -69,9 +69,7 @@ class TimeBound:
             ) from err
         moment = moment if moment.tzinfo else moment.replace(tzinfo=UTC)
         since = moment - datetime(1970, 1, 1, tzinfo=UTC)
-        return cls(
-            (since.days * 86400 + since.seconds) * 1_000_000_000 + since.microseconds * 1000, absolute=True
-        )
+        return cls((since.days * 86400 + since.seconds) * 1_000_000_000 + since.microseconds * 1000, absolute=True)
 
     def resolve(self, beginning_ns: int) -> int:
         """Return the log time in nanoseconds, given that of the recording's beginning."""
@@ -162,7 +160,8 @@ class ConvertOptions:
             raise UsageError("deskew, channels and range_cutoff go with reverse")
         if self.deskew and not self.params.target_frame:
             raise UsageError(
-                "deskew needs a target_frame that does not move with the sensor", hint="such as --target-frame odom"
+                "deskew needs a target_frame that does not move with the sensor",
+                hint="such as --target-frame odom",
             )
 
     @property

@@ -36,9 +36,7 @@ def parse_param(text: str) -> Setting:
     if not assigned:
         raise ParameterError(f"--param {text!r} has no ':='", hint="Write --param range_min:=0.5.")
     if not name:
-        raise ParameterError(
-            f"--param {text!r} has no name before ':='", hint="Write --param range_min:=0.5."
-        )
+        raise ParameterError(f"--param {text!r} has no name before ':='", hint="Write --param range_min:=0.5.")
     origin = f"--param {text}"
     if not written.strip():
         return Setting(name, "", origin)

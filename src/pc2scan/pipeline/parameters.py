@@ -310,7 +310,6 @@ def _raise_with_origin(err: ParameterError, origin: Mapping[str, str]) -> NoRetu
         places = f"from {origin[err.name]}"
     else:
         places = "; ".join(
-            f"{name} is the default" if origin[name] == "default" else f"{name} from {origin[name]}"
-            for name in named
+            f"{name} is the default" if origin[name] == "default" else f"{name} from {origin[name]}" for name in named
         )
     raise ParameterError(f"{err.message} ({places})", name=err.name, hint=err.hint) from err

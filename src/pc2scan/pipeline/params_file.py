@@ -200,8 +200,7 @@ def _ros2_sections(leaves: Iterable[_Leaf], file: Path) -> _Sections:
             section[name] = leaf
         elif not is_empty(leaf.node):
             raise ParameterError(
-                f"{file}, {place_of(leaf.node)}: "
-                "expected parameters below ros__parameters, got a single value"
+                f"{file}, {place_of(leaf.node)}: expected parameters below ros__parameters, got a single value"
             )
     return sections
 
@@ -274,9 +273,7 @@ def _asked_for(sections: _Sections, node: str, file: Path) -> str:
             )
     if any(_matches(pattern, wanted) for pattern in sections):
         return wanted
-    raise ParameterError(
-        f"{file}: no section is for the node {node!r} (from --node); found {_listed(sections)}"
-    )
+    raise ParameterError(f"{file}: no section is for the node {node!r} (from --node); found {_listed(sections)}")
 
 
 def _listed(sections: Iterable[str]) -> str:

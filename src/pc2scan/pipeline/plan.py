@@ -89,8 +89,7 @@ def _targets(connections: Sequence[Connection], options: ConvertOptions) -> dict
     single = len(requests) == 1
     name = "cloud" if kind == LASERSCAN else "scan"
     return {
-        topic: target or (f"/{name}" if single else f"{topic.rstrip('/')}/{name}")
-        for topic, target in requests.items()
+        topic: target or (f"/{name}" if single else f"{topic.rstrip('/')}/{name}") for topic, target in requests.items()
     }
 
 

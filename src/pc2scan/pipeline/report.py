@@ -136,7 +136,7 @@ class Report:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the report as JSON's types; the keys are documented in the README."""
-        from pc2scan import __version__
+        from pc2scan import __version__  # noqa: PLC0415  # the package names this module
 
         return {
             "pc2scan": __version__,
@@ -173,7 +173,9 @@ def _point_warnings(topic: TopicReport, params: ProjectionParams, origins: dict[
         params.min_height == ProjectionParams().min_height
     )
     lost = points.height / points.total if points.total else 0.0
-    advice = "upstream's default min_height drops everything at z <= 0; set it to see below the sensor: --min-height -0.5"
+    advice = (
+        "upstream's default min_height drops everything at z <= 0; set it to see below the sensor: --min-height -0.5"
+    )
     warnings = []
     if topic.empty_scans:
         share = f"{topic.empty_scans} of {topic.messages_out} scans on {topic.target} have no return at all"

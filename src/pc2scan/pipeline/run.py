@@ -7,11 +7,12 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import chain
-from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from pc2scan.bags.merged import MergedReader
+from pc2scan.bags.model import Connection, RawMessage, Reader, Writer
 from pc2scan.bags.registry import (
     Destination,
     default_destination,
@@ -20,8 +21,6 @@ from pc2scan.bags.registry import (
     open_writer,
     plan_destination,
 )
-from pc2scan.bags.merged import MergedReader
-from pc2scan.bags.model import Connection, RawMessage, Reader, Writer
 from pc2scan.bags.staging import staged
 from pc2scan.errors import MessageError, UsageError
 from pc2scan.messages.definitions import definition
@@ -30,15 +29,17 @@ from pc2scan.messages.transcode import DEFAULT_DISTRO, LATCHED_QOS, defined, tra
 
 from .conversion import CloudToScan, Conversion, Converted, ScanToCloud
 from .frames import FrameOptions, Frames, is_static, read_transforms
-from .options import ConvertOptions
 from .ordered import map_in_order
 from .plan import Route, make_plan
 from .report import Report, Skipped, TopicReport
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from pathlib import Path
 
     from pc2scan.bags.model import Buffer
+
+    from .options import ConvertOptions
 
 __all__ = ["OutputOptions", "Progress", "run"]
 
@@ -164,9 +165,7 @@ def _merged(readers: list[Reader]) -> Reader:
     return MergedReader(readers) if len(readers) > 1 else readers[0]
 
 
-def _conversion(
-    reader: Reader, options: ConvertOptions, stack: ExitStack, report: Report
-) -> Conversion:
+def _conversion(reader: Reader, options: ConvertOptions, stack: ExitStack, report: Report) -> Conversion:
     """The direction asked for, with every transform known before the first message is converted."""
     params, frames = options.params, options.frames
     readers: list[Reader] = []
@@ -258,9 +257,7 @@ def _prepare_passing(lane: _Lane, target: Destination, options: ConvertOptions, 
         entry.action, entry.target = "left out", None
 
 
-def _converter(
-    conversion: Conversion, connection: Connection, target: Destination
-) -> Callable[[Buffer], Converted]:
+def _converter(conversion: Conversion, connection: Connection, target: Destination) -> Callable[[Buffer], Converted]:
     serialization = "ros1" if target.generation == 1 else "cdr"
     return lambda data: conversion(data, connection.serialization, serialization)
 
@@ -376,9 +373,7 @@ def _cut(reader: Reader, lanes: Mapping[int, _Lane], span: _Span) -> Iterator[Ra
     return chain(reader.messages(lasting, None, start), messages)
 
 
-def _write_static(
-    frames: FrameOptions, log_time_ns: int, target: Destination, writer: Writer, report: Report
-) -> None:
+def _write_static(frames: FrameOptions, log_time_ns: int, target: Destination, writer: Writer, report: Report) -> None:
     """Write the added transforms as one more latched publisher of /tf_static."""
     msgtype = "tf2_msgs/msg/TFMessage"
     text, digest = definition(msgtype, target.generation)
@@ -398,9 +393,7 @@ def _write_static(
     )
     rows = [transform.row(log_time_ns) for transform in frames.static]
     writer.write(handle, log_time_ns, encode_transforms(rows, serialization), log_time_ns)
-    report.topics.append(
-        TopicReport("/tf_static", msgtype, "/tf_static", "added", "from --static-tf", messages_out=1)
-    )
+    report.topics.append(TopicReport("/tf_static", msgtype, "/tf_static", "added", "from --static-tf", messages_out=1))
 
 
 def _work(item: tuple[_Lane, RawMessage]) -> _Outcome:
