@@ -9,10 +9,9 @@ const [modules, path] = process.argv.slice(2);
 const require = createRequire(join(modules, "anything.js"));
 const { Bag } = require("@foxglove/rosbag");
 const { FileReader } = require("@foxglove/rosbag/node");
-const { default: lz4 } = require("@foxglove/wasm-lz4");
-const { default: Bzip2 } = require("@foxglove/wasm-bz2");
+const decompressLz4 = require("@foxglove/wasm-lz4");
+const Bzip2 = require("@foxglove/wasm-bz2");
 
-const decompressLz4 = lz4 ?? require("@foxglove/wasm-lz4");
 await decompressLz4.isLoaded;
 const bzip2 = await Bzip2.init();
 

@@ -127,8 +127,7 @@ def test_a_missing_file(tmp_path: Path) -> None:
 
 
 def test_no_target_frame_leaves_everything_in_its_place() -> None:
-    known, _ = frames([], target="")
-    assert known.place("lidar", 5) == ("lidar", None)
+    assert Frames().place("lidar", 5) == ("lidar", None)
 
 
 @pytest.mark.parametrize("own", ["base", "/base"])
@@ -161,8 +160,7 @@ def test_the_source_frame_is_overridden() -> None:
     recording = Recording(("/tf_static", [row("base", "lidar", 0, 0.5)]))
     known, _ = frames([recording], FrameOptions(source_frame="lidar"))
     assert known.place("", 5).target_from_source is not None
-    unmoved, _ = frames([], FrameOptions(source_frame="lidar"), target="")
-    assert unmoved.place("wrong", 5) == ("lidar", None)
+    assert Frames(source_frame="lidar").place("wrong", 5) == ("lidar", None)
 
 
 def test_the_tolerance_takes_the_nearest_transform() -> None:

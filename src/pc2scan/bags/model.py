@@ -13,6 +13,28 @@ if TYPE_CHECKING:
 Buffer = bytes | memoryview
 
 
+#: Latched, as rosbag2 (metadata version 8) writes it: keep last 1, reliable, transient local, automatic
+#: liveliness, every duration infinite. Topics that are not latched get none: ``ros2 bag play`` then
+#: publishes with its default.
+LATCHED_QOS = """\
+- history: 1
+  depth: 1
+  reliability: 1
+  durability: 1
+  deadline:
+    sec: 9223372036
+    nsec: 854775807
+  lifespan:
+    sec: 9223372036
+    nsec: 854775807
+  liveliness: 1
+  liveliness_lease_duration:
+    sec: 9223372036
+    nsec: 854775807
+  avoid_ros_namespace_conventions: false
+"""
+
+
 @dataclass(frozen=True, slots=True)
 class Definition:
     """A message definition, verbatim.

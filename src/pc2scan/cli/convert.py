@@ -14,6 +14,7 @@ from pc2scan.pipeline.parameters import PARAMETERS
 from .render import count, printable, size, table
 
 if TYPE_CHECKING:
+    from pc2scan.core.unproject import UnprojectParams
     from pc2scan.pipeline.parameters import Direction, ResolvedParams
     from pc2scan.pipeline.report import Report, Skipped
 
@@ -368,7 +369,6 @@ def convert(
     }
     reverse, resolved = _resolve(options, param, params_file, node, reverse=reverse)
 
-    from pc2scan.core.unproject import UnprojectParams
     from pc2scan.pipeline.frames import FrameOptions, StaticTransform, load_static_transforms
     from pc2scan.pipeline.options import ConvertOptions, TimeBound, TopicRequest
     from pc2scan.pipeline.run import OutputOptions, run
@@ -378,12 +378,7 @@ def convert(
     request = ConvertOptions(
         params=resolved.params,
         reverse=reverse,
-        channels=UnprojectParams(
-            distances=Channel.distances in channels,
-            stamps=Channel.stamps in channels,
-            viewpoint=Channel.viewpoint in channels,
-            range_cutoff=-1.0 if range_cutoff is None else range_cutoff,
-        ),
+        channels=_channels(channels, range_cutoff),
         deskew=deskew,
         frames=FrameOptions(
             tf_topics=tuple(tf_topic),
@@ -422,6 +417,20 @@ def convert(
     for warning in result.warnings:
         typer.echo(f"warning: {printable(warning)}", err=True)
     raise typer.Exit(result.exit_status)
+
+
+def _channels(names: list[Channel], range_cutoff: float | None) -> UnprojectParams | None:
+    """The fields of the clouds; None where nothing was asked for, which is cheaper to start."""
+    if not names and range_cutoff is None:
+        return None
+    from pc2scan.core.unproject import UnprojectParams
+
+    return UnprojectParams(
+        distances=Channel.distances in names,
+        stamps=Channel.stamps in names,
+        viewpoint=Channel.viewpoint in names,
+        range_cutoff=-1.0 if range_cutoff is None else range_cutoff,
+    )
 
 
 def _resolve(

@@ -339,7 +339,6 @@ class _Cloud:
         else:
             self._smallest = np.empty(grid.slots, np.float32)
             self._smallest.fill(limits.no_return)
-            self._smallest[grid.beams :] = np.inf
 
     def add(self, tile: tuple[NDArray[Any], NDArray[Any], NDArray[Any]], transform: Transform | None) -> None:
         """Take a block of points."""
@@ -413,7 +412,6 @@ class _Cloud:
         """How many points fell into a slot that is no beam; mostly, one look at the slot says none."""
         if self._smallest[slot] == np.inf and self._limits.most < math.inf:
             return 0
-        self._smallest[slot] = np.inf
         return int(np.count_nonzero(slots == slot))
 
     def scan(self) -> ProjectedScan:

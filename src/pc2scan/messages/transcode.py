@@ -17,7 +17,7 @@ from functools import lru_cache
 from threading import Lock
 from typing import TYPE_CHECKING, Any
 
-from pc2scan.bags.model import Definition, ros1_type
+from pc2scan.bags.model import LATCHED_QOS, Definition, ros1_type
 from pc2scan.errors import DecodeError, UsageError
 
 from . import definitions as own_definitions
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from .schema import Schema, Struct
 
-__all__ = ["DEFAULT_DISTRO", "DISTROS", "LATCHED_QOS", "Transcoding", "defined", "transcoder"]
+__all__ = ["DEFAULT_DISTRO", "DISTROS", "Transcoding", "defined", "transcoder"]
 
 #: ROS 2's distributions whose message sets rosbags has, and ROS 1's last.
 DISTROS = (
@@ -47,27 +47,6 @@ DISTROS = (
 )
 #: A long-term release; few message types have changed since foxy.
 DEFAULT_DISTRO = "jazzy"
-
-#: Latched, as rosbag2 (metadata version 8) writes it: keep last 1, reliable, transient local, automatic
-#: liveliness, every duration infinite. Topics that are not latched get none: ``ros2 bag play`` then
-#: publishes with its default.
-LATCHED_QOS = """\
-- history: 1
-  depth: 1
-  reliability: 1
-  durability: 1
-  deadline:
-    sec: 9223372036
-    nsec: 854775807
-  lifespan:
-    sec: 9223372036
-    nsec: 854775807
-  liveliness: 1
-  liveliness_lease_duration:
-    sec: 9223372036
-    nsec: 854775807
-  avoid_ros_namespace_conventions: false
-"""
 
 #: Channel metadata and connection header fields that mean something to one generation only.
 _METADATA_OF = {

@@ -5,17 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from pc2scan.core.rigid import Rigid
 from pc2scan.errors import DecodeError, ParameterError, Pc2ScanError, UsageError
 from pc2scan.messages.tfmessage import TF_TYPES, decode_transforms
-from pc2scan.tf.buffer import TransformBuffer, TransformBuilder
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
     from pathlib import Path
 
     from pc2scan.bags.model import Connection, Reader
-    from pc2scan.core.rigid import TransformRow
+    from pc2scan.core.rigid import Rigid, TransformRow
+    from pc2scan.tf.buffer import TransformBuffer
 
 __all__ = [
     "FrameOptions",
@@ -77,6 +76,8 @@ class StaticTransform:
         """
         if not parent or not child or parent.removeprefix("/") == child.removeprefix("/"):
             raise UsageError(f"a static transform needs two frames, not {parent!r} and {child!r}")
+        from pc2scan.core.rigid import Rigid  # noqa: PLC0415  # only conversions with transforms pay for it
+
         try:
             rigid = (
                 Rigid.from_rpy(rotation[0], rotation[1], rotation[2], translation)
@@ -139,15 +140,15 @@ class Frames:
     source_frame
         See `FrameOptions`.
     buffer
-        Empty where there is no target frame.
+        None where there is no target frame.
     tolerance_ns
         How far a stamp may lie outside the known transforms.
     """
 
-    target_frame: str
-    source_frame: str
-    buffer: TransformBuffer
-    tolerance_ns: int
+    target_frame: str = ""
+    source_frame: str = ""
+    buffer: TransformBuffer | None = None
+    tolerance_ns: int = 0
 
     def place(self, frame_id: str, stamp_ns: int) -> Place:
         """Where a message of this frame and stamp goes.
@@ -160,7 +161,7 @@ class Frames:
         source = self.source_frame or frame_id
         target = self.target_frame
         # Source of the rule: upstream transforms only if the names differ; tf2 strips one leading slash.
-        if not target or target.removeprefix("/") == source.removeprefix("/"):
+        if self.buffer is None or target.removeprefix("/") == source.removeprefix("/"):
             return Place(target or source, None)
         return Place(target, self.buffer.lookup(target, source, stamp_ns, self.tolerance_ns))
 
@@ -218,6 +219,8 @@ def read_transforms(readers: Iterable[Reader], options: FrameOptions) -> tuple[T
     TransformBuffer, list of str
         The transforms, and warnings: transforms that cannot be used, and messages that cannot be decoded.
     """
+    from pc2scan.tf.buffer import TransformBuilder  # noqa: PLC0415  # only conversions with transforms pay for it
+
     builder = TransformBuilder()
     # The user's word comes first: whoever adds a transform does so because the recording's is wrong or lacking.
     builder.add((static.row(0) for static in options.static), static=True)

@@ -6,14 +6,17 @@ import re
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from decimal import Decimal, InvalidOperation
+from typing import TYPE_CHECKING
 
 from pc2scan.core.params import ProjectionParams
-from pc2scan.core.unproject import UnprojectParams
 from pc2scan.errors import UsageError
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
 
 from .frames import FrameOptions
+
+if TYPE_CHECKING:
+    from pc2scan.core.unproject import UnprojectParams
 
 __all__ = ["ConvertOptions", "TimeBound", "TopicRequest"]
 
@@ -109,7 +112,7 @@ class ConvertOptions:
     reverse
         Whether LaserScan becomes PointCloud2; of ``params`` then only the frame's count.
     channels
-        Fields of the clouds that ``reverse`` makes, and the range cutoff.
+        Fields of the clouds that ``reverse`` makes, and the range cutoff; None means the defaults.
     deskew
         With ``reverse``: transform each beam by the pose at its own time.
     frames
@@ -135,7 +138,7 @@ class ConvertOptions:
 
     params: ProjectionParams = ProjectionParams()
     reverse: bool = False
-    channels: UnprojectParams = UnprojectParams()
+    channels: UnprojectParams | None = None
     deskew: bool = False
     frames: FrameOptions = FrameOptions()
     topics: tuple[TopicRequest, ...] = ()
@@ -156,7 +159,7 @@ class ConvertOptions:
             raise UsageError(f"jobs is {self.jobs}, it must not be negative")
         if self.only_scans and (self.keep or self.keep_clouds):
             raise UsageError("only_scans leaves out what keep and keep_clouds ask for")
-        if not self.reverse and (self.deskew or self.channels != UnprojectParams()):
+        if not self.reverse and (self.deskew or self.channels is not None):
             raise UsageError("deskew, channels and range_cutoff go with reverse")
         if self.deskew and not self.params.target_frame:
             raise UsageError(

@@ -12,7 +12,7 @@ from itertools import chain
 from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.bags.merged import MergedReader
-from pc2scan.bags.model import Connection, RawMessage, Reader, Writer
+from pc2scan.bags.model import LATCHED_QOS, Connection, RawMessage, Reader, Writer
 from pc2scan.bags.registry import (
     Destination,
     default_destination,
@@ -25,9 +25,7 @@ from pc2scan.bags.staging import staged
 from pc2scan.errors import MessageError, UsageError
 from pc2scan.messages.definitions import definition
 from pc2scan.messages.tfmessage import encode_transforms
-from pc2scan.messages.transcode import DEFAULT_DISTRO, LATCHED_QOS, defined, transcoder
 
-from .conversion import CloudToScan, Conversion, Converted, ScanToCloud
 from .frames import FrameOptions, Frames, is_static, read_transforms
 from .ordered import map_in_order
 from .plan import Route, make_plan
@@ -39,6 +37,7 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.model import Buffer
 
+    from .conversion import Conversion, Converted
     from .options import ConvertOptions
 
 __all__ = ["OutputOptions", "Progress", "run"]
@@ -167,16 +166,20 @@ def _merged(readers: list[Reader]) -> Reader:
 
 def _conversion(reader: Reader, options: ConvertOptions, stack: ExitStack, report: Report) -> Conversion:
     """The direction asked for, with every transform known before the first message is converted."""
-    params, frames = options.params, options.frames
-    readers: list[Reader] = []
+    params, asked = options.params, options.frames
+    frames = Frames(source_frame=asked.source_frame)
     if params.target_frame:
-        readers = [reader, *_open(frames.tf_from, stack)]
-    buffer, warnings = read_transforms(readers, frames)
-    report.warnings += warnings
-    known = Frames(params.target_frame, frames.source_frame, buffer, round(params.transform_tolerance * 1e9))
+        buffer, warnings = read_transforms([reader, *_open(asked.tf_from, stack)], asked)
+        report.warnings += warnings
+        tolerance_ns = round(params.transform_tolerance * 1e9)
+        frames = Frames(params.target_frame, asked.source_frame, buffer, tolerance_ns)
     if options.reverse:
-        return ScanToCloud(options.channels, known, deskewed=options.deskew)
-    return CloudToScan(params, known)
+        from .scan_to_cloud import ScanToCloud  # noqa: PLC0415  # each direction loads its own arithmetic
+
+        return ScanToCloud(options.channels, frames, deskewed=options.deskew)
+    from .cloud_to_scan import CloudToScan  # noqa: PLC0415
+
+    return CloudToScan(params, frames)
 
 
 def _generation(connections: Iterable[Connection]) -> int | None:
@@ -228,6 +231,12 @@ def _prepare_passing(lane: _Lane, target: Destination, options: ConvertOptions, 
     """Declare a connection that passes through, re-encoded if the destination is of the other generation."""
     connection = lane.connection
     entry = lane.report
+    if connection.generation == target.generation and connection.definition.data:
+        lane.passing_handle = writer.add_connection(connection)
+        return
+    # Only recordings that lack definitions, or change generation, pay for loading this.
+    from pc2scan.messages.transcode import DEFAULT_DISTRO, defined, transcoder  # noqa: PLC0415
+
     distro = options.ros_distro or DEFAULT_DISTRO
     if connection.generation == target.generation:
         lane.passing_handle = writer.add_connection(defined(connection, distro))

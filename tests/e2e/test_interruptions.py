@@ -1,0 +1,168 @@
+"""A conversion that cannot go on leaves nothing behind: signals, full disks, forbidden folders."""
+
+from __future__ import annotations
+
+import os
+import resource
+import shutil
+import signal
+import subprocess
+import time
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from builders import T0, POINTS, Recording, cloud, item, write_rosbag1
+from e2e.command import COMMAND, run
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+#: Random points do not compress: what is written is about as large as what is read.
+CLOUDS, SIZE = 40, 60_000
+
+
+@pytest.fixture(scope="module")
+def large(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording of some 30 MB, of which bzip2 has seconds of work."""
+    points = np.random.default_rng(1).normal(0, 5, (SIZE, 3)).astype(np.float32)
+    items = [
+        item(POINTS, T0 + step, lambda g, s: cloud(np.roll(points, s), g, seq=s), step) for step in range(CLOUDS)
+    ]
+    return write_rosbag1(tmp_path_factory.mktemp("large") / "drive.bag", Recording((POINTS,), tuple(items)))
+
+
+@pytest.fixture
+def with_interrupts() -> Iterator[None]:
+    """Shells start background jobs with SIGINT ignored, which the command would inherit from this process."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+def half_done(process: subprocess.Popen[str], folder: Path) -> bool:
+    """Wait until the output is being written; False if the command ended before."""
+    deadline = time.monotonic() + 60
+    while process.poll() is None:
+        assert time.monotonic() < deadline, "nothing was written within a minute"
+        files = [path for path in folder.rglob("*") if path.is_file() and "partial" in str(path)]
+        if any(path.stat().st_size > 1_000_000 for path in files):
+            return True
+        time.sleep(0.005)
+    return False
+
+
+DESTINATIONS = {
+    "bag": ("out.bag", "--compression", "bz2"),
+    "mcap": ("out.mcap", "--compression", "zstd", "--angle-increment", "0.00001"),
+    "sqlite3": ("out", "--storage", "sqlite3", "--compression", "zstd", "--angle-increment", "0.00001"),
+}
+
+
+@pytest.mark.usefixtures("with_interrupts")
+@pytest.mark.parametrize("kind", DESTINATIONS)
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_leaves_nothing(number: int, status: int, kind: str, large: Path, tmp_path: Path) -> None:
+    name, *options = DESTINATIONS[kind]
+    command = [*COMMAND, "convert", str(large), "-o", str(tmp_path / name), "--keep-clouds", *options]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert half_done(process, tmp_path), "the command ended before it could be interrupted"
+        process.send_signal(number)
+        stdout, stderr = process.communicate(timeout=60)
+    assert process.returncode == status, stderr
+    assert list(tmp_path.iterdir()) == []
+    assert stdout == ""
+    assert "Traceback" not in stderr
+    assert "nothing was written" in stderr
+
+
+@pytest.mark.usefixtures("with_interrupts")
+def test_an_interrupted_overwrite_keeps_what_was_there(large: Path, tmp_path: Path) -> None:
+    destination = tmp_path / "out.bag"
+    destination.write_bytes(b"precious")
+    command = [*COMMAND, "convert", str(large), "-o", str(destination), "--overwrite", "--keep-clouds", "--compression", "bz2"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert half_done(process, tmp_path)
+        process.send_signal(signal.SIGINT)
+        process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {"out.bag": b"precious"}
+
+
+@pytest.mark.usefixtures("with_interrupts")
+def test_what_a_killed_run_left_is_no_obstacle(large: Path, tmp_path: Path) -> None:
+    command = [*COMMAND, "convert", str(large), "-o", str(tmp_path / "out.bag"), "--keep-clouds", "--compression", "bz2"]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, text=True) as process:
+        assert half_done(process, tmp_path)
+        process.kill()
+    assert list(tmp_path.iterdir()) != []
+    done = run("convert", large, "-o", tmp_path / "out.bag")
+    assert done.status == 0, done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["out.bag"]
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A file system with room for 4 MB."""
+    mount, unmount = shutil.which("mount"), shutil.which("umount")
+    if os.name != "posix" or os.geteuid() != 0 or mount is None or unmount is None:
+        pytest.skip("only root may mount a small file system")
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    mounted = subprocess.run(
+        [mount, "-t", "tmpfs", "-o", "size=4m", "tmpfs", str(folder)], capture_output=True, text=True, check=False
+    )
+    if mounted.returncode:
+        pytest.skip(f"a small file system cannot be mounted here: {mounted.stderr.strip()}")
+    yield folder
+    subprocess.run([unmount, str(folder)], check=True)
+
+
+FULL = {
+    "bag": ("out.bag", "--compression", "none"),
+    "mcap": ("out.mcap", "--compression", "none"),
+    "rosbag2": ("out", "--compression", "none"),
+    "sqlite3": ("out", "--storage", "sqlite3"),
+}
+
+
+@pytest.mark.parametrize("kind", FULL)
+def test_a_full_disk(kind: str, large: Path, small_disk: Path) -> None:
+    name, *options = FULL[kind]
+    done = run("convert", large, "-o", small_disk / name, "--keep-clouds", *options)
+    assert done.status == 1, done.stderr
+    assert "Traceback" not in done.stderr
+    assert "No space left" in done.stderr or "full" in done.stderr
+    assert str(small_disk / name) in done.stderr
+    assert done.stdout == ""
+    assert list(small_disk.iterdir()) == []
+
+
+@pytest.mark.parametrize("kind", FULL)
+def test_a_file_that_may_not_grow(kind: str, large: Path, tmp_path: Path) -> None:
+    # Like a full disk or a quota, and needs no rights.
+    name, *options = FULL[kind]
+    command = [*COMMAND, "convert", str(large), "-o", str(tmp_path / name), "--keep-clouds", *options]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (4_000_000, 4_000_000))
+        stdout, stderr = process.communicate(timeout=60)
+    assert process.returncode == 1, stderr
+    assert "Traceback" not in stderr
+    assert stderr.startswith("error: ")
+    assert name in stderr
+    assert stdout == ""
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(hasattr(os, "geteuid") and os.geteuid() == 0, reason="root may write anywhere")
+@pytest.mark.parametrize("name", ["out.bag", "out.mcap", "out"])
+def test_a_folder_that_may_not_be_written(name: str, large: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "locked"
+    folder.mkdir(mode=0o555)
+    done = run("convert", large, "-o", folder / name)
+    folder.chmod(0o755)
+    assert done.status == 1
+    assert "not writable" in done.stderr
+    assert list(folder.iterdir()) == []

@@ -1,0 +1,164 @@
+"""The README speaks the truth about the command, the report and the library."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from functools import cache
+from typing import TYPE_CHECKING
+
+import pytest
+
+from e2e.command import run
+from support import ROOT
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+README = (ROOT / "README.md").read_text("utf-8")
+COMMANDS = ("convert", "info", "tf")
+
+#: Options of other programs that the README names, and pc2scan's own outside its commands.
+ELSEWHERE = {"--install-completion", "--version", "--help"}
+
+
+@cache
+def help_of(command: str) -> str:
+    done = run(command, "--help")
+    assert done.status == 0, done.stderr
+    return done.stdout
+
+
+@cache
+def options_of(command: str) -> frozenset[str]:
+    return frozenset(re.findall(r"(?<![\w-])--[a-z][a-z0-9-]*", help_of(command)))
+
+
+def code_blocks(language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```$", README, re.MULTILINE | re.DOTALL)
+
+
+def commands_in(text: str) -> list[list[str]]:
+    """The pc2scan commands of shell code, as words; what follows a pipe or ``||`` is not theirs."""
+    joined = text.replace("\\\n", " ")
+    found = []
+    for line in joined.splitlines():
+        code = line.split(" #")[0].split("||")[0]
+        if match := re.search(r"(?:^|\s|/)pc2scan\s+(?=[a-z-])(.*)", code):
+            found.append(shlex.split(match[1]))
+    return found
+
+
+def test_every_option_in_the_readme_exists() -> None:
+    known = frozenset().union(*(options_of(command) for command in COMMANDS)) | ELSEWHERE
+    # A mention in prose, or in a table, ends at whatever an option cannot contain.
+    mentioned = set(re.findall(r"(?<![\w-])--[a-z][a-z0-9-]*", README))
+    assert len(mentioned) > 25
+    assert mentioned - known == set()
+
+
+def test_every_command_in_the_readme_takes_the_options_shown() -> None:
+    shown = [words for block in code_blocks("sh") for words in commands_in(block)]
+    shown += [words for line in re.findall(r"`(pc2scan [^`\n]+)`", README) for words in commands_in(line)]
+    assert len(shown) >= 8
+    for words in shown:
+        if words[0] in ELSEWHERE:
+            continue
+        assert words[0] in COMMANDS, words
+        assert {word.split("=")[0] for word in words if word.startswith("--")} <= options_of(words[0]) | {"--help"}
+
+
+def test_every_command_is_in_the_readme() -> None:
+    done = run("--help")
+    assert done.status == 0
+    listed = re.findall(r"^  ([a-z]+)  ", done.stdout[done.stdout.index("Commands:") :], re.MULTILINE)
+    assert set(listed) == set(COMMANDS)
+    for command in listed:
+        assert f"pc2scan {command}" in README
+
+
+def test_every_parameter_is_in_the_readmes_table() -> None:
+    rows = set(re.findall(r"`(\w+)`", "\n".join(re.findall(r"^\| (`.*?) \|", README, re.MULTILINE))))
+    parameters = {
+        "min_height", "max_height", "angle_min", "angle_max", "angle_increment", "range_min", "range_max",
+        "use_inf", "inf_epsilon", "scan_time", "target_frame", "transform_tolerance", "queue_size",
+    }  # fmt: skip
+    assert parameters <= rows
+    assert all(f"--{name.replace('_', '-')}" in options_of("convert") for name in parameters)
+
+
+def test_exit_statuses_are_told_alike() -> None:
+    help_text = run("--help").stdout
+    told = dict(re.findall(r"\*\*(\d)\*\* ([a-z]+)", README))
+    assert set(told) == {"0", "1", "2", "3"}
+    for status in told:
+        assert re.search(rf"\b{status}\b", help_text[help_text.index("Exit status") :])
+
+
+def test_the_report_has_the_keys_of_the_readme(tmp_path: Path) -> None:
+    report = tmp_path / "report.json"
+    done = run("convert", ROOT / "fixtures" / "hall.bag", "-o", tmp_path / "out.bag", "--report", report)
+    assert done.status == 0, done.stderr
+    found = json.loads(report.read_text())
+    table = README[README.index("| key | |") :].split("\n\n")[0]
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()[2:]]
+    top: set[str] = set()
+    inner: dict[str, set[str]] = {}
+    for names, description in rows:
+        for name in re.findall(r"`([\w\[\]]+)`", names):
+            top.add(name.removesuffix("[]"))
+            if name.endswith("[]"):
+                # ``points`` (`total`, ...) names the keys of a key; ``action`` (`converted`, ...) its values.
+                outer = re.sub(r"\([^)]*\)", "", description)
+                inner[name[:-2]] = set(re.findall(r"`(\w+)`", outer))
+    assert found.keys() - {"pc2scan"} == top
+    assert all(topic.keys() == inner["topics"] for topic in found["topics"])
+    points = re.search(r"`points` \(([^)]*)\)", table)
+    assert points is not None
+    assert all(topic["points"].keys() == set(re.findall(r"`(\w+)`", points[1])) for topic in found["topics"])
+    assert {topic["action"] for topic in found["topics"]} <= {"converted", "passed", "re-encoded", "left out"}
+    # No fixture has a message to skip: the keys of those are what the code says, and the README must name them.
+    assert inner["skipped"] >= {"topic", "log_time_ns", "stamp_ns", "reason", "hint"}
+
+
+def test_the_example_for_the_library_runs(tmp_path: Path) -> None:
+    (block,) = code_blocks("python")
+    shutil.copytree(ROOT / "fixtures", tmp_path / "fixtures")
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", block], capture_output=True, text=True, cwd=tmp_path, timeout=60, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    first, second = done.stdout.splitlines()
+    assert first.startswith("0 [")
+    assert "('/points', 5)" in first
+    assert second.split() == ["1.0", "2.0", "2"]
+    assert (tmp_path / "hall_scans.mcap").exists()
+
+
+@pytest.mark.parametrize("fixture", ["hall.bag", "hall.mcap", "hall"])
+def test_the_first_command_works_on_every_fixture(fixture: str, tmp_path: Path) -> None:
+    (line,) = [line for line in code_blocks("sh") if "fixtures/hall.bag" in line]
+    (words,) = commands_in(line)
+    words[words.index("fixtures/hall.bag")] = str(ROOT / "fixtures" / fixture)
+    done = run(*words, cwd=tmp_path)
+    assert done.status == 0, done.stderr
+    assert (tmp_path / "scans.mcap").exists()
+    assert done.stderr == ""
+
+
+def test_the_shown_commands_run_on_a_recording(tmp_path: Path) -> None:
+    shutil.copy(ROOT / "fixtures" / "hall.bag", tmp_path / "drive.bag")
+    (tmp_path / "params.yaml").write_text("pointcloud_to_laserscan:\n  ros__parameters:\n    min_height: -0.3\n")
+    ran = 0
+    for block in code_blocks("sh"):
+        for words in commands_in(block):
+            if "drive.bag" in words:
+                done = run(*words, cwd=tmp_path)
+                assert done.status == 0, (words, done.stderr)
+                ran += 1
+                (tmp_path / "drive_scan.bag").unlink(missing_ok=True)
+    assert ran >= 6
