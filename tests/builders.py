@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import json
 import sqlite3
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,8 +24,7 @@ from rosbags.rosbag1 import Writer as Rosbag1LibraryWriter
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
-    from pathlib import Path
+    from collections.abc import Iterable, Sequence
 
     from numpy.typing import NDArray
 
@@ -90,9 +91,7 @@ def cloud(
 ) -> bytes:
     """A serialised PointCloud2 of float32 columns; ``cut`` bytes of its data are missing."""
     store = typestore(generation)
-    fields = [
-        store.types["sensor_msgs/msg/PointField"](name, 4 * index, 7, 1) for index, name in enumerate(names)
-    ]
+    fields = [store.types["sensor_msgs/msg/PointField"](name, 4 * index, 7, 1) for index, name in enumerate(names)]
     data = np.ascontiguousarray(points, "<f4").tobytes()
     message = store.types[CLOUD](
         header=header(store, generation, seq, stamp_ns, frame_id),
@@ -269,15 +268,17 @@ def _content() -> Recording:
     def fixed(parent: str, child: str, stamp_ns: int) -> Callable[[int, int], bytes]:
         return lambda generation, seq: transforms([(parent, child, stamp_ns, (0.0, 0.0, 0.5))], generation, seq)
 
+    def odometry(generation: int, seq: int) -> bytes:
+        rows = [("odom", "base_link", at(seq), (0.5 * seq, 0.0, 0.0))]
+        return transforms(rows, generation, seq, ODOMETRY.type_in(generation))
+
     items = [
         item(MOUNT, T0, fixed("base_link", "lidar", T0)),
         item(BODY, T0 + 1, fixed("base_link", "imu", T0)),
     ]
     for step in range(3):
-        moved = [("odom", "base_link", at(step), (0.5 * step, 0.0, 0.0))]
-        kind = ODOMETRY.type_in
         items += [
-            item(ODOMETRY, at(step) + 2, lambda g, s, m=moved: transforms(m, g, s, kind(g)), step),  # type: ignore[misc]
+            item(ODOMETRY, at(step) + 2, odometry, step),
             item(
                 POINTS,
                 at(step) + 5_000_003,
@@ -324,7 +325,7 @@ _HEADER_IDL = (
     _idl("std_msgs/msg/Header", "      builtin_interfaces::msg::Time stamp;\n      string frame_id;\n") + _TIME_IDL
 )
 IDL = {
-    STRING: _idl(STRING, "      @verbatim (language=\"comment\", text=\"said aloud\")\n      string data;\n"),
+    STRING: _idl(STRING, '      @verbatim (language="comment", text="said aloud")\n      string data;\n'),
     BATTERY: _idl(
         BATTERY,
         "      std_msgs::msg::Header header;\n      double voltage;\n"
@@ -470,16 +471,19 @@ def write_mcap(path: Path, recording: Recording, form: Mcap = Mcap()) -> Path:
             writer.add_attachment(create_time_ns, log_time_ns, name, media_type, data)
         for name, entries in form.metadata:
             writer.add_metadata(name, entries)
-        writer.finish()
+        writer.finish()  # type: ignore[no-untyped-call]
     return path
 
 
 def _schema(writer: McapLibraryWriter, msgtype: str, form: Mcap) -> int:
+    name, encoding = msgtype, f"ros{form.generation}msg"
     if form.generation == 1:
-        return writer.register_schema(ros1_name(msgtype), "ros1msg", definition(msgtype, 1).encode())
-    if form.idl and msgtype in IDL:
-        return writer.register_schema(msgtype, "ros2idl", IDL[msgtype].encode())
-    return writer.register_schema(msgtype, "ros2msg", definition(msgtype, 2).encode())
+        name, text = ros1_name(msgtype), definition(msgtype, 1)
+    elif form.idl and msgtype in IDL:
+        encoding, text = "ros2idl", IDL[msgtype]
+    else:
+        text = definition(msgtype, 2)
+    return int(writer.register_schema(name, encoding, text.encode()))
 
 
 def _channel_metadata(stream: Stream, recording: Recording, form: Mcap) -> dict[str, str]:
@@ -499,7 +503,9 @@ def write_db3(
     columns = ["name", "type", "serialization_format", "offered_qos_profiles", "type_description_hash"]
     columns = columns[: {2: 3, 3: 4, 4: 5}[schema]]
     with closing(sqlite3.connect(path)) as database, database:
-        database.execute(f"CREATE TABLE topics(id INTEGER PRIMARY KEY, {', '.join(f'{c} TEXT NOT NULL' for c in columns)})")
+        database.execute(
+            f"CREATE TABLE topics(id INTEGER PRIMARY KEY, {', '.join(f'{c} TEXT NOT NULL' for c in columns)})"
+        )
         database.execute(
             "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL, timestamp INTEGER NOT NULL,"
             " data BLOB NOT NULL)"
@@ -627,57 +633,41 @@ def metadata_yaml(
     return "\n".join(lines) + "\n"
 
 
-SOURCES: dict[str, Callable[[Path, Recording], Path]] = {
+Build = Callable[[Path, Recording], Path]
+
+
+def _bag(compression: str) -> Build:
+    return lambda folder, recording: write_rosbag1(folder / "drive.bag", recording, compression)
+
+
+def _mcap(**form: Any) -> Build:
+    return lambda folder, recording: write_mcap(folder / "drive.mcap", recording, Mcap(**form))
+
+
+def _rosbag2(**form: Any) -> Build:
+    return lambda folder, recording: write_rosbag2(folder / "drive", recording, **form)
+
+
+SOURCES: dict[str, Build] = {
+    **{f"bag-{name}": _bag(name) for name in ("none", "bz2", "lz4")},
+    **{f"rosbag2-sqlite3-v{version}": _rosbag2(version=version) for version in (2, 4, 5, 8, 9)},
+    **{f"rosbag2-mcap-v{version}": _rosbag2(storage="mcap", version=version) for version in (5, 8, 9)},
     **{
-        f"bag-{name}": (lambda folder, recording, name=name: write_rosbag1(folder / "drive.bag", recording, name))  # type: ignore[misc]
-        for name in ("none", "bz2", "lz4")
-    },
-    **{
-        f"rosbag2-sqlite3-v{version}": (
-            lambda folder, recording, version=version: write_rosbag2(folder / "drive", recording, version=version)  # type: ignore[misc]
-        )
-        for version in (2, 4, 5, 8, 9)
-    },
-    **{
-        f"rosbag2-mcap-v{version}": (
-            lambda folder, recording, version=version: write_rosbag2(  # type: ignore[misc]
-                folder / "drive", recording, storage="mcap", version=version
-            )
-        )
-        for version in (5, 8, 9)
-    },
-    **{
-        f"rosbag2-{storage}-zstd-{mode}": (
-            lambda folder, recording, storage=storage, mode=mode: write_rosbag2(  # type: ignore[misc]
-                folder / "drive", recording, storage=storage, mode=mode
-            )
-        )
+        f"rosbag2-{storage}-zstd-{mode}": _rosbag2(storage=storage, mode=mode)
         for storage in ("sqlite3", "mcap")
         for mode in ("file", "message")
     },
-    **{
-        f"rosbag2-{storage}-split": (
-            lambda folder, recording, storage=storage: write_rosbag2(  # type: ignore[misc]
-                folder / "drive", recording, storage=storage, parts=2
-            )
-        )
-        for storage in ("sqlite3", "mcap")
-    },
-    "rosbag2-without-metadata": lambda folder, recording: write_rosbag2(folder / "drive", recording, metadata=False),
+    **{f"rosbag2-{storage}-split": _rosbag2(storage=storage, parts=2) for storage in ("sqlite3", "mcap")},
+    "rosbag2-without-metadata": _rosbag2(metadata=False),
     "db3": lambda folder, recording: write_db3(folder / "drive.db3", recording),
-    **{
-        f"mcap-{name}": (lambda folder, recording, form=form: write_mcap(folder / "drive.mcap", recording, form))  # type: ignore[misc]
-        for name, form in {
-            "unchunked": Mcap(chunked=False),
-            "none": Mcap(compression="none"),
-            "lz4": Mcap(compression="lz4"),
-            "zstd": Mcap(),
-            "ros1": Mcap(generation=1, profile="ros1"),
-            "ros1-unchunked-no-profile": Mcap(generation=1, profile="", chunked=False),
-            "no-profile": Mcap(profile=""),
-            "ros2idl": Mcap(idl=True),
-        }.items()
-    },
+    "mcap-unchunked": _mcap(chunked=False),
+    "mcap-none": _mcap(compression="none"),
+    "mcap-lz4": _mcap(compression="lz4"),
+    "mcap-zstd": _mcap(),
+    "mcap-ros1": _mcap(generation=1, profile="ros1"),
+    "mcap-ros1-unchunked-no-profile": _mcap(generation=1, profile="", chunked=False),
+    "mcap-no-profile": _mcap(profile=""),
+    "mcap-ros2idl": _mcap(idl=True),
 }
 """Every kind of source, by name: takes a folder and the recording, returns the source's path."""
 

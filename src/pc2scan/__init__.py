@@ -15,26 +15,35 @@ if TYPE_CHECKING:
     from .core.project import PointCounts as PointCounts
     from .core.project import ProjectedScan as ProjectedScan
     from .core.project import project as project
+    from .core.unproject import UnprojectParams as UnprojectParams
     from .inspect.info import info as info
+    from .pipeline.frames import FrameOptions as FrameOptions
+    from .pipeline.frames import StaticTransform as StaticTransform
     from .pipeline.report import Report as Report
 
 __version__ = "0.1.0"
 
 __all__ = [
+    "FrameOptions",
     "PointCounts",
     "ProjectedScan",
     "ProjectionParams",
     "Report",
+    "StaticTransform",
+    "UnprojectParams",
     "convert",
     "info",
     "project",
 ]
 
 _HOMES = {
+    "FrameOptions": "pipeline.frames",
     "PointCounts": "core.project",
     "ProjectedScan": "core.project",
     "ProjectionParams": "core.params",
     "Report": "pipeline.report",
+    "StaticTransform": "pipeline.frames",
+    "UnprojectParams": "core.unproject",
     "convert": "api",
     "info": "inspect.info",
     "project": "core.project",

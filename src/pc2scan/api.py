@@ -7,12 +7,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from .core.params import ProjectionParams
+from .pipeline.frames import FrameOptions
 from .pipeline.options import ConvertOptions, TimeBound, TopicRequest
 from .pipeline.run import OutputOptions, Progress, run
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
+    from .core.unproject import UnprojectParams
     from .pipeline.report import Report
 
 __all__ = ["convert"]
@@ -23,6 +25,10 @@ def convert(
     destination: str | PathLike[str] | None = None,
     *,
     params: ProjectionParams | None = None,
+    reverse: bool = False,
+    channels: UnprojectParams | None = None,
+    deskew: bool = False,
+    frames: FrameOptions | None = None,
     topics: Iterable[str] = (),
     keep_clouds: bool = False,
     only_scans: bool = False,
@@ -40,7 +46,7 @@ def convert(
     jobs: int = 0,
     progress: Progress | None = None,
 ) -> Report:
-    """Convert recorded PointCloud2 to LaserScan, as ``pc2scan convert`` does.
+    """Convert recorded PointCloud2 to LaserScan, or back, as ``pc2scan convert`` does.
 
     Parameters
     ----------
@@ -51,6 +57,11 @@ def convert(
         the first source, in its format, with ``_scan`` in its name.
     params
         The projection's parameters; None means upstream's defaults.
+    reverse, channels, deskew
+        The way back: LaserScan to PointCloud2, the fields of the clouds, and whether each beam is transformed by the
+        pose at its own time.
+    frames
+        Where transforms come from, for a ``target_frame``; None means the sources' ``/tf`` and ``/tf_static``.
     topics
         What to convert, as ``/points`` or ``/points:=/scan``; empty means every PointCloud2 topic.
     keep_clouds, only_scans, keep, drop, on_error, ros_distro, jobs
@@ -89,6 +100,10 @@ def convert(
     paths = [sources] if isinstance(sources, str | PathLike) else sources
     options = ConvertOptions(
         params=params or ProjectionParams(),
+        reverse=reverse,
+        channels=channels,
+        deskew=deskew,
+        frames=frames or FrameOptions(),
         topics=tuple(TopicRequest.parse(topic) for topic in topics),
         keep_clouds=keep_clouds,
         only_scans=only_scans,

@@ -214,9 +214,7 @@ def raw_channel(id_: int = 1, topic: str = "/t", schema: int = 0) -> bytes:
 
 
 def raw_message(channel: int = 1, log_time: int = 1, data: bytes = b"data") -> bytes:
-    return encoded(
-        Message(channel_id=channel, log_time=log_time, data=data, publish_time=log_time, sequence=0)
-    )
+    return encoded(Message(channel_id=channel, log_time=log_time, data=data, publish_time=log_time, sequence=0))
 
 
 BODY = raw_channel() + raw_message()

@@ -122,9 +122,7 @@ def message(
     return record(data, **{name: fields[name] for name in order})
 
 
-def chunk(
-    payload: bytes, compression: str = "none", size: int | None = None, stored: bytes | None = None
-) -> bytes:
+def chunk(payload: bytes, compression: str = "none", size: int | None = None, stored: bytes | None = None) -> bytes:
     if stored is None:
         pack: dict[str, Callable[[bytes], bytes]] = {"bz2": bz2.compress, "lz4": lz4.frame.compress}
         stored = pack.get(compression, bytes)(payload)

@@ -44,17 +44,13 @@ def test_short_answers_of_the_system_are_completed(file: SourceFile, monkeypatch
 
 
 def test_what_is_not_there_is_an_error(file: SourceFile) -> None:
-    with pytest.raises(
-        RecordingError, match="2 bytes are declared from byte 99 on, but the file has 100 bytes"
-    ):
+    with pytest.raises(RecordingError, match="2 bytes are declared from byte 99 on, but the file has 100 bytes"):
         file.read(99, 2)
 
 
 def test_a_file_that_became_shorter(file: SourceFile, path: Path) -> None:
     os.truncate(path, 60)
-    with pytest.raises(
-        RecordingError, match="ended at byte 60 while it was read; it had 100 bytes"
-    ) as caught:
+    with pytest.raises(RecordingError, match="ended at byte 60 while it was read; it had 100 bytes") as caught:
         file.read(50, 20)
     assert caught.value.path == path
 

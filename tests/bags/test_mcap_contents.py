@@ -112,9 +112,7 @@ def rebuild_with_index(path: Path, head: bytes, chunks: list[Chunk]) -> None:
     path.write_bytes(data)
 
 
-def test_runs_outside_chunks_are_split(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, loads: list[Segment]
-) -> None:
+def test_runs_outside_chunks_are_split(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, loads: list[Segment]) -> None:
     monkeypatch.setattr(mcap_contents, "RUN_SIZE", 500)
     path = library_file(tmp_path / "a.mcap", SAMPLE, use_chunking=False)
     expected = sorted(
@@ -126,9 +124,7 @@ def test_runs_outside_chunks_are_split(
         assert len(loads) > 10
         assert reader.summary.compression == ("none",)
         loads.clear()
-        assert [m[2] for m in content(reader, start_ns=1000, stop_ns=1005)] == [
-            m[2] for m in expected if m[2] < 1005
-        ]
+        assert [m[2] for m in content(reader, start_ns=1000, stop_ns=1005)] == [m[2] for m in expected if m[2] < 1005]
         assert len(loads) < 5
 
 
@@ -253,9 +249,7 @@ def test_statistics_without_counts_by_channel(tmp_path: Path) -> None:
 
 
 def test_what_precedes_damage_is_kept_for_recovery(tmp_path: Path) -> None:
-    data = library_file(
-        tmp_path / "a.mcap", SAMPLE, chunk_size=300, **LIBRARY_OPTIONS["no summary"]
-    ).read_bytes()
+    data = library_file(tmp_path / "a.mcap", SAMPLE, chunk_size=300, **LIBRARY_OPTIONS["no summary"]).read_bytes()
     path = tmp_path / "b.mcap"
     path.write_bytes(data[: len(data) // 2])
     file = RecordFile(path)

@@ -128,9 +128,7 @@ def test_ros1_latching(tmp_path: Path, value: str | None, *, expected: bool) -> 
         ("", "protobuf", ""),
     ],
 )
-def test_an_empty_message_encoding_is_deduced(
-    tmp_path: Path, profile: str, schema: str, expected: str
-) -> None:
+def test_an_empty_message_encoding_is_deduced(tmp_path: Path, profile: str, schema: str, expected: str) -> None:
     path = tmp_path / "a.mcap"
     with path.open("wb") as file:
         writer = LibraryWriter(file)

@@ -192,9 +192,7 @@ def test_types_and_definitions_of_all_kinds(
 ) -> None:
     path = tmp_path / "a.mcap"
     writer = McapWriter(path, profile="")
-    handle = writer.add_connection(
-        connection(msgtype=msgtype, serialization=serialization, definition=definition)
-    )
+    handle = writer.add_connection(connection(msgtype=msgtype, serialization=serialization, definition=definition))
     writer.write(handle, 1, b"x", 1)
     writer.finish()
     with closing(McapReader(path)) as reader:
@@ -223,9 +221,7 @@ def test_attachments_and_metadata(tmp_path: Path, loads: list[Segment]) -> None:
         assert not loads
     with path.open("rb") as file:
         theirs = make_reader(file)
-        assert [(a.name, a.data) for a in theirs.iter_attachments()] == [
-            (a.name, a.data) for a in attachments
-        ]
+        assert [(a.name, a.data) for a in theirs.iter_attachments()] == [(a.name, a.data) for a in attachments]
         assert [m.metadata for m in theirs.iter_metadata()] == [{"k": "v", "ü": "ß"}, {}]
 
 
@@ -307,9 +303,7 @@ def test_channels_precede_their_messages_for_readers_without_the_index(tmp_path:
     writer.write(two, 2, b"2", 2)
     writer.finish()
     with path.open("rb") as file:
-        assert [
-            (c.topic, m.data) for _, c, m in NonSeekingReader(file, validate_crcs=True).iter_messages()
-        ] == [
+        assert [(c.topic, m.data) for _, c, m in NonSeekingReader(file, validate_crcs=True).iter_messages()] == [
             ("/one", b"1"),
             ("/two", b"2"),
         ]
@@ -432,8 +426,7 @@ MODULES = os.environ.get("PC2SCAN_NODE_MODULES", "")
 
 
 needs_npm_reader = pytest.mark.skipif(
-    shutil.which("node") is None
-    or not all((Path(MODULES) / "@mcap" / name).is_dir() for name in ("core", "support")),
+    shutil.which("node") is None or not all((Path(MODULES) / "@mcap" / name).is_dir() for name in ("core", "support")),
     reason="needs node, and PC2SCAN_NODE_MODULES: a node_modules folder with @mcap/core and @mcap/support",
 )
 

@@ -15,6 +15,7 @@ from pc2scan.errors import UsageError
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
+    from concurrent.futures import Executor
     from pathlib import Path
 
 
@@ -71,6 +72,9 @@ class FakeReader:
     def metadata(self) -> Iterator[Metadata]:
         yield Metadata(self.path.name, {})
 
+    def read_ahead(self, pool: Executor) -> None:
+        """Nothing to prepare."""
+
     def close(self) -> None:
         self.closed = True
 
@@ -80,12 +84,8 @@ def connection(number: int, topic: str = "/a", count: int | None = 1) -> Connect
 
 
 def test_messages_are_merged_and_renumbered(tmp_path: Path) -> None:
-    first = FakeReader(
-        tmp_path / "1", [connection(5), connection(6, "/b")], [(5, 1, b"p"), (6, 3, b"q"), (5, 5, b"r")]
-    )
-    second = FakeReader(
-        tmp_path / "2", [connection(1, "/b"), connection(2, "/c")], [(1, 3, b"s"), (2, 4, b"t")]
-    )
+    first = FakeReader(tmp_path / "1", [connection(5), connection(6, "/b")], [(5, 1, b"p"), (6, 3, b"q"), (5, 5, b"r")])
+    second = FakeReader(tmp_path / "2", [connection(1, "/b"), connection(2, "/c")], [(1, 3, b"s"), (2, 4, b"t")])
     reader = MergedReader([first, second])
     assert [(c.id, c.topic, c.message_count) for c in reader.connections] == [
         (1, "/a", 1),
@@ -170,9 +170,7 @@ def test_a_source_is_not_read_before_its_time(tmp_path: Path) -> None:
 
 def test_sources_are_closed_with_the_generator(tmp_path: Path) -> None:
     log: list[str] = []
-    readers = [
-        FakeReader(tmp_path / name, [connection(1)], [(1, 1, b""), (1, 2, b"")], log=log) for name in "ab"
-    ]
+    readers = [FakeReader(tmp_path / name, [connection(1)], [(1, 1, b""), (1, 2, b"")], log=log) for name in "ab"]
     messages = MergedReader(readers).messages()
     next(messages)
     messages.close()  # type: ignore[attr-defined]

@@ -6,7 +6,7 @@ import pytest
 
 from bags.mcap_files import QOS
 from bags.rosbag2_files import QOS_NAMES, QOS_NUMBERS
-from pc2scan.bags.qos import latches, respelled_qos
+from pc2scan.bags.qos import latches, parsed_qos, respelled_qos
 
 
 @pytest.mark.parametrize(
@@ -33,10 +33,25 @@ def test_latches(qos: str, *, expected: bool) -> None:
 def test_respelling_profiles() -> None:
     assert respelled_qos(QOS_NUMBERS, by_name=True) == QOS_NAMES
     assert respelled_qos(QOS_NAMES, by_name=False) == QOS_NUMBERS
-    verbatim = "# as it was\n- {history: 1,   durability: 2}"
+    verbatim = f"# as it was\n{QOS_NUMBERS}"
     assert respelled_qos(verbatim, by_name=False) == verbatim
     assert respelled_qos("", by_name=True) == ""
-    odd = "- history: 99\n  reliability: sometimes\n  durability: true\n  liveliness: null"
-    assert respelled_qos(odd, by_name=True) == odd
-    assert respelled_qos(odd, by_name=False) == odd
-    assert respelled_qos("- reliability: Best_Effort", by_name=False) == "- reliability: 2"
+    odd = "- history: 99\n  reliability: sometimes\n  durability: true\n  liveliness: null\n  speed: 3"
+    for by_name in (True, False):
+        assert respelled_qos(odd, by_name=by_name).startswith(odd)
+    assert respelled_qos("- reliability: Best_Effort", by_name=False).startswith("- reliability: 2\n")
+
+
+def test_missing_keys_get_the_defaults_of_rmw() -> None:
+    (profile,) = parsed_qos(respelled_qos("- durability: 1", by_name=True)) or []
+    assert profile == {
+        "durability": "transient_local",
+        "history": "keep_last",
+        "depth": 10,
+        "reliability": "reliable",
+        "deadline": {"sec": 9223372036, "nsec": 854775807},
+        "lifespan": {"sec": 9223372036, "nsec": 854775807},
+        "liveliness": "automatic",
+        "liveliness_lease_duration": {"sec": 9223372036, "nsec": 854775807},
+        "avoid_ros_namespace_conventions": False,
+    }

@@ -53,9 +53,7 @@ def make(folder: Path, kind: str) -> Path:
     return destination.path / "x_0.db3" if kind == "sqlite3" else destination.path
 
 
-@pytest.mark.parametrize(
-    "name", ["misleading.bag", "misleading.mcap", "misleading.db3", "misleading.zip", "none"]
-)
+@pytest.mark.parametrize("name", ["misleading.bag", "misleading.mcap", "misleading.db3", "misleading.zip", "none"])
 @pytest.mark.parametrize("kind", list(KINDS))
 def test_content_decides_not_the_name(tmp_path: Path, kind: str, name: str) -> None:
     path = make(tmp_path, kind).rename(tmp_path / name)
@@ -87,9 +85,7 @@ def test_compressed_files_are_unpacked(tmp_path: Path, kind: str) -> None:
     assert not Path(temporary.name).exists()
 
 
-def test_a_damaged_compressed_file_leaves_nothing_behind(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_damaged_compressed_file_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TMPDIR", str(tmp_path / "tmp"))
     monkeypatch.setattr("tempfile.tempdir", None)
     (tmp_path / "tmp").mkdir()
@@ -289,9 +285,7 @@ def test_default_destinations(source: str, of: Summary, expected: str, storage: 
     )
 
 
-def test_the_default_destination_of_the_current_directory(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_default_destination_of_the_current_directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "bag").mkdir()
     monkeypatch.chdir(tmp_path / "bag")
     found = default_destination([Path()], [summary("rosbag2", "mcap")])

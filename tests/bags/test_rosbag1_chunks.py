@@ -74,9 +74,7 @@ def test_a_message_may_hold_what_looks_like_a_record(tmp_path: Path, size: int) 
 
 @pytest.mark.parametrize("compression", COMPRESSIONS)
 @pytest.mark.parametrize("wrong", [-1, 1, 1000])
-def test_a_chunk_of_another_size_than_declared_is_refused(
-    tmp_path: Path, compression: str, wrong: int
-) -> None:
+def test_a_chunk_of_another_size_than_declared_is_refused(tmp_path: Path, compression: str, wrong: int) -> None:
     payload = message(1)
     path = simple_bag(tmp_path / "a.bag", payload, compression=compression, size=len(payload) + wrong)
     observed = f"more than {len(payload) - 1}" if wrong < 0 else str(len(payload))
@@ -98,9 +96,7 @@ def test_a_decompression_bomb_is_not_let_off(tmp_path: Path, compression: str) -
 @pytest.mark.parametrize("compression", ["bz2", "lz4"])
 @pytest.mark.parametrize("size", [100, 2**32 - 1])
 def test_compressed_data_that_is_none_is_refused(tmp_path: Path, compression: str, size: int) -> None:
-    path = simple_bag(
-        tmp_path / "a.bag", b"", compression=compression, size=size, stored=b"not compressed at all"
-    )
+    path = simple_bag(tmp_path / "a.bag", b"", compression=compression, size=size, stored=b"not compressed at all")
     assert f"its {compression} data cannot be decompressed" in fails(path)
 
 

@@ -125,9 +125,7 @@ def test_an_index_that_is_somewhere_else_is_refused(tmp_path: Path) -> None:
         given_bytes(tmp_path, raw[: at + 3] + b"\x09" + raw[at + 4 :])
     )
     raw = bag_header(10**12, 1, 1)
-    assert "should be at byte 1000000000000, the file has" in fails(
-        given_bytes(tmp_path, raw), hint="reindex"
-    )
+    assert "should be at byte 1000000000000, the file has" in fails(given_bytes(tmp_path, raw), hint="reindex")
 
 
 @pytest.mark.parametrize(

@@ -94,9 +94,7 @@ def test_bags_of_ros1_are_read(tmp_path: Path, compression: str) -> None:
 
 
 @needs_shared
-@pytest.mark.parametrize(
-    "name", ["guardian_pallet", "jarvis_two_lasers", "luminar_highway", "velodyne_vlp32"]
-)
+@pytest.mark.parametrize("name", ["guardian_pallet", "jarvis_two_lasers", "luminar_highway", "velodyne_vlp32"])
 def test_real_recordings_are_read_as_rosbags_reads_them(name: str) -> None:
     path = RECORDINGS / f"{name}.bag"
     expected: dict[str, list[tuple[int, bytes]]] = {}
@@ -127,18 +125,14 @@ def test_real_recordings_are_read_as_rosbags_reads_them(name: str) -> None:
             assert (own.definition.text, own.message_count) == (other_one.msgdef.data, other_one.msgcount)
 
 
-def filtered(
-    path: Path, topics: set[str] | None, start_ns: int | None, stop_ns: int | None
-) -> list[RawMessage]:
+def filtered(path: Path, topics: set[str] | None, start_ns: int | None, stop_ns: int | None) -> list[RawMessage]:
     with closing(Rosbag1Reader(path)) as reader:
         wanted = None if topics is None else [item for item in reader.connections if item.topic in topics]
         return list(reader.messages(wanted, start_ns, stop_ns))
 
 
 @pytest.mark.parametrize("topics", [None, set(), {"/a"}, {"/b", "/c"}])
-@pytest.mark.parametrize(
-    "bounds", [(None, None), (10, None), (None, 40), (10, 40), (10, 10), (99, None), (None, 0)]
-)
+@pytest.mark.parametrize("bounds", [(None, None), (10, None), (None, 40), (10, 40), (10, 10), (99, None), (None, 0)])
 def test_only_what_was_asked_for_is_read(
     tmp_path: Path, topics: set[str] | None, bounds: tuple[int | None, int | None]
 ) -> None:
@@ -246,9 +240,7 @@ def small_bag(compression: str) -> bytes:
 
 
 def test_a_bag_that_shrinks_while_it_is_read_is_an_error(tmp_path: Path) -> None:
-    path = write(
-        tmp_path / "a.bag", [connection()], [(0, index, bytes(9000)) for index in range(9)], "none", 9000
-    )
+    path = write(tmp_path / "a.bag", [connection()], [(0, index, bytes(9000)) for index in range(9)], "none", 9000)
     with closing(Rosbag1Reader(path)) as reader:
         messages = reader.messages()
         next(messages)

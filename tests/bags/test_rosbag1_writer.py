@@ -106,8 +106,7 @@ def test_any_bag_is_read_in_the_stable_order_of_time(
 ) -> None:
     connections = [connection(topic) for topic in topics]
     rows = [
-        (pick % len(topics), time_ns, bytes([index % 256]) * size)
-        for index, (pick, time_ns, size) in enumerate(picks)
+        (pick % len(topics), time_ns, bytes([index % 256]) * size) for index, (pick, time_ns, size) in enumerate(picks)
     ]
     with tempfile.TemporaryDirectory() as folder:
         path = write(Path(folder) / "a.bag", connections, rows, compression, chunk_size)
@@ -160,9 +159,7 @@ def test_rosbags_reads_our_bags(tmp_path: Path, compression: str) -> None:
         found = [(item.id, stamp, data) for item, stamp, data in reader.messages()]
         # It keeps the order of equal stamps within a connection only.
         for index in range(3):
-            assert [row for row in found if row[0] == index] == [
-                row for row in by_time(rows) if row[0] == index
-            ]
+            assert [row for row in found if row[0] == index] == [row for row in by_time(rows) if row[0] == index]
         assert [row[1] for row in found] == [row[1] for row in by_time(rows)]
         assert [item.topic for item in reader.connections] == ["/a", "/a", "/b"]
         assert reader.connections[2].digest == STRING_MD5
@@ -264,11 +261,7 @@ def test_records_are_laid_out_as_ros1_does(tmp_path: Path) -> None:
 def test_a_large_message_has_a_chunk_of_its_own(tmp_path: Path) -> None:
     rows = [(0, 1, b"a"), (0, 2, bytes(5000)), (0, 3, b"b"), (0, 4, b"c")]
     path = write(tmp_path / "a.bag", [connection()], rows, "none", 1000)
-    counts = [
-        struct.unpack("<II", body)[1]
-        for fields, body in records_of(path.read_bytes())
-        if fields["op"] == b"\6"
-    ]
+    counts = [struct.unpack("<II", body)[1] for fields, body in records_of(path.read_bytes()) if fields["op"] == b"\6"]
     assert counts == [1, 1, 2]
 
 
@@ -327,9 +320,7 @@ def test_times_that_a_bag_cannot_hold_are_refused(tmp_path: Path, time_ns: int) 
     writer = Rosbag1Writer(tmp_path / "a.bag")
     handle = writer.add_connection(connection())
     writer.write(handle, 2**32 * SECOND - 1, b"last", 0)
-    with pytest.raises(
-        OutputError, match=f"log time {time_ns} ns is outside the 0 to 4294967295 s"
-    ) as raised:
+    with pytest.raises(OutputError, match=f"log time {time_ns} ns is outside the 0 to 4294967295 s") as raised:
         writer.write(handle, time_ns, b"", 0)
     assert raised.value.path == writer.path
     writer.finish()
@@ -346,9 +337,7 @@ def test_a_message_that_no_chunk_can_hold_is_refused(tmp_path: Path, monkeypatch
 
 
 def test_compressions_that_bags_do_not_know_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(
-        DestinationError, match="cannot be compressed with zstd, only with none, bz2, lz4"
-    ) as raised:
+    with pytest.raises(DestinationError, match="cannot be compressed with zstd, only with none, bz2, lz4") as raised:
         Rosbag1Writer(tmp_path / "a.bag", "zstd")
     assert raised.value.hint
     assert list(tmp_path.iterdir()) == []

@@ -55,9 +55,7 @@ def test_files_that_were_unpacked_by_hand_are_found(bag: Path) -> None:
     assert [m[1] for m in read(bag)] == [3]
 
 
-@pytest.mark.parametrize(
-    "name", ["../outside.db3", "/etc/outside.db3", "C:\\x\\outside.db3", "sub/outside.db3"]
-)
+@pytest.mark.parametrize("name", ["../outside.db3", "/etc/outside.db3", "C:\\x\\outside.db3", "sub/outside.db3"])
 def test_only_files_in_the_directory_are_opened(bag: Path, name: str) -> None:
     write_storage(bag.parent / "outside.db3", [("/secret", 3)])
     write_metadata(bag, 5, [name])

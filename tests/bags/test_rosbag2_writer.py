@@ -17,6 +17,7 @@ from ruamel.yaml import YAML
 from bags.rosbag2_files import QOS_NAMES, QOS_NUMBERS, STORE, STRING, names, read, text, topic
 from pc2scan.bags.mcap_reader import McapReader
 from pc2scan.bags.model import Attachment, Metadata
+from pc2scan.bags.qos import parsed_qos, respelled_qos
 from pc2scan.bags.rosbag2_reader import Rosbag2Reader
 from pc2scan.bags.rosbag2_writer import Rosbag2Writer
 from pc2scan.bags.sqlite3 import Sqlite3Reader
@@ -125,9 +126,7 @@ def test_metadata_file(tmp_path: Path, storage: str, version: int) -> None:
         import sqlite3
 
         with closing(sqlite3.connect(path / file)) as database:
-            stored_version, stored = database.execute(
-                "SELECT metadata_version, metadata FROM metadata"
-            ).fetchone()
+            stored_version, stored = database.execute("SELECT metadata_version, metadata FROM metadata").fetchone()
             assert stored_version == version
     assert YAML(typ="safe").load(stored) == info
 
@@ -165,16 +164,18 @@ def test_an_empty_recording(tmp_path: Path, storage: str) -> None:
         "- history: !!x",
     ],
 )
-def test_mutilated_profiles_are_kept(tmp_path: Path, storage: str, version: int, qos: str) -> None:
+def test_mutilated_profiles_are_completed_where_they_are_profiles(
+    tmp_path: Path, storage: str, version: int, qos: str
+) -> None:
     path = tmp_path / "bag"
     connection = topic("/a", qos=qos, metadata={"offered_qos_profiles": qos, "other": "kept"})
     writer = Rosbag2Writer(path, "bag", storage=storage, metadata_version=version)
     writer.write(writer.add_connection(connection), 1, text("x"), 1)
     writer.finish()
-    (expected,) = {qos} if version == 8 else {qos.replace("durability: 1", "durability: transient_local")}
     with closing(Rosbag2Reader(path)) as reader:
         (a,) = reader.connections
-        assert a.qos == expected
+        assert a.qos == respelled_qos(qos, by_name=version == 9)
+        assert (a.qos == qos) == (parsed_qos(qos) is None)
         assert len(list(reader.messages())) == 1
     # metadata.yaml is well-formed whatever the profile is.
     assert YAML(typ="safe").load((path / "metadata.yaml").read_text())

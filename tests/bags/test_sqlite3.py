@@ -39,18 +39,14 @@ def build(path: Path, version: int, *, index: bool = True) -> None:
         if index:
             database.execute("CREATE INDEX timestamp_idx ON messages (timestamp ASC)")
         if version >= 3:
-            database.execute(
-                "CREATE TABLE schema(schema_version INTEGER PRIMARY KEY, ros_distro TEXT NOT NULL)"
-            )
+            database.execute("CREATE TABLE schema(schema_version INTEGER PRIMARY KEY, ros_distro TEXT NOT NULL)")
             database.execute("INSERT INTO schema VALUES (?, 'iron')", (version,))
         if version >= 4:
             database.execute(
                 "CREATE TABLE message_definitions(id INTEGER PRIMARY KEY, topic_type TEXT, encoding TEXT, "
                 "encoded_message_definition TEXT, type_description_hash TEXT)"
             )
-            database.execute(
-                "INSERT INTO message_definitions VALUES (1, 'a/msg/A', 'ros2msg', 'int8 x\n', 'RIHS01_a')"
-            )
+            database.execute("INSERT INTO message_definitions VALUES (1, 'a/msg/A', 'ros2msg', 'int8 x\n', 'RIHS01_a')")
             database.execute("INSERT INTO message_definitions VALUES (2, 'a/msg/B', '', '', '')")
         extra: list[list[str]] = [[], []]
         if version >= 2:
@@ -124,9 +120,7 @@ def test_a_definition_is_chosen_by_hash(tmp_path: Path) -> None:
     build(tmp_path / "x.db3", 4)
     with closing(sqlite3.connect(tmp_path / "x.db3")) as database:
         database.execute("UPDATE message_definitions SET type_description_hash = 'RIHS01_old' WHERE id = 1")
-        database.execute(
-            "INSERT INTO message_definitions VALUES (3, 'a/msg/A', 'ros2idl', 'idl', 'RIHS01_a')"
-        )
+        database.execute("INSERT INTO message_definitions VALUES (3, 'a/msg/A', 'ros2idl', 'idl', 'RIHS01_a')")
         database.execute("INSERT INTO message_definitions VALUES (4, 'a/msg/B', 'unknown', '', '')")
         database.commit()
     with closing(Sqlite3Reader(tmp_path / "x.db3")) as reader:

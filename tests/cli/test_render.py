@@ -12,12 +12,11 @@ def test_a_terminal_is_told_nothing_that_it_would_act_upon() -> None:
     assert printable("\udcff\u202e") == "\\udcff\\u202e"
 
 
-def test_an_error_says_what_where_and_what_to_do() -> None:
+def test_an_error_says_where_what_and_what_to_do() -> None:
     err = DecodeError("data has 3 bytes", path="a.bag", topic="/p\x1b", stamp_ns=1_000_000_005, hint="look")
     assert error_text(err).splitlines() == [
-        "error: data has 3 bytes",
-        "where: a.bag, /p\\x1b, stamp 1.000000005",
-        "hint:  look",
+        "error: a.bag, /p\\x1b, stamp 1.000000005: data has 3 bytes",
+        "hint: look",
     ]
     assert error_text(UsageError("no")) == "error: no"
 

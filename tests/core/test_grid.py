@@ -20,17 +20,17 @@ def beams_of(low: float, high: float, increment: float) -> Grid:
     return Grid(ProjectionParams(angle_min=low, angle_max=high, angle_increment=increment))
 
 
-def slots_of_points(grid: Grid, x: NDArray[np.float32], y: NDArray[np.float32]) -> NDArray[np.intp]:
+def find_slots(grid: Grid, x: NDArray[np.float32], y: NDArray[np.float32]) -> tuple[NDArray[np.intp], int]:
     out = np.empty(x.size, np.intp)
-    spare = np.empty(x.size, np.float32), np.empty(x.size, np.float32)
-    return grid.slots_of_points(x, y, out, spare)
+    close = grid.find_slots(x, y, out, (np.empty(x.size, np.float32), np.empty(x.size, np.float32)))
+    return out, close
 
 
 GRIDS = {
     "defaults": (-math.pi, math.pi, math.pi / 180),
     "0.01 degrees": (-math.pi, math.pi, math.pi / 18000),
     "odd increment": (-math.pi, math.pi, 0.0061359),
-    "too fine to approximate": (-math.pi, math.pi, 3e-6),
+    "too fine": (-math.pi, math.pi, 3e-6),
     "one beam": (-math.pi, math.pi, 7.0),
     "front": (-0.5, 0.5, 0.01),
     "cut last beam": (-0.3, 2.0, 0.0061),
@@ -64,38 +64,29 @@ def test_points_get_the_slot_of_their_exact_angle(name: str) -> None:
     grid = beams_of(*GRIDS[name])
     wide = rng.normal(size=(2, 20_000)).astype(np.float32)
     integers = rng.integers(-9, 10, (2, 20_000)).astype(np.float32)
-    signed_zeros = np.array(
-        [[-1, -1, 1, 1, 0.0, -0.0, 0.0, -0.0], [0.0, -0.0, 0.0, -0.0, 0.0, 0.0, -0.0, -0.0]]
-    )
+    signed_zeros = np.array([[-1, -1, 1, 1, 0.0, -0.0, 0.0, -0.0], [0.0, -0.0, 0.0, -0.0, 0.0, 0.0, -0.0, -0.0]])
     tiny = (wide * np.float32(1e-41)).astype(np.float32)
     huge = wide[:, :2000] * np.float32(3e37)
     x, y = np.concatenate(
         [wide, integers, signed_zeros.astype(np.float32), tiny, huge, edge_points(GRIDS[name], rng)], axis=1
     )
-    assert x.size > grid_module._FEW_POINTS
     with np.errstate(all="ignore"):
         angles = np.arctan2(y.astype(np.float64), x.astype(np.float64)).astype(np.float32)
         expected = grid.slots_of_angles(angles)
-        np.testing.assert_array_equal(slots_of_points(grid, x, y), expected)
+        np.testing.assert_array_equal(grid.slots_of_points(x, y), expected)
+        if grid.coarse:
+            np.testing.assert_array_equal(find_slots(grid, x, y)[0], expected)
+    assert grid.coarse == (name not in {"too fine", "sliver"})
     assert expected.min() >= 0
     assert expected.max() < grid.slots
 
 
-def test_most_points_are_decided_without_the_exact_angle(monkeypatch: pytest.MonkeyPatch) -> None:
-    exact: list[int] = []
-    angles = grid_module._angles
-
-    def counted(x: NDArray[np.float32], y: NDArray[np.float32]) -> NDArray[np.float32]:
-        exact.append(x.size)
-        return angles(x, y)
-
-    monkeypatch.setattr(grid_module, "_angles", counted)
+@pytest.mark.parametrize(("beams", "share"), [(360, 0.001), (36_000, 0.04)])
+def test_few_points_are_close_to_an_edge(beams: int, share: float) -> None:
     x, y = np.random.default_rng(1).normal(size=(2, 100_000)).astype(np.float32)
-    slots_of_points(beams_of(-math.pi, math.pi, math.pi / 180), x, y)
-    assert sum(exact) < 100
-    exact.clear()
-    slots_of_points(beams_of(-math.pi, math.pi, math.pi / 18000), x, y)
-    assert 0 < sum(exact) < 4000
+    slots, close = find_slots(beams_of(-math.pi, math.pi, 2 * math.pi / beams), x, y)
+    assert slots.size == x.size
+    assert 0 < close < share * x.size
 
 
 def test_the_error_of_float32_arctan2_is_below_what_the_grid_allows() -> None:

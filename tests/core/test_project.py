@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from core.reference import reference_scan
 from pc2scan import PointCounts, ProjectionParams, project
-from pc2scan.core import grid as grid_module
 from pc2scan.core import project as project_module
 from pc2scan.core.project import ProjectedScan, Projector
 from support import GOLDEN, RECORDINGS, needs_shared
@@ -44,9 +43,7 @@ def room(points: int, seed: int = 0) -> NDArray[np.float32]:
     rng = np.random.default_rng(seed)
     azimuth = np.repeat(np.linspace(-math.pi, math.pi, math.ceil(points / 16)), 16)[:points]
     elevation = np.deg2rad(np.tile(np.linspace(-25, 15, 16), math.ceil(points / 16))[:points])
-    wall = np.minimum(9 / np.abs(np.cos(azimuth)), 6 / np.abs(np.sin(azimuth) + 1e-9)) + rng.normal(
-        0, 0.01, points
-    )
+    wall = np.minimum(9 / np.abs(np.cos(azimuth)), 6 / np.abs(np.sin(azimuth) + 1e-9)) + rng.normal(0, 0.01, points)
     cloud = np.stack([wall * np.cos(azimuth), wall * np.sin(azimuth), wall * np.tan(elevation)], axis=-1)
     cloud[rng.random(points) < 0.03] = 0
     cloud[rng.random(points) < 0.02] = np.nan
@@ -223,9 +220,7 @@ INCREMENTS = st.one_of(
     st.floats(2**-10, 7, width=32),
 )
 LIMITS = st.sampled_from([(0.0, 1.7976931348623157e308), (0.45, 4.0), (1.0, 1.0), (-1.0, INF), (0.1, 1e30)])
-HEIGHTS = st.sampled_from(
-    [(2.2250738585072014e-308, 1.7976931348623157e308), (-1.0, 1.0), (0.1, 0.5), (-INF, INF)]
-)
+HEIGHTS = st.sampled_from([(2.2250738585072014e-308, 1.7976931348623157e308), (-1.0, 1.0), (0.1, 0.5), (-INF, INF)])
 
 
 @st.composite
@@ -274,7 +269,7 @@ def test_any_cloud_is_projected_as_by_the_reference(
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(project_module, "BLOCK", block)
         patch.setattr(project_module, "_PROBE", probe)
-        patch.setattr(grid_module, "_FEW_POINTS", few)
+        patch.setattr(project_module, "_FEW_POINTS", few)
         assert_as_reference(points, params)
 
 
@@ -338,9 +333,7 @@ def test_views_into_points_of_any_size(
 ) -> None:
     names, offsets = ["x", "y", "z"], [step - 12, step - 8, step - 4]
     for order in "<>":
-        record = np.dtype(
-            {"names": names, "formats": [f"{order}f4"] * 3, "offsets": offsets, "itemsize": step}
-        )
+        record = np.dtype({"names": names, "formats": [f"{order}f4"] * 3, "offsets": offsets, "itemsize": step})
         cloud = np.zeros(len(scene), record)
         for name, column in zip(names, scene.T, strict=True):
             cloud[name] = column

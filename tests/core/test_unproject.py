@@ -80,10 +80,7 @@ def recorded(bag: Path, topic: str) -> list[Any]:
     store = get_typestore(Stores.ROS1_NOETIC)
     with Reader(bag) as reader:
         connections = [connection for connection in reader.connections if connection.topic == topic]
-        return [
-            store.deserialize_ros1(raw, connection.msgtype)
-            for connection, _, raw in reader.messages(connections)
-        ]
+        return [store.deserialize_ros1(raw, connection.msgtype) for connection, _, raw in reader.messages(connections)]
 
 
 @pytest.mark.skipif(not GOLDEN.is_dir(), reason="the golden cases are not here (../shared/golden)")
@@ -465,9 +462,7 @@ vectors = st.tuples(*[st.floats(-50, 50)] * 3)
     start=st.builds(Transform, quaternions(), vectors),
     end=st.builds(Transform, quaternions(), vectors),
 )
-def test_deskew_agrees_with_one_beam_at_a_time(
-    ranges: NDArray[np.float32], start: Transform, end: Transform
-) -> None:
+def test_deskew_agrees_with_one_beam_at_a_time(ranges: NDArray[np.float32], start: Transform, end: Transform) -> None:
     # Half a turn has two shortest ways; the reference may take the other one.
     assume(abs(sum(a * b for a, b in zip(start.quaternion, end.quaternion, strict=True))) > 1e-6)
     scan = points_of(ranges, params=EVERYTHING)
@@ -476,9 +471,7 @@ def test_deskew_agrees_with_one_beam_at_a_time(
     for row, beam in enumerate(cast("list[int]", scan.beams.tolist())):
         ratio = beam / (len(ranges) - 1) if len(ranges) > 1 else 0.0
         place = [(1 - ratio) * a + ratio * b for a, b in zip(start.translation, end.translation, strict=True)]
-        point = rotated(
-            turned(start.quaternion, end.quaternion, ratio), cast("Vector", tuple(scan.xyz[row].tolist()))
-        )
+        point = rotated(turned(start.quaternion, end.quaternion, ratio), cast("Vector", tuple(scan.xyz[row].tolist())))
         expected = [a + b for a, b in zip(point, place, strict=True)]
         np.testing.assert_allclose(moved.xyz[row], expected, rtol=1e-6, atol=1e-5)
         np.testing.assert_allclose(moved.viewpoint[row], place, rtol=1e-6, atol=1e-6)

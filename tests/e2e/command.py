@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
-from typing import TYPE_CHECKING, NamedTuple
+from pathlib import Path
+from typing import NamedTuple
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
-__all__ = ["COMMAND", "Finished", "run"]
+__all__ = ["COMMAND", "Finished", "environment", "run"]
 
 COMMAND = (sys.executable, "-m", "pc2scan")
 
@@ -22,9 +21,21 @@ class Finished(NamedTuple):
     stderr: str
 
 
+def environment() -> dict[str, str]:
+    """This process's environment; a relative ``PYTHONPATH`` would mean another place in another folder."""
+    paths = [str(Path(path).resolve()) for path in os.environ.get("PYTHONPATH", "").split(os.pathsep) if path]
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(paths)} if paths else dict(os.environ)
+
+
 def run(*args: str | Path, cwd: Path | None = None, timeout: float = 120) -> Finished:
     """Run ``pc2scan`` with pipes for its output, as a script would."""
     done = subprocess.run(
-        [*COMMAND, *map(str, args)], capture_output=True, text=True, timeout=timeout, cwd=cwd, check=False
+        [*COMMAND, *map(str, args)],
+        capture_output=True,
+        text=True,
+        timeout=timeout,
+        cwd=cwd,
+        env=environment(),
+        check=False,
     )
     return Finished(done.returncode, done.stdout, done.stderr)

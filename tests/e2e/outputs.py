@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import zstandard
 from mcap.reader import make_reader
+from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader
 from rosbags.rosbag1 import Reader as Rosbag1LibraryReader
 from rosbags.rosbag2 import Reader as Rosbag2LibraryReader
@@ -77,11 +78,10 @@ def physical_order(path: Path) -> list[tuple[str, int]]:
     order = []
     with path.open("rb") as file:
         for record in StreamReader(file).records:
-            match type(record).__name__:
-                case "Channel":
-                    topics[record.id] = record.topic  # type: ignore[union-attr]
-                case "Message":
-                    order.append((topics[record.channel_id], record.log_time))  # type: ignore[union-attr]
+            if isinstance(record, Channel):
+                topics[record.id] = record.topic
+            elif isinstance(record, Message):
+                order.append((topics[record.channel_id], record.log_time))
     return order
 
 
@@ -138,7 +138,9 @@ def _mcap(path: Path) -> Output:
 def _rosbag2(folder: Path) -> Output:
     info = YAML(typ="safe").load((folder / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
     storage = folder / info["relative_file_paths"][0]
-    found = _sqlite3(storage, packed=info["compression_mode"] == "MESSAGE") if storage.suffix == ".db3" else _mcap(storage)
+    found = (
+        _sqlite3(storage, packed=info["compression_mode"] == "MESSAGE") if storage.suffix == ".db3" else _mcap(storage)
+    )
     # metadata.yaml speaks the truth about the storage.
     assert info["message_count"] == len(found.messages)
     assert {
@@ -176,7 +178,9 @@ def _sqlite3(path: Path, *, packed: bool) -> Output:
                 "",
                 texts.get(msgtype, ("", ""))[0],
             )
-            for name, msgtype, qos in database.execute("SELECT name, type, offered_qos_profiles FROM topics ORDER BY id")
+            for name, msgtype, qos in database.execute(
+                "SELECT name, type, offered_qos_profiles FROM topics ORDER BY id"
+            )
         ]
         messages = [
             Found(topic, log_time_ns, unpack(data))

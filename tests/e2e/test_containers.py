@@ -126,9 +126,7 @@ def check_passing(stream: Stream, output: Output, source: int) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", SOURCES)
-def test_from_any_container_to_any_container(
-    name: str, kind: str, sources: dict[str, Path], tmp_path: Path
-) -> None:
+def test_from_any_container_to_any_container(name: str, kind: str, sources: dict[str, Path], tmp_path: Path) -> None:
     source, target = generation_of(name), KINDS[kind].generation
     destination = tmp_path / KINDS[kind].name
     report = pc2scan.convert(sources[name], destination, params=PARAMS, jobs=1, **KINDS[kind].options)
@@ -211,6 +209,15 @@ def test_two_latched_publishers_stay_two(name: str, kind: str, sources: dict[str
     static = [publisher for publisher in opened(destination).publishers if publisher.topic == "/tf_static"]
     assert sorted(publisher.callerid for publisher in static) == ["/body", "/mount"]
     assert all(publisher.latched for publisher in static)
+
+
+@pytest.mark.parametrize("name", SOURCES)
+def test_messages_of_one_log_time_keep_their_order(name: str, sources: dict[str, Path], tmp_path: Path) -> None:
+    destination = tmp_path / "out.mcap"
+    pc2scan.convert(sources[name], destination, params=PARAMS, jobs=3)
+    renamed = {"/points": "/scan"}
+    expected = [(renamed.get(i.stream.topic, i.stream.topic), i.log_time_ns) for i in CONTENT.items]
+    assert physical_order(destination) == expected
 
 
 ATTACHMENTS = [("map.pgm", "image/x-portable-graymap", 5, 7, bytes(range(256))), ("notes.txt", "text/plain", 9, 0, b"")]
@@ -302,9 +309,7 @@ needs_rosbag = pytest.mark.skipif(not has_rosbag(), reason="needs Debian's pytho
 @needs_rosbag
 @pytest.mark.parametrize("compression", ["none", "lz4", "bz2"])
 @pytest.mark.parametrize("name", ["bag-bz2", "mcap-zstd", "rosbag2-sqlite3-v8"])
-def test_ros1_itself_reads_every_message(
-    name: str, compression: str, sources: dict[str, Path], tmp_path: Path
-) -> None:
+def test_ros1_itself_reads_every_message(name: str, compression: str, sources: dict[str, Path], tmp_path: Path) -> None:
     destination = tmp_path / "out.bag"
     pc2scan.convert(sources[name], destination, params=PARAMS, compression=compression)
     done = ros1(ROS1_PYTHON, ROS1_READER, "read", destination)
@@ -359,9 +364,7 @@ def digests(output: Output) -> Counter[tuple[str, int, str]]:
 @needs_npm("@mcap/core", "@mcap/support")
 @pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
 @pytest.mark.parametrize("name", ["mcap-unchunked", "bag-lz4", "rosbag2-sqlite3-split"])
-def test_the_npm_reader_of_mcap_agrees(
-    name: str, compression: str, sources: dict[str, Path], tmp_path: Path
-) -> None:
+def test_the_npm_reader_of_mcap_agrees(name: str, compression: str, sources: dict[str, Path], tmp_path: Path) -> None:
     destination = tmp_path / "out.mcap"
     pc2scan.convert(sources[name], destination, params=PARAMS, compression=compression)
     read = node(ROOT / "tests" / "bags" / "mcap_reader.mjs", destination)

@@ -182,11 +182,9 @@ def test_several_cloud_topics_become_scans_under_their_names(tmp_path: Path) -> 
         (("--drop", "/points"), ("dropped", "/points")),
         (("--reverse",), ("no LaserScan topic", "/points")),
     ],
-    ids=lambda value: " ".join(value),
+    ids=" ".join,
 )
-def test_topics_that_cannot_be(
-    options: tuple[str, ...], words: tuple[str, ...], bag: Path, tmp_path: Path
-) -> None:
+def test_topics_that_cannot_be(options: tuple[str, ...], words: tuple[str, ...], bag: Path, tmp_path: Path) -> None:
     done = convert(bag, "-o", tmp_path / "out.bag", *options)
     assert done.status == 2
     assert all(word in done.stderr for word in words), done.stderr
@@ -261,7 +259,11 @@ def test_the_same_source_twice_is_refused(bag: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("name", "content", "word"),
-    [("absent.bag", None, "nothing of this name"), ("text.bag", b"hello", "no recording"), ("empty.mcap", b"", "empty")],
+    [
+        ("absent.bag", None, "nothing of this name"),
+        ("text.bag", b"hello", "no recording"),
+        ("empty.mcap", b"", "empty"),
+    ],
 )
 def test_what_is_no_recording(name: str, content: bytes | None, word: str, tmp_path: Path) -> None:
     source = tmp_path / name
@@ -337,15 +339,21 @@ def test_a_source_is_never_the_destination(overwrite: tuple[str, ...], bag: Path
         ("-o", "out.bag", "--profile", "ros1"),
         ("-o", "out.mcap", "--compression", "bz2"),
         ("-o", "out", "--storage", "sqlite3", "--compression", "lz4"),
-        ("-o", "out.db3",),
-        ("-o", "absent/out.bag",),
+        (
+            "-o",
+            "out.db3",
+        ),
+        (
+            "-o",
+            "absent/out.bag",
+        ),
         ("-o", "out", "--metadata-version", "7"),
         ("-o", "out.bag", "--only-scans", "--keep", "/tf"),
         ("-o", "out.bag", "--deskew"),
         ("-o", "out.bag", "--jobs", "-1"),
         ("-o", "out.bag", "--nonsense"),
     ],
-    ids=lambda value: " ".join(value),
+    ids=" ".join,
 )
 def test_wrong_usage(options: tuple[str, ...], bag: Path, tmp_path: Path) -> None:
     done = run("convert", bag, *options, cwd=tmp_path)
@@ -383,7 +391,9 @@ DAMAGES: dict[str, tuple[Recording, tuple[str, ...]]] = {
 def test_a_message_that_cannot_be_converted_is_skipped_and_told(damage: str, kind: str, tmp_path: Path) -> None:
     content, words = DAMAGES[damage]
     source = (
-        write_rosbag1(tmp_path / "drive.bag", content) if kind == "bag" else write_mcap(tmp_path / "drive.mcap", content)
+        write_rosbag1(tmp_path / "drive.bag", content)
+        if kind == "bag"
+        else write_mcap(tmp_path / "drive.mcap", content)
     )
     report = tmp_path / "report.json"
     done = convert(source, "-o", tmp_path / "out.bag", "--report", report)
@@ -416,7 +426,9 @@ def test_on_error_fail_leaves_nothing(damage: str, name: str, tmp_path: Path) ->
 
 def test_scans_that_cannot_be_converted_back(tmp_path: Path) -> None:
     stream = Stream("/base_scan", "sensor_msgs/msg/LaserScan")
-    good = [item(stream, T0 + step, lambda g, s: scan(np.full(31, 2.0, np.float32), g, seq=s), step) for step in range(2)]
+    good = [
+        item(stream, T0 + step, lambda g, s: scan(np.full(31, 2.0, np.float32), g, seq=s), step) for step in range(2)
+    ]
     whole = good[0].data[1]
     short = Item(stream, T0 + 5, {1: whole[:-40], 2: whole})
     source = write_rosbag1(tmp_path / "drive.bag", Recording((stream,), (*good, short)))
@@ -484,10 +496,8 @@ def test_scans_without_returns_name_the_parameter(bag: Path, tmp_path: Path) -> 
 def test_verbose_tells_where_parameters_come_from(bag: Path, tmp_path: Path) -> None:
     file = tmp_path / "params.yaml"
     file.write_text("/**:\n  ros__parameters:\n    range_max: 25.0\n    scan_time: 0.5\n    range_min: 0.5\n")
-    done = convert(
-        bag, "-o", tmp_path / "out.bag", "-v", "--params-file", file, "--param", "scan_time:=0.25", "--param", "range_min:=0.3",
-        "--range-min", "0.2",
-    )  # fmt: skip
+    settings = ("--param", "scan_time:=0.25", "--param", "range_min:=0.3", "--range-min", "0.2")
+    done = convert(bag, "-o", tmp_path / "out.bag", "-v", "--params-file", file, *settings)
     assert done.status == 0, done.stderr
     values = {line.split()[0]: line.split()[1:] for line in done.stdout.splitlines() if line.strip()}
     assert values["range_max"][0] == "25.0"
@@ -497,9 +507,7 @@ def test_verbose_tells_where_parameters_come_from(bag: Path, tmp_path: Path) -> 
     assert "--param" in " ".join(values["scan_time"])
     assert "--range-min" in " ".join(values["range_min"])
     scans = opened(tmp_path / "out.bag").scans()
-    assert all(
-        (s.range_max, s.scan_time, s.range_min) == (25.0, 0.25, np.float32(0.2)) for s in scans
-    )
+    assert all((s.range_max, s.scan_time, s.range_min) == (25.0, 0.25, np.float32(0.2)) for s in scans)
 
 
 def test_report(bag: Path, tmp_path: Path) -> None:

@@ -29,7 +29,7 @@ EXACT = [name for name in CASES if name not in TRANSFORMED]
 
 
 def test_every_kind_of_case_is_there() -> None:
-    assert TRANSFORMED < set(CASES)
+    assert set(CASES) > TRANSFORMED
     assert len(EXACT) >= 13
 
 
@@ -116,8 +116,7 @@ def test_transformed_scans(name: str, tmp_path: Path) -> None:
         assert len(scan.ranges) == len(reference.ranges)
         moved += moved_bins(scan.ranges, reference.ranges)
         beams += len(scan.ranges)
-    # A return that fell one bin over changes that bin and its neighbour.
-    assert moved <= 2 * (beams // 1000)
+    assert moved <= beams // 1000
 
 
 def test_transformed_clouds(tmp_path: Path) -> None:

@@ -36,9 +36,7 @@ def options_of(case: dict[str, Any]) -> list[str]:
 def test_scans_are_equal_to_the_bit(case: dict[str, Any], suffix: str, tmp_path: Path) -> None:
     destination = tmp_path / f"out{suffix}"
     report = tmp_path / "report.json"
-    done = run(
-        "convert", RECORDINGS / case["recording"], "-o", destination, "--report", report, *options_of(case)
-    )
+    done = run("convert", RECORDINGS / case["recording"], "-o", destination, "--report", report, *options_of(case))
     assert done.status == 0, done.stderr
     output = opened(destination)
     found, scans = output.of("/e2e_scan"), output.scans("/e2e_scan")
@@ -83,9 +81,7 @@ def test_every_laser_message_is_accounted_for(name: str, tmp_path: Path) -> None
     lasers = {topic for topic, kind in kinds.items() if kind == "sensor_msgs/msg/LaserScan"}
     root = odometry_root(source)
     report_path, destination = tmp_path / "report.json", tmp_path / "clouds.bag"
-    done = run(
-        "convert", source, "-o", destination, "--reverse", "--target-frame", root, "--report", report_path
-    )
+    done = run("convert", source, "-o", destination, "--reverse", "--target-frame", root, "--report", report_path)
     assert done.status in (0, 3), done.stderr
     report = json.loads(report_path.read_text())
     assert report["exit_status"] == done.status

@@ -30,9 +30,7 @@ SECOND = 1_000_000_000
 EPOCH = 1_700_000_000 * SECOND
 
 
-def row(
-    parent: str, child: str, second: float, x: float = 0.0, yaw: float = 0.0, *, norm: float = 1.0
-) -> TransformRow:
+def row(parent: str, child: str, second: float, x: float = 0.0, yaw: float = 0.0, *, norm: float = 1.0) -> TransformRow:
     z, w = math.sin(yaw / 2) * norm, math.cos(yaw / 2) * norm
     return (parent, child, EPOCH + round(second * SECOND), x, 0.0, 0.0, 0.0, 0.0, z, w)
 
@@ -41,9 +39,7 @@ def at(second: float) -> int:
     return EPOCH + round(second * SECOND)
 
 
-def built(
-    dynamic: list[TransformRow] | None = None, static: list[TransformRow] | None = None
-) -> TransformBuffer:
+def built(dynamic: list[TransformRow] | None = None, static: list[TransformRow] | None = None) -> TransformBuffer:
     builder = TransformBuilder()
     builder.add(static or [], static=True)
     builder.add(dynamic or [], static=False)
@@ -54,9 +50,7 @@ def x_of(buffer: TransformBuffer, target: str, source: str, stamp_ns: int, toler
     return float(buffer.lookup(target, source, stamp_ns, tolerance_ns).translation[0])
 
 
-def refusal(
-    buffer: TransformBuffer, target: str, source: str, stamp_ns: int, tolerance_ns: int = 0
-) -> TransformError:
+def refusal(buffer: TransformBuffer, target: str, source: str, stamp_ns: int, tolerance_ns: int = 0) -> TransformError:
     with pytest.raises(TransformError) as caught:
         buffer.lookup(target, source, stamp_ns, tolerance_ns)
     return caught.value
@@ -190,9 +184,7 @@ class TestTolerance:
 
     def test_changes_nothing_that_is_known_without_it(self) -> None:
         # b hangs below a until 1, a below b from 2 on: with a tolerance both ends would be known at 1.
-        buffer = built(
-            [row("a", "b", 0, x=1), row("a", "b", 1, x=1), row("b", "a", 2, x=2), row("b", "a", 3, x=2)]
-        )
+        buffer = built([row("a", "b", 0, x=1), row("a", "b", 1, x=1), row("b", "a", 2, x=2), row("b", "a", 3, x=2)])
         assert x_of(buffer, "a", "b", at(1), SECOND) == 1
         assert x_of(buffer, "a", "b", at(2), SECOND) == -2
 
@@ -317,9 +309,7 @@ class TestRejections:
     def test_unnormalised_quaternions_are_normalised(self, norm: float) -> None:
         buffer = built([row("a", "b", 0, yaw=0.5, norm=norm)])
         assert buffer.rejected == 0
-        np.testing.assert_allclose(
-            buffer.lookup("a", "b", at(0)).matrix, Rigid.from_rpy(0, 0, 0.5).matrix, atol=1e-15
-        )
+        np.testing.assert_allclose(buffer.lookup("a", "b", at(0)).matrix, Rigid.from_rpy(0, 0, 0.5).matrix, atol=1e-15)
         assert buffer.infos[0].denormalized == (norm in {2.0, 1e-200, 1e200})
 
     def test_list_is_bounded_and_in_order_and_the_count_is_not(self) -> None:

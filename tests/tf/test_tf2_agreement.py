@@ -68,9 +68,7 @@ def ask_tf2(rows: list[tuple[TransformRow, bool]], questions: list[Question]) ->
         "transforms": [[*entry[:2], moved(entry[2]), *entry[3:], static] for entry, static in rows],
         "lookups": [(target, source, moved(stamp_ns)) for target, source, stamp_ns in questions],
     }
-    run = subprocess.run(
-        [PYTHON, str(ORACLE)], input=json.dumps(question), capture_output=True, text=True, check=False
-    )
+    run = subprocess.run([PYTHON, str(ORACLE)], input=json.dumps(question), capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
     answers: list[Answer] = json.loads(run.stdout)
     return answers
@@ -124,9 +122,7 @@ def row(parent: str, child: str, stamp_ns: int, pose: tuple[float, ...]) -> Tran
     return (parent, child, stamp_ns, x, y, z, i, j, k, r)
 
 
-def random_questions(
-    rng: np.random.Generator, frames: list[str], stamps: list[int], count: int
-) -> list[Question]:
+def random_questions(rng: np.random.Generator, frames: list[str], stamps: list[int], count: int) -> list[Question]:
     """Stamps that samples have, stamps between, before and after, and 0."""
     first, last = min(stamps) - SECOND // 2, max(stamps) + SECOND // 2
     questions = []
@@ -150,9 +146,7 @@ def test_random_trees(seed: int) -> None:
             continue  # another tree begins
         parent, static = frames[int(rng.integers(number))], bool(rng.random() < 0.3)
         stamps = EPOCH + np.sort(rng.integers(0, 10 * SECOND, 1 if static else rng.integers(1, 40)))
-        rows += [
-            (row(parent, frames[number], stamp_ns, random_pose(rng)), static) for stamp_ns in stamps.tolist()
-        ]
+        rows += [(row(parent, frames[number], stamp_ns, random_pose(rng)), static) for stamp_ns in stamps.tolist()]
     rows = [rows[index] for index in rng.permutation(len(rows))]
     stamps_ns = [entry[0][2] for entry in rows]
     kinds = assert_agreement(rows, random_questions(rng, [*frames, "nowhere"], stamps_ns, 2000))
@@ -203,9 +197,7 @@ def test_the_root_that_changes_sides() -> None:
         (row(*(("b", "a") if second < 5 else ("a", "b")), EPOCH + second * SECOND, random_pose(rng)), False)
         for second in range(10)
     ]
-    questions = [
-        (*pair, EPOCH + tenth * SECOND // 10) for tenth in range(-5, 100) for pair in (("a", "b"), ("b", "a"))
-    ]
+    questions = [(*pair, EPOCH + tenth * SECOND // 10) for tenth in range(-5, 100) for pair in (("a", "b"), ("b", "a"))]
     kinds = assert_agreement(rows, questions)
     assert kinds["found"] > 100
     assert kinds["ExtrapolationException"] > 30
@@ -215,9 +207,7 @@ def test_the_root_that_changes_sides() -> None:
 def test_a_frame_on_both_topics(order: tuple[bool, bool]) -> None:
     rng = np.random.default_rng(11)
     rows = [
-        (row("a", "b", EPOCH + second * SECOND, random_pose(rng)), static)
-        for static in order
-        for second in (4, 2, 6)
+        (row("a", "b", EPOCH + second * SECOND, random_pose(rng)), static) for static in order for second in (4, 2, 6)
     ]
     assert_agreement(rows, [("a", "b", EPOCH + half * SECOND // 2) for half in range(16)])
 
@@ -256,13 +246,8 @@ def test_transforms_that_are_ignored() -> None:
 
 def test_a_stamp_of_zero_is_the_latest_common_time() -> None:
     rng = np.random.default_rng(13)
-    rows = [
-        (row("map", "odom", EPOCH + tenth * SECOND // 10, random_pose(rng)), False)
-        for tenth in range(0, 31, 5)
-    ]
-    rows += [
-        (row("odom", "base", EPOCH + tenth * SECOND // 10, random_pose(rng)), False) for tenth in range(40)
-    ]
+    rows = [(row("map", "odom", EPOCH + tenth * SECOND // 10, random_pose(rng)), False) for tenth in range(0, 31, 5)]
+    rows += [(row("odom", "base", EPOCH + tenth * SECOND // 10, random_pose(rng)), False) for tenth in range(40)]
     rows += [
         (row("base", "lidar", EPOCH, random_pose(rng)), True),
         (row("base", "late", EPOCH + 9 * SECOND, random_pose(rng)), False),

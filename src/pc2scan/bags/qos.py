@@ -28,6 +28,22 @@ _NAMES = {
 }
 
 
+_INFINITE = {"sec": 9223372036, "nsec": 854775807}
+
+#: What rmw takes where nothing is said: keep last 10, reliable, volatile, automatic liveliness.
+_DEFAULTS = {
+    "history": 1,
+    "depth": 10,
+    "reliability": 1,
+    "durability": 2,
+    "deadline": _INFINITE,
+    "lifespan": _INFINITE,
+    "liveliness": 1,
+    "liveliness_lease_duration": _INFINITE,
+    "avoid_ros_namespace_conventions": False,
+}
+
+
 def latches(qos: str) -> bool:
     r"""Whether any of rosbag2's ``offered_qos_profiles`` has the durability transient local.
 
@@ -50,19 +66,23 @@ def parsed_qos(text: str) -> list[dict[str, Any]] | None:
 
 
 def respelled_qos(text: str, *, by_name: bool) -> str:
-    r"""Spell the enumerations of QoS profiles as names (metadata version 9) or as numbers (before).
+    r"""Make QoS profiles what a rosbag2 directory needs: complete, and in the spelling of its metadata version.
 
-    Text that is spelled so already, or is not a list of profiles, is returned verbatim. Unknown or missing
-    keys and values stay as they are.
+    rosbag2 and rosbags refuse a directory whose profiles lack a key; missing ones get rmw's default, and infinite
+    durations. Enumerations are spelled as names (metadata version 9) or as numbers (before). Text that is complete
+    and spelled so already, or is not a list of profiles, is returned verbatim; so are unknown keys and values.
 
-    >>> respelled_qos("- depth: 10\n  durability: 1", by_name=True)
-    '- depth: 10\n  durability: transient_local'
+    >>> respelled_qos("- depth: 10\n  durability: 1", by_name=True).splitlines()[:3]
+    ['- depth: 10', '  durability: transient_local', '  history: keep_last']
     """
     profiles = parsed_qos(text) if text else None
     if profiles is None:
         return text
     changed = [
-        {key: _respelled(key, value, by_name=by_name) if key in _NAMES else value for key, value in profile.items()}
+        {
+            key: _respelled(key, value, by_name=by_name) if key in _NAMES else value
+            for key, value in (profile | {key: _DEFAULTS[key] for key in _DEFAULTS if key not in profile}).items()
+        }
         for profile in profiles
     ]
     return text if changed == profiles else dump_yaml(changed).rstrip("\n")

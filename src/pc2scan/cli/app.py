@@ -64,6 +64,7 @@ class _Group(TyperGroup):
 
 def _handle_termination() -> Any:
     def terminate(number: int, _frame: FrameType | None) -> None:
+        typer.echo("terminated: nothing was written", err=True)
         raise SystemExit(128 + number)
 
     try:

@@ -343,10 +343,10 @@ def convert(
         typer.Option("--verbose", "-v", help="Show every parameter and its origin.", rich_help_panel=_REPORT),
     ] = False,
 ) -> None:
-    """Convert recorded PointCloud2 to LaserScan, as ROS's pointcloud_to_laserscan does it.
+    """Convert recorded clouds to laser scans, or back.
 
-    Every other topic passes through. Nothing is dropped in silence: what could not be converted is counted,
-    listed, and told by the exit status.
+    PointCloud2 becomes LaserScan as ROS's pointcloud_to_laserscan does it. Every other topic passes through.
+    Nothing is dropped in silence: what could not be converted is counted, listed, and told by the exit status.
     """
     options: dict[str, object] = {
         name: value
@@ -367,6 +367,8 @@ def convert(
         )
         if value is not None
     }
+    if report is not None and not report.parent.is_dir():
+        raise UsageError("the report cannot be written: its directory does not exist", path=report)
     reverse, resolved = _resolve(options, param, params_file, node, reverse=reverse)
 
     from pc2scan.pipeline.frames import FrameOptions, StaticTransform, load_static_transforms

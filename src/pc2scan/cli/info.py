@@ -29,7 +29,7 @@ def info(
     ] = 10,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
-    """Show what is in a recording, and what its clouds look like.
+    """Show what is in a recording and its clouds.
 
     For each PointCloud2 topic: fields, points, frame, NaN, the spread of x, y, z and range, and a histogram
     of heights, since heights are what conversions get wrong.

@@ -24,12 +24,10 @@ def printable(text: str) -> str:
 
 
 def error_text(err: Pc2ScanError) -> str:
-    """Render an error: what was wrong, where, and what to do."""
-    lines = [f"error: {printable(err.message)}"]
-    if err.where:
-        lines.append(f"where: {printable(err.where)}")
+    """Render an error: where, what was wrong, and what to do."""
+    lines = [f"error: {printable(str(err))}"]
     if err.hint:
-        lines.append(f"hint:  {printable(err.hint)}")
+        lines.append(f"hint: {printable(err.hint)}")
     return "\n".join(lines)
 
 

@@ -49,7 +49,11 @@ def tf(
     ] = [],  # noqa: B006
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
-    """Show the frames of a recording: the tree, rates, first and last times, gaps, disconnected parts."""
+    """Show the frames of a recording.
+
+    The tree, and for each frame its rate, first and last times, and largest gap; parts that are not connected are
+    told apart.
+    """
     from pc2scan.inspect.tf import frame_tree
     from pc2scan.pipeline.frames import FrameOptions, StaticTransform
 

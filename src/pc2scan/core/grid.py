@@ -23,9 +23,6 @@ __all__ = ["Grid"]
 #: functions 4 ulp, which are 0.95e-6 close to pi; the largest error that was seen is 0.34e-6.
 _ANGLE_ERROR = 1.1e-6
 
-#: For fewer points it is cheaper to compute every angle in float64 than to find out which ones need it.
-_FEW_POINTS = 4096
-
 #: From this share of a beam on, the neighbourhoods of the edges are too large a part of it to gain anything.
 _MUCH_DOUBT = 0.1
 
@@ -54,6 +51,8 @@ class Grid:
         N + 2, the number of slots.
     whole_circle
         Whether no angle is outside the sector.
+    coarse
+        Whether beams are wide enough for `find_slots`.
     """
 
     __slots__ = (
@@ -64,6 +63,7 @@ class Grid:
         "_scale",
         "_shift",
         "beams",
+        "coarse",
         "outside",
         "past_end",
         "slots",
@@ -87,7 +87,8 @@ class Grid:
         shift = -float(self._min) * scale
         turn = math.pi * scale
         self._doubt = _ANGLE_ERROR * scale + 1.1 * 2.0**-24 * (3 * turn + 2 * abs(shift) + 1)
-        if self._doubt < _MUCH_DOUBT:
+        self.coarse = self._doubt < _MUCH_DOUBT
+        if self.coarse:
             self._scale = np.float32(scale)
             # Moved up by the doubt, a quotient that may belong to the beam below has a small fraction.
             self._shift = np.float32(shift + self._doubt)
@@ -112,33 +113,43 @@ class Grid:
             slots[(angles < self._min) | (angles > self._max)] = self.outside
         return slots
 
-    def slots_of_points(
-        self,
-        x: NDArray[np.float32],
-        y: NDArray[np.float32],
-        out: NDArray[np.intp],
-        scratch: tuple[NDArray[np.float32], NDArray[np.float32]],
-    ) -> NDArray[np.intp]:
-        """Slots of points: those of the angles ``float32(atan2(y, x))``.
-
-        NumPy's arctan2 is a lot faster in float32, but some ulp off. That is good enough for all points but
-        those that seem to be close to an edge of a beam.
+    def slots_of_points(self, x: NDArray[np.float32], y: NDArray[np.float32]) -> NDArray[np.intp]:
+        """Slots of points, (M,) intp: those of the angles ``float32(atan2(y, x))``.
 
         Parameters
         ----------
         x, y
             (M,), float32, metres, not NaN.
+        """
+        # What float64 is off by is lost in the rounding, but for about one in a hundred million.
+        return self.slots_of_angles(np.arctan2(y, x, dtype=np.float64).astype(np.float32))
+
+    def find_slots(
+        self,
+        x: NDArray[np.float32],
+        y: NDArray[np.float32],
+        out: NDArray[np.intp],
+        scratch: tuple[NDArray[np.float32], NDArray[np.float32]],
+    ) -> int:
+        """Do as `slots_of_points`, in less time if few points lie on the edges of beams.
+
+        NumPy's arctan2 is a lot faster in float32, but some ulp off. That is good enough for all points but
+        those that seem to be close to an edge.
+
+        Parameters
+        ----------
+        x, y
+            As for `slots_of_points`.
         out
-            (M,) intp, to return the result in.
+            (M,) intp, to put the slots in.
         scratch
             Two of (M,), float32, to overwrite.
 
         Returns
         -------
-        (M,) intp, 0 to N + 1.
+        int
+            How many points were close to an edge.
         """
-        if x.size < _FEW_POINTS or self._doubt >= _MUCH_DOUBT:
-            return self.slots_of_angles(_angles(x, y))
         quotients, floors = scratch
         np.arctan2(y, x, out=quotients)
         quotients *= self._scale
@@ -146,17 +157,14 @@ class Grid:
         np.floor(quotients, out=floors)
         quotients -= floors
         doubtful = quotients < np.float32(2 * self._doubt)
-        np.copyto(out, floors, casting="unsafe")
         if not self.whole_circle:
-            out[(floors < 0) | (floors >= self.beams)] = self.outside
-            # The sector ends somewhere in its last beam.
-            doubtful |= floors == self.beams - 1
+            # Read as unsigned integers, floats are in order, and the negative ones above all others.
+            bits = floors.view(np.uint32)
+            np.minimum(bits, np.float32(self.outside).view(np.uint32), out=bits)
+            # The sector ends somewhere in the last beam, or by some ulp behind it.
+            doubtful |= (floors >= self.beams - 1) & (floors <= self.beams)
+        np.copyto(out, floors, casting="unsafe")
         again = np.flatnonzero(doubtful)
         if again.size:
-            out[again] = self.slots_of_angles(_angles(x.take(again), y.take(again)))
-        return out
-
-
-def _angles(x: NDArray[np.float32], y: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Angles as libm's atan2f rounds them: what float64 is off by is lost in the rounding."""
-    return np.arctan2(y, x, dtype=np.float64).astype(np.float32)
+            out[again] = self.slots_of_points(x.take(again), y.take(again))
+        return again.size

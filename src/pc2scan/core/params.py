@@ -104,9 +104,7 @@ class ProjectionParams:
                 raise ParameterError(f"{field.name} is NaN", name=field.name)
         for name in ("transform_tolerance", "scan_time", "queue_size"):
             if getattr(self, name) < 0:
-                raise ParameterError(
-                    f"{name} is {getattr(self, name)}, it must not be negative", name=name
-                )
+                raise ParameterError(f"{name} is {getattr(self, name)}, it must not be negative", name=name)
         for name in ("angle_min", "angle_max", "angle_increment"):
             if math.isinf(getattr(self, name)):
                 raise ParameterError(f"{name} is {getattr(self, name)}, it must be finite", name=name)
@@ -122,9 +120,7 @@ class ProjectionParams:
             )
         for low, high in (("range_min", "range_max"), ("min_height", "max_height")):
             if getattr(self, low) > getattr(self, high):
-                raise ParameterError(
-                    f"{low} {getattr(self, low)} m is above {high} {getattr(self, high)} m", name=low
-                )
+                raise ParameterError(f"{low} {getattr(self, low)} m is above {high} {getattr(self, high)} m", name=low)
         count = beam_count(self.angle_min, self.angle_max, self.angle_increment)
         if not 0 < count <= MAX_BEAMS:
             raise ParameterError(

@@ -36,6 +36,9 @@ Transform: TypeAlias = "tuple[NDArray[np.float64], NDArray[np.float64]]"
 #: Points at a time: few enough for the cache, and enough to make the cost of calling NumPy small.
 BLOCK = 16384
 
+#: For fewer points it is cheaper to compute every angle in float64 than to find out which ones need it.
+_FEW_POINTS = 4096
+
 #: How many points of a block are looked at to tell whether neighbours share a beam, and from which mean
 #: length on it pays to take runs of neighbours together.
 _PROBE = 1024
@@ -150,8 +153,11 @@ class Projector:
             )
         cloud = _Cloud(self._grid, self._limits, x.size)
         with np.errstate(all="ignore"):
-            for tile in _tiles(x.shape):
-                cloud.add((x[tile], y[tile], z[tile]), target_from_source)
+            if x.size <= BLOCK:
+                cloud.add((x, y, z), target_from_source)
+            else:
+                for tile in _tiles(x.shape):
+                    cloud.add((x[tile], y[tile], z[tile]), target_from_source)
             return cloud.scan()
 
 
@@ -318,6 +324,7 @@ class _Cloud:
         "_height",
         "_limits",
         "_nan",
+        "_on_edges",
         "_past_end",
         "_range",
         "_smallest",
@@ -330,6 +337,7 @@ class _Cloud:
         self._limits = limits
         self._total = total
         self._nan = self._height = self._range = self._angle = self._past_end = 0
+        self._on_edges = not grid.coarse
         # The smallest square has the smallest root: only beams need roots, or the points if they are fewer.
         self._squared = total > grid.beams
         self._smallest: NDArray[np.float32] | NDArray[np.float64]
@@ -376,6 +384,7 @@ class _Cloud:
         np.copyto(more, y)
         more *= more
         squares += more
+        spare = scratch.singles[2], scratch.singles[5]
         near, mask = scratch.masks
         np.less_equal(squares, limits.most, out=near)
         if limits.least > 0:
@@ -386,16 +395,31 @@ class _Cloud:
             self._nan += nans
             self._range += x.size - nans - kept.size
             scratch = scratch.cut(kept.size)
-            x = x.take(kept, out=scratch.singles[0], mode="clip")
-            y = y.take(kept, out=scratch.singles[1], mode="clip")
+            x = x.take(kept, out=scratch.singles[2], mode="clip")
+            y = y.take(kept, out=scratch.singles[5], mode="clip")
             squares = squares.take(kept, out=scratch.doubles[1], mode="clip")
-        spare = scratch.singles[2], scratch.singles[5]
-        slots = self._grid.slots_of_points(x, y, scratch.slots, spare)
+            spare = scratch.singles[0], scratch.singles[1]
+        slots = self._slots(x, y, scratch.slots, spare)
         if self._squared:
             self._lower(slots, squares)
         else:
             np.copyto(spare[0], np.sqrt(squares, out=squares), casting="same_kind")
             self._lower(slots, spare[0])
+
+    def _slots(
+        self,
+        x: NDArray[np.float32],
+        y: NDArray[np.float32],
+        out: NDArray[np.intp],
+        spare: tuple[NDArray[np.float32], NDArray[np.float32]],
+    ) -> NDArray[np.intp]:
+        """The slots of points, by the way that is faster."""
+        if x.size < _FEW_POINTS or self._on_edges:
+            return self._grid.slots_of_points(x, y)
+        close = self._grid.find_slots(x, y, out, spare)
+        # Simulated lidars, and encoders that count in fractions of a degree, put all their points on edges.
+        self._on_edges = 4 * close > x.size
+        return out
 
     def _lower(self, slots: NDArray[np.intp], ranges: NDArray[np.float32] | NDArray[np.float64]) -> None:
         """Lower the slots' ranges, or their squares, to those of points."""
@@ -439,7 +463,10 @@ class _Cloud:
 def _copy(tile: Sequence[NDArray[Any]], into: Sequence[NDArray[Any]]) -> None:
     """Copy coordinates to contiguous arrays, converted to their type."""
     for part, array in zip(tile, into, strict=True):
-        array.reshape(part.shape)[...] = part
+        if part.ndim == 1:
+            array[...] = part
+        else:
+            array.reshape(part.shape)[...] = part
 
 
 def _transform(

@@ -235,9 +235,7 @@ class Rigid:
         return rigid
 
     @classmethod
-    def from_rpy(
-        cls, roll: float, pitch: float, yaw: float, translation: ArrayLike = (0.0, 0.0, 0.0)
-    ) -> Rigid:
+    def from_rpy(cls, roll: float, pitch: float, yaw: float, translation: ArrayLike = (0.0, 0.0, 0.0)) -> Rigid:
         """Roll, pitch and yaw in radians, about the fixed axes x, y and z of ``target``, in that order.
 
         The convention of ``static_transform_publisher`` (``tf2::Quaternion::setRPY``).

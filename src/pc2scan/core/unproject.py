@@ -308,9 +308,7 @@ def _beam_angles(count: int, angle_min: float, angle_increment: float) -> NDArra
     return angles
 
 
-def _rejected(
-    distances: NDArray[np.float64], at_least: NDArray[np.bool_], kept: NDArray[np.bool_]
-) -> RejectedBeams:
+def _rejected(distances: NDArray[np.float64], at_least: NDArray[np.bool_], kept: NDArray[np.bool_]) -> RejectedBeams:
     """Count the beams that are not kept by their reasons."""
     nan = np.isnan(distances)
     infinite = np.isinf(distances) & ~kept
@@ -334,9 +332,7 @@ def _checked(transform: Transform, beam: str) -> tuple[NDArray[np.float64], NDAr
     translation = np.asarray(transform.translation, np.float64).reshape(3)
     for what, vector in (("quaternion", quaternion), ("translation", translation)):
         if not np.isfinite(vector).all():
-            raise TransformError(
-                f"the {what} at the {beam} beam is {vector.tolist()}; all of it must be finite"
-            )
+            raise TransformError(f"the {what} at the {beam} beam is {vector.tolist()}; all of it must be finite")
     if not quaternion.any():
         raise TransformError(f"the quaternion at the {beam} beam is zero, which is no rotation")
     return quaternion, translation
@@ -350,9 +346,7 @@ def _dot4(a: NDArray[np.float64], b: NDArray[np.float64]) -> Any:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]
 
 
-def _slerp(
-    start: NDArray[np.float64], end: NDArray[np.float64], ratio: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _slerp(start: NDArray[np.float64], end: NDArray[np.float64], ratio: NDArray[np.float64]) -> NDArray[np.float64]:
     """Interpolate rotations: quaternions of shape (4,), ratios (N,) -> quaternions (4, N)."""
     cosine = _dot4(start, end)
     if cosine < 0:

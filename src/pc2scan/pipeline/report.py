@@ -129,8 +129,9 @@ class Report:
     def conclude(self) -> None:
         """Add the warnings that only the whole conversion can tell."""
         for topic in self.topics:
-            if topic.action == "converted" and topic.messages_in and not topic.messages_out:
-                self.warnings.append(f"no message of {topic.topic} could be converted")
+            if topic.action == "converted" and not topic.messages_out:
+                why = "could be converted" if topic.messages_in else "was there to convert (see --start and --end)"
+                self.warnings.append(f"no message of {topic.topic} {why}")
             elif topic.action == "converted":
                 self.warnings += _point_warnings(topic, self.params, self.origins)
 

@@ -64,10 +64,11 @@ class ScanToCloud:
         except DecodeError as err:
             err.stamp_ns = scan.stamp_ns
             raise
-        frame_id, points = self._moved(scan, points)
+        frame_id, points, moved = self._placed(scan, points)
         message = encode_pointcloud2(
             serialization=target,
-            sequence=scan.sequence,
+            # tf2 gives a transformed cloud the transform's header, whose sequence number is 0.
+            sequence=0 if moved else scan.sequence,
             stamp_ns=scan.stamp_ns,
             frame_id=frame_id,
             fields=_fields(points.points.dtype),
@@ -84,18 +85,18 @@ class ScanToCloud:
         )
         return Converted(message, counts, empty=not len(points.points))
 
-    def _moved(self, scan: LaserScan, points: UnprojectedScan) -> tuple[str, UnprojectedScan]:
-        """The points in the target frame, and that frame's name."""
+    def _placed(self, scan: LaserScan, points: UnprojectedScan) -> tuple[str, UnprojectedScan, bool]:
+        """The target frame's name, the points in it, and whether they were transformed."""
         place = self._frames.place(scan.frame_id, scan.stamp_ns)
         start = place.target_from_source
         if start is None:
-            return place.frame_id, points
+            return place.frame_id, points, False
         if not self._deskewed:
-            return place.frame_id, points.with_xyz(start.apply(points.xyz), start.translation)
+            return place.frame_id, points.with_xyz(start.apply(points.xyz), start.translation), True
         # Source of the rule: laser_geometry takes the last beam's time as stamp + (beams - 1) * time_increment.
         lasts = max(points.beam_count - 1, 0) * scan.time_increment
         end = self._frames.place(scan.frame_id, scan.stamp_ns + int(lasts * 1e9)).target_from_source
-        return place.frame_id, deskew(points, start, end or start)
+        return place.frame_id, deskew(points, start, end or start), True
 
 
 def _fields(dtype: np.dtype[np.void]) -> list[PointField]:

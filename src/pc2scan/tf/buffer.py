@@ -455,9 +455,7 @@ class TransformBuffer:
             return self._timed_chain(query, time_ns)
         outside = [link for link in chain.links if abs(link.gap_ns(time_ns)) > query.tolerance_ns]
         if outside:
-            raise self._extrapolation(
-                max(outside, key=lambda link: abs(link.gap_ns(time_ns))), query, time_ns
-            )
+            raise self._extrapolation(max(outside, key=lambda link: abs(link.gap_ns(time_ns))), query, time_ns)
         return chain
 
     def _timeless_chain(self, target: int, source: int) -> _Chain | None:
@@ -680,9 +678,7 @@ class TransformBuilder:
             _numbers={name: number for number, name in enumerate(frames)},
         )
 
-    def _renumbered(
-        self, used: NDArray[np.int32]
-    ) -> tuple[tuple[str, ...], NDArray[np.int32], NDArray[np.int32]]:
+    def _renumbered(self, used: NDArray[np.int32]) -> tuple[tuple[str, ...], NDArray[np.int32], NDArray[np.int32]]:
         """Names of the frames that accepted transforms have, as tf2 knows no others; parents, children."""
         occurs = np.zeros(len(self._names), dtype=np.bool_)
         occurs[used] = True
@@ -702,9 +698,7 @@ class TransformBuilder:
             pair, reason = groups[group].tolist()
             parent, child, _ = pairs[pair].tolist()
             stamp_ns = records["stamp_ns"].item(bad[first[group]])
-            rejections.append(
-                Rejection(names[child], names[parent], stamp_ns, _REASONS[reason], counts.item(group))
-            )
+            rejections.append(Rejection(names[child], names[parent], stamp_ns, _REASONS[reason], counts.item(group)))
         return tuple(rejections)
 
 
@@ -720,9 +714,7 @@ def _normalize(poses: NDArray[np.float64], reasons: NDArray[np.int32]) -> NDArra
     finite = np.isfinite(poses).all(axis=1)
     zero = ~poses[:, 3:].any(axis=1)
     poses[:, 3:] = unit_quaternions(poses[:, 3:])
-    return np.select([reasons != _ACCEPTED, ~finite, zero], [reasons, _NOT_FINITE, _ZERO], _ACCEPTED).astype(
-        np.int32
-    )
+    return np.select([reasons != _ACCEPTED, ~finite, zero], [reasons, _NOT_FINITE, _ZERO], _ACCEPTED).astype(np.int32)
 
 
 def _first_of_each(children: NDArray[np.int32], flags: NDArray[np.bool_], count: int) -> NDArray[np.bool_]:
