@@ -30,10 +30,8 @@ def reference_scan(
     angle_min, angle_max = float32(params.angle_min), float32(params.angle_max)
     angle_increment = float32(params.angle_increment)
     count = math.ceil(float32(float32(angle_max - angle_min) / angle_increment))
-    if params.use_inf:
-        ranges = [math.inf] * count
-    else:
-        ranges = [float32(float32(params.range_max) + params.inf_epsilon)] * count
+    empty = math.inf if params.use_inf else float32(float32(params.range_max) + params.inf_epsilon)
+    ranges = [empty] * count
     nan = height = too_far = angles = past_end = total = 0
     for point in points:
         total += 1

@@ -1,0 +1,186 @@
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pc2scan.core.params import ProjectionParams
+from pc2scan.core.project import project
+from pc2scan.core.unproject import UnprojectParams
+from pc2scan.errors import DecodeError, TransformError
+from pc2scan.messages.laserscan import LaserScan, decode_laserscan, encode_laserscan
+from pc2scan.messages.pointcloud2 import PointCloud2, PointField, decode_pointcloud2, encode_pointcloud2
+from pc2scan.pipeline.cloud_to_scan import CloudToScan
+from pc2scan.pipeline.frames import Frames
+from pc2scan.pipeline.scan_to_cloud import ScanToCloud
+from pc2scan.tf.buffer import TransformBuilder
+
+XYZ = [PointField("x", 0, 7), PointField("y", 4, 7), PointField("z", 8, 7)]
+SECOND = 1_000_000_000
+BAND = ProjectionParams(min_height=-1.0, max_height=1.0)
+
+
+def cloud(points: Any, stamp_ns: int = 5 * SECOND, frame: str = "lidar") -> bytes:
+    data = np.asarray(points, "<f4").tobytes()
+    return encode_pointcloud2(
+        serialization="ros1", sequence=9, stamp_ns=stamp_ns, frame_id=frame, fields=XYZ, point_step=12, data=data
+    )
+
+
+def scan(ranges: Any, stamp_ns: int = 5 * SECOND, **changes: Any) -> bytes:
+    values = {
+        "sequence": 9,
+        "stamp_ns": stamp_ns,
+        "frame_id": "laser",
+        "angle_min": -1.0,
+        "angle_max": 1.0,
+        "angle_increment": 0.5,
+        "time_increment": 0.0,
+        "scan_time": 0.1,
+        "range_min": 0.1,
+        "range_max": 30.0,
+        "ranges": np.asarray(ranges, np.float32),
+    }
+    return encode_laserscan(LaserScan(**{**values, **changes}), "ros1")
+
+
+def frames(target: str, *rows: tuple[str, str, int, float, float]) -> Frames:
+    """Frames that move along x and turn about z: parent, child, stamp, x, yaw."""
+    builder = TransformBuilder()
+    builder.add(
+        (
+            (parent, child, stamp, x, 0.0, 0.0, 0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2))
+            for parent, child, stamp, x, yaw in rows
+        ),
+        static=False,
+    )
+    return Frames(target, "", builder.build(), 0)
+
+
+def points_of(message: PointCloud2) -> Any:
+    return np.stack(message.xyz(), axis=1)
+
+
+def test_a_scan_carries_the_clouds_header_and_the_parameters() -> None:
+    params = ProjectionParams(
+        min_height=-1, angle_min=-1, angle_max=1, angle_increment=0.1, range_max=20, scan_time=0.2
+    )
+    made = CloudToScan(params, Frames())(cloud([[2, 0, 0]]), "ros1", "ros1")
+    read = decode_laserscan(made.data, "ros1")
+    assert (read.sequence, read.stamp_ns, read.frame_id) == (9, 5 * SECOND, "lidar")
+    assert (read.angle_min, read.angle_max, read.range_max, read.time_increment) == (-1, 1, 20, 0)
+    assert read.angle_increment == 0.125
+    assert read.scan_time == np.float32(1 / 30)
+    assert read.intensities.size == 0
+    assert np.flatnonzero(np.isfinite(read.ranges)).tolist() == [8]
+    assert not made.empty
+
+
+def test_a_scan_without_returns_is_empty_also_where_that_is_not_infinity() -> None:
+    params = ProjectionParams(min_height=-1, range_max=20, use_inf=False, inf_epsilon=0.5)
+    assert CloudToScan(params, Frames())(cloud([[50, 0, 0]]), "ros1", "cdr").empty
+    assert CloudToScan(params, Frames())(cloud([]), "ros1", "cdr").empty
+
+
+def test_a_cloud_is_transformed_before_the_limits_apply() -> None:
+    known = frames("base", ("base", "lidar", 4 * SECOND, 0.0, 0.0), ("base", "lidar", 6 * SECOND, 2.0, math.pi))
+    points = [[3, 0, 0.5], [2, 4, -0.5], [0, 0, 3]]
+    made = CloudToScan(ProjectionParams(min_height=-1, max_height=1, target_frame="base"), known)(
+        cloud(points), "ros1", "ros1"
+    )
+    read = decode_laserscan(made.data, "ros1")
+    moved = known.place("lidar", 5 * SECOND).target_from_source
+    assert moved is not None
+    expected = project(moved.apply(np.float32(points)), BAND)  # type: ignore[arg-type]
+    assert read.frame_id == "base"
+    assert read.ranges.tobytes() == expected.ranges.tobytes()
+    assert made.counts == expected.counts
+    # Half way: moved by 1 m and turned by 90 degrees, so that x became y.
+    np.testing.assert_allclose(np.sort(read.ranges)[:2], [math.hypot(1, 3), math.hypot(3, 2)], rtol=1e-6)
+
+
+def test_the_way_back_carries_the_header_and_all_channels() -> None:
+    every = UnprojectParams(distances=True, stamps=True, viewpoint=True)
+    message = scan([1, 2, math.nan, 40, 3], intensities=np.arange(5, dtype=np.float32), time_increment=0.25)
+    made = ScanToCloud(every, Frames())(message, "ros1", "cdr")
+    read = decode_pointcloud2(made.data, "cdr")
+    assert (read.stamp_ns, read.frame_id, read.height, read.width, read.is_dense) == (5 * SECOND, "laser", 1, 3, False)
+    names = ["x", "y", "z", "intensity", "index", "distances", "stamps", "vp_x", "vp_y", "vp_z"]
+    assert [field.name for field in read.fields] == names
+    assert read.field("index").tolist() == [0, 1, 4]
+    assert read.field("intensity").tolist() == [0, 1, 4]
+    assert read.field("stamps").tolist() == [0, 0.25, 1.0]
+    assert (made.counts.total, made.counts.used, made.counts.nan, made.counts.range) == (5, 3, 1, 1)
+
+
+def test_intensities_of_another_length_are_an_error_with_the_stamp() -> None:
+    with pytest.raises(DecodeError) as caught:
+        ScanToCloud(None, Frames())(scan([1, 2], intensities=np.float32([1.0])), "ros1", "ros1")  # type: ignore[arg-type]
+    assert caught.value.stamp_ns == 5 * SECOND
+
+
+def test_a_transformed_cloud_is_in_the_target_frame() -> None:
+    known = frames("odom", ("odom", "laser", 5 * SECOND, 10.0, math.pi / 2))
+    made = ScanToCloud(None, known)(scan([2.0], angle_min=0.0), "ros1", "ros1")
+    read = decode_pointcloud2(made.data, "ros1")
+    assert read.frame_id == "odom"
+    # float32 of a point 10 m out.
+    np.testing.assert_allclose(points_of(read), [[10, 2, 0]], atol=2e-6)
+
+
+def test_deskewing_takes_each_beam_from_where_the_sensor_was() -> None:
+    # 1 m/s and a quarter turn a second; five beams, a quarter of a second apart.
+    rows = [("odom", "laser", (5 + k) * SECOND, float(k), k * math.pi / 2) for k in range(2)]
+    message = scan([2.0] * 5, angle_min=0.0, angle_increment=0.0, time_increment=0.25)
+    made = ScanToCloud(None, frames("odom", *rows), deskewed=True)(message, "ros1", "ros1")
+    expected = [[t + 2 * math.cos(t * math.pi / 2), 2 * math.sin(t * math.pi / 2), 0] for t in np.linspace(0, 1, 5)]
+    np.testing.assert_allclose(points_of(decode_pointcloud2(made.data, "ros1")), expected, atol=2e-6)
+    plain = ScanToCloud(None, frames("odom", *rows))(message, "ros1", "ros1")
+    np.testing.assert_allclose(points_of(decode_pointcloud2(plain.data, "ros1")), [[2, 0, 0]] * 5, atol=2e-6)
+
+
+def test_deskewing_one_beam_and_none() -> None:
+    known = frames("odom", ("odom", "laser", 5 * SECOND, 1.0, 0.0))
+    one = ScanToCloud(None, known, deskewed=True)(scan([2.0], angle_min=0.0, time_increment=0.1), "ros1", "ros1")
+    np.testing.assert_allclose(points_of(decode_pointcloud2(one.data, "ros1")), [[3, 0, 0]], atol=2e-6)
+    none = ScanToCloud(None, known, deskewed=True)(scan([], time_increment=0.1), "ros1", "ros1")
+    assert decode_pointcloud2(none.data, "ros1").points == 0
+
+
+def test_deskewing_needs_the_time_of_the_last_beam_too() -> None:
+    known = frames("odom", ("odom", "laser", 5 * SECOND, 1.0, 0.0))
+    with pytest.raises(TransformError, match="too late"):
+        ScanToCloud(None, known, deskewed=True)(scan([2.0] * 3, time_increment=0.1), "ros1", "ros1")
+
+
+@given(
+    st.lists(
+        st.tuples(st.floats(-math.pi, math.pi, exclude_max=True), st.floats(0.5, 25.0)),
+        min_size=1,
+        max_size=40,
+    ),
+    st.integers(8, 720),
+)
+def test_there_and_back_is_within_half_a_beam_of_its_middle(polar: list[tuple[float, float]], beams: int) -> None:
+    params = ProjectionParams(
+        min_height=-1, angle_min=-math.pi, angle_max=math.pi, angle_increment=2 * math.pi / beams, range_max=30.0
+    )
+    points = np.array([[r * math.cos(a), r * math.sin(a), 0] for a, r in polar], np.float32)
+    there = CloudToScan(params, Frames())(cloud(points), "ros1", "ros1")
+    back = ScanToCloud(None, Frames())(there.data, "ros1", "ros1")
+    returned = points_of(decode_pointcloud2(back.data, "ros1"))
+    assert len(returned) >= 1
+    angles = np.arctan2(points[:, 1], points[:, 0], dtype=np.float64)
+    distances = np.hypot(points[:, 0].astype(np.float64), points[:, 1])
+    increment = float(np.float32(params.angle_increment))
+    for x, y, _ in returned.astype(np.float64):
+        # Upstream reports a return at the lower edge of its beam; the middle is half a beam on.
+        middle = math.atan2(y, x) + increment / 2
+        apart = np.abs((angles - middle + math.pi) % (2 * math.pi) - math.pi)
+        # Some float32 roundings of the angle (pi * 2**-23 each) and of the coordinates.
+        close = (apart <= increment / 2 + 4e-6) & (np.abs(distances - math.hypot(x, y)) <= 1e-5)
+        assert close.any()
