@@ -67,14 +67,14 @@ def points_of(message: PointCloud2) -> Any:
 
 def test_a_scan_carries_the_clouds_header_and_the_parameters() -> None:
     params = ProjectionParams(
-        min_height=-1, angle_min=-1, angle_max=1, angle_increment=0.1, range_max=20, scan_time=0.2
+        min_height=-1, angle_min=-1, angle_max=1, angle_increment=0.125, range_max=20, scan_time=0.2
     )
     made = CloudToScan(params, Frames())(cloud([[2, 0, 0]]), "ros1", "ros1")
     read = decode_laserscan(made.data, "ros1")
     assert (read.sequence, read.stamp_ns, read.frame_id) == (9, 5 * SECOND, "lidar")
     assert (read.angle_min, read.angle_max, read.range_max, read.time_increment) == (-1, 1, 20, 0)
     assert read.angle_increment == 0.125
-    assert read.scan_time == np.float32(1 / 30)
+    assert read.scan_time == np.float32(0.2)
     assert read.intensities.size == 0
     assert np.flatnonzero(np.isfinite(read.ranges)).tolist() == [8]
     assert not made.empty
