@@ -547,7 +547,6 @@ def test_golden_cases_are_found() -> None:
         assert len(CASES) == 11
 
 
-@needs_shared
 @pytest.mark.parametrize("case", CASES)
 def test_golden_cases_to_the_bit(case: str) -> None:
     params = ProjectionParams(**(golden_params(case) or {}))

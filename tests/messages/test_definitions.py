@@ -74,7 +74,6 @@ def test_either_spelling_names_a_type_and_others_are_refused() -> None:
         definition("sensor_msgs/msg/Image", 2)
 
 
-@needs_shared
 def test_ros1_texts_equal_those_in_the_golden_bags() -> None:
     from rosbags.rosbag1 import Reader
 

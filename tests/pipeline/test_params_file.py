@@ -17,7 +17,7 @@ from pc2scan.pipeline.param_assignment import parse_param
 from pc2scan.pipeline.parameters import PARAMETERS, Direction, Setting, resolve
 from pc2scan.pipeline.params_file import ParamsFile, load_params_file, render_params_file
 from pipeline.param_settings import Load, failure, params_of, ros2, values, yaml_like
-from support import GOLDEN, needs_shared
+from support import GOLDEN
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -54,7 +54,6 @@ def test_the_golden_files_load(case: str) -> None:
     }
 
 
-@needs_shared
 def test_a_golden_file_gives_the_values_written_in_it() -> None:
     params = params_of(load_params_file(GOLDEN / "launch_sample" / "params.yaml"))
     assert params == ProjectionParams(**{**SAMPLE, "target_frame": ""})  # type: ignore[arg-type]

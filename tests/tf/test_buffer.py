@@ -24,7 +24,7 @@ from pc2scan.tf.buffer import (
     TransformBuilder,
     Tree,
 )
-from support import GOLDEN, needs_shared
+from support import GOLDEN
 
 SECOND = 1_000_000_000
 EPOCH = 1_700_000_000 * SECOND
@@ -442,7 +442,6 @@ class TestBuffer:
             np.testing.assert_allclose(found.compose(back).translation, 0, atol=1e-12)
 
 
-@needs_shared
 @pytest.mark.parametrize("case", ["tf_static", "tf_dynamic", "scan_tf"])
 def test_golden_cases_resolve(case: str) -> None:
     from rosbags.rosbag1 import Reader
