@@ -44,6 +44,7 @@ def convert(
     ros_distro: str = "",
     overwrite: bool = False,
     jobs: int = 0,
+    verify: bool = True,
     progress: Progress | None = None,
 ) -> Report:
     """Convert recorded PointCloud2 to LaserScan, or back, as ``pc2scan convert`` does.
@@ -64,7 +65,7 @@ def convert(
         Where transforms come from, for a ``target_frame``; None means the sources' ``/tf`` and ``/tf_static``.
     topics
         What to convert, as ``/points`` or ``/points:=/scan``; empty means every PointCloud2 topic.
-    keep_clouds, only_scans, keep, drop, on_error, ros_distro, jobs
+    keep_clouds, only_scans, keep, drop, on_error, ros_distro, jobs, verify
         See `pc2scan.pipeline.options.ConvertOptions`.
     start, end
         Times as `pc2scan.pipeline.options.TimeBound.parse` reads them.
@@ -114,6 +115,7 @@ def convert(
         on_error=on_error,
         ros_distro=ros_distro,
         jobs=jobs,
+        verify=verify,
     )
     output = OutputOptions(
         storage=storage,

@@ -83,3 +83,30 @@ def test_leaving_early_gives_up_what_has_not_begun() -> None:
         assert next(results) == 0
         results.close()
     assert len(begun) < 20
+
+
+def test_what_queues_behind_a_slow_item_is_bounded_in_bytes() -> None:
+    release = threading.Event()
+    read = 0
+
+    def items() -> Iterator[int]:
+        nonlocal read
+        for item in range(200):
+            read += 1
+            yield item
+
+    def work(item: int) -> int:
+        if item == 0:
+            assert release.wait(30)
+        return item
+
+    with ThreadPoolExecutor(1) as pool:
+        results = map_in_order(
+            work, items(), is_heavy=lambda item: item == 0, pool=pool, window=4, size=lambda _: 4 << 20
+        )
+        timer = threading.Timer(0.2, release.set)
+        timer.start()
+        assert next(results) == 0
+        # 32 MiB, and the one that exceeds them.
+        assert read == 9
+        assert list(results) == list(range(1, 200))

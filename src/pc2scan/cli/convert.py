@@ -331,6 +331,14 @@ def convert(
             rich_help_panel=_REPORT,
         ),
     ] = 0,
+    no_verify: Annotated[
+        bool,
+        typer.Option(
+            "--no-verify",
+            help="Do not compare the CRCs of an MCAP source: faster, but damage may go unnoticed.",
+            rich_help_panel=_REPORT,
+        ),
+    ] = False,
     report: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Write what happened as JSON.", rich_help_panel=_REPORT),
@@ -402,6 +410,7 @@ def convert(
         on_error=on_error.value,
         ros_distro=ros_distro,
         jobs=jobs,
+        verify=not no_verify,
     )
     form = OutputOptions(
         storage=storage and storage.value,

@@ -134,6 +134,8 @@ class ConvertOptions:
         Whose definitions stand in for those that the recording lacks; empty for a default.
     jobs
         Threads that convert; 0 means as many as there are processor cores.
+    verify
+        Whether the CRCs that MCAP files carry are compared. The checksums of lz4 and bz2 always are.
     """
 
     params: ProjectionParams = ProjectionParams()
@@ -151,6 +153,7 @@ class ConvertOptions:
     on_error: str = "skip"
     ros_distro: str = ""
     jobs: int = 0
+    verify: bool = True
 
     def __post_init__(self) -> None:
         if self.on_error not in ("skip", "fail"):

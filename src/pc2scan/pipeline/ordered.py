@@ -13,8 +13,9 @@ if TYPE_CHECKING:
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-#: Items that need no thread may queue behind one that does, up to here.
+#: Items that need no thread may queue behind one that does, up to so many and so many bytes.
 _MAX_QUEUED = 1024
+_MAX_QUEUED_BYTES = 32 << 20
 
 
 def map_in_order(
@@ -24,6 +25,7 @@ def map_in_order(
     is_heavy: Callable[[Item], bool],
     pool: Executor | None,
     window: int,
+    size: Callable[[Item], int] = lambda _: 0,
 ) -> Generator[Result, None, None]:
     """Apply ``work`` to every item, the heavy ones on other threads.
 
@@ -37,6 +39,8 @@ def map_in_order(
         The threads; None means none but the caller's.
     window
         Heavy items in flight at most: items are read no further than that, so memory stays bounded.
+    size
+        Bytes that an item keeps while it waits for its turn.
 
     Yields
     ------
@@ -47,7 +51,8 @@ def map_in_order(
     if pool is None:
         yield from map(work, items)
         return
-    queue: deque[Future[Result]] = deque()
+    queue: deque[tuple[Future[Result], int]] = deque()
+    queued_bytes = 0
     in_flight: deque[Future[Result]] = deque()
     try:
         for item in items:
@@ -60,11 +65,18 @@ def map_in_order(
             else:
                 future = Future()
                 future.set_result(work(item))
-            queue.append(future)
-            while queue and (queue[0].done() or len(queue) > _MAX_QUEUED):
-                yield queue.popleft().result()
+            kept = size(item)
+            queue.append((future, kept))
+            queued_bytes += kept
+            # What this frame still refers to would stay in memory while the consumer works.
+            del item, future
+            while queue and (queue[0][0].done() or len(queue) > _MAX_QUEUED or queued_bytes > _MAX_QUEUED_BYTES):
+                first, kept = queue.popleft()
+                queued_bytes -= kept
+                yield first.result()
+                del first
         while queue:
-            yield queue.popleft().result()
+            yield queue.popleft()[0].result()
     finally:
-        for future in queue:
+        for future, _ in queue:
             future.cancel()

@@ -27,6 +27,7 @@ from pc2scan.messages.definitions import definition
 from pc2scan.messages.tfmessage import encode_transforms
 
 from .frames import FrameOptions, Frames, is_static, read_transforms
+from .memory import keep_freed_memory
 from .ordered import map_in_order
 from .plan import Route, make_plan
 from .report import Report, Skipped, TopicReport
@@ -110,10 +111,11 @@ def run(
 ) -> Report:
     """Convert recordings; see `pc2scan.convert`."""
     began = time.monotonic()
+    keep_freed_memory()
     if not sources:
         raise UsageError("no source given")
     with ExitStack() as stack:
-        readers = _open(sources, stack)
+        readers = _open(sources, stack, verify=options.verify)
         reader = _merged(readers)
         plan = make_plan(reader.connections, options)
         summaries = [opened.summary for opened in readers]
@@ -150,11 +152,11 @@ def run(
     return report
 
 
-def _open(sources: Sequence[Path], stack: ExitStack) -> list[Reader]:
+def _open(sources: Sequence[Path], stack: ExitStack, *, verify: bool) -> list[Reader]:
     """Open the sources, to be closed with the stack."""
     readers = []
     for source in sources:
-        reader = open_recording(source)
+        reader = open_recording(source, verify=verify)
         stack.callback(reader.close)
         readers.append(reader)
     return readers
@@ -169,7 +171,7 @@ def _conversion(reader: Reader, options: ConvertOptions, stack: ExitStack, repor
     params, asked = options.params, options.frames
     frames = Frames(source_frame=asked.source_frame)
     if params.target_frame:
-        buffer, warnings = read_transforms([reader, *_open(asked.tf_from, stack)], asked)
+        buffer, warnings = read_transforms([reader, *_open(asked.tf_from, stack, verify=options.verify)], asked)
         report.warnings += warnings
         tolerance_ns = round(params.transform_tolerance * 1e9)
         frames = Frames(params.target_frame, asked.source_frame, buffer, tolerance_ns)
@@ -332,6 +334,7 @@ def _stream(
             _work,
             ((lanes[message.connection.id], message) for message in _cut(reader, lanes, span)),
             is_heavy=lambda item: item[0].convert is not None or item[0].encode is not None,
+            size=lambda item: len(item[1].data),
             pool=pool,
             window=options.params.queue_size or 2 * jobs,
         )

@@ -1,0 +1,327 @@
+"""Print how fast pc2scan is, as Markdown, every figure beside a baseline that ran between the same two.
+
+Run it with ``python tests/benchmarks/table.py`` in an environment that has pc2scan and its tests' packages.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import statistics
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+import lz4.frame
+import zstandard
+
+import pc2scan
+from benchmarks.clouds import CLOUD_BYTES, FORMS, POINTS, TRIFLE, Form, serialized_clouds, write_recording
+from benchmarks.test_projection import LAYOUTS, cloud, params_of, straightforward
+from pc2scan.bags.mcap_reader import McapReader
+from pc2scan.bags.rosbag1_reader import Rosbag1Reader
+from pc2scan.core.project import Projector
+from pc2scan.messages.pointcloud2 import decode_pointcloud2
+from pc2scan.pipeline.memory import keep_freed_memory
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
+
+HEIGHTS = ("--min-height", "-0.5", "--max-height", "1")
+PARAMS = pc2scan.ProjectionParams(min_height=-0.5, max_height=1.0)
+MEGABYTE = 1_000_000
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--gb", type=float, default=0.5, help="size of the recordings (default: 0.5)")
+    parser.add_argument("--repeat", type=int, default=5, help="rounds, of which the median is taken (default: 5)")
+    parser.add_argument("--memory", type=float, nargs="*", metavar="GB", help="peak memory too; default: 0.5 2 8")
+    parser.add_argument("--folder", type=Path, help="where the recordings are written meanwhile")
+    parser.add_argument("--only", choices=("projection", "conversions", "start-up", "memory"), help="one table")
+    asked = parser.parse_args()
+    wanted = {asked.only} if asked.only else {"projection", "conversions", "start-up"}
+    keep_freed_memory()
+    with TemporaryDirectory(dir=asked.folder) as folder:
+        place = Path(folder)
+        say(f"{len(os.sched_getaffinity(0))} cores, Python {sys.version.split()[0]}.\n")
+        if "projection" in wanted:
+            projection(asked.repeat)
+        if "conversions" in wanted:
+            conversions(place, int(asked.gb * 1e9), asked.repeat)
+        if "start-up" in wanted:
+            start_up(place, asked.repeat)
+        if "memory" in wanted or asked.memory is not None:
+            memory(place, asked.memory or [0.5, 2, 8])
+
+
+def say(line: str) -> None:
+    print(line, flush=True)  # noqa: T201  # what it prints is what it is for
+
+
+def table(title: str, head: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+    """Print a table row by row, as the figures come."""
+    say(f"**{title}\n")
+    say("| " + " | ".join(head) + " |")
+    say("|---" + "|---:" * (len(head) - 1) + "|")
+    for row in rows:
+        say("| " + " | ".join(row) + " |")
+    say("")
+
+
+def seconds(work: Callable[[], object]) -> float:
+    began = time.perf_counter()
+    work()
+    return time.perf_counter() - began
+
+
+def rounds(repeat: int, *works: Callable[[], float]) -> list[list[float]]:
+    """Take turns, so that what else the machine does meets all alike; the first round warms up."""
+    return [[work() for work in works] for _ in range(repeat + 1)][1:]
+
+
+def median(values: Iterable[float]) -> float:
+    return statistics.median(values)
+
+
+# --- Projection ---
+
+
+def projection(repeat: int) -> None:
+    def rows() -> Iterable[Sequence[str]]:
+        for layout in LAYOUTS:
+            for beams in (90, 360, 3_600, 36_000):
+                x, y, z = cloud(131_072, layout)
+                params = params_of(beams, "all")
+                project = Projector(params)
+                found = rounds(
+                    4 * repeat,
+                    lambda: seconds(lambda: project(x, y, z)),  # noqa: B023  # called at once
+                    lambda: seconds(lambda: straightforward(x, y, z, params)),  # noqa: B023
+                )
+                ours, plain = (median(column) / x.size * 1e9 for column in zip(*found, strict=True))
+                ratio = median(row[1] / row[0] for row in found)
+                yield layout, f"{beams:,}", f"{ours:.1f}", f"{plain:.1f}", f"{ratio:.1f}"
+
+    table(
+        "Projection** of 131,072 points, every height accepted, one thread, ns a point",
+        ("layout", "beams", "pc2scan", "straightforward NumPy", "times as fast"),
+        rows(),
+    )
+
+
+# --- Conversions ---
+
+_MEASURED = """
+import resource, subprocess, sys
+subprocess.run(sys.argv[1:], check=True)
+print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
+"""
+
+
+def command(*args: str | Path) -> dict[str, Any]:
+    """Run ``pc2scan convert`` in a process of its own; returns its report, and its peak memory in KiB."""
+    report = Path(args[args.index("-o") + 1]).with_suffix(".json")
+    line = [sys.executable, "-m", "pc2scan", "convert", *map(str, args), *HEIGHTS, "--overwrite", "--quiet"]
+    # A process begins with the peak of the one that starts it: a small one stands between.
+    done = subprocess.run(
+        [sys.executable, "-S", "-c", _MEASURED, *line, "--report", str(report)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if done.returncode:
+        raise SystemExit(f"{' '.join(line)} failed:\n{done.stderr}")
+    return {**json.loads(report.read_text()), "peak_kib": int(done.stdout)}
+
+
+def converted(source: Path, destination: Path, jobs: int, *more: str) -> float:
+    return float(
+        command(source, "-o", destination, "--topic", POINTS, "--only-scans", "--jobs", str(jobs), *more)["seconds"]
+    )
+
+
+def read_plainly(source: Path) -> None:
+    """Read a recording into one buffer, over and over."""
+    buffer = bytearray(4 << 20)
+    for path in [source] if source.is_file() else source.glob("*.db3"):
+        with path.open("rb", buffering=0) as file:
+            while file.readinto(buffer):
+                pass
+
+
+def stored_chunks(source: Path, form: Form) -> list[bytes]:
+    if form.compression == "none":
+        return []
+    reader: Any = Rosbag1Reader(source) if form.suffix == ".bag" else McapReader(source)
+    with source.open("rb") as file:
+        chunks = []
+        for segment in reader._contents.segments:
+            file.seek(segment.offset)
+            chunks.append(file.read(segment.length))
+    reader.close()
+    return chunks
+
+
+def decompress(chunks: list[bytes], compression: str, threads: int) -> None:
+    def work(chunk: bytes) -> int:
+        if compression == "lz4":
+            return len(lz4.frame.decompress(chunk))
+        return len(zstandard.ZstdDecompressor().decompress(chunk))
+
+    if threads == 1:
+        sum(map(work, chunks))
+        return
+    with ThreadPoolExecutor(threads) as pool:
+        sum(pool.map(work, chunks))
+
+
+def conversions(place: Path, size: int, repeat: int) -> None:
+    count = max(1, size // CLOUD_BYTES)
+    passing: list[tuple[str, ...]] = []
+    clouds = [decode_pointcloud2(data, "cdr").xyz() for data in serialized_clouds("cdr")]
+    project = Projector(PARAMS)
+
+    def projected() -> None:
+        for number in range(count):
+            project(*clouds[number % len(clouds)])
+
+    def speed(duration: float) -> str:
+        return f"{count * CLOUD_BYTES / MEGABYTE / duration:,.0f} MB/s, {count / duration:,.0f}/s"
+
+    def rows() -> Iterable[Sequence[str]]:
+        for name, form in FORMS.items():
+            source = write_recording(place, form, size)
+            chunks: list[bytes] = stored_chunks(source, form)
+            found = rounds(
+                repeat,
+                lambda: seconds(lambda: read_plainly(source)),  # noqa: B023
+                lambda: seconds(lambda: decompress(chunks, form.compression, 1)),  # noqa: B023
+                lambda: seconds(lambda: decompress(chunks, form.compression, 2)),  # noqa: B023
+                lambda: seconds(projected),
+                lambda: converted(source, place / "scans.mcap", 1),  # noqa: B023
+                lambda: converted(source, place / "scans.mcap", 2),  # noqa: B023
+                lambda: converted(source, place / "scans.mcap", 2, "--no-verify"),  # noqa: B023
+            )
+            columns = list(zip(*found, strict=True))
+            yield (
+                name,
+                *(speed(median(column)) for column in columns[4:]),
+                f"{median(row[5] / (row[0] + row[3]) for row in found):.2f}",
+                *((f"{median(2 * row[5] / row[1] for row in found):.2f}",
+                   f"{median(row[5] / row[2] for row in found):.2f}") if chunks else ("", "")),
+            )  # fmt: skip
+            chunks.clear()
+            passing.append(passed(name, source, form, place, repeat, speed))
+            shutil.rmtree(source) if source.is_dir() else source.unlink()
+
+    table(
+        f"Converting** {count} clouds of 131,072 points of 32 bytes from a warm cache: uncompressed bytes and clouds "
+        "a second, and the time at 2 jobs as a multiple",
+        (
+            "source",
+            "1 job",
+            "2 jobs",
+            "2 jobs, `--no-verify`",
+            "of plain reading + projecting (1 thread)",
+            "of decompressing alone / 2",
+            "of decompressing alone on 2 threads",
+        ),
+        rows(),
+    )
+    table(
+        "Passing through** the same clouds, written uncompressed: whole processes, until everything is on the disk",
+        ("source", "pc2scan", "`rosbags-convert`", "times as fast"),
+        passing,
+    )
+
+
+def to_disk(path: Path) -> None:
+    """Wait until a recording is on the disk, as pc2scan does before it ends."""
+    for file in [path] if path.is_file() else path.iterdir():
+        with file.open("rb") as written:
+            os.fsync(written.fileno())
+
+
+def passed(
+    name: str, source: Path, form: Form, place: Path, repeat: int, speed: Callable[[float], str]
+) -> tuple[str, ...]:
+    """A row of the table of pass-through."""
+    ours, theirs = place / f"ours{form.suffix}", place / f"theirs{'.bag' if form.suffix == '.bag' else ''}"
+    storage = form.storage or "mcap"
+    more = ["--storage", storage] if not form.suffix else []
+
+    def pc2scan_passes() -> float:
+        return seconds(lambda: command(source, "-o", ours, "--topic", TRIFLE, "--compression", "none", *more))
+
+    def rosbags_passes() -> float:
+        shutil.rmtree(theirs, ignore_errors=True)
+        theirs.unlink(missing_ok=True)
+        line = ["rosbags-convert", "--src", str(source), "--dst", str(theirs), "--dst-storage", storage]
+
+        def work() -> None:
+            subprocess.run(line, check=True, stdout=subprocess.DEVNULL)
+            to_disk(theirs)
+
+        return seconds(work)
+
+    found = rounds(min(repeat, 3), pc2scan_passes, rosbags_passes)
+    for path in (ours, theirs):
+        shutil.rmtree(path) if path.is_dir() else path.unlink()
+    mine, other = (median(column) for column in zip(*found, strict=True))
+    return name, speed(mine), speed(other), f"{median(row[1] / row[0] for row in found):.1f}"
+
+
+# --- Start-up and memory ---
+
+
+def start_up(place: Path, repeat: int) -> None:
+    hall = Path(__file__).resolve().parents[2] / "fixtures" / "hall.bag"
+
+    def process(*args: str | Path) -> Callable[[], float]:
+        line = [sys.executable, *map(str, args)]
+        return lambda: seconds(lambda: subprocess.run(line, check=True, stdout=subprocess.DEVNULL))
+
+    found = rounds(
+        2 * repeat,
+        process("-c", "import numpy, typer"),
+        process("-m", "pc2scan", "--help"),
+        process("-m", "pc2scan", "convert", hall, "-o", place / "hall.mcap", *HEIGHTS, "--overwrite", "--quiet"),
+    )
+    names = ("`import numpy, typer`", "`pc2scan --help`", "`pc2scan convert fixtures/hall.bag`")
+    table(
+        "Start-up** of a process",
+        ("", "ms", "of the first"),
+        (
+            (name, f"{median(row[i] for row in found) * 1e3:.0f}", f"{median(row[i] / row[0] for row in found):.2f}")
+            for i, name in enumerate(names)
+        ),
+    )
+
+
+def memory(place: Path, sizes: Sequence[float]) -> None:
+    forms = ("ROS 1, lz4", "MCAP, zstd", "sqlite3")
+
+    def rows() -> Iterable[Sequence[str]]:
+        for gigabytes in sizes:
+            peaks = []
+            for name in forms:
+                source = write_recording(place, FORMS[name], int(gigabytes * 1e9))
+                report = command(source, "-o", place / "scans.mcap", "--topic", POINTS, "--jobs", "2")
+                peaks.append(f"{report['peak_kib'] * 1024 / MEGABYTE:.0f}")
+                shutil.rmtree(source) if source.is_dir() else source.unlink()
+            yield f"{gigabytes:g}", *peaks
+
+    table("Peak memory** of a conversion on 2 jobs, MB", ("GB of clouds", *forms), rows())
+
+
+if __name__ == "__main__":
+    main()

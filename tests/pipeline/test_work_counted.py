@@ -1,0 +1,222 @@
+"""What a conversion reads, copies and holds, counted: the half of speed that no machine can blur."""
+
+from __future__ import annotations
+
+import threading
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import pytest
+
+import pc2scan
+from builders import transforms
+from pc2scan.bags import files, mcap_reader, rosbag1_reader
+from pc2scan.bags.mcap_reader import McapReader
+from pc2scan.bags.mcap_writer import McapWriter
+from pc2scan.bags.model import Connection
+from pc2scan.bags.rosbag1_reader import Rosbag1Reader
+from pc2scan.bags.rosbag1_writer import Rosbag1Writer
+from pc2scan.core.project import Projector
+from pc2scan.errors import RecordingError
+from pc2scan.messages.definitions import definition
+from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointField, encode_pointcloud2
+from pc2scan.pipeline import cloud_to_scan, run
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from pc2scan.bags.segments import Segment
+
+CLOUDS = 6
+T0 = 1_600_000_000_000_000_000
+CLOUD_BYTES = 32_000
+FORMS = [(".bag", "none"), (".bag", "lz4"), (".mcap", "none"), (".mcap", "lz4"), (".mcap", "zstd")]
+TF = "tf2_msgs/msg/TFMessage"
+PARAMS = pc2scan.ProjectionParams(min_height=-2, max_height=2)
+
+
+def cloud(serialization: str, number: int) -> bytes:
+    points = np.random.default_rng(number).uniform(-8, 8, CLOUD_BYTES // 4).astype("<f4")
+    fields = [PointField(name, offset, 7) for name, offset in (("x", 0), ("y", 4), ("z", 8))]
+    return encode_pointcloud2(
+        serialization=serialization,
+        sequence=number,
+        stamp_ns=number,
+        frame_id="lidar",
+        fields=fields,
+        point_step=16,
+        data=points.tobytes(),
+    )
+
+
+def record(folder: Path, suffix: str, compression: str) -> Path:
+    """Three kinds of chunks: the converted clouds, other clouds, and transforms in a chunk of their own."""
+    path = folder / f"drive{suffix}"
+    serialization, generation = ("ros1", 1) if suffix == ".bag" else ("cdr", 2)
+    writer: Any = (
+        Rosbag1Writer(path, compression, chunk_size=8_000)
+        if generation == 1
+        else McapWriter(path, compression, chunk_size=8_000)
+    )
+    handles = []
+    for topic, msgtype in (("/points", POINTCLOUD2), ("/other", POINTCLOUD2), ("/tf", TF)):
+        text, digest = definition(msgtype, generation)
+        handles.append(writer.add_connection(Connection(0, topic, msgtype, serialization, text, digest)))
+    for number in range(CLOUDS):
+        for place, handle in enumerate(handles[:2]):
+            writer.write(handle, T0 + 1000 * number + place, cloud(serialization, 10 * number + place), 0)
+        moved = transforms([("base_link", "lidar", number, (0.0, 0.0, 1.0))], generation, number)
+        writer.write(handles[2], T0 + 1000 * number + 2, moved, 0)
+    writer.finish()
+    return path
+
+
+class Stretch(NamedTuple):
+    """Bytes of a file that were read."""
+
+    offset: int
+    length: int
+
+    def covers(self, segment: Segment) -> bool:
+        return self.offset <= segment.offset and self.offset + self.length >= segment.offset + segment.length
+
+
+@pytest.fixture
+def stretches(monkeypatch: pytest.MonkeyPatch) -> list[Stretch]:
+    """Everything that is read of any source, in order."""
+    found: list[Stretch] = []
+    original = files.SourceFile.read
+
+    def counting(self: files.SourceFile, offset: int, length: int) -> bytes:
+        found.append(Stretch(offset, length))
+        return original(self, offset, length)
+
+    monkeypatch.setattr(files.SourceFile, "read", counting)
+    return found
+
+
+def segments(path: Path) -> dict[str, list[Segment]]:
+    """The chunks of each topic; every chunk here has one."""
+    reader: Any = Rosbag1Reader(path) if path.suffix == ".bag" else McapReader(path)
+    topics = {connection.id: connection.topic for connection in reader.connections}
+    found: dict[str, list[Segment]] = {topic: [] for topic in topics.values()}
+    for segment in reader._contents.segments:
+        (identity,) = segment.connection_ids
+        found[topics[identity]].append(segment)
+    reader.close()
+    return found
+
+
+@pytest.fixture(params=FORMS, ids=lambda form: "".join(form).replace(".", "-")[1:])
+def drive(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    return record(tmp_path, *request.param)
+
+
+def times_read(stretches: list[Stretch], chunks: list[Segment]) -> list[int]:
+    return [sum(stretch.covers(chunk) for stretch in stretches) for chunk in chunks]
+
+
+def convert(source: Path, **options: Any) -> pc2scan.Report:
+    destination = source.with_name(f"scans{source.suffix}")
+    options = {"params": PARAMS, "topics": ["/points"], "only_scans": True, "overwrite": True, **options}
+    return pc2scan.convert(source, destination, **options)
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_chunks_that_nobody_wants_are_not_read(drive: Path, jobs: int, stretches: list[Stretch]) -> None:
+    chunks = segments(drive)
+    assert [len(chunks[topic]) for topic in ("/points", "/other", "/tf")] == [CLOUDS] * 3
+    stretches.clear()
+    assert convert(drive, jobs=jobs).topics[0].messages_out == CLOUDS
+    assert times_read(stretches, chunks["/points"]) == [1] * CLOUDS
+    # Transforms are small: a look at the header behind them may take them along.
+    assert times_read(stretches, chunks["/other"]) == [0] * CLOUDS
+    stored = sum(chunk.length for chunk in chunks["/points"])
+    assert sum(stretch.length for stretch in stretches) < stored + chunks["/other"][0].length * CLOUDS
+
+
+def test_a_cut_reads_only_its_own_chunks(drive: Path, stretches: list[Stretch]) -> None:
+    chunks = segments(drive)["/points"]
+    stretches.clear()
+    convert(drive, start="0.000002", end="0.000004")
+    assert times_read(stretches, chunks) == [0, 0, 1, 1, 0, 0]
+
+
+def test_transforms_are_found_without_reading_clouds(drive: Path, stretches: list[Stretch]) -> None:
+    chunks = segments(drive)
+    stretches.clear()
+    params = pc2scan.ProjectionParams(min_height=-2, max_height=2, target_frame="base_link")
+    assert convert(drive, params=params).topics[0].messages_out == CLOUDS
+    assert times_read(stretches, chunks["/points"]) == [1] * CLOUDS
+    assert times_read(stretches, chunks["/other"]) == [0] * CLOUDS
+    assert min(times_read(stretches, chunks["/tf"])) >= 1
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_clouds_are_projected_where_they_were_decompressed(
+    drive: Path, jobs: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    chunks: list[Any] = []
+    seen: list[Any] = []
+    lock = threading.Lock()
+    reader = rosbag1_reader if drive.suffix == ".bag" else mcap_reader
+    original = reader.payload
+
+    def kept(*args: Any, **options: Any) -> Any:
+        chunk = original(*args, **options)
+        with lock:
+            chunks.append(np.frombuffer(chunk, np.uint8))
+        return chunk
+
+    class Spy:
+        def __init__(self, params: pc2scan.ProjectionParams) -> None:
+            self._project = Projector(params)
+
+        def __call__(self, x: Any, y: Any, z: Any, transform: Any) -> Any:
+            with lock:
+                seen.append((x, y, z))
+            return self._project(x, y, z, transform)
+
+    monkeypatch.setattr(reader, "payload", kept)
+    monkeypatch.setattr(cloud_to_scan, "Projector", Spy)
+    convert(drive, jobs=jobs)
+    assert len(seen) == len(chunks) == CLOUDS
+    for coordinates in seen:
+        assert all(any(np.may_share_memory(part, chunk) for chunk in chunks) for part in coordinates)
+
+
+@pytest.mark.parametrize("queue_size", [1, 3])
+def test_messages_in_flight_are_bounded(drive: Path, queue_size: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    read = written = worst = 0
+    cut, write = run._cut, run._write
+
+    def reading(*args: Any) -> Iterator[Any]:
+        nonlocal read
+        for message in cut(*args):
+            read += 1
+            yield message
+
+    def writing(*args: Any) -> None:
+        nonlocal written, worst
+        worst = max(worst, read - written)
+        write(*args)
+        written += 1
+
+    monkeypatch.setattr(run, "_cut", reading)
+    monkeypatch.setattr(run, "_write", writing)
+    params = pc2scan.ProjectionParams(min_height=-2, max_height=2, queue_size=queue_size)
+    convert(drive, jobs=2, params=params)
+    assert read == written == CLOUDS
+    # The one that waits for its place has been read too.
+    assert 1 <= worst <= queue_size + 1
+
+
+def test_crcs_are_compared_unless_told_otherwise(tmp_path: Path) -> None:
+    path = record(tmp_path, ".mcap", "none")
+    data = bytearray(path.read_bytes())
+    data[segments(path)["/points"][2].offset + CLOUD_BYTES // 2] ^= 1
+    path.write_bytes(data)
+    with pytest.raises(RecordingError, match="has CRC"):
+        convert(path)
+    assert convert(path, verify=False).topics[0].messages_out == CLOUDS
