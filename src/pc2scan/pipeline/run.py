@@ -12,9 +12,7 @@ from itertools import chain
 from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.bags.merged import MergedReader
-from pc2scan.bags.model import LATCHED_QOS, Connection, RawMessage, Reader, Writer
 from pc2scan.bags.registry import (
-    Destination,
     default_destination,
     default_storage,
     open_recording,
@@ -23,20 +21,19 @@ from pc2scan.bags.registry import (
 )
 from pc2scan.bags.staging import staged
 from pc2scan.errors import MessageError, UsageError
-from pc2scan.messages.definitions import definition
-from pc2scan.messages.tfmessage import encode_transforms
 
-from .frames import FrameOptions, Frames, is_static, read_transforms
+from .frames import Frames, is_static, read_transforms
+from .lanes import Lane, carry_extras, open_lanes, write_static
 from .memory import keep_freed_memory
 from .ordered import map_in_order
-from .plan import Route, make_plan
-from .report import Report, Skipped, TopicReport
+from .plan import make_plan
+from .report import Report, Skipped
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from pc2scan.bags.model import Buffer
+    from pc2scan.bags.model import Buffer, Connection, RawMessage, Reader, Writer
 
     from .conversion import Conversion, Converted
     from .options import ConvertOptions
@@ -75,25 +72,10 @@ class OutputOptions:
     overwrite: bool = False
 
 
-@dataclass(slots=True)
-class _Lane:
-    """Where the messages of one source connection go.
-
-    ``convert`` and ``encode`` are the work; None where there is none. The handles are the writer's.
-    """
-
-    connection: Connection
-    report: TopicReport
-    convert: Callable[[Buffer], Converted] | None = None
-    encode: Callable[[Buffer], Buffer] | None = None
-    converted_handle: int = -1
-    passing_handle: int = -1
-
-
 class _Outcome(NamedTuple):
     """What became of a message; an error takes the place of what could not be made."""
 
-    lane: _Lane
+    lane: Lane
     message: RawMessage
     converted: Converted | None
     passing: Buffer | None
@@ -130,16 +112,16 @@ def run(
         )
         report = Report([str(source) for source in sources], str(path), options.params, dict(origins or {}))
         report.warnings += plan.warnings
-        conversion = _conversion(reader, options, stack, report)
         with staged(path, overwrite=output.overwrite, sources=sources) as partial:
+            conversion = _conversion(reader, options, stack, report)
             writer = open_writer(target, partial, path.name)
             try:
-                lanes = _lanes(plan.routes, conversion, target, options, writer, report)
+                lanes = open_lanes(plan.routes, conversion, target, options, writer, report)
                 if not options.only_scans:
-                    _carry_extras(reader, target, writer, report)
+                    carry_extras(reader, target, writer, report)
                 span = _span(reader, options)
                 if options.frames.write_static:
-                    _write_static(options.frames, span.first_ns, target, writer, report)
+                    write_static(options.frames, span.first_ns, target, writer, report)
                 _stream(reader, lanes, options, span, writer, report, progress)
                 writer.finish()
             except BaseException:
@@ -189,133 +171,9 @@ def _generation(connections: Iterable[Connection]) -> int | None:
     return next((c.generation for c in connections if c.generation is not None), None)
 
 
-def _lanes(
-    routes: Iterable[Route],
-    conversion: Conversion,
-    target: Destination,
-    options: ConvertOptions,
-    writer: Writer,
-    report: Report,
-) -> dict[int, _Lane]:
-    """Declare every connection of the destination and prepare the work on each of the source's."""
-    lanes: dict[int, _Lane] = {}
-    entries: dict[tuple[str, str, str | None], TopicReport] = {}
-    for route in routes:
-        connection = route.connection
-        action = "converted" if route.target else "passed" if route.passes else "left out"
-        entry = entries.get((connection.topic, connection.msgtype, route.target))
-        if entry is None:
-            entry = TopicReport(
-                connection.topic,
-                connection.ros_type,
-                route.target or (connection.topic if route.passes else None),
-                action,
-            )
-            entries[connection.topic, connection.msgtype, route.target] = entry
-            report.topics.append(entry)
-        if action == "left out":
-            continue
-        lane = _Lane(connection, entry)
-        if route.passes:
-            _prepare_passing(lane, target, options, writer)
-        if route.target:
-            lane.convert = _converter(conversion, connection, target)
-            lane.converted_handle = writer.add_connection(
-                _converted_connection(connection, route.target, conversion.target_type, target)
-            )
-            entry.clouds_kept = route.passes
-        if lane.passing_handle >= 0 or lane.converted_handle >= 0:
-            lanes[connection.id] = lane
-    return lanes
-
-
-def _prepare_passing(lane: _Lane, target: Destination, options: ConvertOptions, writer: Writer) -> None:
-    """Declare a connection that passes through, re-encoded if the destination is of the other generation."""
-    connection = lane.connection
-    entry = lane.report
-    if connection.generation == target.generation and connection.definition.data:
-        lane.passing_handle = writer.add_connection(connection)
-        return
-    # Only recordings that lack definitions, or change generation, pay for loading this.
-    from pc2scan.messages.transcode import DEFAULT_DISTRO, defined, transcoder  # noqa: PLC0415
-
-    distro = options.ros_distro or DEFAULT_DISTRO
-    if connection.generation == target.generation:
-        lane.passing_handle = writer.add_connection(defined(connection, distro))
-        return
-    if connection.generation is None:
-        if target.container == "mcap":
-            lane.passing_handle = writer.add_connection(connection)
-            return
-        error: MessageError = MessageError(f"{connection.serialization} messages fit only into an .mcap file")
-    else:
-        try:
-            transcoding = transcoder(connection, target.generation, distro=distro)
-        except MessageError as err:
-            error = err
-        else:
-            lane.encode = transcoding.encode
-            lane.passing_handle = writer.add_connection(transcoding.connection)
-            if entry.action == "passed":
-                entry.action = "re-encoded"
-                entry.note = "; ".join(transcoding.notes)
-            return
-    if options.on_error == "fail":
-        error.topic = connection.topic
-        raise error
-    entry.note, entry.lost = error.message, True
-    if entry.action != "converted":
-        entry.action, entry.target = "left out", None
-
-
-def _converter(conversion: Conversion, connection: Connection, target: Destination) -> Callable[[Buffer], Converted]:
-    serialization = "ros1" if target.generation == 1 else "cdr"
-    return lambda data: conversion(data, connection.serialization, serialization)
-
-
-def _converted_connection(source: Connection, topic: str, msgtype: str, target: Destination) -> Connection:
-    """The connection of converted messages: published as their source was."""
-    text, digest = definition(msgtype, target.generation)
-    same = source.generation == target.generation
-    return Connection(
-        id=0,
-        topic=topic,
-        msgtype=msgtype,
-        serialization="ros1" if target.generation == 1 else "cdr",
-        definition=text,
-        digest=digest,
-        callerid=source.callerid if target.generation == 1 else None,
-        latching=source.latching,
-        qos=source.qos if same else LATCHED_QOS if source.latching and target.generation == 2 else "",
-    )
-
-
-def _carry_extras(reader: Reader, target: Destination, writer: Writer, report: Report) -> None:
-    """Carry MCAP's attachments and metadata records where the destination has them."""
-    carries = target.container == "mcap" or target.storage == "mcap"
-    lost = 0
-    for attachment in reader.attachments():
-        if carries:
-            writer.add_attachment(attachment)
-        else:
-            lost += 1
-    for record in reader.metadata():
-        # rosbag2 keeps a copy of metadata.yaml under this name; its writer makes a true one.
-        if record.name == "rosbag2" and target.container != "mcap":
-            continue
-        if carries:
-            writer.add_metadata(record)
-        else:
-            lost += 1
-    if lost:
-        report.warnings.append(
-            f"{lost} MCAP attachments and metadata records are left out: the destination has no place for them"
-        )
-
-
 def _stream(
     reader: Reader,
-    lanes: Mapping[int, _Lane],
+    lanes: Mapping[int, Lane],
     options: ConvertOptions,
     span: _Span,
     writer: Writer,
@@ -374,7 +232,7 @@ def _span(reader: Reader, options: ConvertOptions) -> _Span:
     return _Span(start, stop, beginning if start is None else max(start, beginning))
 
 
-def _cut(reader: Reader, lanes: Mapping[int, _Lane], span: _Span) -> Iterator[RawMessage]:
+def _cut(reader: Reader, lanes: Mapping[int, Lane], span: _Span) -> Iterator[RawMessage]:
     """The wanted messages of the cut, after the latched ones from before it."""
     wanted = [lane.connection for lane in lanes.values()]
     start, stop = span.start_ns, span.stop_ns
@@ -385,30 +243,7 @@ def _cut(reader: Reader, lanes: Mapping[int, _Lane], span: _Span) -> Iterator[Ra
     return chain(reader.messages(lasting, None, start), messages)
 
 
-def _write_static(frames: FrameOptions, log_time_ns: int, target: Destination, writer: Writer, report: Report) -> None:
-    """Write the added transforms as one more latched publisher of /tf_static."""
-    msgtype = "tf2_msgs/msg/TFMessage"
-    text, digest = definition(msgtype, target.generation)
-    serialization = "ros1" if target.generation == 1 else "cdr"
-    handle = writer.add_connection(
-        Connection(
-            id=0,
-            topic="/tf_static",
-            msgtype=msgtype,
-            serialization=serialization,
-            definition=text,
-            digest=digest,
-            callerid="/pc2scan" if target.generation == 1 else None,
-            latching=True,
-            qos=LATCHED_QOS if target.generation == 2 else "",
-        )
-    )
-    rows = [transform.row(log_time_ns) for transform in frames.static]
-    writer.write(handle, log_time_ns, encode_transforms(rows, serialization), log_time_ns)
-    report.topics.append(TopicReport("/tf_static", msgtype, "/tf_static", "added", "from --static-tf", messages_out=1))
-
-
-def _work(item: tuple[_Lane, RawMessage]) -> _Outcome:
+def _work(item: tuple[Lane, RawMessage]) -> _Outcome:
     """All the work on one message; runs on any thread."""
     lane, message = item
     converted = passing = error = None
