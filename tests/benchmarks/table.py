@@ -265,7 +265,8 @@ def passed(
     def rosbags_passes() -> float:
         shutil.rmtree(theirs, ignore_errors=True)
         theirs.unlink(missing_ok=True)
-        line = [sys.executable, "-m", "rosbags.convert", "--src", str(source), "--dst", str(theirs), "--dst-storage", storage]
+        theirs_converts = [sys.executable, "-m", "rosbags.convert"]
+        line = [*theirs_converts, "--src", str(source), "--dst", str(theirs), "--dst-storage", storage]
 
         def work() -> None:
             subprocess.run(line, check=True, stdout=subprocess.DEVNULL)
