@@ -176,6 +176,11 @@ class Verdict:
     allowed: str = ""
     cure: str = ""
 
+    @property
+    def refused(self) -> bool:
+        """Whether nothing comes of the scan."""
+        return self.outcome in ("ignored", "aborts")
+
 
 def judge(consumer: str, scan: Scan, first: Scan | None = None) -> Verdict:
     """What a consumer does with a scan.
@@ -231,9 +236,6 @@ def _slam_toolbox(scan: Scan, first: Scan) -> Verdict:
     expected = expected_by_karto(first)
     if expected == scan.beams:
         return _kept_angles("slam_toolbox", scan, first)
-    advertised = (
-        f"angle_min {first.angle_min:.9g}, angle_max {first.angle_max:.9g}, angle_increment {first.angle_increment:.9g}"
-    )
     if scan.beams != first.beams and expected == first.beams:
         return Verdict(
             "slam_toolbox",
@@ -246,8 +248,8 @@ def _slam_toolbox(scan: Scan, first: Scan) -> Verdict:
     return Verdict(
         "slam_toolbox",
         "ignored",
-        "len(ranges) must be round((angle_max - angle_min) / angle_increment) + 1 (+ 0 for a full circle)",
-        f"{scan.beams} ranges with {advertised}",
+        "len(ranges) must be round((angle_max - angle_min) / angle_increment) + 1, or + 0 for a full circle",
+        f"{scan.beams} ranges",
         f"{expected} ranges" if expected is not None and expected > 0 else "angles that make a number of beams",
         f"{_advertise(first)}: pc2scan convert --preset slam_toolbox, or --geometry centered",
     )
@@ -370,14 +372,18 @@ def _advertise(scan: Scan) -> str:
 
 
 def _infinite_hits(consumer: str, scan: Scan) -> Verdict:
-    """The verdict of a consumer that takes range_min <= range <= range_max for a return."""
-    if scan.range_max < math.inf or not scan.infinite:
+    """The verdict of a consumer that takes range_min <= range <= range_max for a return.
+
+    gmapping leaves out what is above range_max instead, which is something else if that is NaN.
+    """
+    passes = not math.inf > scan.range_max if consumer == "gmapping" else math.inf <= scan.range_max
+    if not (passes and scan.infinite):
         return Verdict(consumer)
     return Verdict(
         consumer,
         "misplaced",
         "a range within range_max is a return, and inf <= inf",
-        f"{scan.infinite} infinite ranges, range_max inf",
+        f"{scan.infinite} infinite ranges, range_max {scan.range_max:.9g}",
         "a finite range_max",
         f"give a finite --range-max: pc2scan convert --preset {consumer}",
     )
