@@ -310,18 +310,20 @@ def _gmapping(scan: Scan, first: Scan) -> Verdict:
             f"{first.beams} ranges",
             "give all scans one number of beams (pc2scan convert does, to scans made from clouds)",
         )
+    verdict = _infinite_hits("gmapping", scan)
+    if verdict.outcome != "accepted":
+        return verdict
     # Ranges below range_min are replaced by range_max.
-    if scan.range_max == math.inf and scan.short and not scan.infinite:
+    if math.isinf(scan.range_max) and scan.short:
         return Verdict(
             "gmapping",
             "misplaced",
-            "a range below range_min becomes range_max, and inf goes into the map",
-            f"{scan.short} ranges below range_min, range_max inf",
+            "a range below range_min becomes range_max, and goes into the map",
+            f"{scan.short} ranges below range_min, range_max {scan.range_max:.9g}",
             "a finite range_max",
             "give a finite --range-max: pc2scan convert --preset gmapping",
         )
-    verdict = _infinite_hits("gmapping", scan)
-    return verdict if verdict.outcome != "accepted" else _kept_angles("gmapping", scan, first)
+    return _kept_angles("gmapping", scan, first)
 
 
 def _amcl(scan: Scan, _first: Scan) -> Verdict:
@@ -394,7 +396,7 @@ def _kept_angles(consumer: str, scan: Scan, first: Scan) -> Verdict:
     begin = scan.angle_min - first.angle_min
     end = begin + (scan.beams - 1) * (scan.angle_increment - first.angle_increment)
     off = max(abs(begin), abs(end))
-    if off <= _MISPLACED * abs(first.angle_increment):
+    if not scan.beams or off <= _MISPLACED * abs(first.angle_increment):
         return Verdict(consumer)
     return Verdict(
         consumer,
