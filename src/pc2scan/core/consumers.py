@@ -6,7 +6,8 @@ Sources of the rules, in C++ (floats of the message are float32, literals float6
 - Cartographer: ``LaserScanToPointCloudWithIntensities`` (cartographer_ros, msg_conversion.cc).
 - gmapping: ``initMapper`` and ``addScan`` (slam_gmapping.cpp), ``setLaserParameters`` (openslam, scanmatcher.cpp).
 - AMCL: ``AmclNode::updateFilter`` (nav2_amcl, amcl_node.cpp).
-- Nav2: ``Scan::getSourceData`` (nav2_collision_monitor, scan.cpp).
+- Nav2: ``Scan::getSourceData`` (nav2_collision_monitor, scan.cpp). Its costmap leaves infinite ranges out: it takes
+  what laser_geometry takes, ``range < range_max``.
 - MRPT: ``fromROS`` (ros2bridge, laser_scan.cpp).
 
 The arithmetic is theirs, in plain Python: float64 operations on float32 operands, rounded to float32 where the C++
