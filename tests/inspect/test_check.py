@@ -56,7 +56,7 @@ def test_good_scans_in_every_container(build: Callable[[Path, Recording], Path],
     assert [c.consumer for c in topic.consumers] == list(CONSUMERS)
     assert {(c.outcome, c.scans) for c in topic.consumers} == {("accepted", 5)}
     assert topic.findings == ()
-    assert topic.interval_ns == pytest.approx(STEP, rel=0.006)
+    assert topic.interval_ns == pytest.approx(STEP)
     json.dumps(found.as_dict(), allow_nan=False)
 
 

@@ -70,7 +70,7 @@ class TopicCheck:
     beams
         The smallest and the largest number of beams.
     interval_ns
-        Median of the intervals between stamps, to half a percent; None for fewer than two scans.
+        Median of the intervals between stamps, to one percent; None for fewer than two scans.
     first
         What the first scan advertises; None without any.
     consumers

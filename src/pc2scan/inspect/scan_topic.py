@@ -127,6 +127,7 @@ class ScanTopic:
         self._ranges: Counter[str] = Counter()
         self._last_ns: int | None = None
         self._intervals: Counter[int] = Counter()
+        self._totals: Counter[int] = Counter()
         self._largest = (0, 0)
         self._offsets: tuple[int, int] | None = None
 
@@ -174,19 +175,25 @@ class ScanTopic:
         if interval <= 0:
             (self._repeated if interval == 0 else self._back).add(stamp_ns)
             return
-        self._intervals[round(math.log(interval) / _CLASS)] += 1
+        number = round(math.log(interval) / _CLASS)
+        self._intervals[number] += 1
+        self._totals[number] += interval
         self._largest = max(self._largest, (interval, last))
 
     @property
     def interval_ns(self) -> float | None:
-        """The median of the intervals between stamps, to half a percent; None for fewer than two scans."""
+        """The median of the intervals between stamps, to one percent; None for fewer than two scans."""
         total = sum(self._intervals.values())
         seen = 0
         for number in sorted(self._intervals):
             seen += self._intervals[number]
             if 2 * seen >= total:
-                return math.exp(number * _CLASS)
+                return self._mean(number)
         return None
+
+    def _mean(self, number: int) -> float:
+        """The mean of the intervals of one class."""
+        return self._totals[number] / self._intervals[number]
 
     def findings(self) -> list[Finding]:
         """What is wrong with the scans, the defects first."""
@@ -296,9 +303,7 @@ class ScanTopic:
             return []
         found = []
         off = sum(
-            count
-            for number, count in self._intervals.items()
-            if abs(math.exp(number * _CLASS) - median) > _STUTTER * median
+            count for number, count in self._intervals.items() if abs(self._mean(number) - median) > _STUTTER * median
         )
         if off:
             longest, after = self._largest
