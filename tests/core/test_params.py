@@ -116,8 +116,8 @@ def test_too_many_beams_are_counted_in_the_message() -> None:
         ({"use_inf": True, "range_max": 30.0}, math.inf),
     ],
 )
-def test_no_return(values: dict[str, float], expected: float) -> None:
-    assert ProjectionParams(**values).no_return == expected  # type: ignore[arg-type]
+def test_what_an_empty_beam_reads(values: dict[str, float], expected: float) -> None:
+    assert ProjectionParams(**values).empty_range == expected  # type: ignore[arg-type]
 
 
 def test_params_are_immutable_and_hashable() -> None:

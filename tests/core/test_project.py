@@ -243,7 +243,7 @@ def parameters(draw: st.DrawFn) -> ProjectionParams:
 def edge_point(draw: st.DrawFn, params: ProjectionParams) -> tuple[float, float, float]:
     """A point within some float32 of the edge of a beam, or of a limit of the sector."""
     low, high = np.float32(params.angle_min), np.float32(params.angle_max)
-    edge = float(low) + draw(st.integers(0, params.beams)) * float(np.float32(params.angle_increment))
+    edge = float(low) + draw(st.integers(0, params.length)) * float(np.float32(params.angle_increment))
     angle = draw(st.sampled_from([edge, float(high)]))
     radius = draw(st.sampled_from([1.0, 0.45, 4.0, 3.7, 1e-3, 1e5]))
     point = np.array([radius * math.cos(angle), radius * math.sin(angle)], np.float32)

@@ -71,7 +71,7 @@ class Grid:
     )
 
     def __init__(self, params: ProjectionParams) -> None:
-        self.beams = params.beams
+        self.beams = params.length
         self.past_end = self.beams
         self.outside = self.beams + 1
         self.slots = self.beams + 2

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -87,6 +87,10 @@ class PointCounts:
         )
 
 
+def _no_values() -> NDArray[np.float32]:
+    return np.empty(0, np.float32)
+
+
 @dataclass(frozen=True, slots=True)
 class ProjectedScan:
     """What a cloud is projected to.
@@ -94,13 +98,16 @@ class ProjectedScan:
     Attributes
     ----------
     ranges
-        (N,) float32, metres: the smallest range of each beam, ``params.no_return`` where there is none.
+        (N,) float32, metres: what each beam reads, ``params.empty_range`` where there is no return.
     counts
         Where the points went.
+    intensities
+        (N,) float32, 0 where there is no return; (0,) if none were asked for.
     """
 
     ranges: NDArray[np.float32]
     counts: PointCounts
+    intensities: NDArray[np.float32] = field(default_factory=_no_values)
 
 
 class Projector:
@@ -161,8 +168,10 @@ class Projector:
             return cloud.scan()
 
 
-def project(points: ArrayLike, params: ProjectionParams | None = None) -> ProjectedScan:
-    """Project a cloud to a scan, as pointcloud_to_laserscan does it.
+def project(
+    points: ArrayLike, params: ProjectionParams | None = None, *, intensities: ArrayLike | None = None
+) -> ProjectedScan:
+    """Project a cloud to a scan, as pointcloud_to_laserscan does it unless the parameters say otherwise.
 
     Parameters
     ----------
@@ -172,16 +181,19 @@ def project(points: ArrayLike, params: ProjectionParams | None = None) -> Projec
         limits.
     params
         The projection's parameters, upstream's defaults if None. Those **drop everything at or below z = 0**.
+    intensities
+        (M,) or (H, W) real numbers, one for each point: the scan gets those of the points that it shows. None: the
+        scan has none, whatever ``params.intensity_field`` says.
 
     Returns
     -------
     ProjectedScan
-        The smallest range of each beam, and where the points went.
+        What each beam reads, and where the points went.
 
     Raises
     ------
     ValueError
-        If ``points`` has another shape.
+        If ``points`` or ``intensities`` have another shape.
     TypeError
         If ``points`` are not real numbers.
 
@@ -197,8 +209,14 @@ def project(points: ArrayLike, params: ProjectionParams | None = None) -> Projec
         raise ValueError(f"points have the shape {array.shape}, expected (M, 3) or (H, W, 3)")
     if array.dtype.kind not in "biuf":
         raise TypeError(f"points are of type {array.dtype}, expected integers or floats")
-    projector = Projector(ProjectionParams() if params is None else params)
-    return projector(array[..., 0], array[..., 1], array[..., 2])
+    params = ProjectionParams() if params is None else params
+    columns = array[..., 0], array[..., 1], array[..., 2]
+    if params.as_upstream and intensities is None:
+        return Projector(params)(*columns)
+    from .gather import GatheringProjector  # noqa: PLC0415  # it builds upon this module
+
+    values = None if intensities is None else np.asarray(intensities)
+    return GatheringProjector(params)(*columns, intensities=values)
 
 
 class _Limits:
@@ -221,7 +239,7 @@ class _Limits:
             with np.errstate(over="ignore"):
                 beyond = np.nextafter(-_first_from(-params.range_max), np.float32(np.inf))
             self.most = math.nextafter(_first_square(beyond), -math.inf)
-        self.no_return = np.float32(params.no_return)
+        self.no_return = np.float32(params.empty_range)
 
 
 def _first_from(limit: float) -> np.float32:

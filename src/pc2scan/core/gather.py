@@ -1,0 +1,159 @@
+"""The projection beyond upstream's: any geometry, any return of a beam, intensities.
+
+Points are dropped for the same reasons and in the same order as in `pc2scan.core.project`, whose path is faster and knows
+only the closest return. Here the returns of a cloud are gathered first, and each beam's are reduced to one then.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .centered import CenteredGrid
+from .grid import Grid
+from .project import PointCounts, ProjectedScan
+from .reduce import extremes, means, winners
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from .params import ProjectionParams
+    from .project import Transform
+
+__all__ = ["GatheringProjector"]
+
+#: Points at a time: few enough for the cache.
+BLOCK = 16384
+
+
+class GatheringProjector:
+    """The projection with any parameters. Threads may share one.
+
+    Parameters
+    ----------
+    params
+        The projection's parameters; ``target_frame`` is the caller's business.
+    """
+
+    __slots__ = ("_grid", "params")
+
+    def __init__(self, params: ProjectionParams) -> None:
+        self.params = params
+        self._grid = CenteredGrid(params.layout) if params.geometry == "centered" else Grid(params)
+
+    def __call__(
+        self,
+        x: NDArray[Any],
+        y: NDArray[Any],
+        z: NDArray[Any],
+        target_from_source: Transform | None = None,
+        intensities: NDArray[Any] | None = None,
+    ) -> ProjectedScan:
+        """Project a cloud.
+
+        Parameters
+        ----------
+        x, y, z
+            As `Projector` takes them: metres, of one shape, any real type; rounded to float32.
+        target_from_source
+            A transform to apply first, in float64.
+        intensities
+            A value for every point, of the same shape and any real type; None: the scan has no intensities.
+
+        Returns
+        -------
+        ProjectedScan
+            Its arrays are new.
+
+        Raises
+        ------
+        ValueError
+            If the shapes differ, or have not one or two dimensions.
+        """
+        if not (x.shape == y.shape == z.shape and 1 <= x.ndim <= 2):
+            raise ValueError(
+                f"x, y and z have the shapes {x.shape}, {y.shape}, {z.shape}, expected one of (M,) or (H, W)"
+            )
+        if intensities is not None and intensities.shape != x.shape:
+            raise ValueError(f"intensities have the shape {intensities.shape}, expected that of x, {x.shape}")
+        with np.errstate(all="ignore"):
+            return self._projected((x.reshape(-1), y.reshape(-1), z.reshape(-1)), target_from_source, intensities)
+
+    def _projected(
+        self, cloud: tuple[NDArray[Any], ...], transform: Transform | None, intensities: NDArray[Any] | None
+    ) -> ProjectedScan:
+        total, nan, height, near_or_far = cloud[0].size, 0, 0, 0
+        gathered = []
+        for start in range(0, total, BLOCK):
+            x, y, z = _coordinates([part[start : start + BLOCK] for part in cloud], transform)
+            numbers = ~(np.isnan(x) | np.isnan(y) | np.isnan(z))
+            kept = np.flatnonzero(numbers & _within(z, self.params.min_height, self.params.max_height))
+            known = int(np.count_nonzero(numbers))
+            nan += x.size - known
+            height += known - kept.size
+            x, y = x[kept], y[kept]
+            # float64 holds the squares of float32 exactly, and libm's hypotf adds them in float64.
+            ranges = np.sqrt(np.square(x, dtype=np.float64) + np.square(y, dtype=np.float64)).astype(np.float32)
+            level = np.flatnonzero(_within(ranges, self.params.range_min, self.params.range_max))
+            near_or_far += kept.size - level.size
+            gathered.append((self._grid.slots_of_points(x[level], y[level]), ranges[level], kept[level] + start))
+        slots, ranges, points = (
+            (np.concatenate(parts) for parts in zip(*gathered, strict=True))
+            if gathered
+            else (np.empty(0, np.intp), np.empty(0, np.float32), np.empty(0, np.intp))
+        )
+        beams = self._grid.beams
+        counts = np.bincount(slots, minlength=beams + 2)
+        past_end, outside = int(counts[beams]), int(counts[beams + 1])
+        if past_end + outside:
+            kept = np.flatnonzero(slots < beams)
+            slots, ranges, points = slots[kept], ranges[kept], points[kept]
+        values = None if intensities is None else intensities.reshape(-1)[points]
+        found, lit = self._reduced(slots, ranges, counts[:beams], values)
+        where = PointCounts(total, slots.size, nan, height, near_or_far, outside, past_end)
+        return ProjectedScan(found, where, lit)
+
+    def _reduced(
+        self,
+        beams: NDArray[np.intp],
+        ranges: NDArray[np.float32],
+        counts: NDArray[np.intp],
+        values: NDArray[Any] | None,
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Ranges and intensities (none without ``values``) of the beams."""
+        params = self.params
+        found = np.full(counts.size, params.empty_range, np.float32)
+        lit = np.zeros(0 if values is None else counts.size, np.float32)
+        seen = counts >= max(params.min_points, params.kth)
+        if params.reduce == "mean":
+            found[seen] = means(beams, ranges, counts)[seen]
+            if values is not None:
+                lit[seen] = means(beams, values, counts)[seen]
+        elif values is None and params.reduce in {"min", "max"}:
+            found[seen] = extremes(beams, ranges, counts.size, largest=params.reduce == "max")[seen]
+        else:
+            winner = winners(beams, ranges, counts, params.reduce, params.kth)[seen]
+            found[seen] = ranges[winner]
+            if values is not None:
+                lit[seen] = values[winner]
+        return found, lit
+
+
+def _coordinates(cloud: list[NDArray[Any]], transform: Transform | None) -> list[NDArray[np.float32]]:
+    """Contiguous float32, transformed; written out, for a matrix product may sum in any order."""
+    if transform is None:
+        return [part.astype(np.float32) for part in cloud]
+    x, y, z = (part.astype(np.float64) for part in cloud)
+    rotation, translation = transform
+    return [
+        (x * row[0] + y * row[1] + z * row[2] + offset).astype(np.float32)
+        for row, offset in zip(rotation, translation, strict=True)
+    ]
+
+
+def _within(values: NDArray[np.float32], low: float, high: float) -> NDArray[np.bool_]:
+    """Compared as float64: the limits are not rounded."""
+    exact = values.astype(np.float64)
+    inside: NDArray[np.bool_] = (exact >= low) & (exact <= high)
+    return inside
