@@ -366,7 +366,7 @@ def _file_setting(name: str, leaf: _Leaf, *, ros1: bool) -> Setting:
     # roscpp takes 0 and 1 for a bool; rclcpp refuses them.
     if ros1 and PARAMETERS[name].kind == "bool" and isinstance(value, int) and value in {0, 1}:
         value = bool(value)
-    return Setting(name, value, leaf.origin)
+    return Setting(name, value, leaf.origin, "file")
 
 
 def render_params_file(params: ProjectionParams, *, direction: Direction = "pointcloud_to_laserscan") -> str:
@@ -375,8 +375,9 @@ def render_params_file(params: ProjectionParams, *, direction: Direction = "poin
     Parameters
     ----------
     params
-        Every value is written out, except a ``queue_size`` of 0: for pc2scan and, left out, for
-        upstream it means the number of processor cores.
+        Every value is written out, except a ``queue_size`` of 0 (for pc2scan and, left out, for
+        upstream it means the number of processor cores), the defaults of what upstream does not have, and of two
+        that say the same the weaker one: ``beams`` became an increment, ``no_return`` beats ``use_inf``.
     direction
         Names the node, and leaves out what that node does not have.
 
@@ -387,9 +388,15 @@ def render_params_file(params: ProjectionParams, *, direction: Direction = "poin
     """
     lines = [f"{direction}:", "  ros__parameters:"]
     for name in names_of(direction):
-        value = getattr(params, name)
-        if name != "queue_size" or value:
-            unit = PARAMETERS[name].unit
+        value, parameter = getattr(params, name), PARAMETERS[name]
+        left_out = (
+            (name == "queue_size" and not value)
+            or (not parameter.upstreams and value == parameter.default)
+            or name == "beams"
+            or (name == "use_inf" and params.no_return)
+        )
+        if not left_out:
+            unit = parameter.unit
             lines.append(f"    {name}: {_rendered(value)}{f'  # {unit}' if unit else ''}")
     return "\n".join(lines) + "\n"
 
