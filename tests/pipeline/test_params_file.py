@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING
 
 import pytest
@@ -613,6 +613,11 @@ def any_params(draw: st.DrawFn) -> ProjectionParams:
         use_inf=draw(st.booleans()),
         inf_epsilon=draw(finite),
         queue_size=draw(st.integers(0, 10**6)),
+        geometry=draw(st.sampled_from(["upstream", "centered"])),
+        reduce=draw(st.sampled_from(["min", "max", "mean", "median"])),
+        min_points=draw(st.integers(1, 9)),
+        intensity_field=draw(st.text()),
+        time_increment=draw(st.one_of(finite, st.just("auto"))),
     )
 
 
@@ -641,6 +646,15 @@ def test_what_a_rendered_file_looks_like() -> None:
     assert "    use_inf: false" in lines
     assert not any("queue_size" in line for line in lines)
     assert "    queue_size: 3" in render_params_file(ProjectionParams(queue_size=3)).splitlines()
+
+
+def test_a_rendered_file_says_nothing_twice(tmp_path: Path) -> None:
+    assert "geometry" not in render_params_file(ProjectionParams())
+    params = ProjectionParams(beams=720, no_return="nan", use_inf=False, scan_time="auto", reduce="kth", kth=3)
+    text = render_params_file(params)
+    assert "beams" not in text
+    assert "use_inf" not in text
+    assert params_of(reread(text, tmp_path / "p.yaml")) == replace(params, beams=0, use_inf=True)
 
 
 def test_a_rendered_file_of_the_reverse_direction(tmp_path: Path) -> None:

@@ -1,7 +1,7 @@
 """The projection beyond upstream's: any geometry, any return of a beam, intensities.
 
-Points are dropped for the same reasons and in the same order as in `pc2scan.core.project`, whose path is faster and knows
-only the closest return. Here the returns of a cloud are gathered first, and each beam's are reduced to one then.
+Points are dropped for the same reasons and in the same order as in `pc2scan.core.project`, whose path is faster and
+knows only the closest return. Here the returns of a cloud are gathered first, and each beam's are reduced to one then.
 """
 
 from __future__ import annotations

@@ -14,9 +14,10 @@ __all__ = ["TURN", "BeamLayout", "beam_count", "centered_layout", "float32", "up
 
 TURN = 2 * math.pi
 
-#: Parts of a beam that a sector may lack for its last one: quotients of angles such as pi / (pi / 180) are off by
-#: some roundings.
+#: Parts of a beam that a sector may lack for its last one, and a circle for its closing: angles are written with few
+#: digits, and quotients such as pi / (pi / 180) are off by some roundings.
 _SLACK = 1e-3
+_GAP = 0.5e-3
 
 
 def float32(value: float) -> float:
@@ -82,7 +83,7 @@ def upstream_layout(angle_min: float, angle_max: float, angle_increment: float, 
     if beams:
         angle_increment = float32((float32(angle_max) - float32(angle_min)) / beams)
         while beam_count(angle_min, angle_max, angle_increment) > beams:
-            angle_increment = _next_float32(angle_increment)
+            angle_increment = _float32_beside(angle_increment, 1)
     count = beam_count(angle_min, angle_max, angle_increment)
     return BeamLayout(count, float32(angle_min), float32(angle_max), float32(angle_increment))
 
@@ -103,17 +104,17 @@ def centered_layout(angle_min: float, angle_max: float, angle_increment: float, 
     Returns
     -------
     BeamLayout
-        A full circle where no more than half a beam is left between the last beam and the first: its beams divide
-        the circle evenly, none of them twice, and their increment is the nearest to the one asked for that does.
-        ``angle_max`` is the float32 next to the last beam's middle.
+        A full circle where the sector is a whole turn, or leaves no gap between the last beam and the first: its
+        beams divide the circle evenly, none of them twice, and their increment is the nearest to the one asked for
+        that does. ``angle_max`` is the float32 next to the last beam's middle.
 
     Notes
     -----
     Why these float32 values suit the consumers: slam_toolbox (Karto) expects ``round((angle_max - angle_min) /
     angle_increment) + 1`` ranges unless it takes the scan for a circle that repeats its first beam, for which the
-    span has to be closer to 2 pi than an increment by 2 pi times float32's epsilon (7.5e-7). A circle's increment
-    and ``angle_max``, rounded, are off by 6.1e-7 together. MRPT's step, ``(angle_max - angle_min) / (len - 1)``, is
-    the increment to within the rounding of ``angle_max``.
+    span has to be closer to 2 pi than an increment by 2 pi times float32's epsilon (7.5e-7). With an increment that
+    is rounded down only the roundings of ``angle_max`` and of the span count, at most 4.8e-7 within +-8 rad. MRPT's
+    step, ``(angle_max - angle_min) / (len - 1)``, is the increment to within the same.
     """
     first, span = float32(angle_min), angle_max - angle_min
     step = span / (beams - 1) if beams else angle_increment
@@ -121,16 +122,18 @@ def centered_layout(angle_min: float, angle_max: float, angle_increment: float, 
     count = beams
     if span < TURN:
         count = beams or math.floor(span / step + _SLACK) + 1
-        full_circle = count * step >= TURN - step / 2
+        full_circle = count * step >= TURN - _GAP * step
     if full_circle:
         count = beams or max(1, round(TURN / step))
         step = TURN / count
     increment = float32(step)
+    if (beams or full_circle) and increment > step:
+        increment = _float32_beside(increment, -1)
     return BeamLayout(count, first, float32(first + (count - 1) * increment), increment, full_circle)
 
 
-def _next_float32(value: float) -> float:
-    """The next larger float32 of a positive one."""
+def _float32_beside(value: float, steps: int) -> float:
+    """The float32 so many steps from a positive one."""
     (bits,) = struct.unpack("<I", struct.pack("<f", value))
-    following: float = struct.unpack("<f", struct.pack("<I", bits + 1))[0]
-    return following
+    beside: float = struct.unpack("<f", struct.pack("<I", bits + steps))[0]
+    return beside

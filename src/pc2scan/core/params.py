@@ -186,8 +186,8 @@ class ProjectionParams:
         layout = self.layout
         if not 0 < layout.count <= MAX_BEAMS:
             raise ParameterError(
-                f"angle_increment is {self.angle_increment} rad, which makes {layout.count:,} beams of the sector "
-                f"{self.angle_min} to {self.angle_max} rad; at most {MAX_BEAMS:,} are allowed",
+                f"angle_increment is {self.angle_increment} rad, which divides the sector {self.angle_min} to "
+                f"{self.angle_max} rad into {layout.count:,}; at most {MAX_BEAMS:,} are allowed",
                 name="angle_increment",
             )
         if not layout.angle_min < layout.angle_max:

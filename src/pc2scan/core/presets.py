@@ -1,9 +1,9 @@
 """What suits each consumer of laser scans, as parameters of the projection.
 
-All of them want beams that are where the message says, and a finite ``range_max``: with an infinite one, infinite ranges
-pass for returns. It is one figure for every recording, so that the scans of a dataset agree in it: gmapping and
-slam_toolbox take it from the first scan. Returns beyond 100 m, more than 2D SLAM uses, are left out. ``range_min`` leaves
-out the (0, 0, 0) that some drivers write for no return: it would be an obstacle at distance zero.
+All of them want beams that are where the message says, and a finite ``range_max``: with an infinite one, infinite
+ranges pass for returns. It is one figure for every recording, so that the scans of a dataset agree in it: gmapping and
+slam_toolbox take it from the first scan. Returns beyond 100 m, more than 2D SLAM uses, are left out. ``range_min``
+leaves out the (0, 0, 0) that some drivers write for no return: it would be an obstacle at distance zero.
 """
 
 from __future__ import annotations

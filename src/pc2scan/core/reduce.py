@@ -1,7 +1,7 @@
 """From the returns of each beam to the one that the scan reads.
 
-Returns are given as two arrays of one length, in the order of the cloud: the beam that each fell into, and its range. Of
-equal ranges in a beam the first one in that order wins. Nothing depends on blocks or threads.
+Returns are given as two arrays of one length, in the order of the cloud: the beam that each fell into, and its range.
+Of equal ranges in a beam the first one in that order wins. Nothing depends on blocks or threads.
 """
 
 from __future__ import annotations

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -45,7 +46,7 @@ def median_interval_ns(stamps_ns: Iterable[int]) -> int | None:
     None for fewer than two different stamps.
     """
     ordered = sorted(set(stamps_ns))
-    intervals = sorted(later - earlier for earlier, later in zip(ordered, ordered[1:], strict=False))
+    intervals = sorted(later - earlier for earlier, later in pairwise(ordered))
     return intervals[(len(intervals) - 1) // 2] if intervals else None
 
 
@@ -127,10 +128,11 @@ def fit_sweep(angles: NDArray[Any], times: NDArray[np.float64]) -> Sweep | None:
     slices = np.minimum(((times - begin) * (_SLICES / (end - begin))).astype(np.intp), _SLICES - 1)
     points = np.bincount(slices, minlength=_SLICES)
     there = points > 0
-    x, y, when = (np.bincount(slices, weights, _SLICES)[there] for weights in (np.cos(angles), np.sin(angles), times))
-    if there.sum() < _SLICES / 4:
+    if np.count_nonzero(there) < _SLICES / 4:
         return None
-    directions, when = np.unwrap(np.arctan2(y, x)), when / points[there]
+    x, y, when = (_sums(slices, weights)[there] for weights in (np.cos(angles), np.sin(angles), times))
+    directions = np.unwrap(np.arctan2(y, x))
+    when /= points[there]
     # The median of the slopes between any two slices (Theil and Sen): some slices see only the outermost lasers.
     first, second = np.triu_indices(when.size, 1)
     rate = float(np.median((directions[second] - directions[first]) / (when[second] - when[first])))
@@ -140,6 +142,10 @@ def fit_sweep(angles: NDArray[Any], times: NDArray[np.float64]) -> Sweep | None:
     if off > _STRAIGHT or not 4 * _STRAIGHT < turned < TURN + 2 * _OVERLAP:
         return None
     return Sweep(begin, end, angle, rate)
+
+
+def _sums(slices: NDArray[np.intp], weights: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.bincount(slices, weights, _SLICES).astype(np.float64)
 
 
 def beam_times(sweep: Sweep, layout: BeamLayout) -> tuple[float, float] | None:

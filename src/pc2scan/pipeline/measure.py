@@ -1,4 +1,4 @@
-"""What a conversion is told to find out before it begins: when scans and beams were measured, and which fields there are.
+"""What a conversion has to find out before it begins: when scans and beams were measured, which fields there are.
 
 Only the first clouds of a topic are looked at, so that a conversion stays a single pass over the recording.
 """
@@ -13,7 +13,7 @@ import numpy as np
 
 from pc2scan.core.layout import TURN
 from pc2scan.core.timing import TIME_FIELDS, beam_times, fit_sweep, median_interval_ns, point_times
-from pc2scan.errors import DecodeError, MessageError, ParameterError, stamp_text
+from pc2scan.errors import MessageError, ParameterError, stamp_text
 from pc2scan.messages.pointcloud2 import decode_pointcloud2
 
 from .conversion import Timing
@@ -158,14 +158,22 @@ class _FirstClouds:
         found = [times for sweep in self._sweeps if (times := beam_times(sweep, self._params.layout)) is not None]
         if len(found) < len(self._sweeps):
             lowest = statistics.median_low(sorted(sweep.lowest for sweep in self._sweeps))
-            return 0.0, 0, (
-                f"time_increment is 0, for the clouds begin and end in the middle of the scan, at {lowest:.2f} rad; "
-                f"a scan that begins there can tell: --angle-min {lowest:.4f} --angle-max {lowest + TURN:.4f}"
+            return (
+                0.0,
+                0,
+                (
+                    f"time_increment is 0, for the clouds begin and end in the middle of the scan, at {lowest:.2f} rad; "
+                    f"a scan that begins there can tell: --angle-min {lowest:.4f} --angle-max {lowest + TURN:.4f}"
+                ),
             )
         first_beam_ns = round(statistics.median_low(sorted(first for first, _ in found)) * 1e9)
         increment = statistics.median_low(sorted(step for _, step in found))
         way = "clockwise, so the first beam is the last in time" if increment < 0 else "counter-clockwise"
-        return increment, first_beam_ns, (
-            f"time_increment is {increment:.4g} s, from {field}: the lidar turns {way}; "
-            f"stamps are the first beam's, {stamp_text(first_beam_ns)} s after the clouds'"
+        return (
+            increment,
+            first_beam_ns,
+            (
+                f"time_increment is {increment:.4g} s, from {field}: the lidar turns {way}; "
+                f"stamps are the first beam's, {stamp_text(first_beam_ns)} s after the clouds'"
+            ),
         )

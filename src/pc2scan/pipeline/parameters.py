@@ -156,7 +156,10 @@ _HELP: dict[str, tuple[str, str]] = {
     ),
     "beams": ("", "How many beams the sector has, instead of angle_increment."),
     "no_return": ("", "What a beam without a return reads. Left out: use_inf tells."),
-    "reduce": ("", "Which of its returns a beam reads: the closest, the farthest, their mean or median, the kth closest."),
+    "reduce": (
+        "",
+        "Which of its returns a beam reads: the closest, farthest, their mean, median, or the kth closest.",
+    ),
     "kth": ("", "Which one --reduce kth takes: 1 is the closest. A beam with fewer returns has none."),
     "min_points": ("", "A beam with fewer returns than this has none."),
     "intensity_field": ("", "Field of the cloud whose values, at the returns shown, become the scan's intensities."),
@@ -266,7 +269,7 @@ def _typed(parameter: Parameter, setting: Setting) -> float | bool | str:
     kind = parameter.kind
     if kind == "bool" and isinstance(value, bool):
         return value
-    if isinstance(value, str) and (kind == "str" or value in parameter.words):
+    if isinstance(value, str) and (value in parameter.words or (kind == "str" and not parameter.words)):
         return value
     if kind == "str" and isinstance(value, float) and str(value) in parameter.words:
         # YAML takes the words inf and nan for numbers.
@@ -285,6 +288,8 @@ def _typed(parameter: Parameter, setting: Setting) -> float | bool | str:
 
 
 def _type_hint(parameter: Parameter, value: object) -> str | None:
+    if parameter.words:
+        return None
     if parameter.kind == "str" and isinstance(value, bool | int | float):
         return "YAML takes it for a number or a truth value; put it in quotes."
     if parameter.kind == "bool" and isinstance(value, int):

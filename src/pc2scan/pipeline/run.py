@@ -20,7 +20,7 @@ from pc2scan.bags.registry import (
     plan_destination,
 )
 from pc2scan.bags.staging import staged
-from pc2scan.errors import MessageError, UsageError
+from pc2scan.errors import MessageError, ParameterError, UsageError
 
 from .frames import Frames, is_static, read_transforms
 from .lanes import Lane, carry_extras, open_lanes, write_static
@@ -171,7 +171,12 @@ def _conversion(
     from .measure import measure  # noqa: PLC0415  # only where something is left to be measured
 
     converted = [route.connection for route in plan.routes if route.target]
-    timings, notes = measure(reader, converted, params, frames, span.start_ns, span.stop_ns)
+    try:
+        timings, notes = measure(reader, converted, params, frames, span.start_ns, span.stop_ns)
+    except ParameterError as err:
+        if origin := report.origins.get(err.name):
+            err.message += f" (from {origin})"
+        raise
     report.notes += notes
     return CloudToScan(params, frames, timings)
 
