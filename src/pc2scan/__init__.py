@@ -1,7 +1,8 @@
 """Recorded 3D lidar to 2D laser scans, bit for bit what ROS's pointcloud_to_laserscan returns.
 
-`convert` turns recordings into recordings, `project` turns points into a scan, `info` tells what is in a
-recording. Errors are those of `pc2scan.errors`. Importing this module is cheap: what it offers is loaded on first use.
+`convert` turns recordings into recordings, `project` turns points into a scan, `check` tells who would take a
+recording's scans, `info` tells what is in it. Errors are those of `pc2scan.errors`. Importing this module is cheap:
+what it offers is loaded on first use.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from .core.project import ProjectedScan as ProjectedScan
     from .core.project import project as project
     from .core.unproject import UnprojectParams as UnprojectParams
+    from .inspect.check import check as check
     from .inspect.info import info as info
     from .pipeline.frames import FrameOptions as FrameOptions
     from .pipeline.frames import StaticTransform as StaticTransform
@@ -31,6 +33,7 @@ __all__ = [
     "Report",
     "StaticTransform",
     "UnprojectParams",
+    "check",
     "convert",
     "info",
     "project",
@@ -44,6 +47,7 @@ _HOMES = {
     "Report": "pipeline.report",
     "StaticTransform": "pipeline.frames",
     "UnprojectParams": "core.unproject",
+    "check": "inspect.check",
     "convert": "api",
     "info": "inspect.info",
     "project": "core.project",

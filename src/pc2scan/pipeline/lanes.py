@@ -31,7 +31,8 @@ __all__ = ["Lane", "carry_extras", "open_lanes", "write_static"]
 class Lane:
     """Where the messages of one source connection go.
 
-    ``convert`` and ``encode`` are the work; None where there is none. The handles are the writer's.
+    ``convert`` and ``encode`` are the work; None where there is none. The handles are the writer's. ``sample`` is the
+    first converted message; all others have its geometry.
     """
 
     connection: Connection
@@ -40,6 +41,7 @@ class Lane:
     encode: Callable[[Buffer], Buffer] | None = None
     converted_handle: int = -1
     passing_handle: int = -1
+    sample: bytes = b""
 
 
 def open_lanes(

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from .options import ConvertOptions, TopicRequest
 
-__all__ = ["Plan", "Route", "make_plan"]
+__all__ = ["Plan", "Route", "find_topic", "make_plan"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +81,7 @@ def _targets(connections: Sequence[Connection], options: ConvertOptions) -> dict
     kind = options.source_type
     candidates = [topic for topic, kinds in types.items() if kind in kinds]
     if options.topics:
-        requests = {_find(request, types, candidates, kind): request.target for request in options.topics}
+        requests = {find_topic(request.source, types, candidates, kind): request.target for request in options.topics}
     else:
         requests = {topic: None for topic in candidates if not _matches(topic, options.drop)}
         if not requests:
@@ -93,17 +93,34 @@ def _targets(connections: Sequence[Connection], options: ConvertOptions) -> dict
     }
 
 
-def _find(request: TopicRequest, types: dict[str, set[str]], candidates: list[str], kind: str) -> str:
-    """The topic that a request means; a leading slash is no difference."""
+def find_topic(asked: str, types: dict[str, set[str]], candidates: list[str], kind: str) -> str:
+    """The topic of a type that a name means; a leading slash is no difference.
+
+    Parameters
+    ----------
+    asked
+        The name.
+    types
+        The types that each topic of the recording has.
+    candidates
+        The topics of the type.
+    kind
+        The type, in ROS 2's spelling.
+
+    Raises
+    ------
+    TopicError
+        If there is no such topic, or it has another type.
+    """
     there = f"{_short(kind)} topics: {_listed(candidates)}"
-    for name in (request.source, f"/{request.source}", request.source.removeprefix("/")):
+    for name in (asked, f"/{asked}", asked.removeprefix("/")):
         if name in types:
             if kind in types[name]:
                 return name
             raise TopicError(f"topic {name} is {', '.join(sorted(types[name]))}, not {kind}", hint=there)
-    near = difflib.get_close_matches(request.source, candidates, n=1)
+    near = difflib.get_close_matches(asked, candidates, n=1)
     hint = f"did you mean {near[0]}? " if near else ""
-    raise TopicError(f"no topic {request.source} in the recording", hint=f"{hint}{there}")
+    raise TopicError(f"no topic {asked} in the recording", hint=f"{hint}{there}")
 
 
 def _nothing_to_convert(types: dict[str, set[str]], candidates: list[str], kind: str) -> str:

@@ -21,7 +21,9 @@ from pc2scan.bags.registry import (
 )
 from pc2scan.bags.staging import staged
 from pc2scan.errors import MessageError, ParameterError, UsageError
+from pc2scan.messages.laserscan import LASERSCAN
 
+from .acceptance import refusal
 from .frames import Frames, is_static, read_transforms
 from .lanes import Lane, carry_extras, open_lanes, write_static
 from .memory import keep_freed_memory
@@ -124,6 +126,8 @@ def run(
                 if options.frames.write_static:
                     write_static(options.frames, span.first_ns, target, writer, report)
                 _stream(reader, lanes, options, span, writer, report, progress)
+                if conversion.target_type == LASERSCAN:
+                    report.warnings += _refusals(lanes.values(), "ros1" if target.generation == 1 else "cdr")
                 writer.finish()
             except BaseException:
                 writer.abort()
@@ -282,6 +286,7 @@ def _write(outcome: _Outcome, writer: Writer, report: Report, on_error: str) -> 
         writer.write(lane.passing_handle, when[0], passing, when[1], when[2])
     if converted is not None:
         writer.write(lane.converted_handle, when[0], converted.data, when[1], when[2])
+        lane.sample = lane.sample or converted.data
         entry.points += converted.counts
         entry.empty_scans += converted.empty
     if error is not None:
@@ -294,6 +299,15 @@ def _write(outcome: _Outcome, writer: Writer, report: Report, on_error: str) -> 
         )
     else:
         entry.messages_out += 1
+
+
+def _refusals(lanes: Iterable[Lane], serialization: str) -> list[str]:
+    """Who would refuse the scans that were written, topics of one answer together."""
+    topics: dict[str, dict[str, None]] = {}
+    for lane in lanes:
+        if lane.sample and (text := refusal(lane.sample, serialization)):
+            topics.setdefault(text, {})[lane.report.target or ""] = None
+    return [f"{', '.join(names)}: {text}" for text, names in topics.items()]
 
 
 def _size(path: Path) -> int:

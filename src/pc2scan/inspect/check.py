@@ -1,0 +1,276 @@
+"""Whether the scans of a recording would be accepted by those who read them."""
+
+from __future__ import annotations
+
+import math
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pc2scan.bags.merged import MergedReader
+from pc2scan.bags.registry import open_recording
+from pc2scan.core.consumers import CONSUMERS, Outcome
+from pc2scan.errors import DecodeError, TopicError, UsageError
+from pc2scan.messages.laserscan import LASERSCAN, decode_laserscan
+from pc2scan.pipeline.frames import FrameOptions, read_transforms
+from pc2scan.pipeline.plan import find_topic
+
+from .scan_frames import ScanFrames, no_transforms
+from .scan_topic import Finding, ScanTopic
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from pc2scan.bags.model import Connection, Reader
+    from pc2scan.core.consumers import Scan, Verdict
+    from pc2scan.tf.buffer import TransformBuffer
+
+    from .scan_topic import Judged
+
+__all__ = ["Check", "ConsumerCheck", "TopicCheck", "check"]
+
+
+@dataclass(frozen=True, slots=True)
+class ConsumerCheck:
+    """What one consumer does with the scans of a topic.
+
+    Attributes
+    ----------
+    consumer
+        Its name.
+    outcome
+        The worst that happens to any scan.
+    scans
+        To how many it happens.
+    verdict
+        The rule, the numbers and the cure, of the first of them.
+    stamp_ns
+        That one's stamp.
+    """
+
+    consumer: str
+    outcome: Outcome
+    scans: int
+    verdict: Verdict
+    stamp_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class TopicCheck:
+    """What was found of one topic.
+
+    Attributes
+    ----------
+    scans
+        How many were decoded.
+    frames
+        The ``frame_id`` that occur.
+    beams
+        The smallest and the largest number of beams.
+    interval_ns
+        Median of the intervals between stamps, to one percent; None for fewer than two scans.
+    first
+        What the first scan advertises; None without any.
+    consumers
+        What each consumer does, in the order of `pc2scan.core.consumers.CONSUMERS`; empty without scans.
+    findings
+        What is wrong whoever reads the scans, the defects first.
+    """
+
+    topic: str
+    scans: int
+    frames: tuple[str, ...]
+    beams: tuple[int, int]
+    interval_ns: float | None
+    first: Scan | None
+    consumers: tuple[ConsumerCheck, ...]
+    findings: tuple[Finding, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """What was found of a recording's scans.
+
+    Attributes
+    ----------
+    sources
+        Paths as they were given.
+    asked
+        Consumers that were asked for; empty means all.
+    topics
+        One entry a topic, by name.
+    warnings
+        Transforms that cannot be used, and why.
+    """
+
+    sources: tuple[str, ...]
+    asked: tuple[str, ...]
+    topics: tuple[TopicCheck, ...]
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def counting(self) -> tuple[str, ...]:
+        """Consumers whose verdicts count."""
+        return self.asked or tuple(CONSUMERS)
+
+    @property
+    def accepted(self) -> bool:
+        """Whether every consumer that counts takes every scan of every topic; where there is none it does not."""
+        return all(
+            {c.consumer: c.outcome for c in topic.consumers}.get(consumer) == "accepted"
+            for topic in self.topics
+            for consumer in self.counting
+        )
+
+    @property
+    def defects(self) -> int:
+        """How many findings are defects."""
+        return sum(finding.level == "defect" for topic in self.topics for finding in topic.findings)
+
+    @property
+    def exit_status(self) -> int:
+        """0 if the scans are good, 1 if not.
+
+        With consumers asked for: whether these accept every scan of every topic. Without: whether all do, and
+        there is no defect.
+        """
+        return int(not self.accepted or (not self.asked and self.defects > 0))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return JSON's types; infinite numbers and NaN are text."""
+        return {
+            "exit_status": self.exit_status,
+            "sources": list(self.sources),
+            "asked": list(self.asked),
+            "topics": [_plain(asdict(topic)) for topic in self.topics],
+            "warnings": list(self.warnings),
+        }
+
+
+def check(
+    sources: str | PathLike[str] | Sequence[str | PathLike[str]],
+    *,
+    consumers: Iterable[str] = (),
+    topics: Iterable[str] = (),
+    odom_frame: str = "odom",
+    base_frame: str = "",
+    frames: FrameOptions | None = None,
+) -> Check:
+    """Tell what those who read laser scans would do with the ones of a recording.
+
+    Parameters
+    ----------
+    sources
+        A recording, or several that are one.
+    consumers
+        Whose verdicts count, of `pc2scan.core.consumers.CONSUMERS`; empty means all, and defects count too. All are
+        told in any case.
+    topics
+        LaserScan topics to look at; empty means all.
+    odom_frame, base_frame
+        The frames that scans must be connected with; an empty ``base_frame`` means ``base_link``, or
+        ``base_footprint`` where that is not there.
+    frames
+        Where transforms come from; None means the recording's ``/tf`` and ``/tf_static``.
+
+    Raises
+    ------
+    UsageError
+        If a consumer is unknown, there is no such topic, or several namespaces have transforms and none was named.
+    RecordingError
+        If a source cannot be read.
+
+    Notes
+    -----
+    The scans are read once, and none is kept; the transforms are read before them.
+    """
+    asked = tuple(dict.fromkeys(consumers))
+    for consumer in asked:
+        if consumer not in CONSUMERS:
+            raise UsageError(f"no consumer {consumer!r}", hint=f"known: {', '.join(CONSUMERS)}")
+    paths = [sources] if isinstance(sources, str | PathLike) else list(sources)
+    if not paths:
+        raise UsageError("no source given")
+    options = frames or FrameOptions()
+    with ExitStack() as stack:
+        readers = _open(paths, stack)
+        reader = MergedReader(readers) if len(readers) > 1 else readers[0]
+        chosen = _chosen(reader.connections, tuple(topics))
+        buffer, warnings = read_transforms([*readers, *_open(options.tf_from, stack)], options)
+        found = _read(reader, chosen, buffer, odom_frame, base_frame)
+    return Check(tuple(map(str, paths)), asked, tuple(found), tuple(warnings))
+
+
+def _open(paths: Iterable[str | PathLike[str]], stack: ExitStack) -> list[Reader]:
+    readers = []
+    for path in paths:
+        reader = open_recording(Path(path))
+        stack.callback(reader.close)
+        readers.append(reader)
+    return readers
+
+
+def _chosen(connections: Sequence[Connection], topics: tuple[str, ...]) -> dict[str, list[Connection]]:
+    """The connections of the topics to look at, by topic."""
+    types: dict[str, set[str]] = {}
+    scans: dict[str, list[Connection]] = {}
+    for connection in connections:
+        types.setdefault(connection.topic, set()).add(connection.ros_type)
+        if connection.ros_type == LASERSCAN and connection.generation is not None:
+            scans.setdefault(connection.topic, []).append(connection)
+    if not scans:
+        raise TopicError("the recording has no LaserScan topic", hint="pc2scan convert makes scans of its clouds")
+    names = {find_topic(topic, types, sorted(scans), LASERSCAN) for topic in topics} or scans.keys()
+    return {name: scans[name] for name in sorted(names)}
+
+
+def _read(
+    reader: Reader, chosen: dict[str, list[Connection]], buffer: TransformBuffer, odom_frame: str, base_frame: str
+) -> list[TopicCheck]:
+    """Read the scans, once."""
+    topics = {name: (ScanTopic(), ScanFrames(buffer, odom_frame, base_frame)) for name in chosen}
+    for message in reader.messages([c for group in chosen.values() for c in group]):
+        scans, places = topics[message.connection.topic]
+        try:
+            scan = decode_laserscan(message.data, message.connection.serialization)
+        except DecodeError as err:
+            scans.add_undecodable(message.log_time_ns, err.message)
+            continue
+        scans.add(scan, message.log_time_ns)
+        places.add(scan.frame_id, scan.stamp_ns)
+    return [_topic_check(name, scans, places if len(buffer) else None) for name, (scans, places) in topics.items()]
+
+
+def _topic_check(name: str, scans: ScanTopic, places: ScanFrames | None) -> TopicCheck:
+    missing = [] if not scans.scans else [no_transforms()] if places is None else places.findings()
+    findings = sorted([*scans.findings(), *missing], key=lambda finding: finding.level)
+    return TopicCheck(
+        name,
+        scans.scans,
+        tuple(scans.frames),
+        (min(scans.beams, default=0), max(scans.beams, default=0)),
+        scans.interval_ns,
+        scans.first,
+        tuple(
+            _consumer_check(consumer, judged, outcome)
+            for consumer, judged in scans.judged.items()
+            if (outcome := judged.worst) is not None
+        ),
+        tuple(findings),
+    )
+
+
+def _consumer_check(consumer: str, judged: Judged, outcome: Outcome) -> ConsumerCheck:
+    verdict, stamp_ns = judged.firsts[outcome]
+    return ConsumerCheck(consumer, outcome, judged.counts[outcome], verdict, stamp_ns)
+
+
+def _plain(value: Any) -> Any:
+    """JSON has no infinity."""
+    if isinstance(value, dict):
+        return {key: _plain(part) for key, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(part) for part in value]
+    return str(value) if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,377 @@
+"""What is said of the scans of one topic while they go by: nothing is kept but counts and the first of each kind."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Literal
+
+from pc2scan.core.consumers import CONSUMERS, OUTCOMES, Outcome, Scan, Verdict, judge
+from pc2scan.errors import stamp_text
+from pc2scan.pipeline.acceptance import described
+
+if TYPE_CHECKING:
+    from pc2scan.messages.laserscan import LaserScan
+
+__all__ = ["Finding", "Judged", "Level", "ScanTopic", "Tally", "finding"]
+
+#: ``defect``: against what the message means, or of no use to anyone. ``notice``: worth knowing.
+Level = Literal["defect", "notice"]
+
+#: Intervals between stamps are counted in classes that are this much apart, 1 %: their median takes no memory.
+_CLASS = math.log(1.01)
+
+#: An interval that differs from the median by more than this share of it is told: a scan is missing, or too many.
+_STUTTER = 0.5
+
+#: A ``scan_time`` that differs from the median interval by more than this share of it is told.
+_SCAN_TIME = 0.2
+
+#: Rounding of a driver's ``time_increment``.
+_ROUNDING = 1.01
+
+#: Stamps and log times farther apart than this are told, nanoseconds: a sensor's clock, not a delay.
+_FAR_NS = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """Something that is wrong with the scans of a topic, whoever reads them.
+
+    Attributes
+    ----------
+    kind
+        A word for programs, such as ``stamps-back``.
+    level
+        ``defect`` or ``notice``.
+    text
+        What, with the numbers.
+    hint
+        What to do about it; empty where nothing is known.
+    count
+        How many scans.
+    stamp_ns
+        The stamp of the first of them; None where it concerns no single one.
+    """
+
+    kind: str
+    level: Level
+    text: str
+    hint: str = ""
+    count: int = 0
+    stamp_ns: int | None = None
+
+
+@dataclass(slots=True)
+class Tally:
+    """How often something was seen, and when first."""
+
+    count: int = 0
+    stamp_ns: int | None = None
+
+    def add(self, stamp_ns: int) -> None:
+        """Count one more."""
+        self.count += 1
+        if self.stamp_ns is None:
+            self.stamp_ns = stamp_ns
+
+
+@dataclass(slots=True)
+class Judged:
+    """What a consumer does with the scans: how many of each outcome, and the first verdict of each."""
+
+    counts: Counter[Outcome] = field(default_factory=Counter)
+    firsts: dict[Outcome, tuple[Verdict, int]] = field(default_factory=dict)
+
+    def add(self, verdict: Verdict, stamp_ns: int) -> None:
+        """Count one more."""
+        self.counts[verdict.outcome] += 1
+        self.firsts.setdefault(verdict.outcome, (verdict, stamp_ns))
+
+    @property
+    def worst(self) -> Outcome | None:
+        """The worst outcome of any scan; None if there was none."""
+        return max(self.counts, key=OUTCOMES.index, default=None)
+
+
+class ScanTopic:
+    """The scans of one topic, one after the other in the order of their log times.
+
+    Attributes
+    ----------
+    scans
+        How many were decoded.
+    first
+        The first of them.
+    frames
+        The ``frame_id`` that occur, with the number of scans.
+    beams
+        The lengths of ``ranges`` that occur, with the number of scans.
+    judged
+        By consumer.
+    """
+
+    def __init__(self) -> None:
+        self.scans = 0
+        self.first: Scan | None = None
+        self.frames: Counter[str] = Counter()
+        self.beams: Counter[int] = Counter()
+        self.judged = {consumer: Judged() for consumer in CONSUMERS}
+        self._undecodable = Tally()
+        self._reason = ""
+        self._first_of: dict[str, Scan] = {}
+        self._back, self._repeated, self._zero_stamp = Tally(), Tally(), Tally()
+        self._empty, self._intensities, self._length = Tally(), Tally(), Tally()
+        self._slow, self._no_frame, self._times = Tally(), Tally(), Tally()
+        self._ranges: Counter[str] = Counter()
+        self._last_ns: int | None = None
+        self._intervals: Counter[int] = Counter()
+        self._totals: Counter[int] = Counter()
+        self._largest = (0, 0)
+        self._offsets: tuple[int, int] | None = None
+
+    def add_undecodable(self, log_time_ns: int, reason: str) -> None:
+        """Count a message that is no scan; its log time stands for its stamp."""
+        self._undecodable.add(log_time_ns)
+        self._reason = self._reason or reason
+
+    def add(self, message: LaserScan, log_time_ns: int) -> None:
+        """Look at the next scan."""
+        stamp_ns = message.stamp_ns
+        scan = described(message)
+        self.scans += 1
+        self.first = self.first or scan
+        self.frames[message.frame_id] += 1
+        self.beams[scan.beams] += 1
+        first = self._first_of.setdefault(message.frame_id, scan)
+        for consumer, judged in self.judged.items():
+            judged.add(judge(consumer, scan, first), stamp_ns)
+        for name in ("beams", "returns", "infinite", "nan", "zero", "short", "long"):
+            self._ranges[name] += getattr(scan, name)
+        for wrong, tally in (
+            (not message.frame_id, self._no_frame),
+            (not scan.returns, self._empty),
+            (scan.intensities not in (0, scan.beams), self._intensities),
+            (scan.beams != first.beams, self._length),
+            (scan.time_increment * (scan.beams - 1) > scan.scan_time * _ROUNDING > 0, self._slow),
+            (not (0 <= scan.scan_time < math.inf and abs(scan.time_increment) < math.inf), self._times),
+        ):
+            if wrong:
+                tally.add(stamp_ns)
+        self._add_stamp(stamp_ns, log_time_ns)
+
+    def _add_stamp(self, stamp_ns: int, log_time_ns: int) -> None:
+        if stamp_ns == 0:
+            self._zero_stamp.add(stamp_ns)
+            return
+        late = log_time_ns - stamp_ns
+        low, high = self._offsets or (late, late)
+        self._offsets = min(low, late), max(high, late)
+        last, self._last_ns = self._last_ns, stamp_ns
+        if last is None:
+            return
+        interval = stamp_ns - last
+        if interval <= 0:
+            (self._repeated if interval == 0 else self._back).add(stamp_ns)
+            return
+        number = round(math.log(interval) / _CLASS)
+        self._intervals[number] += 1
+        self._totals[number] += interval
+        self._largest = max(self._largest, (interval, last))
+
+    @property
+    def interval_ns(self) -> float | None:
+        """The median of the intervals between stamps, to one percent; None for fewer than two scans."""
+        total = sum(self._intervals.values())
+        seen = 0
+        for number in sorted(self._intervals):
+            seen += self._intervals[number]
+            if 2 * seen >= total:
+                return self._mean(number)
+        return None
+
+    def _mean(self, number: int) -> float:
+        """The mean of the intervals of one class."""
+        return self._totals[number] / self._intervals[number]
+
+    def findings(self) -> list[Finding]:
+        """What is wrong with the scans, the defects first."""
+        found = [*self._message_findings(), *self._stamp_findings(), *self._range_findings()]
+        return sorted(found, key=lambda finding: finding.level)
+
+    def _message_findings(self) -> list[Finding]:
+        found = []
+        if self._undecodable.count:
+            found.append(
+                finding(
+                    "undecodable",
+                    "defect",
+                    f"{self._undecodable.count} messages are no scans: {self._reason}",
+                    "",
+                    self._undecodable,
+                )
+            )
+        elif not self.scans:
+            found.append(Finding("no-scans", "defect", "the topic has no messages"))
+        if self._no_frame.count:
+            found.append(
+                finding(
+                    "no-frame",
+                    "defect",
+                    f"{self._of(self._no_frame)} have an empty frame_id",
+                    "pc2scan convert --source-frame names it for scans made from clouds",
+                    self._no_frame,
+                )
+            )
+        if len(self.frames) > 1:
+            named = ", ".join(repr(name) for name in list(self.frames)[:5])
+            found.append(
+                Finding("frames", "notice", f"{len(self.frames)} frames on one topic: {named}", "one topic a sensor")
+            )
+        if self._length.count:
+            found.append(
+                finding(
+                    "length",
+                    "defect",
+                    f"{self._of(self._length)} have another number of beams than the first: "
+                    f"{min(self.beams):,} to {max(self.beams):,}",
+                    "give all scans one number of beams",
+                    self._length,
+                )
+            )
+        if self._intensities.count:
+            found.append(
+                finding(
+                    "intensities",
+                    "defect",
+                    f"{self._of(self._intensities)} have intensities, but not one a beam",
+                    "leave the intensities out, or give every beam one",
+                    self._intensities,
+                )
+            )
+        return found
+
+    def _stamp_findings(self) -> list[Finding]:
+        found = []
+        for kind, tally, what in (
+            ("stamps-back", self._back, "have a stamp before that of the scan before"),
+            ("stamps-repeated", self._repeated, "repeat the stamp of the scan before"),
+            ("stamps-zero", self._zero_stamp, "have no stamp (0)"),
+        ):
+            if tally.count:
+                hint = "SLAM drops or mixes up such scans; look for a second publisher, or a clock that was set"
+                found.append(finding(kind, "defect", f"{self._of(tally)} {what}", hint, tally))
+        if self._offsets is not None and max(map(abs, self._offsets)) > _FAR_NS:
+            side = "after" if sum(self._offsets) >= 0 else "before"
+            low, high = sorted(offset / (1e9 if side == "after" else -1e9) for offset in self._offsets)
+            found.append(
+                Finding(
+                    "stamps-far",
+                    "notice",
+                    f"log times lie {low:,.3f} to {high:,.3f} s {side} the stamps",
+                    "transforms are looked up by stamp: they must come from the same clock",
+                )
+            )
+        found += self._rate_findings()
+        if self._slow.count and self.first is not None:
+            found.append(
+                finding(
+                    "time-increment",
+                    "notice",
+                    f"{self._of(self._slow)} take longer from the first beam to the last (time_increment) than "
+                    "from one scan to the next (scan_time)",
+                    "time_increment * (beams - 1) should be at most scan_time",
+                    self._slow,
+                )
+            )
+        if self._times.count:
+            found.append(
+                finding(
+                    "times",
+                    "notice",
+                    f"{self._of(self._times)} have a scan_time or time_increment that is no time",
+                    "",
+                    self._times,
+                )
+            )
+        return found
+
+    def _rate_findings(self) -> list[Finding]:
+        median = self.interval_ns
+        if median is None or self.first is None:
+            return []
+        found = []
+        off = sum(
+            count for number, count in self._intervals.items() if abs(self._mean(number) - median) > _STUTTER * median
+        )
+        if off:
+            longest, after = self._largest
+            found.append(
+                Finding(
+                    "rate",
+                    "notice",
+                    f"the rate stutters: {off} of {sum(self._intervals.values())} intervals are not the usual "
+                    f"{median / 1e9:.3f} s; the longest is {longest / 1e9:.3f} s, after {stamp_text(after)}",
+                    "scans are missing, or were stamped on arrival",
+                    off,
+                )
+            )
+        scan_time = self.first.scan_time * 1e9
+        if scan_time > 0 and abs(scan_time - median) > _SCAN_TIME * median:
+            found.append(
+                Finding(
+                    "scan-time",
+                    "notice",
+                    f"scan_time is {scan_time / 1e9:.4g} s, but scans come every {median / 1e9:.4g} s",
+                    f"pc2scan convert --scan-time {median / 1e9:.3g}",
+                )
+            )
+        return found
+
+    def _range_findings(self) -> list[Finding]:
+        found = []
+        if self._empty.count:
+            every = self._empty.count == self.scans
+            found.append(
+                finding(
+                    "no-returns",
+                    "defect" if every else "notice",
+                    f"{self._of(self._empty)} have no return at all",
+                    "for scans made from clouds the summary of pc2scan convert names the parameter to blame",
+                    self._empty,
+                )
+            )
+        total = self._ranges["beams"]
+        zero, short = self._ranges["zero"], self._ranges["short"]
+        if short:
+            found.append(
+                Finding(
+                    "ranges-short",
+                    "notice",
+                    f"{_share(short, total)} of the ranges are below range_min"
+                    + (f" ({_share(zero, total)} are 0)" if zero else ""),
+                    "a beam without a return should read +inf",
+                )
+            )
+        if long := self._ranges["long"]:
+            hint = "no consumer takes them for returns; +inf would say it more plainly"
+            found.append(
+                Finding("ranges-long", "notice", f"{_share(long, total)} of the ranges are above range_max", hint)
+            )
+        if nan := self._ranges["nan"]:
+            hint = "NaN means an erroneous measurement; a beam without a return should read +inf"
+            found.append(Finding("ranges-nan", "notice", f"{_share(nan, total)} of the ranges are NaN", hint))
+        return found
+
+    def _of(self, tally: Tally) -> str:
+        return f"{tally.count:,} of {self.scans:,} scans"
+
+
+def finding(kind: str, level: Level, text: str, hint: str, tally: Tally) -> Finding:
+    """Tell of what was tallied."""
+    return Finding(kind, level, text, hint, tally.count, tally.stamp_ns)
+
+
+def _share(count: int, total: int) -> str:
+    return f"{count / total:.1%}" if count / total >= 0.001 else f"{count:,} of {total:,}"

@@ -1,0 +1,53 @@
+"""Whether those who read scans would take the ones that a conversion wrote."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pc2scan.core.consumers import CONSUMERS, Scan, judge
+from pc2scan.messages.laserscan import decode_laserscan
+
+if TYPE_CHECKING:
+    from pc2scan.bags.model import Buffer
+    from pc2scan.messages.laserscan import LaserScan
+
+__all__ = ["described", "refusal"]
+
+
+def described(message: LaserScan) -> Scan:
+    """A decoded scan as the consumers' rules see it."""
+    return Scan.of(
+        message.ranges,
+        angle_min=message.angle_min,
+        angle_max=message.angle_max,
+        angle_increment=message.angle_increment,
+        range_min=message.range_min,
+        range_max=message.range_max,
+        scan_time=message.scan_time,
+        time_increment=message.time_increment,
+        intensities=len(message.intensities),
+    )
+
+
+def refusal(data: Buffer, serialization: str) -> str:
+    """Who would ignore scans like this one, or die of them: a sentence for a warning; empty if nobody.
+
+    Mis-placed beams are left to `pc2scan check`: upstream's own defaults have some in most eyes.
+
+    Parameters
+    ----------
+    data
+        A serialised LaserScan.
+    serialization
+        ``ros1`` or ``cdr``.
+    """
+    scan = described(decode_laserscan(data, serialization))
+    verdicts = [verdict for consumer in CONSUMERS if (verdict := judge(consumer, scan)).refused]
+    if not verdicts:
+        return ""
+    first = verdicts[0]
+    others = f" (so would {', '.join(verdict.consumer for verdict in verdicts[1:])})" if verdicts[1:] else ""
+    return (
+        f"{first.consumer} would refuse these scans{others}: {first.observed} where it allows {first.allowed}. "
+        f"{first.cure[:1].upper()}{first.cure[1:]}"
+    )

@@ -1,0 +1,216 @@
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+import pc2scan
+from builders import IMU, Recording, Stream, imu, item, write_mcap, write_rosbag1, write_rosbag2
+from pc2scan.core.consumers import CONSUMERS
+from pc2scan.errors import RecordingError, TopicError, UsageError
+from pc2scan.inspect.check import Check, TopicCheck, check
+from pc2scan.pipeline.frames import FrameOptions
+from scan_recordings import GOOD, START, STEP, recording, scans, write
+from support import ROOT
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from pc2scan.messages.laserscan import LaserScan
+
+SHARED = ROOT.parent / "shared" / "recordings"
+
+
+def only(found: Check) -> TopicCheck:
+    (topic,) = found.topics
+    return topic
+
+
+def kinds(topic: TopicCheck) -> dict[str, str]:
+    return {finding.kind: finding.level for finding in topic.findings}
+
+
+def looked(tmp_path: Path, *content: LaserScan, **options: object) -> TopicCheck:
+    return only(check(write(tmp_path / "a.mcap", *content, **options)))
+
+
+@pytest.mark.parametrize(
+    "build",
+    [
+        lambda folder, content: write_rosbag1(folder / "a.bag", content),
+        lambda folder, content: write_mcap(folder / "a.mcap", content),
+        lambda folder, content: write_rosbag2(folder / "a", content),
+    ],
+    ids=["bag", "mcap", "rosbag2"],
+)
+def test_good_scans_in_every_container(build: Callable[[Path, Recording], Path], tmp_path: Path) -> None:
+    found = check(build(tmp_path, recording({"/scan": scans(5)})))
+    topic = only(found)
+    assert found.exit_status == 0
+    assert (topic.topic, topic.scans, topic.frames, topic.beams) == ("/scan", 5, ("laser",), (9, 9))
+    assert [c.consumer for c in topic.consumers] == list(CONSUMERS)
+    assert {(c.outcome, c.scans) for c in topic.consumers} == {("accepted", 5)}
+    assert topic.findings == ()
+    assert topic.interval_ns == pytest.approx(STEP)
+    json.dumps(found.as_dict(), allow_nan=False)
+
+
+def test_one_scan_in_many_decides(tmp_path: Path) -> None:
+    content = scans(6)
+    content[3] = replace(content[3], ranges=GOOD.ranges[:7], range_min=-1.0)
+    content[4] = replace(content[4], ranges=GOOD.ranges[:8])
+    path = write(tmp_path / "a.mcap", *content)
+    topic = only(check(path))
+    told = {c.consumer: (c.outcome, c.scans, c.stamp_ns) for c in topic.consumers}
+    third = START + 3 * STEP
+    assert told["slam_toolbox"] == ("ignored", 2, third)
+    assert told["gmapping"] == ("ignored", 2, third)
+    assert told["cartographer"] == ("aborts", 1, third)
+    assert told["amcl"] == ("accepted", 6, START)
+    assert kinds(topic)["length"] == "defect"
+    verdict = next(c.verdict for c in topic.consumers if c.consumer == "slam_toolbox")
+    assert (verdict.observed, verdict.allowed) == ("7 ranges", "9 ranges")
+
+
+def test_whose_verdict_counts(tmp_path: Path) -> None:
+    infinite = replace(GOOD, ranges=np.full(9, math.inf, np.float32), range_max=math.inf)
+    path = write(tmp_path / "a.mcap", *scans(2, infinite))
+    assert check(path).exit_status == 1
+    assert check(path, consumers=["nav2"]).exit_status == 1
+    assert check(path, consumers=["amcl", "nav2"]).exit_status == 1
+    # Every scan is empty, a defect, but one that AMCL takes.
+    found = check(path, consumers=["slam_toolbox", "amcl"])
+    assert (found.exit_status, found.defects) == (0, 1)
+    assert kinds(only(found)) == {"no-returns": "defect"}
+    assert len(only(found).consumers) == len(CONSUMERS)
+    json.dumps(found.as_dict(), allow_nan=False)
+
+
+def test_defects_count_where_nobody_was_asked_for(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.mcap", *scans(3), *scans(1))
+    found = check(path)
+    assert {c.outcome for c in only(found).consumers} == {"accepted"}
+    assert kinds(only(found)) == {"stamps-back": "defect"}
+    assert found.exit_status == 1
+    assert check(path, consumers=CONSUMERS).exit_status == 0
+
+
+def test_topics_are_looked_at_apart(tmp_path: Path) -> None:
+    longer = replace(GOOD, ranges=np.ones(5, np.float32), angle_max=0.0)
+    path = write_mcap(tmp_path / "a.mcap", recording({"/front": scans(3), "/back": scans(2, longer)}))
+    found = check(path)
+    assert [(topic.topic, topic.scans, topic.beams) for topic in found.topics] == [
+        ("/back", 2, (5, 5)),
+        ("/front", 3, (9, 9)),
+    ]
+    assert found.exit_status == 0
+    assert [topic.topic for topic in check(path, topics=["front"]).topics] == ["/front"]
+    with pytest.raises(TopicError, match="no topic /left"):
+        check(path, topics=["/left"])
+
+
+def test_two_sensors_on_one_topic_have_their_own_first_scan(tmp_path: Path) -> None:
+    other = replace(GOOD, frame_id="rear", ranges=np.ones(5, np.float32), angle_max=0.0)
+    content = scans(4)
+    content[1] = replace(other, stamp_ns=content[1].stamp_ns)
+    content[3] = replace(other, stamp_ns=content[3].stamp_ns)
+    topic = looked(tmp_path, *content, tree=(("odom", "base_link"), ("base_link", "laser"), ("base_link", "rear")))
+    assert {c.outcome for c in topic.consumers} == {"accepted"}
+    assert kinds(topic) == {"frames": "notice"}
+
+
+def test_what_is_wrong_with_transforms(tmp_path: Path) -> None:
+    def told(*content: LaserScan, **options: object) -> dict[str, str]:
+        return kinds(looked(tmp_path, *content, **options))
+
+    assert told(*scans(3), tree=()) == {"no-transforms": "notice"}
+    assert told(*scans(3), tree=(("odom", "base_link"),)) == {"frame-unknown": "defect"}
+    assert told(*scans(3), tree=(("base_link", "laser"),)) == {"no-odometry-frame": "defect"}
+    assert told(*scans(3), tree=(("odom", "laser"),)) == {"no-robot-frame": "notice"}
+    apart = (("odom", "base_link"), ("sensors", "laser"))
+    assert told(*scans(3), tree=apart) == {"frame-apart": "defect"}
+    assert told(*scans(3, replace(GOOD, frame_id="/laser"))) == {}
+    assert told(*scans(3, replace(GOOD, frame_id=""))) == {"no-frame": "defect"}
+    # The last two of twelve are more than a second after the first.
+    assert told(*scans(13), static=False) == {"no-transform": "notice"}
+    late = [replace(scan, stamp_ns=scan.stamp_ns + 5 * 10**9) for scan in scans(3)]
+    assert told(*late, static=False, delay=5 * 10**9) == {"no-transform": "defect"}
+
+
+def test_a_recording_may_lend_its_transforms_and_frames_have_other_names(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.mcap", *scans(3), tree=())
+    lender = write(tmp_path / "b.mcap", *scans(1), tree=(("world", "robot"), ("robot", "laser")))
+    found = check(path, frames=FrameOptions(tf_from=(lender,)))
+    assert set(kinds(only(found))) == {"no-odometry-frame", "no-robot-frame"}
+    found = check(path, frames=FrameOptions(tf_from=(lender,)), odom_frame="/world", base_frame="robot")
+    assert only(found).findings == ()
+
+
+def test_several_sources_are_one_recording(tmp_path: Path) -> None:
+    first, second = scans(3), [replace(s, stamp_ns=s.stamp_ns + 3 * STEP) for s in scans(3)]
+    one = write(tmp_path / "a.mcap", *first)
+    two = write(tmp_path / "b.mcap", *second, delay=3 * STEP + 1_000_000)
+    found = check([one, two])
+    assert (only(found).scans, found.exit_status) == (6, 0)
+
+
+def test_messages_that_are_no_scans(tmp_path: Path) -> None:
+    content = recording({"/scan": scans(3)})
+    cut = [
+        replace(entry, data={g: data[:50] for g, data in entry.data.items()})
+        if entry.stream.topic == "/scan" and entry.log_time_ns > START + STEP
+        else entry
+        for entry in content.items
+    ]
+    path = write_mcap(tmp_path / "a.mcap", replace(content, items=tuple(cut)))
+    topic = only(check(path))
+    assert (topic.scans, kinds(topic)) == (1, {"undecodable": "defect"})
+    assert topic.findings[0].count == 2
+
+
+def test_a_topic_without_messages_is_accepted_by_nobody(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.mcap")
+    found = check(path, consumers=["amcl"])
+    assert found.exit_status == 1
+    assert kinds(only(found)) == {"no-scans": "defect"}
+    json.dumps(found.as_dict(), allow_nan=False)
+
+
+def test_what_cannot_be_checked(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError):
+        check(tmp_path / "nothing.bag")
+    with pytest.raises(UsageError, match="no consumer 'hector'"):
+        check(tmp_path / "nothing.bag", consumers=["hector"])
+    with pytest.raises(UsageError, match="no source"):
+        check([])
+    stream = Stream("/imu", IMU)
+    content = Recording((stream,), (item(stream, START, lambda g, seq: imu(g, seq=seq, stamp_ns=START)),))
+    with pytest.raises(TopicError, match="no LaserScan topic"):
+        check(write_mcap(tmp_path / "a.mcap", content))
+
+
+def test_the_front_door() -> None:
+    assert pc2scan.check is check
+
+
+@pytest.mark.parametrize("name", ["jarvis_two_lasers.bag", "guardian_pallet.bag", "luminar_highway.bag"])
+def test_scans_of_real_sensors_are_accepted(name: str) -> None:
+    if not (SHARED / name).exists():
+        pytest.skip(f"real recordings are not here: {SHARED}")
+    found = check(SHARED / name)
+    assert found.exit_status == 0
+    assert sum(topic.scans for topic in found.topics) >= 5
+    told = {kind for topic in found.topics for kind in kinds(topic)}
+    assert (
+        told
+        == {
+            "jarvis_two_lasers.bag": {"rate", "ranges-short"},
+            "guardian_pallet.bag": {"stamps-far", "ranges-nan", "no-transform", "tilted"},
+            "luminar_highway.bag": {"stamps-far", "no-transforms"},
+        }[name]
+    )
