@@ -103,11 +103,11 @@ def test_a_circle_wraps_around(low: float, high: float, beams: int) -> None:
 
 def test_the_directions_that_atan2_doubles_are_one_beam() -> None:
     grid = CenteredGrid(centered_layout(-PI, PI, PI / 180))
-    x, y = np.float32([-1, -1, -1, -1]), np.float32([0.0, -0.0, 1e-30, -1e-30])
+    x, y = np.array([-1, -1, -1, -1], np.float32), np.array([0.0, -0.0, 1e-30, -1e-30], np.float32)
     assert grid.slots_of_points(x, y).tolist() == [0, 0, 0, 0]
 
 
 def test_beams_of_a_sector_end_half_an_increment_outside() -> None:
     grid = CenteredGrid(centered_layout(-0.5, 0.5, 0.25))
-    angles = np.float32([-0.63, -0.625, -0.62, -0.376, -0.374, 0.0, 0.374, 0.62, 0.625, 0.63, 3.1, -3.1])
+    angles = np.array([-0.63, -0.625, -0.62, -0.376, -0.374, 0.0, 0.374, 0.62, 0.625, 0.63, 3.1, -3.1], np.float32)
     assert grid.slots_of_angles(angles).tolist() == [6, 0, 0, 0, 1, 2, 3, 4, 4, 6, 6, 6]

@@ -19,7 +19,7 @@ from pc2scan.core.layout import TURN
 from pc2scan.core.project import Projector
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
     from numpy.typing import NDArray
 
@@ -44,7 +44,7 @@ def beam_of(angle: float, params: ProjectionParams) -> int | str:
 
 
 def reference(
-    points: Iterable[tuple[float, ...]], params: ProjectionParams
+    points: Iterable[Sequence[float]], params: ProjectionParams
 ) -> tuple[list[float], list[float], PointCounts]:
     """Ranges, intensities and counts of points with a fourth value, given as Python floats."""
     fates = dict.fromkeys(("nan", "height", "range", "angle", "past_end"), 0)
@@ -95,9 +95,7 @@ def reduced(beam: list[tuple[float, int, float]], params: ProjectionParams) -> t
     return ordered[place][0], ordered[place][2]
 
 
-COORDINATES = st.one_of(
-    st.sampled_from([0.0, -0.0, 1.0, -1.0, 2.0, math.nan, math.inf]), st.floats(-40, 40, width=32)
-)
+COORDINATES = st.one_of(st.sampled_from([0.0, -0.0, 1.0, -1.0, 2.0, math.nan, math.inf]), st.floats(-40, 40, width=32))
 POINTS = st.lists(
     st.tuples(COORDINATES, COORDINATES, st.sampled_from([0.0, 0.5, 2.0, math.nan]), st.floats(-9, 9, width=32)),
     max_size=60,
@@ -135,8 +133,8 @@ def test_any_cloud_is_projected_as_by_the_reference(
         projector = GatheringProjector(params)
         scan = projector(array[:, 0], array[:, 1], array[:, 2], None, array[:, 3])
         plain = projector(array[:, 0], array[:, 1], array[:, 2])
-    np.testing.assert_array_equal(scan.ranges, np.float32(ranges))
-    np.testing.assert_array_equal(scan.intensities, np.float32(lit))
+    np.testing.assert_array_equal(scan.ranges, np.array(ranges, np.float32))
+    np.testing.assert_array_equal(scan.intensities, np.array(lit, np.float32))
     assert scan.counts == plain.counts == counts
     np.testing.assert_array_equal(plain.ranges, scan.ranges)
     assert plain.intensities.size == 0
@@ -178,7 +176,9 @@ def test_any_type_of_column_is_read() -> None:
     cloud = np.nan_to_num(cloud)
     params = replace(CENTERED, range_max=1e5, min_height=-1e4, max_height=1e4)
     expected = project(cloud, params)
-    record = np.dtype({"names": ["x", "y", "z"], "formats": ["<f4", ">i2", ">f8"], "offsets": [1, 7, 11], "itemsize": 22})
+    record = np.dtype(
+        {"names": ["x", "y", "z"], "formats": ["<f4", ">i2", ">f8"], "offsets": [1, 7, 11], "itemsize": 22}
+    )
     mixed = np.zeros(len(cloud), record)
     mixed["x"], mixed["y"], mixed["z"] = cloud.T
     scan = GatheringProjector(params)(mixed["x"], mixed["y"], mixed["z"])
@@ -189,7 +189,7 @@ def test_any_type_of_column_is_read() -> None:
 @pytest.mark.parametrize("dtype", ["i1", "u1", "i2", ">u2", "i4", "u4", "f4", ">f8"])
 def test_intensities_of_any_type_become_float32(dtype: str) -> None:
     values = np.array([100, 7, 3]).astype(dtype)
-    points = [[3.0, 0, 0], [2, 0, 0], [0, 2, 0]]
+    points = np.array([[3, 0, 0], [2, 0, 0], [0, 2, 0]])
     scan = project(points, replace(CENTERED, beams=4), intensities=values)
     assert scan.ranges.tolist() == [math.inf, math.inf, 2, 2]
     assert scan.intensities.tolist() == [0, 0, 7, 3]

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from pc2scan.core.layout import TURN, centered_layout
 from pc2scan.core.timing import Sweep, beam_times, fit_sweep, median_interval_ns, point_times
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 STAMP = 1_700_000_000_123_456_789
 
@@ -60,9 +62,9 @@ def test_times_of_points_in_every_unit(values: NDArray[Any], first: float) -> No
 
 
 def test_times_that_are_no_numbers() -> None:
-    assert point_times(np.float32([]), 0).size == 0
-    assert np.isnan(point_times(np.float32([np.nan, np.inf]), 0)).all()
-    times = point_times(np.float32([[0, 0.1], [np.nan, np.inf]]), 0)
+    assert point_times(np.array([], np.float32), 0).size == 0
+    assert np.isnan(point_times(np.array([np.nan, np.inf], np.float32), 0)).all()
+    times = point_times(np.array([[0, 0.1], [np.nan, np.inf]], np.float32), 0)
     np.testing.assert_allclose(times, [0, 0.1, math.nan, math.nan])
 
 

@@ -6,6 +6,7 @@ import math
 import subprocess
 import sys
 from dataclasses import asdict, fields, replace
+from functools import partial
 from typing import Any
 
 import pytest
@@ -30,7 +31,10 @@ def test_the_table_lists_every_parameter_of_the_projection_in_order() -> None:
 def test_each_parameter_says_what_the_help_needs(name: str) -> None:
     parameter = PARAMETERS[name]
     assert parameter.name == name
-    words, whole = ("target_frame", "geometry", "no_return", "reduce", "intensity_field"), ("beams", "kth", "min_points")
+    words, whole = (
+        ("target_frame", "geometry", "no_return", "reduce", "intensity_field"),
+        ("beams", "kth", "min_points"),
+    )
     kinds = {"use_inf": "bool", "queue_size": "int", **dict.fromkeys(words, "str"), **dict.fromkeys(whole, "int")}
     assert parameter.kind == kinds.get(name, "float")
     assert parameter.unit in {"", "m", "rad", "s"}
@@ -183,7 +187,8 @@ def test_of_two_that_say_the_same_the_stronger_one_wins(one: str, other: str) ->
         resolved = resolve([winner, loser])
         assert resolved.params == ProjectionParams(**{strong: values[strong]})
         assert (resolved.origin[strong], resolved.origin[weak]) == ("here", "default")
-        err = failure(lambda pair=(winner, replace(loser, source="option")): resolve(pair))  # type: ignore[misc]
+        equals = (winner, replace(loser, source="option"))
+        err = failure(partial(resolve, equals))
         assert str(err) == (
             f"{strong} and {weak} say the same in two ways; give one of them ({strong} from here; {weak} from there)"
         )

@@ -162,7 +162,7 @@ class _FirstClouds:
                 0.0,
                 0,
                 (
-                    f"time_increment is 0, for the clouds begin and end in the middle of the scan, at {lowest:.2f} rad; "
+                    f"time_increment is 0, for the clouds begin and end inside the scan, at {lowest:.2f} rad; "
                     f"a scan that begins there can tell: --angle-min {lowest:.4f} --angle-max {lowest + TURN:.4f}"
                 ),
             )
