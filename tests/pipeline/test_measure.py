@@ -74,7 +74,7 @@ def test_each_topic_has_its_own_scan_time(tmp_path: Path) -> None:
 def test_one_cloud_has_no_interval(tmp_path: Path) -> None:
     timings, notes = measured(tmp_path, recorded(FRONT, [T0], turning(), NAMES), ProjectionParams(scan_time="auto"))
     assert timings["/front"].scan_time == 0
-    assert notes == ["/front: scan_time is 0, for there is no interval between 1 stamps"]
+    assert notes == ["/front: scan_time is 0, for there are no two different stamps to measure it between"]
 
 
 def test_only_the_first_clouds_within_the_cut_are_looked_at(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -107,8 +107,8 @@ def test_a_scan_that_begins_elsewhere_is_told_where_to_begin(tmp_path: Path) -> 
     items = recorded(FRONT, [T0 + n * SECOND // 10 for n in range(3)], turning(), NAMES)
     timings, notes = measured(tmp_path, items, AUTO)
     assert (timings["/front"].time_increment, timings["/front"].first_beam_ns) == (0, 0)
-    assert "at 0.52 rad" in notes[1]
-    assert "--angle-min 0.5" in notes[1]
+    assert "begin and end inside the scan" in notes[1]
+    assert "--angle-min 0.52" in notes[1]
 
 
 def test_beams_are_timed_in_the_scans_frame(tmp_path: Path) -> None:

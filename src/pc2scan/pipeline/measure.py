@@ -21,6 +21,8 @@ from .conversion import Timing
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from numpy.typing import NDArray
+
     from pc2scan.bags.model import Connection, Reader
     from pc2scan.core.params import ProjectionParams
     from pc2scan.core.timing import Sweep
@@ -110,14 +112,14 @@ class _FirstClouds:
         if sweep is not None:
             self._sweeps.append(sweep)
 
-    def _angles(self, cloud: PointCloud2) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+    def _angles(self, cloud: PointCloud2) -> NDArray[np.float64]:
         """Where the points are seen, in the scan's frame; NaN for those without a direction."""
         points = np.stack([np.ravel(part).astype(np.float64) for part in cloud.xyz()], axis=1)
         nowhere = ~points.any(axis=1) | ~np.isfinite(points).all(axis=1)
         moved = self._frames.place(cloud.frame_id, cloud.stamp_ns).target_from_source
         if moved is not None:
             points = moved.apply(points)
-        angles = np.arctan2(points[:, 1], points[:, 0])
+        angles: NDArray[np.float64] = np.arctan2(points[:, 1], points[:, 0])
         angles[nowhere] = np.nan
         return angles
 
@@ -138,7 +140,7 @@ class _FirstClouds:
             interval = median_interval_ns(self._stamps)
             scan_time = (interval or 0) / 1e9
             notes.append(
-                f"{topic}: scan_time is 0, for there is no interval between {len(self._stamps)} stamps"
+                f"{topic}: scan_time is 0, for there are no two different stamps to measure it between"
                 if interval is None
                 else f"{topic}: scan_time is {scan_time:.6g} s, the median interval of "
                 f"{'its' if len(self._stamps) < CLOUDS else 'the first'} {len(self._stamps)} stamps"
@@ -157,23 +159,12 @@ class _FirstClouds:
             return 0.0, 0, f"time_increment is 0, for the times of the points ({field}) do not follow a turning lidar"
         found = [times for sweep in self._sweeps if (times := beam_times(sweep, self._params.layout)) is not None]
         if len(found) < len(self._sweeps):
-            lowest = statistics.median_low(sorted(sweep.lowest for sweep in self._sweeps))
-            return (
-                0.0,
-                0,
-                (
-                    f"time_increment is 0, for the clouds begin and end inside the scan, at {lowest:.2f} rad; "
-                    f"a scan that begins there can tell: --angle-min {lowest:.4f} --angle-max {lowest + TURN:.4f}"
-                ),
-            )
-        first_beam_ns = round(statistics.median_low(sorted(first for first, _ in found)) * 1e9)
-        increment = statistics.median_low(sorted(step for _, step in found))
+            lowest = statistics.median_low(sweep.lowest for sweep in self._sweeps)
+            advice = f"--angle-min {lowest:.4f} --angle-max {lowest + TURN:.4f}"
+            note = "time_increment is 0, for the clouds begin and end inside the scan; one that begins there can tell"
+            return 0.0, 0, f"{note}: {advice}"
+        first_beam_ns = round(statistics.median_low(first for first, _ in found) * 1e9)
+        increment = statistics.median_low(step for _, step in found)
         way = "clockwise, so the first beam is the last in time" if increment < 0 else "counter-clockwise"
-        return (
-            increment,
-            first_beam_ns,
-            (
-                f"time_increment is {increment:.4g} s, from {field}: the lidar turns {way}; "
-                f"stamps are the first beam's, {stamp_text(first_beam_ns)} s after the clouds'"
-            ),
-        )
+        note = f"time_increment is {increment:.4g} s, from {field}: the lidar turns {way}"
+        return increment, first_beam_ns, f"{note}; stamps are moved to it by {stamp_text(first_beam_ns)} s"
