@@ -25,7 +25,7 @@ README = (ROOT / "README.md").read_text("utf-8")
 COMMANDS = ("convert", "check", "info", "tf")
 
 #: Options of other programs that the README names, and pc2scan's own outside its commands.
-ELSEWHERE = {"--install-completion", "--version", "--help", "--repeat", "--memory"}
+ELSEWHERE = {"--install-completion", "--clock", "--version", "--help", "--repeat", "--memory"}
 
 
 @cache
