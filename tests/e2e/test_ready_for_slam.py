@@ -73,6 +73,17 @@ def test_what_is_given_beats_the_preset(tmp_path: Path) -> None:
     assert scan.ranges.max() <= 4
 
 
+def test_a_circle_that_is_divided_evenly_is_told(tmp_path: Path) -> None:
+    destination = tmp_path / "out.mcap"
+    done = run("convert", HALL, "-o", destination, *HEIGHTS, "--geometry", "centered", "--angle-increment", "0.0175")
+    assert done.status == 0, done.stderr
+    assert (
+        "note: angle_increment is 0.01750191 rad instead of 0.0175: 359 beams divide the circle evenly" in done.stdout
+    )
+    # Rounded down to float32, so that the beams do not overlap.
+    assert opened(destination).scans()[0].angle_increment == np.nextafter(np.float32(2 * math.pi / 359), np.float32(0))
+
+
 def test_jobs_make_no_difference(tmp_path: Path) -> None:
     outputs = []
     options = ("--preset", "nav2", "--reduce", "median", "--min-points", "2", "--intensity-field", "intensity")

@@ -186,12 +186,18 @@ def test_of_two_that_say_the_same_the_stronger_one_wins(one: str, other: str) ->
         winner, loser = Setting(strong, values[strong], "here"), Setting(weak, values[weak], "there", "file")
         resolved = resolve([winner, loser])
         assert resolved.params == ProjectionParams(**{strong: values[strong]})
-        assert (resolved.origin[strong], resolved.origin[weak]) == ("here", "default")
+        assert resolved.origin[strong] == "here"
+        assert resolved.origin[weak] in {"default", "follows from here"}
         equals = (winner, replace(loser, source="option"))
         err = failure(partial(resolve, equals))
         assert str(err) == (
             f"{strong} and {weak} say the same in two ways; give one of them ({strong} from here; {weak} from there)"
         )
+
+
+def test_an_increment_that_follows_says_from_what() -> None:
+    resolved = resolve([Setting("beams", 720, "--beams")])
+    assert resolved.origin["angle_increment"] == "follows from --beams"
 
 
 @pytest.mark.parametrize("consumer", PRESETS)

@@ -240,6 +240,18 @@ def test_queue_size_beats_concurrency_level_beside_it(load: Load, names: tuple[s
     assert len(file.ignored) == 1
 
 
+def test_names_that_any_node_may_have_are_ours_only_in_our_sections(load: Load) -> None:
+    others = "/**:\n  ros__parameters:\n    geometry: {width: 0.5}\n    beams: 4\n    range_min: 1.0\n"
+    file = load(others + ros2({"min_height": -1.0}))
+    assert values(file) == {"range_min": 1.0, "min_height": -1.0}
+    assert len(file.ignored) == 2
+    ours = load(ros2({"beams": 720, "reduce": "max"}, "/**/pointcloud_to_laserscan") + ros2({"geometry": "centered"}))
+    assert values(ours) == {"beams": 720, "reduce": "max", "geometry": "centered"}
+    assert ours.ignored == ()
+    # In a file of ROS 1, too, such a name may be a whole group.
+    assert values(load("geometry:\n  width: 0.5\npointcloud_to_laserscan:\n  beams: 90\n")) == {"beams": 90}
+
+
 def test_a_specific_concurrency_level_beats_a_wildcards_queue_size(load: Load) -> None:
     assert values(load(ros2({"queue_size": 1}, "/**") + ros2({"concurrency_level": 2}))) == {"queue_size": 2}
 

@@ -167,4 +167,8 @@ class _FirstClouds:
         increment = statistics.median_low(step for _, step in found)
         way = "clockwise, so the first beam is the last in time" if increment < 0 else "counter-clockwise"
         note = f"time_increment is {increment:.4g} s, from {field}: the lidar turns {way}"
-        return increment, first_beam_ns, f"{note}; stamps are moved by {stamp_text(first_beam_ns)} s, to the first beam's"
+        return (
+            increment,
+            first_beam_ns,
+            f"{note}; stamps are moved by {stamp_text(first_beam_ns)} s, to the first beam's",
+        )

@@ -202,7 +202,9 @@ ALIASES = {"concurrency_level": "queue_size"}
 #: last two.
 TOPICS = frozenset({"cloud_in", "scan", "scan_in", "cloud", "point_cloud_topic", "scan_topic"})
 
-SCALAR_PARAMETERS = PARAMETERS.keys() | ALIASES.keys()
+#: Names that mean a parameter of upstream's nodes wherever they stand. pc2scan's own (``geometry``, ``beams``) are
+#: names that any node may have, for whole groups of parameters too.
+SCALAR_PARAMETERS = {name for name, parameter in PARAMETERS.items() if parameter.upstreams} | ALIASES.keys()
 
 #: Parameters that say the same in two ways: the stronger setting of either leaves the other one out.
 _RIVALS = {
@@ -350,6 +352,8 @@ def resolve(
         params = ProjectionParams(**values)
     except ParameterError as err:
         _raise_with_origin(err, origin)
+    if params.beams:
+        origin["angle_increment"] = f"follows from {origin['beams']}"
     return ResolvedParams(params, origin)
 
 

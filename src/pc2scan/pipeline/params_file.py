@@ -291,7 +291,7 @@ def _own_names(parameters: Iterable[str]) -> list[str]:
 
 
 def _foreign(names: Iterable[str]) -> list[str]:
-    return [name for name in names if name not in SCALAR_PARAMETERS and name not in TOPICS]
+    return [name for name in names if name not in PARAMETERS and name not in ALIASES and name not in TOPICS]
 
 
 def _only_upstreams(names: Collection[str]) -> bool:
@@ -340,7 +340,7 @@ def _merged(sections: _Sections, target: str, *, ros1: bool) -> ParamsFile:
         "laserscan_to_pointcloud" not in PARAMETERS[name].directions
         for section in applying
         for name in sections[section]
-        if name in PARAMETERS
+        if name in PARAMETERS and PARAMETERS[name].upstreams
     ):
         direction = "pointcloud_to_laserscan"
     known = names_of(direction)
@@ -351,7 +351,10 @@ def _merged(sections: _Sections, target: str, *, ros1: bool) -> ParamsFile:
         for written in _own_names(parameters):
             leaf = parameters[written]
             name = ALIASES.get(written, written)
-            if name in known and (name == written or name not in parameters):
+            # In a section for several nodes, a name that upstream's does not have is another node's.
+            named = section == applying[-1] or _direction_of(section) is not None
+            ours = name in known and (named or PARAMETERS[name].upstreams)
+            if ours and (name == written or name not in parameters):
                 merged[name] = leaf
             elif written in TOPICS or name in known or section != applying[-1]:
                 ignored.append(leaf.origin)

@@ -18,6 +18,10 @@ MAX_LISTED = 100
 _NOTABLE_SHARE = 0.25
 
 
+#: A change of the increment, as a share of it, that is more than a rounding.
+_NOTABLE_STEP = 1e-5
+
+
 @dataclass(frozen=True, slots=True)
 class Skipped:
     """A message that was not converted.
@@ -131,6 +135,12 @@ class Report:
 
     def conclude(self) -> None:
         """Add what only the whole conversion can tell."""
+        layout, asked = self.params.layout, self.params.angle_increment
+        if layout.full_circle and abs(layout.angle_increment - asked) > _NOTABLE_STEP * asked:
+            self.notes.append(
+                f"angle_increment is {layout.angle_increment:.7g} rad instead of {asked:.7g}: "
+                f"{layout.count} beams divide the circle evenly"
+            )
         origin = self.origins.get("range_max", "")
         if origin.startswith("--preset"):
             self.notes.append(
