@@ -34,8 +34,8 @@ def straightforward(x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], params: P
         keep &= (heights >= params.min_height) & (heights <= params.max_height)
         keep &= (lengths >= params.range_min) & (lengths <= params.range_max)
         keep &= (angles >= low) & (angles <= high)
-        keep &= indices < params.beams
-        scan = np.full(params.beams, params.no_return, np.float32)
+        keep &= indices < params.length
+        scan = np.full(params.length, params.empty_range, np.float32)
         np.minimum.at(scan, indices[keep].astype(np.intp), ranges[keep])
     return scan
 

@@ -26,7 +26,7 @@ def upstream(params: ProjectionParams) -> Scan:
         angle_increment=params.angle_increment,
         range_min=params.range_min,
         range_max=params.range_max,
-        beams=params.beams,
+        beams=params.length,
     )
 
 

@@ -133,11 +133,12 @@ def test_transformed_points_are_summed_in_one_order(dtype: Any, monkeypatch: pyt
 
 
 def test_arrays_that_do_not_fit_together_are_refused() -> None:
-    limits, ranges = np.zeros(7), np.zeros(4, np.float32)
+    rule, ranges = np.zeros(12), np.zeros(4, np.float32)
     one, two, double = np.zeros(1, np.float32), np.zeros(2, np.float32), np.zeros(1)
     cube, small = np.zeros((1, 1, 1), np.float32), np.zeros(1, np.float16)
     fixed = ranges.copy()
     fixed.setflags(write=False)
+    slots, numbers = np.zeros(1, np.int32), np.zeros(1, np.int64)
     triples: list[tuple[Any, Any, Any]] = [
         (one, one, two),
         (one, double, one),
@@ -147,15 +148,21 @@ def test_arrays_that_do_not_fit_together_are_refused() -> None:
     ]
     for xyz in triples:
         with pytest.raises(ValueError, match="coordinates"):
-            kernel.project(*xyz, limits, None, ranges, 1.0)
-    triples = [(limits[:6], None, ranges), (limits, limits, ranges), (limits, None, limits)]
+            kernel.project(*xyz, rule, None, ranges, 1.0, 1.0)
+        with pytest.raises(ValueError, match="coordinates"):
+            kernel.gather(*xyz, rule, None, 1, slots, one, numbers)
+    triples = [(rule[:11], None, ranges), (rule, rule[:11], ranges), (rule, None, rule)]
     for others in triples:
         with pytest.raises(ValueError, match="length or item size"):
-            kernel.project(one, one, one, *others, 1.0)
+            kernel.project(one, one, one, *others, 1.0, 1.0)
+    triples = [(slots[:0], one, numbers), (slots, two, numbers), (slots, one, slots)]
+    for outputs in triples:
+        with pytest.raises(ValueError, match="length or item size"):
+            kernel.gather(one, one, one, rule, None, 1, *outputs)
     with pytest.raises(ValueError, match="read-only"):
-        kernel.project(one, one, one, limits, None, fixed, 1.0)
+        kernel.project(one, one, one, rule, None, fixed, 1.0, 1.0)
     with pytest.raises(TypeError):
-        kernel.project(one, one, one, limits, [1.0] * 12, ranges, 1.0)  # type: ignore[arg-type]
+        kernel.project(one, one, one, rule, [1.0] * 12, ranges, 1.0, 1.0)  # type: ignore[arg-type]
     triples = [(one, two, two), (two, one, two), (two, two, one), (double, double, double)]
     for arrays in triples:
         with pytest.raises(ValueError, match="length or item size"):

@@ -67,6 +67,15 @@ def test_defaults_are_upstreams() -> None:
         "use_inf": True,
         "inf_epsilon": 1.0,
         "queue_size": 0,
+        # What upstream does not have leaves its result alone.
+        "geometry": "upstream",
+        "beams": 0,
+        "no_return": "",
+        "reduce": "min",
+        "kth": 0,
+        "min_points": 1,
+        "intensity_field": "",
+        "time_increment": 0.0,
     }
 
 
@@ -90,6 +99,25 @@ def test_defaults_are_upstreams() -> None:
         ({"min_height": 2.0, "max_height": 1.0}, "min_height"),
         ({"angle_increment": 1e-9}, "angle_increment"),
         ({"angle_increment": 1e300}, "angle_increment"),
+        ({"geometry": "centred"}, "geometry"),
+        ({"geometry": ""}, "geometry"),
+        ({"geometry": "centered", "angle_min": 0.0, "angle_max": 1.0, "angle_increment": 5.0}, "angle_increment"),
+        ({"geometry": "centered", "angle_min": 1e9, "angle_max": 2e9}, "angle_increment"),
+        ({"geometry": "centered", "angle_increment": 1e-7}, "angle_increment"),
+        ({"beams": 1}, "beams"),
+        ({"beams": -1}, "beams"),
+        ({"beams": MAX_BEAMS + 1}, "beams"),
+        ({"no_return": "range_max"}, "no_return"),
+        ({"no_return": "range-max-plus"}, "no_return"),
+        ({"no_return": "range-max-minus", "range_max": math.inf}, "no_return"),
+        ({"reduce": "average"}, "reduce"),
+        ({"reduce": "kth"}, "kth"),
+        ({"kth": 2}, "kth"),
+        ({"reduce": "kth", "kth": -2}, "kth"),
+        ({"min_points": 0}, "min_points"),
+        ({"scan_time": "automatic"}, "scan_time"),
+        ({"time_increment": math.inf}, "time_increment"),
+        ({"time_increment": math.nan}, "time_increment"),
     ],
 )
 def test_values_that_cannot_be_are_refused_by_name(values: dict[str, float], named: str) -> None:
@@ -114,10 +142,43 @@ def test_too_many_beams_are_counted_in_the_message() -> None:
         ({"use_inf": False, "range_max": 0.1, "inf_epsilon": 0.0}, 0.10000000149011612),
         ({"use_inf": False, "range_max": 30.0, "inf_epsilon": -40.0}, -10.0),
         ({"use_inf": True, "range_max": 30.0}, math.inf),
+        ({"no_return": "inf", "use_inf": False, "range_max": 30.0}, math.inf),
+        ({"no_return": "range-max-plus", "range_max": 30.0}, 31.0),
+        ({"no_return": "range-max-minus", "range_max": 30.0}, 29.999900817871094),
+        ({"no_return": "range-max-minus", "range_max": 5000.0}, 4999.99951171875),
+        ({"no_return": "zero"}, 0.0),
     ],
 )
-def test_no_return(values: dict[str, float], expected: float) -> None:
-    assert ProjectionParams(**values).no_return == expected  # type: ignore[arg-type]
+def test_what_an_empty_beam_reads(values: dict[str, float], expected: float) -> None:
+    assert ProjectionParams(**values).empty_range == expected  # type: ignore[arg-type]
+
+
+def test_an_empty_beam_that_reads_nan() -> None:
+    assert math.isnan(ProjectionParams(no_return="nan").empty_range)
+
+
+@given(st.floats(1e-3, 1e6))
+def test_range_max_minus_is_a_range_that_counts(range_max: float) -> None:
+    params = ProjectionParams(no_return="range-max-minus", range_max=range_max)
+    assert 0 < params.empty_range < float32(range_max)
+    assert params.empty_range > range_max * (1 - 1e-6) - 2e-4
+
+
+@pytest.mark.parametrize("geometry", ["upstream", "centered"])
+@given(st.floats(-4, 0), st.floats(0.5, 7), st.integers(2, 20_000))
+def test_a_number_of_beams_is_met(geometry: str, low: float, span: float, beams: int) -> None:
+    params = ProjectionParams(geometry=geometry, angle_min=low, angle_max=low + span, beams=beams)
+    assert params.length == beams
+    # The increment that follows makes as many without being told the number.
+    assert dataclasses.replace(params, beams=0).length == beams
+    assert dataclasses.replace(params, range_max=5.0) == dataclasses.replace(params, range_max=5.0, angle_increment=1.0)
+
+
+def test_a_preset_is_beaten_by_what_is_given() -> None:
+    params = ProjectionParams.preset("gmapping", range_max=20.0, min_height=-1.0)
+    assert (params.geometry, params.range_max, params.min_height, params.empty_range) == ("centered", 20, -1, 21)
+    with pytest.raises(ParameterError, match="there is no preset 'karto', only slam_toolbox"):
+        ProjectionParams.preset("karto")
 
 
 def test_params_are_immutable_and_hashable() -> None:

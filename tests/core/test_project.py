@@ -14,33 +14,20 @@ from numpy.typing import NDArray
 
 from core.reference import reference_scan
 from pc2scan import PointCounts, ProjectionParams, project
-from pc2scan.core import kernel, plain
-from pc2scan.core import project as project_module
+from pc2scan.core import plain, rule
 from pc2scan.core.project import ProjectedScan, Projector
 from support import GOLDEN, RECORDINGS, needs_shared
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
     from pathlib import Path
+
+pytestmark = pytest.mark.usefixtures("loops")
 
 Columns = tuple[NDArray[Any], NDArray[Any], NDArray[Any]]
 
 OPEN = ProjectionParams(min_height=-100.0, max_height=100.0)
 INF = math.inf
 MAX32 = float(np.finfo(np.float32).max)
-
-
-@pytest.fixture(params=["compiled", "plain"], scope="module", autouse=True)
-def loops(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Every test here holds for the compiled loops and for those in NumPy."""
-    if request.param == "compiled":
-        if not kernel.COMPILED:
-            pytest.skip("this installation has no compiled loops: there was no C compiler")
-        yield
-        return
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(kernel, "project", plain.project)
-        yield
 
 
 def assert_same(scan: ProjectedScan, ranges: NDArray[np.float32], counts: PointCounts) -> None:
@@ -157,7 +144,7 @@ def test_heights_are_compared_as_float64(limit: float) -> None:
 
 @given(st.floats(0, MAX32, width=32))
 def test_the_first_square_of_a_limit_is_the_first(limit: float) -> None:
-    first = project_module._first_square(np.float32(limit))
+    first = rule._first_square(np.float32(limit))
 
     def reaches(square: float) -> bool:
         return bool(np.float32(math.sqrt(square)) >= np.float32(limit))
@@ -258,7 +245,7 @@ def parameters(draw: st.DrawFn) -> ProjectionParams:
 def edge_point(draw: st.DrawFn, params: ProjectionParams) -> tuple[float, float, float]:
     """A point within some float32 of the edge of a beam, or of a limit of the sector."""
     low, high = np.float32(params.angle_min), np.float32(params.angle_max)
-    edge = float(low) + draw(st.integers(0, params.beams)) * float(np.float32(params.angle_increment))
+    edge = float(low) + draw(st.integers(0, params.length)) * float(np.float32(params.angle_increment))
     angle = draw(st.sampled_from([edge, float(high)]))
     radius = draw(st.sampled_from([1.0, 0.45, 4.0, 3.7, 1e-3, 1e5]))
     point = np.array([radius * math.cos(angle), radius * math.sin(angle)], np.float32)

@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from e2e.command import environment, run
+from pc2scan.core.presets import PRESETS
+from pc2scan.pipeline.parameters import PARAMETERS
 from support import ROOT
 
 if TYPE_CHECKING:
@@ -23,7 +25,7 @@ README = (ROOT / "README.md").read_text("utf-8")
 COMMANDS = ("convert", "check", "info", "tf")
 
 #: Options of other programs that the README names, and pc2scan's own outside its commands.
-ELSEWHERE = {"--install-completion", "--version", "--help", "--repeat", "--memory"}
+ELSEWHERE = {"--install-completion", "--clock", "--version", "--help", "--repeat", "--memory"}
 
 
 @cache
@@ -83,12 +85,27 @@ def test_every_command_is_in_the_readme() -> None:
 
 def test_every_parameter_is_in_the_readmes_table() -> None:
     rows = set(re.findall(r"`(\w+)`", "\n".join(re.findall(r"^\| (`.*?) \|", README, re.MULTILINE))))
-    parameters = {
-        "min_height", "max_height", "angle_min", "angle_max", "angle_increment", "range_min", "range_max",
-        "use_inf", "inf_epsilon", "scan_time", "target_frame", "transform_tolerance", "queue_size",
-    }  # fmt: skip
-    assert parameters <= rows
-    assert all(f"--{name.replace('_', '-')}" in options_of("convert") for name in parameters)
+    assert PARAMETERS.keys() <= rows
+    assert all(parameter.option in options_of("convert") for parameter in PARAMETERS.values())
+
+
+def test_every_preset_is_in_the_readme_and_the_help() -> None:
+    section = README[README.index("### Ready for SLAM") : README.index("### The way back")]
+    help_text = " ".join(help_of("convert").split())
+    for consumer in PRESETS:
+        assert re.search(rf"\b{consumer}\b", section)
+    assert f"consumer of the scans: {', '.join(PRESETS)}." in help_text
+
+
+def test_the_dataset_recipe_ends_in_scans_that_are_accepted(tmp_path: Path) -> None:
+    shutil.copy(ROOT / "fixtures" / "hall.bag", tmp_path / "drive.bag")
+    block = README[README.index("<!-- dataset recipe -->") :].split("```")[1].removeprefix("sh\n")
+    commands = commands_in(block)
+    assert [words[0] for words in commands] == ["info", "tf", "convert", "check"]
+    for words in commands:
+        done = run(*words, cwd=tmp_path)
+        assert (done.status, done.stderr) == (0, ""), words
+    assert "ok: accepted by slam_toolbox" in done.stdout
 
 
 def test_exit_statuses_are_told_alike() -> None:

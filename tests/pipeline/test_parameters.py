@@ -5,14 +5,17 @@ from __future__ import annotations
 import math
 import subprocess
 import sys
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
+from functools import partial
+from typing import Any
 
 import pytest
 
 from pc2scan.core.params import ProjectionParams
+from pc2scan.core.presets import PRESETS
 from pc2scan.errors import ParameterError
 from pc2scan.pipeline.param_assignment import parse_param
-from pc2scan.pipeline.parameters import PARAMETERS, Setting, resolve
+from pc2scan.pipeline.parameters import PARAMETERS, Setting, preset_settings, resolve
 from pipeline.param_settings import Load, failure, ros2
 from support import ROOT
 
@@ -28,10 +31,16 @@ def test_the_table_lists_every_parameter_of_the_projection_in_order() -> None:
 def test_each_parameter_says_what_the_help_needs(name: str) -> None:
     parameter = PARAMETERS[name]
     assert parameter.name == name
-    assert parameter.kind == {"target_frame": "str", "use_inf": "bool", "queue_size": "int"}.get(name, "float")
+    words, whole = (
+        ("target_frame", "geometry", "no_return", "reduce", "intensity_field"),
+        ("beams", "kth", "min_points"),
+    )
+    kinds = {"use_inf": "bool", "queue_size": "int", **dict.fromkeys(words, "str"), **dict.fromkeys(whole, "int")}
+    assert parameter.kind == kinds.get(name, "float")
     assert parameter.unit in {"", "m", "rad", "s"}
     assert parameter.help.endswith(".")
     assert 20 < len(parameter.help) < 150
+    assert parameter.upstreams == (list(PARAMETERS).index(name) < 13)
     assert parameter.option == "--" + name.replace("_", "-")
 
 
@@ -42,8 +51,12 @@ def test_the_units_are_upstreams() -> None:
         "angle_max",
         "angle_increment",
     }
-    assert {name for name, unit in units.items() if unit == "s"} == {"transform_tolerance", "scan_time"}
-    assert {name for name, unit in units.items() if not unit} == {"target_frame", "use_inf", "queue_size"}
+    assert {name for name, unit in units.items() if unit == "s"} == {
+        "transform_tolerance",
+        "scan_time",
+        "time_increment",
+    }
+    assert all(units[name] == "m" for name in units if "range_" in name or "height" in name)
 
 
 def test_the_help_of_min_height_warns_of_its_default() -> None:
@@ -109,6 +122,39 @@ def test_the_hint_tells_how_to_write_it(name: str, value: object, hint: str | No
     assert failure(lambda: resolve([Setting(name, value, "here")])).hint == hint
 
 
+@pytest.mark.parametrize(
+    ("written", "expected"),
+    [
+        ("no_return:=nan", "nan"),
+        ("no_return:=.inf", "inf"),
+        ("no_return:='nan'", "nan"),
+        ("no_return:=zero", "zero"),
+        ("scan_time:=auto", "auto"),
+        ("scan_time:=1", 1.0),
+        ("time_increment:=-1e-4", -1e-4),
+        ("beams:=720", 720),
+    ],
+)
+def test_words_among_numbers(written: str, expected: object) -> None:
+    params = resolve([parse_param(written)]).params
+    assert getattr(params, written.partition(":=")[0]) == expected
+
+
+@pytest.mark.parametrize(
+    ("written", "message"),
+    [
+        ("scan_time:=never", "scan_time: expected a number or auto, got 'never' (from --param scan_time:=never)"),
+        ("range_min:=auto", "range_min: expected a number, got 'auto' (from --param range_min:=auto)"),
+        ("no_return:=1.5", "no_return: expected inf, range-max-plus, range-max-minus, nan, zero, got 1.5 (from"),
+        ("geometry:=.inf", "geometry: expected upstream, centered, got inf (from"),
+        ("reduce:=best", "reduce: expected min, max, mean, median, kth, got 'best' (from --param reduce:=best)"),
+        ("beams:=1.5", "beams: expected a whole number, got 1.5 (from --param beams:=1.5)"),
+    ],
+)
+def test_words_that_are_none_of_the_choices(written: str, message: str) -> None:
+    assert str(failure(lambda: resolve([parse_param(written)]))).startswith(message)
+
+
 def test_whole_numbers_become_floats() -> None:
     params = resolve([Setting("range_max", 30, "here"), Setting("queue_size", 2, "here")]).params
     assert isinstance(params.range_max, float)
@@ -131,6 +177,44 @@ def test_the_first_setting_of_a_name_wins_and_its_origin_is_kept(load: Load) -> 
     )
     assert resolved.origin["angle_min"] == "default"
     assert list(resolved.origin) == list(PARAMETERS)
+
+
+@pytest.mark.parametrize(("one", "other"), [("beams", "angle_increment"), ("no_return", "use_inf")])
+def test_of_two_that_say_the_same_the_stronger_one_wins(one: str, other: str) -> None:
+    values: dict[str, Any] = {"beams": 720, "angle_increment": 0.1, "no_return": "nan", "use_inf": False}
+    for strong, weak in ((one, other), (other, one)):
+        winner, loser = Setting(strong, values[strong], "here"), Setting(weak, values[weak], "there", "file")
+        resolved = resolve([winner, loser])
+        assert resolved.params == ProjectionParams(**{strong: values[strong]})
+        assert resolved.origin[strong] == "here"
+        assert resolved.origin[weak] in {"default", "follows from here"}
+        equals = (winner, replace(loser, source="option"))
+        err = failure(partial(resolve, equals))
+        assert str(err) == (
+            f"{strong} and {weak} say the same in two ways; give one of them ({strong} from here; {weak} from there)"
+        )
+
+
+def test_an_increment_that_follows_says_from_what() -> None:
+    resolved = resolve([Setting("beams", 720, "--beams")])
+    assert resolved.origin["angle_increment"] == "follows from --beams"
+
+
+@pytest.mark.parametrize("consumer", PRESETS)
+def test_a_preset_is_the_weakest(consumer: str, load: Load) -> None:
+    file = load(ros2({"use_inf": "true", "range_max": 4.0, "scan_time": 0.3333}))
+    option = Setting("range_min", 0.5, "--range-min")
+    resolved = resolve([option, *file.settings, *preset_settings(consumer)])
+    assert resolved.params == ProjectionParams(geometry="centered", range_min=0.5, range_max=4.0, scan_time=0.3333)
+    assert resolved.origin["geometry"] == f"--preset {consumer}"
+    assert resolved.origin["no_return"] == "default"
+    assert resolve(preset_settings(consumer)).params == ProjectionParams.preset(consumer)
+
+
+def test_a_preset_that_does_not_exist() -> None:
+    err = failure(lambda: preset_settings("slamtoolbox"))
+    assert str(err) == "there is no preset 'slamtoolbox'; did you mean slam_toolbox?"
+    assert err.hint == "The presets are slam_toolbox, cartographer, gmapping, amcl, nav2."
 
 
 def test_a_setting_that_loses_is_checked_all_the_same() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING
 
 import pytest
@@ -238,6 +238,18 @@ def test_queue_size_beats_concurrency_level_beside_it(load: Load, names: tuple[s
     file = load(ros2({name: {"queue_size": 1, "concurrency_level": 2}[name] for name in names}))
     assert values(file) == {"queue_size": 1}
     assert len(file.ignored) == 1
+
+
+def test_names_that_any_node_may_have_are_ours_only_in_our_sections(load: Load) -> None:
+    others = "/**:\n  ros__parameters:\n    geometry: {width: 0.5}\n    beams: 4\n    range_min: 1.0\n"
+    file = load(others + ros2({"min_height": -1.0}))
+    assert values(file) == {"range_min": 1.0, "min_height": -1.0}
+    assert len(file.ignored) == 2
+    ours = load(ros2({"beams": 720, "reduce": "max"}, "/**/pointcloud_to_laserscan") + ros2({"geometry": "centered"}))
+    assert values(ours) == {"beams": 720, "reduce": "max", "geometry": "centered"}
+    assert ours.ignored == ()
+    # In a file of ROS 1, too, such a name may be a whole group.
+    assert values(load("geometry:\n  width: 0.5\npointcloud_to_laserscan:\n  beams: 90\n")) == {"beams": 90}
 
 
 def test_a_specific_concurrency_level_beats_a_wildcards_queue_size(load: Load) -> None:
@@ -613,6 +625,11 @@ def any_params(draw: st.DrawFn) -> ProjectionParams:
         use_inf=draw(st.booleans()),
         inf_epsilon=draw(finite),
         queue_size=draw(st.integers(0, 10**6)),
+        geometry=draw(st.sampled_from(["upstream", "centered"])),
+        reduce=draw(st.sampled_from(["min", "max", "mean", "median"])),
+        min_points=draw(st.integers(1, 9)),
+        intensity_field=draw(st.text()),
+        time_increment=draw(st.one_of(finite, st.just("auto"))),
     )
 
 
@@ -641,6 +658,15 @@ def test_what_a_rendered_file_looks_like() -> None:
     assert "    use_inf: false" in lines
     assert not any("queue_size" in line for line in lines)
     assert "    queue_size: 3" in render_params_file(ProjectionParams(queue_size=3)).splitlines()
+
+
+def test_a_rendered_file_says_nothing_twice(tmp_path: Path) -> None:
+    assert "geometry" not in render_params_file(ProjectionParams())
+    params = ProjectionParams(beams=720, no_return="nan", use_inf=False, scan_time="auto", reduce="kth", kth=3)
+    text = render_params_file(params)
+    assert "beams" not in text
+    assert "use_inf" not in text
+    assert params_of(reread(text, tmp_path / "p.yaml")) == replace(params, beams=0, use_inf=True)
 
 
 def test_a_rendered_file_of_the_reverse_direction(tmp_path: Path) -> None:

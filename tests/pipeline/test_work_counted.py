@@ -173,10 +173,10 @@ def test_clouds_are_projected_where_they_were_decompressed(
         def __init__(self, params: pc2scan.ProjectionParams) -> None:
             self._project = Projector(params)
 
-        def __call__(self, x: Any, y: Any, z: Any, transform: Any) -> Any:
+        def __call__(self, x: Any, y: Any, z: Any, *more: Any) -> Any:
             with lock:
                 seen.append((x, y, z))
-            return self._project(x, y, z, transform)
+            return self._project(x, y, z, *more)
 
     monkeypatch.setattr(reader, "payload", kept)
     monkeypatch.setattr(cloud_to_scan, "Projector", Spy)

@@ -60,6 +60,7 @@ class OnError(StrEnum):
 
 
 _PARAMS = "Parameters of pointcloud_to_laserscan"
+_SLAM = "Ready for SLAM (beyond pointcloud_to_laserscan)"
 _TOPICS = "Topics and time"
 _FRAMES = "Frames"
 _REVERSE = "The way back"
@@ -71,17 +72,27 @@ _SHOWN = 5
 
 
 def _parameter(name: str) -> typer.models.OptionInfo:
-    """The option of one upstream parameter; unset unless given, so that files can speak."""
+    """The option of one parameter; unset unless given, so that files can speak."""
     parameter = PARAMETERS[name]
     default = str(parameter.default).lower() if parameter.kind == "bool" else str(parameter.default)
-    told = f"  [default: {' '.join(filter(None, (default, parameter.unit)))}]" if default else ""
+    # There 0 means that another parameter tells.
+    told = (
+        f"  [default: {' '.join(filter(None, (default, parameter.unit)))}]"
+        if default and name not in {"beams", "kth"}
+        else ""
+    )
+    metavar = {"float": parameter.unit.upper(), "int": "N", "str": "NAME"}.get(parameter.kind)
+    if name == "target_frame":
+        metavar = "FRAME"
+    elif parameter.words:
+        metavar = "|".join((parameter.unit.upper(),) * (parameter.kind == "float") + parameter.words)
     flag = parameter.option
     option: typer.models.OptionInfo = typer.Option(
         f"{flag}/--no-{flag.removeprefix('--')}" if parameter.kind == "bool" else flag,
         help=parameter.help + told,
         show_default=False,
-        metavar={"float": parameter.unit.upper(), "int": "N", "str": "FRAME"}.get(parameter.kind),
-        rich_help_panel=_PARAMS,
+        metavar=metavar,
+        rich_help_panel=_PARAMS if parameter.upstreams else _SLAM,
     )
     return option
 
@@ -186,12 +197,29 @@ def convert(
     angle_min: Annotated[float | None, _parameter("angle_min")] = None,
     angle_max: Annotated[float | None, _parameter("angle_max")] = None,
     angle_increment: Annotated[float | None, _parameter("angle_increment")] = None,
-    scan_time: Annotated[float | None, _parameter("scan_time")] = None,
+    scan_time: Annotated[str | None, _parameter("scan_time")] = None,
     range_min: Annotated[float | None, _parameter("range_min")] = None,
     range_max: Annotated[float | None, _parameter("range_max")] = None,
     use_inf: Annotated[bool | None, _parameter("use_inf")] = None,
     inf_epsilon: Annotated[float | None, _parameter("inf_epsilon")] = None,
     queue_size: Annotated[int | None, _parameter("queue_size")] = None,
+    preset: Annotated[
+        str | None,
+        typer.Option(
+            metavar="CONSUMER",
+            help="Choose what suits a consumer of the scans: slam_toolbox, cartographer, gmapping, amcl, nav2. Every "
+            "parameter that is given, here or in a file, beats it.",
+            rich_help_panel=_SLAM,
+        ),
+    ] = None,
+    geometry: Annotated[str | None, _parameter("geometry")] = None,
+    beams: Annotated[int | None, _parameter("beams")] = None,
+    no_return: Annotated[str | None, _parameter("no_return")] = None,
+    reduce: Annotated[str | None, _parameter("reduce")] = None,
+    kth: Annotated[int | None, _parameter("kth")] = None,
+    min_points: Annotated[int | None, _parameter("min_points")] = None,
+    intensity_field: Annotated[str | None, _parameter("intensity_field")] = None,
+    time_increment: Annotated[str | None, _parameter("time_increment")] = None,
     static_tf: Annotated[
         list[str],
         typer.Option(
@@ -356,28 +384,11 @@ def convert(
     PointCloud2 becomes LaserScan as ROS's pointcloud_to_laserscan does it. Every other topic passes through.
     Nothing is dropped in silence: what could not be converted is counted, listed, and told by the exit status.
     """
-    options: dict[str, object] = {
-        name: value
-        for name, value in (
-            ("target_frame", target_frame),
-            ("transform_tolerance", transform_tolerance),
-            ("min_height", min_height),
-            ("max_height", max_height),
-            ("angle_min", angle_min),
-            ("angle_max", angle_max),
-            ("angle_increment", angle_increment),
-            ("scan_time", scan_time),
-            ("range_min", range_min),
-            ("range_max", range_max),
-            ("use_inf", use_inf),
-            ("inf_epsilon", inf_epsilon),
-            ("queue_size", queue_size),
-        )
-        if value is not None
-    }
+    given = locals()
+    options = {name: given[name] for name in PARAMETERS if given[name] is not None}
     if report is not None and not report.parent.is_dir():
         raise UsageError("the report cannot be written: its directory does not exist", path=report)
-    reverse, resolved = _resolve(options, param, params_file, node, reverse=reverse)
+    reverse, resolved = _resolve(options, param, params_file, node, preset, reverse=reverse)
 
     from pc2scan.pipeline.frames import FrameOptions, StaticTransform, load_static_transforms
     from pc2scan.pipeline.options import ConvertOptions, TimeBound, TopicRequest
@@ -445,17 +456,29 @@ def _channels(names: list[Channel], range_cutoff: float | None) -> UnprojectPara
 
 
 def _resolve(
-    options: dict[str, object], param: list[str], params_file: Path | None, node: str | None, *, reverse: bool
+    options: dict[str, object],
+    param: list[str],
+    params_file: Path | None,
+    node: str | None,
+    preset: str | None,
+    *,
+    reverse: bool,
 ) -> tuple[bool, ResolvedParams]:
-    """The direction and the parameters: options beat ``--param``, which beats the file.
+    """The direction and the parameters: options beat ``--param``, which beats the file, which beats the preset.
 
     A file whose section is ``laserscan_to_pointcloud`` asks for the way back.
     """
     from pc2scan.pipeline.param_assignment import parse_param
-    from pc2scan.pipeline.parameters import Setting, resolve
+    from pc2scan.pipeline.parameters import Setting, preset_settings, resolve
     from pc2scan.pipeline.params_file import load_params_file
+    from pc2scan.pipeline.ros_scalars import plain_scalar
 
-    settings = [Setting(name, value, PARAMETERS[name].option) for name, value in options.items()]
+    settings = []
+    for name, value in options.items():
+        parameter = PARAMETERS[name]
+        # An option that is a number or a word arrives as text.
+        number = parameter.kind == "float" and isinstance(value, str)
+        settings.append(Setting(name, plain_scalar(str(value)) if number else value, parameter.option))
     settings += [parse_param(text) for text in reversed(param)]
     if params_file is not None:
         file = load_params_file(params_file, node=node)
@@ -465,6 +488,8 @@ def _resolve(
         reverse = reverse or file.direction == "laserscan_to_pointcloud"
         for origin in file.ignored:
             typer.echo(f"warning: not a parameter of the projection, ignored: {printable(origin)}", err=True)
+    if preset is not None:
+        settings += preset_settings(preset)
     direction: Direction = "laserscan_to_pointcloud" if reverse else "pointcloud_to_laserscan"
     return reverse, resolve(settings, direction=direction)
 
@@ -528,6 +553,8 @@ def _show(report: Report, *, verbose: bool) -> None:
             left=("on",),
         )
     typer.echo()
+    for note in report.notes:
+        typer.echo(printable(f"note: {note}"))
     _show_skipped(report, limit=len(report.skipped) if verbose else _SHOWN)
     typer.echo(
         printable(

@@ -53,28 +53,35 @@ WIDEST static void angles_of(const float *restrict x, const float *restrict y, f
             if (unsure[i]) angle[i] = (float)atan2((double)y[i], (double)x[i]);
 }
 
-/* What points are compared with; in the order of project.py's array. */
+/* What points are compared with: the array that rule.py makes and explains. */
 typedef struct {
-    double lowest, highest, least, most, angle_min, angle_max, angle_increment;
-} Limits;
+    double lowest, highest, least, most;
+    double first, last, offset, turn, end, skew, increment, closed;
+} Rule;
 
 /* Slots behind the beams: the fates of points that are in none. */
 enum { PAST_END, OUTSIDE, TOO_FAR, FATES };
 
 typedef struct {
-    Limits limits;
-    double *smallest; /* the smallest square of each beam, and of each fate */
+    Rule rule;
     int32_t beams;
     int64_t nan, height, fates[FATES];
+    /* Either the smallest square of each slot, */
+    double *smallest;
+    /* or the slot, range and number of each return. */
+    int32_t *slots;
+    float *ranges;
+    int64_t *numbers, gathered;
     float x[BLOCK], y[BLOCK], z[BLOCK];
+    int64_t number[BLOCK];
     int filled;
 } Scan;
 
 WIDEST static void project_block(Scan *scan) {
-    const Limits limits = scan->limits;
+    const Rule rule = scan->rule;
     const int count = scan->filled;
-    const int32_t beams = scan->beams;
-    const float first = (float)limits.angle_min, last = (float)limits.angle_max;
+    const int32_t beams = scan->beams, behind = rule.closed ? beams - 1 : beams + PAST_END;
+    const float first = (float)rule.first, last = (float)rule.last;
     double squares[BLOCK];
     float angle[BLOCK];
     int32_t slot[BLOCK], lost[FATES] = {0, 0, 0};
@@ -82,15 +89,17 @@ WIDEST static void project_block(Scan *scan) {
     for (int i = 0; i < count; i++) squares[i] = (double)scan->x[i] * scan->x[i] + (double)scan->y[i] * scan->y[i];
     angles_of(scan->x, scan->y, angle, count);
     for (int i = 0; i < count; i++) {
-        double quotient = ((double)angle[i] - limits.angle_min) / limits.angle_increment;
+        double turned = angle[i] + rule.offset;
+        turned = turned >= rule.turn ? turned - rule.turn : turned;
+        double quotient = (turned + rule.skew) / rule.increment;
         /* Outside the sector the quotient may be beyond the integers. */
-        int32_t outside = (angle[i] < first) | (angle[i] > last);
+        int32_t outside = (angle[i] < first) | (angle[i] > last) | (turned > rule.end);
         int32_t index = (int32_t)(outside ? 0.0 : quotient);
-        index = index < beams ? index : beams + PAST_END;
+        index = index < beams ? index : behind;
         slot[i] = outside ? beams + OUTSIDE : index;
     }
     for (int i = 0; i < count; i++) {
-        int32_t away = !((squares[i] >= limits.least) & (squares[i] <= limits.most));
+        int32_t away = !((squares[i] >= rule.least) & (squares[i] <= rule.most));
         slot[i] = away ? beams + TOO_FAR : slot[i];
     }
     for (int i = 0; i < count; i++) {
@@ -98,10 +107,21 @@ WIDEST static void project_block(Scan *scan) {
         lost[OUTSIDE] += slot[i] == beams + OUTSIDE;
         lost[TOO_FAR] += slot[i] == beams + TOO_FAR;
     }
-    for (int i = 0; i < count; i++)
-        if (squares[i] < scan->smallest[slot[i]]) scan->smallest[slot[i]] = squares[i];
     for (int fate = 0; fate < FATES; fate++) scan->fates[fate] += lost[fate];
     scan->filled = 0;
+    if (scan->smallest) {
+        for (int i = 0; i < count; i++)
+            if (squares[i] < scan->smallest[slot[i]]) scan->smallest[slot[i]] = squares[i];
+        return;
+    }
+    int64_t to = scan->gathered;
+    for (int i = 0; i < count; i++) {
+        if (slot[i] >= beams) continue;
+        scan->slots[to] = slot[i];
+        scan->ranges[to] = (float)sqrt(squares[i]);
+        scan->numbers[to++] = scan->number[i];
+    }
+    scan->gathered = to;
 }
 
 /* One coordinate of a cloud: rows of columns, strided and unaligned. */
@@ -126,7 +146,7 @@ static inline double read_either(const char *from, int doubles) { return doubles
 
 /* Drop points that are NaN or too high or low: from so many of them on, in place. */
 WIDEST static void drop_by_height(Scan *scan, const int from, const int count) {
-    const float lowest = (float)scan->limits.lowest, highest = (float)scan->limits.highest;
+    const float lowest = (float)scan->rule.lowest, highest = (float)scan->rule.highest;
     float *restrict x = scan->x + from, *restrict y = scan->y + from;
     const float *restrict z = scan->z + from;
     int32_t keep[BLOCK], nans = 0, kept = 0;
@@ -145,11 +165,16 @@ WIDEST static void drop_by_height(Scan *scan, const int from, const int count) {
         y[to] = y[i];
         to += keep[i];
     }
+    if (scan->smallest) return;
+    for (int i = 0, to = from; i < count; i++) {
+        scan->number[to] = scan->number[from + i];
+        to += keep[i];
+    }
 }
 
 /* Take points of one row. Inlined, so that compilers know of each call whether it has doubles and has to move. */
-static inline void load(Scan *scan, const char *x, const char *y, const char *z, const Axis axis[3], Py_ssize_t count,
-                        const int doubles, const double *move) {
+static inline void load(Scan *scan, const char *x, const char *y, const char *z, const Axis axis[3], int64_t number,
+                        Py_ssize_t count, const int doubles, const double *move) {
     const Py_ssize_t dx = axis[0].step, dy = axis[1].step, dz = axis[2].step;
     while (count > 0) {
         const int filled = scan->filled;
@@ -168,8 +193,11 @@ static inline void load(Scan *scan, const char *x, const char *y, const char *z,
             }
             x += dx, y += dy, z += dz;
         }
+        if (!scan->smallest)
+            for (int i = 0; i < take; i++) scan->number[filled + i] = number + i;
         drop_by_height(scan, filled, take);
         if (scan->filled == BLOCK) project_block(scan);
+        number += take;
         count -= take;
     }
 }
@@ -179,10 +207,11 @@ static void load_rows(Scan *scan, const Axis axis[3], Py_ssize_t rows, Py_ssize_
         const char *x = axis[0].data + row * axis[0].row_step;
         const char *y = axis[1].data + row * axis[1].row_step;
         const char *z = axis[2].data + row * axis[2].row_step;
-        if (doubles && move) load(scan, x, y, z, axis, columns, 1, move);
-        else if (doubles) load(scan, x, y, z, axis, columns, 1, NULL);
-        else if (move) load(scan, x, y, z, axis, columns, 0, move);
-        else load(scan, x, y, z, axis, columns, 0, NULL);
+        int64_t number = (int64_t)row * columns;
+        if (doubles && move) load(scan, x, y, z, axis, number, columns, 1, move);
+        else if (doubles) load(scan, x, y, z, axis, number, columns, 1, NULL);
+        else if (move) load(scan, x, y, z, axis, number, columns, 0, move);
+        else load(scan, x, y, z, axis, number, columns, 0, NULL);
     }
     if (scan->filled) project_block(scan);
 }
@@ -196,66 +225,141 @@ static int contiguous(PyObject *object, Py_buffer *view, int flags, Py_ssize_t i
     return -1;
 }
 
-static PyObject *project(PyObject *self, PyObject *args) {
-    (void)self;
-    PyObject *objects[3], *limits_of, *move_of, *ranges_of, *result = NULL;
-    float no_return;
-    if (!PyArg_ParseTuple(args, "OOOOOOf", &objects[0], &objects[1], &objects[2], &limits_of, &move_of, &ranges_of,
-                          &no_return))
-        return NULL;
-    Py_buffer coordinates[3], limits, move, ranges;
+/* A cloud from Python, with the rule and the transform. */
+typedef struct {
+    Py_buffer coordinates[3], rule, move;
     Axis axis[3];
-    int held = 0;
-    Scan *scan = NULL;
-    for (; held < 3; held++) {
-        Py_buffer *view = &coordinates[held];
-        if (PyObject_GetBuffer(objects[held], view, PyBUF_STRIDES) < 0) goto release;
-        int same = view->ndim == coordinates[0].ndim && view->itemsize == coordinates[0].itemsize;
-        for (int i = 0; same && i < view->ndim; i++) same = view->shape[i] == coordinates[0].shape[i];
+    Py_ssize_t rows, columns;
+    int held, moves;
+} Cloud;
+
+static void release(Cloud *cloud) {
+    while (cloud->held > 0) PyBuffer_Release(&cloud->coordinates[--cloud->held]);
+    if (cloud->rule.obj) PyBuffer_Release(&cloud->rule);
+    if (cloud->moves) PyBuffer_Release(&cloud->move);
+}
+
+static int take(Cloud *cloud, PyObject *xyz[3], PyObject *rule, PyObject *move) {
+    memset(cloud, 0, sizeof *cloud);
+    const Py_buffer *like = &cloud->coordinates[0];
+    for (; cloud->held < 3; cloud->held++) {
+        Py_buffer *view = &cloud->coordinates[cloud->held];
+        if (PyObject_GetBuffer(xyz[cloud->held], view, PyBUF_STRIDES) < 0) goto failed;
+        int same = view->ndim == like->ndim && view->itemsize == like->itemsize;
+        for (int i = 0; same && i < view->ndim; i++) same = view->shape[i] == like->shape[i];
         if (!same || view->ndim < 1 || view->ndim > 2 || (view->itemsize != 4 && view->itemsize != 8)) {
             PyBuffer_Release(view);
             PyErr_SetString(PyExc_ValueError, "coordinates are not three arrays of one shape and type");
-            goto release;
+            goto failed;
         }
-        axis[held].data = view->buf;
-        axis[held].step = view->strides[view->ndim - 1];
-        axis[held].row_step = view->ndim == 2 ? view->strides[0] : 0;
+        Axis *axis = &cloud->axis[cloud->held];
+        axis->data = view->buf;
+        axis->step = view->strides[view->ndim - 1];
+        axis->row_step = view->ndim == 2 ? view->strides[0] : 0;
     }
-    if (contiguous(limits_of, &limits, PyBUF_SIMPLE, 8, sizeof(Limits) / 8) < 0) goto release;
-    if (move_of != Py_None && contiguous(move_of, &move, PyBUF_SIMPLE, 8, 12) < 0) goto release_limits;
-    if (contiguous(ranges_of, &ranges, PyBUF_WRITABLE, 4, -1) < 0) goto release_move;
-    int32_t beams = (int32_t)(ranges.len / 4);
-    scan = PyMem_Malloc(sizeof *scan + (size_t)(beams + FATES) * sizeof(double));
+    cloud->rows = like->ndim == 2 ? like->shape[0] : 1;
+    cloud->columns = like->shape[like->ndim - 1];
+    if (contiguous(rule, &cloud->rule, PyBUF_SIMPLE, 8, sizeof(Rule) / 8) < 0) {
+        cloud->rule.obj = NULL;
+        goto failed;
+    }
+    if (move != Py_None) {
+        if (contiguous(move, &cloud->move, PyBUF_SIMPLE, 8, 12) < 0) goto failed;
+        cloud->moves = 1;
+    }
+    return 0;
+failed:
+    release(cloud);
+    return -1;
+}
+
+/* Room for a scan, and for some doubles behind it. */
+static Scan *new_scan(const Cloud *cloud, int32_t beams, size_t doubles) {
+    Scan *scan = PyMem_Malloc(sizeof *scan + doubles * sizeof(double));
     if (!scan) {
         PyErr_NoMemory();
-        goto release_ranges;
+        return NULL;
     }
     memset(scan, 0, sizeof *scan);
-    memcpy(&scan->limits, limits.buf, sizeof scan->limits);
-    scan->smallest = (double *)(scan + 1);
+    memcpy(&scan->rule, cloud->rule.buf, sizeof scan->rule);
     scan->beams = beams;
-    Py_ssize_t rows = coordinates[0].ndim == 2 ? coordinates[0].shape[0] : 1;
-    Py_ssize_t columns = coordinates[0].shape[coordinates[0].ndim - 1];
-    Py_BEGIN_ALLOW_THREADS
-    for (int32_t i = 0; i < beams + FATES; i++) scan->smallest[i] = INFINITY;
-    load_rows(scan, axis, rows, columns, coordinates[0].itemsize == 8, move_of == Py_None ? NULL : move.buf);
-    float *range = ranges.buf;
-    for (int32_t i = 0; i < beams; i++) {
-        float root = (float)sqrt(scan->smallest[i]);
-        range[i] = root < no_return ? root : no_return;
+    return scan;
+}
+
+static void run(Scan *scan, const Cloud *cloud) {
+    load_rows(scan, cloud->axis, cloud->rows, cloud->columns, cloud->coordinates[0].itemsize == 8,
+              cloud->moves ? cloud->move.buf : NULL);
+}
+
+static PyObject *fates(const Scan *scan) {
+    return Py_BuildValue("(LLLLL)", (long long)scan->nan, (long long)scan->height, (long long)scan->fates[TOO_FAR],
+                         (long long)scan->fates[OUTSIDE], (long long)scan->fates[PAST_END]);
+}
+
+static PyObject *project(PyObject *self, PyObject *args) {
+    (void)self;
+    PyObject *xyz[3], *rule, *move, *ranges_of, *result = NULL;
+    float limit, empty;
+    if (!PyArg_ParseTuple(args, "OOOOOOff", &xyz[0], &xyz[1], &xyz[2], &rule, &move, &ranges_of, &limit, &empty))
+        return NULL;
+    Cloud cloud;
+    if (take(&cloud, xyz, rule, move) < 0) return NULL;
+    Py_buffer ranges;
+    if (contiguous(ranges_of, &ranges, PyBUF_WRITABLE, 4, -1) == 0) {
+        const int32_t beams = (int32_t)(ranges.len / 4);
+        Scan *scan = new_scan(&cloud, beams, (size_t)beams + FATES);
+        if (scan) {
+            scan->smallest = (double *)(scan + 1);
+            float *range = ranges.buf;
+            Py_BEGIN_ALLOW_THREADS
+            for (int32_t i = 0; i < beams + FATES; i++) scan->smallest[i] = INFINITY;
+            run(scan, &cloud);
+            for (int32_t i = 0; i < beams; i++) {
+                float root = (float)sqrt(scan->smallest[i]);
+                range[i] = root < limit ? root : empty;
+            }
+            Py_END_ALLOW_THREADS
+            result = fates(scan);
+            PyMem_Free(scan);
+        }
+        PyBuffer_Release(&ranges);
     }
-    Py_END_ALLOW_THREADS
-    result = Py_BuildValue("(LLLLL)", (long long)scan->nan, (long long)scan->height, (long long)scan->fates[TOO_FAR],
-                           (long long)scan->fates[OUTSIDE], (long long)scan->fates[PAST_END]);
-    PyMem_Free(scan);
+    release(&cloud);
+    return result;
+}
+
+static PyObject *gather(PyObject *self, PyObject *args) {
+    (void)self;
+    PyObject *xyz[3], *rule, *move, *slots_of, *ranges_of, *numbers_of, *result = NULL;
+    int beams;
+    if (!PyArg_ParseTuple(args, "OOOOOiOOO", &xyz[0], &xyz[1], &xyz[2], &rule, &move, &beams, &slots_of, &ranges_of,
+                          &numbers_of))
+        return NULL;
+    Cloud cloud;
+    if (take(&cloud, xyz, rule, move) < 0) return NULL;
+    const Py_ssize_t most = cloud.rows * cloud.columns;
+    Py_buffer slots, ranges, numbers;
+    if (contiguous(slots_of, &slots, PyBUF_WRITABLE, 4, most) < 0) goto release_cloud;
+    if (contiguous(ranges_of, &ranges, PyBUF_WRITABLE, 4, most) < 0) goto release_slots;
+    if (contiguous(numbers_of, &numbers, PyBUF_WRITABLE, 8, most) < 0) goto release_ranges;
+    Scan *scan = new_scan(&cloud, beams, 0);
+    if (scan) {
+        scan->slots = slots.buf;
+        scan->ranges = ranges.buf;
+        scan->numbers = numbers.buf;
+        Py_BEGIN_ALLOW_THREADS
+        run(scan, &cloud);
+        Py_END_ALLOW_THREADS
+        result = fates(scan);
+        PyMem_Free(scan);
+    }
+    PyBuffer_Release(&numbers);
 release_ranges:
     PyBuffer_Release(&ranges);
-release_move:
-    if (move_of != Py_None) PyBuffer_Release(&move);
-release_limits:
-    PyBuffer_Release(&limits);
-release:
-    while (held > 0) PyBuffer_Release(&coordinates[--held]);
+release_slots:
+    PyBuffer_Release(&slots);
+release_cloud:
+    release(&cloud);
     return result;
 }
 
@@ -286,7 +390,9 @@ release_x:
 
 static PyMethodDef methods[] = {
     {"project", project, METH_VARARGS,
-     "project(x, y, z, limits, move, ranges, no_return) -> (nan, height, range, angle, past_end)"},
+     "project(x, y, z, rule, moved, ranges, limit, empty) -> (nan, height, range, angle, past_end); see plain.py"},
+    {"gather", gather, METH_VARARGS,
+     "gather(x, y, z, rule, moved, beams, slots, ranges, numbers) -> the same counts; see plain.py"},
     {"angles", angles, METH_VARARGS, "angles(x, y, out): float32(atan2(y, x)) of contiguous float32, none of them NaN"},
     {NULL, NULL, 0, NULL},
 };

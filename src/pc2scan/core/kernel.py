@@ -5,14 +5,14 @@ An installation without a C compiler, from source, does without the compiled one
 
 from __future__ import annotations
 
-__all__ = ["COMPILED", "angles", "project"]
+__all__ = ["COMPILED", "angles", "gather", "project"]
 
 try:
-    from ._kernel import angles, project
+    from ._kernel import angles, gather, project
 
     #: Whether the loops are compiled.
     COMPILED = True
 except ImportError:
-    from .plain import angles, project
+    from .plain import angles, gather, project
 
     COMPILED = False

@@ -1,55 +1,44 @@
-"""The parameters of pointcloud_to_laserscan: upstream's names, types, defaults and meanings."""
+"""The parameters of the projection: upstream's names, types, defaults and meanings first, then pc2scan's own."""
 
 from __future__ import annotations
 
 import math
-import struct
 from dataclasses import dataclass, fields
+from typing import Literal
 
 from pc2scan.errors import ParameterError
 
-__all__ = ["MAX_BEAMS", "ProjectionParams", "beam_count", "float32"]
+from .layout import BeamLayout, beam_count, centered_layout, float32, upstream_layout
+from .presets import PRESETS
+
+__all__ = ["CHOICES", "MAX_BEAMS", "MEASURED", "ProjectionParams", "beam_count", "float32"]
 
 #: More beams than this is a mistyped increment: a ten-thousandth of a degree over a full circle makes 3.6 million.
 MAX_BEAMS = 4_000_000
 
 
-def float32(value: float) -> float:
-    """Round to the nearest float32, as assigning to a message's field does; beyond its range is infinite.
+#: How the choices of parameters are spelled.
+CHOICES: dict[str, tuple[str, ...]] = {
+    "geometry": ("upstream", "centered"),
+    "no_return": ("inf", "range-max-plus", "range-max-minus", "nan", "zero"),
+    "reduce": ("min", "max", "mean", "median", "kth"),
+}
 
-    In plain Python, so that reading parameters (and ``--help``, which shows their defaults) needs no NumPy.
-    """
-    try:
-        rounded: float = struct.unpack("<f", struct.pack("<f", value))[0]
-    except OverflowError:
-        return math.copysign(math.inf, value)
-    return rounded
+#: Parameters that may be measured in the recording instead of given.
+MEASURED = ("scan_time", "time_increment")
 
-
-def beam_count(angle_min: float, angle_max: float, angle_increment: float) -> int:
-    """Length of a scan's ``ranges``: the ceiling of a float32 quotient.
-
-    Source of the rule: pointcloud_to_laserscan_node.cpp computes ``ceil((angle_max - angle_min) /
-    angle_increment)`` on the message's float32 fields. 0 where the quotient is not positive and finite.
-
-    Notes
-    -----
-    Rounding the float64 result of one operation on float32 operands gives the float32 result: float64 has more
-    than twice the digits that double rounding could spoil.
-    """
-    increment = float32(angle_increment)
-    if increment == 0:
-        return 0
-    quotient = float32(float32(float32(angle_max) - float32(angle_min)) / increment)
-    return math.ceil(quotient) if 0 < quotient < math.inf else 0
+#: What ``no_return: range-max-minus`` stays below ``range_max``, metres. Source of the number: nav2_costmap_2d's
+#: ObstacleLayer::laserScanValidInfCallback puts infinite ranges there, so that they clear and do not mark.
+_BELOW_RANGE_MAX = 0.0001
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProjectionParams:
     """Parameters of the projection, validated once and immutable.
 
-    Names, units and defaults are those of the ROS node ``pointcloud_to_laserscan``. Angles and ranges
-    reach the scan as float32; heights and ranges of points are compared as float64.
+    Names, units and defaults are those of the ROS node ``pointcloud_to_laserscan``, as far as it has them; the
+    defaults of the others change nothing of what it returns. Angles and ranges reach the scan as float32; heights and
+    ranges of points are compared as float64.
 
     Parameters
     ----------
@@ -61,11 +50,12 @@ class ProjectionParams:
         Limits of z in the target frame, metres, inclusive. **The default of ``min_height`` is the
         smallest positive double: everything at or below z = 0 is dropped.**
     angle_min, angle_max
-        The sector, radians, inclusive.
+        The sector, radians, inclusive. With ``geometry`` centered: the middle of the first beam, and what that of
+        the last one does not exceed; any angles, 0 to 2 pi too.
     angle_increment
         Width of a beam, radians.
     scan_time
-        Seconds, copied into the scan.
+        Seconds, copied into the scan; ``auto``: the median interval of the recorded stamps.
     range_min, range_max
         Limits of hypot(x, y), metres, inclusive.
     use_inf
@@ -75,12 +65,34 @@ class ProjectionParams:
     queue_size
         Messages in flight at most; 0 means as many as there are processor cores, and bounds memory only: nothing
         is ever dropped.
+    geometry
+        ``upstream``: beam i begins at ``angle_min + i * angle_increment``. ``centered``: it looks there, and takes
+        what is within half an increment on either side; see `centered_layout`.
+    beams
+        How many beams the sector has, instead of ``angle_increment``, which then is what follows; 0: the
+        increment tells.
+    no_return
+        What a beam without a return reads: ``inf``, ``range-max-plus`` (``range_max + inf_epsilon``),
+        ``range-max-minus`` (0.1 mm below ``range_max``), ``nan`` or ``zero``; empty: ``use_inf`` tells.
+    reduce
+        Which of a beam's returns it reads: ``min``, ``max``, ``mean``, ``median`` (of an even number the lower one of
+        the two in the middle) or ``kth``.
+    kth
+        With ``reduce`` kth: 1 is the closest return, 2 the next; a beam with fewer has no return.
+    min_points
+        A beam with fewer returns has none.
+    intensity_field
+        Field of the cloud whose values become the scan's intensities: that of the point whose range it is,
+        the mean of the beam's with ``reduce`` mean, 0 without a return. Empty: no intensities.
+    time_increment
+        Seconds from one beam to the next, copied into the scan; ``auto``: measured from the clouds' per-point
+        times, and the stamp becomes the first beam's.
 
     Raises
     ------
     ParameterError
         If a value is NaN or cannot be (an increment that is not positive, an empty sector, range
-        or height band, more than `MAX_BEAMS` beams).
+        or height band, more than `MAX_BEAMS` beams, a word that is not one of the choices).
     """
 
     target_frame: str = ""
@@ -90,29 +102,56 @@ class ProjectionParams:
     angle_min: float = -math.pi
     angle_max: float = math.pi
     angle_increment: float = math.pi / 180
-    scan_time: float = 1 / 30
+    scan_time: float | Literal["auto"] = 1 / 30
     range_min: float = 0.0
     range_max: float = 1.7976931348623157e308
     use_inf: bool = True
     inf_epsilon: float = 1.0
     queue_size: int = 0
+    geometry: str = "upstream"
+    beams: int = 0
+    no_return: str = ""
+    reduce: str = "min"
+    kth: int = 0
+    min_points: int = 1
+    intensity_field: str = ""
+    time_increment: float | Literal["auto"] = 0.0
+
+    @classmethod
+    def preset(cls, consumer: str, **changes: float | str) -> ProjectionParams:
+        """Return what suits a consumer of the scans; see `pc2scan.core.presets`.
+
+        Parameters
+        ----------
+        consumer
+            ``slam_toolbox``, ``cartographer``, ``gmapping``, ``amcl`` or ``nav2``.
+        **changes
+            Parameters that win over the preset's.
+
+        Examples
+        --------
+        >>> ProjectionParams.preset("slam_toolbox", min_height=-0.5).length
+        360
+        """
+        if consumer not in PRESETS:
+            raise ParameterError(f"there is no preset {consumer!r}, only {', '.join(PRESETS)}", name="preset")
+        values: dict[str, object] = {**PRESETS[consumer], **changes}
+        return cls(**values)  # type: ignore[arg-type]
 
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
             if isinstance(value, float) and math.isnan(value):
                 raise ParameterError(f"{field.name} is NaN", name=field.name)
-        for name in ("transform_tolerance", "scan_time", "queue_size"):
-            if getattr(self, name) < 0:
-                raise ParameterError(f"{name} is {getattr(self, name)}, it must not be negative", name=name)
-        for name in ("angle_min", "angle_max", "angle_increment"):
-            if math.isinf(getattr(self, name)):
-                raise ParameterError(f"{name} is {getattr(self, name)}, it must be finite", name=name)
-        if not float32(self.angle_increment) > 0:
-            raise ParameterError(
-                f"angle_increment is {self.angle_increment} rad, it must be positive",
-                name="angle_increment",
-            )
+        self._check_words()
+        for name in ("transform_tolerance", "scan_time", "queue_size", "beams", "kth"):
+            value = getattr(self, name)
+            if value != "auto" and value < 0:
+                raise ParameterError(f"{name} is {value}, it must not be negative", name=name)
+        for name in ("angle_min", "angle_max", "angle_increment", "time_increment"):
+            value = getattr(self, name)
+            if value != "auto" and math.isinf(value):
+                raise ParameterError(f"{name} is {value}, it must be finite", name=name)
         if not float32(self.angle_min) < float32(self.angle_max):
             raise ParameterError(
                 f"angle_min {self.angle_min} rad is not below angle_max {self.angle_max} rad",
@@ -121,24 +160,84 @@ class ProjectionParams:
         for low, high in (("range_min", "range_max"), ("min_height", "max_height")):
             if getattr(self, low) > getattr(self, high):
                 raise ParameterError(f"{low} {getattr(self, low)} m is above {high} {getattr(self, high)} m", name=low)
-        count = beam_count(self.angle_min, self.angle_max, self.angle_increment)
-        if not 0 < count <= MAX_BEAMS:
+        self._check_beams()
+        self._check_returns()
+
+    def _check_words(self) -> None:
+        for name, choices in CHOICES.items():
+            value = getattr(self, name)
+            if value not in choices and not (name == "no_return" and not value):
+                raise ParameterError(f"{name} is {value!r}, it must be one of {', '.join(choices)}", name=name)
+        for name in MEASURED:
+            value = getattr(self, name)
+            if isinstance(value, str) and value != "auto":
+                raise ParameterError(f"{name} is {value!r}, it must be a number or auto", name=name)
+
+    def _check_beams(self) -> None:
+        if self.beams == 1 or self.beams > MAX_BEAMS:
+            raise ParameterError(f"beams is {self.beams:,}, it must be from 2 to {MAX_BEAMS:,}", name="beams")
+        if self.beams:
+            object.__setattr__(self, "angle_increment", self.layout.angle_increment)
+        if not float32(self.angle_increment) > 0:
             raise ParameterError(
-                f"angle_increment is {self.angle_increment} rad, which makes {count:,} beams of the sector "
-                f"{self.angle_min} to {self.angle_max} rad; at most {MAX_BEAMS:,} are allowed",
+                f"angle_increment is {self.angle_increment} rad, it must be positive",
+                name="angle_increment",
+            )
+        layout = self.layout
+        if not 0 < layout.count <= MAX_BEAMS:
+            raise ParameterError(
+                f"angle_increment is {self.angle_increment} rad, which divides the sector {self.angle_min} to "
+                f"{self.angle_max} rad into {layout.count:,}; at most {MAX_BEAMS:,} are allowed",
+                name="angle_increment",
+            )
+        if not layout.angle_min < layout.angle_max:
+            raise ParameterError(
+                f"angle_increment is {self.angle_increment} rad, which leaves the sector {self.angle_min} to "
+                f"{self.angle_max} rad a single direction; the centered geometry needs two",
                 name="angle_increment",
             )
 
-    @property
-    def beams(self) -> int:
-        """Length of the scan's ``ranges``."""
-        return beam_count(self.angle_min, self.angle_max, self.angle_increment)
+    def _check_returns(self) -> None:
+        if self.reduce == "kth" and not self.kth:
+            raise ParameterError("reduce is kth, which needs to know which: kth must be 1 or more", name="kth")
+        if self.kth and self.reduce != "kth":
+            raise ParameterError(f"kth is {self.kth}, which goes with reduce kth, not {self.reduce}", name="kth")
+        if self.min_points < 1:
+            raise ParameterError(f"min_points is {self.min_points}, it must be 1 or more", name="min_points")
+        if self.no_return.startswith("range-max") and math.isinf(float32(self.range_max)):
+            raise ParameterError(
+                f"no_return is {self.no_return}, which needs a finite range_max",
+                name="no_return",
+                hint="Say how far the sensor sees: --range-max 100.",
+            )
 
     @property
-    def no_return(self) -> float:
+    def layout(self) -> BeamLayout:
+        """What the scan's message advertises of its beams."""
+        make = centered_layout if self.geometry == "centered" else upstream_layout
+        return make(self.angle_min, self.angle_max, self.angle_increment, self.beams)
+
+    @property
+    def length(self) -> int:
+        """Length of the scan's ``ranges``."""
+        return self.layout.count
+
+    @property
+    def empty_range(self) -> float:
         """What a beam without a return reads, metres: a float32 value.
 
         Source: ``range_max + inf_epsilon`` is the node's sum of the message's float32 ``range_max`` and a
         double, stored as float32; a default ``range_max`` is inf as float32, and so is the sum.
         """
-        return math.inf if self.use_inf else float32(float32(self.range_max) + self.inf_epsilon)
+        last = float32(self.range_max)
+        match self.no_return or ("inf" if self.use_inf else "range-max-plus"):
+            case "range-max-plus":
+                return float32(last + self.inf_epsilon)
+            case "range-max-minus":
+                # Where float32 is coarser than that, the sum must not round to range_max.
+                return float32(min(last - _BELOW_RANGE_MAX, last * (1 - 2.0**-23)))
+            case "nan":
+                return math.nan
+            case "zero":
+                return 0.0
+        return math.inf

@@ -1,13 +1,10 @@
 """The loops over points in NumPy: what runs where ``_kernel.c`` is not compiled, and what explains it.
 
-Source of the rules: `project` and the beams in pointcloud_to_laserscan_node.cpp, which computes ``int index =
-(angle - angle_min) / angle_increment``, where ``angle`` is a double that holds a float32, atan2f(y, x), and the other
-two are the message's float32 fields: a float64 quotient, truncated. Its check of the sector comes first.
+Points are compared with the numbers of a rule; see `pc2scan.core.rule`.
 """
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,7 +14,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["angles", "project"]
+__all__ = ["angles", "gather", "project", "slots_of"]
 
 #: Points at a time: few enough for the cache, and enough to make the cost of calling NumPy small.
 BLOCK = 16384
@@ -27,65 +24,145 @@ def project(
     x: NDArray[Any],
     y: NDArray[Any],
     z: NDArray[Any],
-    limits: NDArray[np.float64],
+    rule: NDArray[np.float64],
     moved: NDArray[np.float64] | None,
     ranges: NDArray[np.float32],
-    no_return: float,
+    limit: float,
+    empty: float,
 ) -> tuple[int, int, int, int, int]:
-    """Lower the ranges of beams to those of the points that fall into them.
+    """The smallest range of each beam.
 
     Parameters
     ----------
     x, y, z
         Coordinates in metres, of one shape, (M,) or (H, W), all float32 or all float64.
-    limits
-        (7,): the lowest and highest z, the least and most square of the range, all inclusive; then the scan's
-        ``angle_min``, ``angle_max`` and ``angle_increment``.
+    rule
+        (12,), of `rule_of`.
     moved
         (12,): a transform to apply first, in float64: the rotation by rows, then the translation.
     ranges
-        (N,), overwritten: the smallest range of each of N beams, ``no_return`` where that is smaller.
-    no_return
-        A float32 value, metres.
+        (N,), overwritten: the smallest range of each of N beams, metres.
+    limit, empty
+        A beam without a return below the limit reads ``empty``: float32 values, metres.
 
     Returns
     -------
     tuple of int
         How many points are NaN, at the wrong height, out of range, out of the sector, behind the last beam.
     """
-    lowest, highest, least, most, angle_min, angle_max, angle_increment = limits.tolist()
-    beams = ranges.size
-    smallest = np.full(beams, np.inf)
-    nans = heights = far = outside = past_end = 0
+    smallest = np.full(ranges.size, np.inf)
+    fates = np.zeros(5, np.int64)
     with np.errstate(all="ignore"):
-        for tile in _tiles(x.shape):
-            px, py, pz = (part[tile].ravel() for part in (x, y, z))
-            if moved is not None:
-                px, py, pz = _move(px, py, pz, moved)
-            px, py, pz = (part.astype(np.float32, copy=False) for part in (px, py, pz))
-            nan = np.isnan(px) | np.isnan(py) | np.isnan(pz)
-            level = ~nan & (pz >= lowest) & (pz <= highest)
-            px, py = px[level], py[level]
-            # float64 holds the squares of float32 exactly, and libm's hypotf adds them in float64.
-            squares = np.square(px, dtype=np.float64) + np.square(py, dtype=np.float64)
-            near = (squares >= least) & (squares <= most)
-            px, py, squares = px[near], py[near], squares[near]
-            angle = np.empty_like(px)
-            angles(px, py, angle)
-            inside = (angle >= angle_min) & (angle <= angle_max)
-            # Outside the sector, a quotient may be beyond the integers.
-            index = ((angle[inside].astype(np.float64) - angle_min) / angle_increment).astype(np.intp)
-            beam = index < beams
-            np.minimum.at(smallest, index[beam], squares[inside][beam])
-            nans += int(np.count_nonzero(nan))
-            heights += nan.size - int(np.count_nonzero(nan)) - px.size - int(np.count_nonzero(~near))
-            far += int(np.count_nonzero(~near))
-            outside += px.size - index.size
-            past_end += index.size - int(np.count_nonzero(beam))
+        for slots, squares, _ in _returns(x, y, z, rule, moved, ranges.size, fates):
+            np.minimum.at(smallest, slots, squares)
         # The smallest square has the smallest root, and beams are mostly fewer than points.
         ranges[...] = np.sqrt(smallest)
-        np.minimum(ranges, np.float32(no_return), out=ranges)
-    return nans, heights, far, outside, past_end
+    ranges[~(ranges < np.float32(limit))] = empty
+    return _five(fates)
+
+
+def gather(
+    x: NDArray[Any],
+    y: NDArray[Any],
+    z: NDArray[Any],
+    rule: NDArray[np.float64],
+    moved: NDArray[np.float64] | None,
+    beams: int,
+    slots: NDArray[np.int32],
+    ranges: NDArray[np.float32],
+    numbers: NDArray[np.int64],
+) -> tuple[int, int, int, int, int]:
+    """All returns of the beams, in the order of the cloud.
+
+    Parameters
+    ----------
+    x, y, z, rule, moved
+        As for `project`.
+    beams
+        N, how many there are.
+    slots, ranges, numbers
+        (points,), overwritten as far as there are returns: the beam that each falls into, its range in metres,
+        and which point it is.
+
+    Returns
+    -------
+    tuple of int
+        As `project`; all other points are returns.
+    """
+    fates = np.zeros(5, np.int64)
+    begin = 0
+    with np.errstate(all="ignore"):
+        for found, squares, points in _returns(x, y, z, rule, moved, beams, fates):
+            end = begin + found.size
+            slots[begin:end], numbers[begin:end] = found, points
+            ranges[begin:end] = np.sqrt(squares)
+            begin = end
+    return _five(fates)
+
+
+def slots_of(angle: NDArray[np.float32], rule: NDArray[np.float64], beams: int) -> NDArray[np.intp]:
+    """Which beam angles belong to.
+
+    Parameters
+    ----------
+    angle
+        (M,), radians, within -pi to pi, not NaN.
+    rule
+        (12,), of `rule_of`; the heights and ranges do not matter.
+    beams
+        N, how many there are.
+
+    Returns
+    -------
+    (M,) intp: 0 to N - 1; N for what is past the end; N + 1 for what is outside the sector.
+    """
+    first, last, offset, turn, end, skew, increment, closed = rule[4:].tolist()
+    turned = angle + np.float64(offset)
+    np.subtract(turned, turn, out=turned, where=turned >= turn)
+    outside = (angle < np.float32(first)) | (angle > np.float32(last)) | (turned > end)
+    # Outside the sector, a quotient may be beyond the integers.
+    slots = np.where(outside, 0.0, (turned + skew) / increment).astype(np.intp)
+    np.minimum(slots, beams - 1 if closed else beams, out=slots)
+    slots[outside] = beams + 1
+    return slots
+
+
+def _returns(
+    x: NDArray[Any],
+    y: NDArray[Any],
+    z: NDArray[Any],
+    rule: NDArray[np.float64],
+    moved: NDArray[np.float64] | None,
+    beams: int,
+    fates: NDArray[np.int64],
+) -> Iterator[tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.intp]]]:
+    """Beams, squared ranges and numbers of the returns, part by part; the others are added to the fates."""
+    lowest, highest, least, most = rule[:4].tolist()
+    x, y, z = (part.reshape(-1) for part in (x, y, z))
+    for start in range(0, x.size, BLOCK):
+        px, py, pz = (part[start : start + BLOCK] for part in (x, y, z))
+        if moved is not None:
+            px, py, pz = _move(px, py, pz, moved)
+        px, py, pz = (part.astype(np.float32, copy=False) for part in (px, py, pz))
+        known = ~(np.isnan(px) | np.isnan(py) | np.isnan(pz))
+        level = np.flatnonzero(known & (pz >= np.float32(lowest)) & (pz <= np.float32(highest)))
+        # float64 holds the squares of float32 exactly, and libm's hypotf adds them in float64.
+        squares = np.square(px[level], dtype=np.float64) + np.square(py[level], dtype=np.float64)
+        near = (squares >= least) & (squares <= most)
+        kept, squares = level[near], squares[near]
+        angle = np.empty(kept.size, np.float32)
+        angles(px[kept], py[kept], angle)
+        slots = slots_of(angle, rule, beams)
+        past_end, outside = np.count_nonzero(slots == beams), np.count_nonzero(slots == beams + 1)
+        nan = px.size - np.count_nonzero(known)
+        fates += nan, px.size - nan - level.size, level.size - kept.size, outside, past_end
+        found = slots < beams
+        yield slots[found], squares[found], kept[found] + start
+
+
+def _five(fates: NDArray[np.int64]) -> tuple[int, int, int, int, int]:
+    nan, height, far, outside, past_end = fates.tolist()
+    return nan, height, far, outside, past_end
 
 
 def angles(x: NDArray[np.float32], y: NDArray[np.float32], out: NDArray[np.float32]) -> None:
@@ -103,14 +180,3 @@ def _move(
     return tuple(
         x * row[0] + y * row[1] + z * row[2] + offset for row, offset in zip(rotation, translation, strict=True)
     )
-
-
-def _tiles(shape: tuple[int, ...]) -> Iterator[tuple[slice, ...]]:
-    """Parts of a cloud, up to `BLOCK` points each: whole rows, or equal parts of rows that are longer."""
-    *rows, columns = shape
-    width = max(1, math.ceil(columns / max(1, math.ceil(columns / BLOCK))))
-    height = max(1, BLOCK // width)
-    for top in range(0, rows[0] if rows else 1, height):
-        for left in range(0, columns, width):
-            across = slice(left, left + width)
-            yield (slice(top, top + height), across) if rows else (across,)

@@ -1,4 +1,4 @@
-"""Points to ranges: the projection of pointcloud_to_laserscan, to the bit, and where every point went.
+"""Points to ranges: the projection of pointcloud_to_laserscan, to the bit, and what else parameters ask for.
 
 Source of the rule: ``cloudCb`` in pointcloud_to_laserscan_node.cpp. A point is dropped if, in this order,
 
@@ -6,21 +6,24 @@ Source of the rule: ``cloudCb`` in pointcloud_to_laserscan_node.cpp. A point is 
 2. z is above ``max_height`` or below ``min_height``;
 3. its range, float32 hypot(x, y), is below ``range_min`` or above ``range_max``;
 4. its angle, float32 atan2(y, x), is outside the sector;
-5. its angle is behind the last beam, where upstream writes past its array (see `Grid`).
+5. its angle is behind the last beam, where upstream writes past its array (see `upstream_beams`).
 
-The others lower the range of their beam to their own. Heights and ranges are compared as float64.
+The others lower the range of their beam to their own. Heights and ranges are compared as float64. Points are
+dropped for the same reasons, in the same order, whatever the geometry, and whichever return a beam is to read.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 from . import kernel
-from .params import ProjectionParams, float32
+from .params import ProjectionParams
+from .reduce import extremes, means, winners
+from .rule import rule_of
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -73,6 +76,10 @@ class PointCounts:
         )
 
 
+def _no_values() -> NDArray[np.float32]:
+    return np.empty(0, np.float32)
+
+
 @dataclass(frozen=True, slots=True)
 class ProjectedScan:
     """What a cloud is projected to.
@@ -80,13 +87,16 @@ class ProjectedScan:
     Attributes
     ----------
     ranges
-        (N,) float32, metres: the smallest range of each beam, ``params.no_return`` where there is none.
+        (N,) float32, metres: what each beam reads, ``params.empty_range`` where there is no return.
     counts
         Where the points went.
+    intensities
+        (N,) float32, 0 where there is no return; (0,) if none were asked for.
     """
 
     ranges: NDArray[np.float32]
     counts: PointCounts
+    intensities: NDArray[np.float32] = field(default_factory=_no_values)
 
 
 class Projector:
@@ -98,11 +108,13 @@ class Projector:
         The projection's parameters; ``target_frame`` is the caller's business.
     """
 
-    __slots__ = ("_limits", "params")
+    __slots__ = ("_limit", "_rule", "params")
 
     def __init__(self, params: ProjectionParams) -> None:
         self.params = params
-        self._limits = _limits(params)
+        self._rule = rule_of(params)
+        # Upstream's beams begin with what they read without a return, and a return has to be below that.
+        self._limit = params.empty_range if params.no_return in {"", "inf", "range-max-plus"} else math.inf
 
     def __call__(
         self,
@@ -110,6 +122,7 @@ class Projector:
         y: NDArray[Any],
         z: NDArray[Any],
         target_from_source: Transform | None = None,
+        intensities: NDArray[Any] | None = None,
     ) -> ProjectedScan:
         """Project a cloud.
 
@@ -122,10 +135,13 @@ class Projector:
             A transform to apply first, in float64, to the coordinates as they are; what it returns is
             rounded to float32.
 
+        intensities
+            A value for every point, of the same shape and any real type; None: the scan has no intensities.
+
         Returns
         -------
         ProjectedScan
-            Its ``ranges`` are a new array. Infinite coordinates are stopped only by the limits.
+            Its arrays are new. Infinite coordinates are stopped only by the limits.
 
         Raises
         ------
@@ -136,6 +152,8 @@ class Projector:
             raise ValueError(
                 f"x, y and z have the shapes {x.shape}, {y.shape}, {z.shape}, expected one of (M,) or (H, W)"
             )
+        if intensities is not None and intensities.shape != x.shape:
+            raise ValueError(f"intensities have the shape {intensities.shape}, expected that of x, {x.shape}")
         # What is rounded to float32 first, and what only after the transform, decides about the last bit.
         wanted = np.dtype(np.float32 if target_from_source is None else np.float64)
         if not x.dtype == y.dtype == z.dtype or x.dtype not in {np.dtype(np.float32), np.dtype(np.float64)}:
@@ -145,14 +163,50 @@ class Projector:
         if target_from_source is not None:
             moved = np.concatenate([part.ravel() for part in target_from_source], dtype=np.float64)
         params = self.params
-        ranges = np.empty(params.beams, np.float32)
-        nan, height, far, angle, past_end = kernel.project(x, y, z, self._limits, moved, ranges, params.no_return)
-        used = x.size - nan - height - far - angle - past_end
-        return ProjectedScan(ranges, PointCounts(x.size, used, nan, height, far, angle, past_end))
+        beams = params.length
+        if params.reduce == "min" and params.min_points == 1 and intensities is None:
+            ranges = np.empty(beams, np.float32)
+            fates = kernel.project(x, y, z, self._rule, moved, ranges, self._limit, params.empty_range)
+            return ProjectedScan(ranges, _counts(x.size, fates))
+        slots, returns, numbers = np.empty(x.size, np.int32), np.empty(x.size, np.float32), np.empty(x.size, np.int64)
+        fates = kernel.gather(x, y, z, self._rule, moved, beams, slots, returns, numbers)
+        counts = _counts(x.size, fates)
+        values = None if intensities is None else intensities.reshape(-1)[numbers[: counts.used]]
+        with np.errstate(all="ignore"):
+            ranges, lit = self._reduced(slots[: counts.used], returns[: counts.used], values)
+        return ProjectedScan(ranges, counts, lit)
+
+    def _reduced(
+        self, slots: NDArray[np.int32], returns: NDArray[np.float32], values: NDArray[Any] | None
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Ranges and intensities (none without ``values``) of the beams, by the returns in the order of the cloud."""
+        params = self.params
+        counts = np.bincount(slots, minlength=params.length)
+        found = np.full(counts.size, params.empty_range, np.float32)
+        lit = np.zeros(0 if values is None else counts.size, np.float32)
+        seen = counts >= max(params.min_points, params.kth)
+        if params.reduce == "mean":
+            found[seen] = means(slots, returns, counts)[seen]
+            if values is not None:
+                lit[seen] = means(slots, values, counts)[seen]
+        elif values is None and params.reduce in {"min", "max"}:
+            found[seen] = extremes(slots, returns, counts.size, largest=params.reduce == "max")[seen]
+        else:
+            winner = winners(slots, returns, counts, params.reduce, params.kth)[seen]
+            found[seen] = returns[winner]
+            if values is not None:
+                lit[seen] = values[winner]
+        return found, lit
 
 
-def project(points: ArrayLike, params: ProjectionParams | None = None) -> ProjectedScan:
-    """Project a cloud to a scan, as pointcloud_to_laserscan does it.
+def _counts(total: int, fates: tuple[int, int, int, int, int]) -> PointCounts:
+    return PointCounts(total, total - sum(fates), *fates)
+
+
+def project(
+    points: ArrayLike, params: ProjectionParams | None = None, *, intensities: ArrayLike | None = None
+) -> ProjectedScan:
+    """Project a cloud to a scan, as pointcloud_to_laserscan does it unless the parameters say otherwise.
 
     Parameters
     ----------
@@ -162,16 +216,19 @@ def project(points: ArrayLike, params: ProjectionParams | None = None) -> Projec
         limits.
     params
         The projection's parameters, upstream's defaults if None. Those **drop everything at or below z = 0**.
+    intensities
+        (M,) or (H, W) real numbers, one for each point: the scan gets those of the points that it shows. None: the
+        scan has none, whatever ``params.intensity_field`` says.
 
     Returns
     -------
     ProjectedScan
-        The smallest range of each beam, and where the points went.
+        What each beam reads, and where the points went.
 
     Raises
     ------
     ValueError
-        If ``points`` has another shape.
+        If ``points`` or ``intensities`` have another shape.
     TypeError
         If ``points`` are not real numbers.
 
@@ -188,52 +245,5 @@ def project(points: ArrayLike, params: ProjectionParams | None = None) -> Projec
     if array.dtype.kind not in "biuf":
         raise TypeError(f"points are of type {array.dtype}, expected integers or floats")
     projector = Projector(ProjectionParams() if params is None else params)
-    return projector(array[..., 0], array[..., 1], array[..., 2])
-
-
-def _limits(params: ProjectionParams) -> NDArray[np.float64]:
-    """What the coordinates are compared with, (7,), as `kernel.project` takes it.
-
-    A float32 is within float64 limits exactly if it is within the float32 next to them on the inner side, for
-    there is none in between. And a range, the root of a square rounded twice, does not fall when the square
-    grows: there is a smallest square whose range reaches ``range_min``, and a largest one that stays within
-    ``range_max``.
-    """
-    most = math.inf
-    if params.range_max < math.inf:
-        with np.errstate(over="ignore"):
-            beyond = np.nextafter(-_first_from(-params.range_max), np.float32(np.inf))
-        most = math.nextafter(_first_square(beyond), -math.inf)
-    return np.array(
-        [
-            _first_from(params.min_height),
-            -_first_from(-params.max_height),
-            _first_square(_first_from(params.range_min)),
-            most,
-            float32(params.angle_min),
-            float32(params.angle_max),
-            float32(params.angle_increment),
-        ]
-    )
-
-
-def _first_from(limit: float) -> np.float32:
-    """The smallest float32 that is not below a limit."""
-    nearest = np.float32(float32(limit))
-    with np.errstate(over="ignore"):
-        return nearest if float(nearest) >= limit else np.nextafter(nearest, np.float32(np.inf))
-
-
-def _first_square(limit: np.float32) -> float:
-    """The smallest float64, from 0 on, whose root is not below a limit once it is rounded to float32."""
-    if limit <= 0:
-        return 0.0
-    # What is rounded to the limit begins half way from the float32 before it, some steps beside its square at
-    # most. Rounding treats infinity as the power of two that would be next.
-    before = np.nextafter(limit, np.float32(0))
-    square = ((float(before) + min(float(limit), 2.0**128)) / 2) ** 2
-    while float32(math.sqrt(square)) >= limit:
-        square = math.nextafter(square, 0)
-    while float32(math.sqrt(square)) < limit:
-        square = math.nextafter(square, math.inf)
-    return square
+    values = None if intensities is None else np.asarray(intensities)
+    return projector(array[..., 0], array[..., 1], array[..., 2], intensities=values)

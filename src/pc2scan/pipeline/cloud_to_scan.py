@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,19 +11,23 @@ from pc2scan.core.project import Projector
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, encode_laserscan
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, decode_pointcloud2
 
-from .conversion import Converted
+from .conversion import Converted, Timing
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
     from pc2scan.bags.model import Buffer
     from pc2scan.core.params import ProjectionParams
+    from pc2scan.core.project import ProjectedScan
+    from pc2scan.messages.pointcloud2 import PointCloud2
 
-    from .frames import Frames
+    from .frames import Frames, Place
 
 __all__ = ["CloudToScan"]
 
 
 class CloudToScan:
-    """PointCloud2 to LaserScan, as upstream's pointcloud_to_laserscan_node.cpp does it.
+    """PointCloud2 to LaserScan, as upstream's pointcloud_to_laserscan_node.cpp does it, or as the parameters say.
 
     Parameters
     ----------
@@ -30,36 +35,57 @@ class CloudToScan:
         The projection's parameters.
     frames
         The recording's transforms.
+    timings
+        What was measured of each source topic. Elsewhere the parameters tell, and what they leave to be measured is 0.
     """
 
     source_type = POINTCLOUD2
     target_type = LASERSCAN
     target_name = "scan"
 
-    def __init__(self, params: ProjectionParams, frames: Frames) -> None:
+    def __init__(self, params: ProjectionParams, frames: Frames, timings: Mapping[str, Timing] | None = None) -> None:
         self.params = params
         self._frames = frames
+        self._timings = timings or {}
+        self._layout = params.layout
         self._project = Projector(params)
 
     def __call__(self, data: Buffer, source: str, target: str) -> Converted:
         """Convert one message; see `Conversion`."""
+        params = self.params
+        scan_time = 0.0 if params.scan_time == "auto" else params.scan_time
+        time_increment = 0.0 if params.time_increment == "auto" else params.time_increment
+        return self._convert(Timing(scan_time, time_increment), data, source, target)
+
+    def for_topic(self, topic: str) -> Callable[[Buffer, str, str], Converted]:
+        """Return the conversion of one topic's messages, with its timing."""
+        timing = self._timings.get(topic)
+        return self if timing is None else partial(self._convert, timing)
+
+    def _convert(self, timing: Timing, data: Buffer, source: str, target: str) -> Converted:
         cloud = decode_pointcloud2(data, source)
         place = self._frames.place(cloud.frame_id, cloud.stamp_ns)
-        moved = place.target_from_source
-        scan = self._project(*cloud.xyz(), None if moved is None else (moved.matrix, moved.translation))
-        params = self.params
+        scan = self._projected(cloud, place)
+        params, layout = self.params, self._layout
         message = LaserScan(
             cloud.sequence,
-            cloud.stamp_ns,
+            max(0, cloud.stamp_ns + timing.first_beam_ns),
             place.frame_id,
-            params.angle_min,
-            params.angle_max,
-            params.angle_increment,
-            0.0,
-            params.scan_time,
+            layout.angle_min,
+            layout.angle_max,
+            layout.angle_increment,
+            timing.time_increment,
+            timing.scan_time,
             params.range_min,
             params.range_max,
             scan.ranges,
+            scan.intensities,
         )
-        empty = bool(np.all(scan.ranges == np.float32(params.no_return)))
+        empty = np.array_equal(scan.ranges, np.full_like(scan.ranges, params.empty_range), equal_nan=True)
         return Converted(encode_laserscan(message, target), scan.counts, empty)
+
+    def _projected(self, cloud: PointCloud2, place: Place) -> ProjectedScan:
+        moved = place.target_from_source
+        transform = None if moved is None else (moved.matrix, moved.translation)
+        name = self.params.intensity_field
+        return self._project(*cloud.xyz(), transform, cloud.field(name) if name else None)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from pc2scan.bags.model import Buffer
     from pc2scan.core.project import PointCounts
 
-__all__ = ["Conversion", "Converted"]
+__all__ = ["Conversion", "Converted", "Timing"]
 
 
 class Converted(NamedTuple):
@@ -17,6 +20,23 @@ class Converted(NamedTuple):
     data: bytes
     counts: PointCounts
     empty: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Timing:
+    """When the scans of a topic were measured.
+
+    Attributes
+    ----------
+    scan_time, time_increment
+        Seconds, as in the message.
+    first_beam_ns
+        From the cloud's stamp to the scan's.
+    """
+
+    scan_time: float
+    time_increment: float = 0.0
+    first_beam_ns: int = 0
 
 
 class Conversion(Protocol):
@@ -33,6 +53,10 @@ class Conversion(Protocol):
     source_type: str
     target_type: str
     target_name: str
+
+    def for_topic(self, topic: str) -> Callable[[Buffer, str, str], Converted]:
+        """Return the conversion of one source topic's messages."""
+        ...
 
     def __call__(self, data: Buffer, source: str, target: str) -> Converted:
         """Convert one message from the serialisation ``source`` to ``target`` (``ros1`` or ``cdr``).

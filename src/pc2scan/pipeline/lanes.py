@@ -125,7 +125,8 @@ def _prepare_passing(lane: Lane, target: Destination, options: ConvertOptions, w
 
 def _converter(conversion: Conversion, connection: Connection, target: Destination) -> Callable[[Buffer], Converted]:
     serialization = "ros1" if target.generation == 1 else "cdr"
-    return lambda data: conversion(data, connection.serialization, serialization)
+    convert = conversion.for_topic(connection.topic)
+    return lambda data: convert(data, connection.serialization, serialization)
 
 
 def _converted_connection(source: Connection, topic: str, msgtype: str, target: Destination) -> Connection:

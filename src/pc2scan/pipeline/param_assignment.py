@@ -39,11 +39,11 @@ def parse_param(text: str) -> Setting:
         raise ParameterError(f"--param {text!r} has no name before ':='", hint="Write --param range_min:=0.5.")
     origin = f"--param {text}"
     if not written.strip():
-        return Setting(name, "", origin)
+        return Setting(name, "", origin, "param")
     try:
         node = compose(written, origin)
     except ParameterError as err:
         err.name = name
         raise
     value = None if node is None else scalar_value(node, name, origin, ros1=True)
-    return Setting(name, value, origin)
+    return Setting(name, value, origin, "param")

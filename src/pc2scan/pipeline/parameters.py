@@ -14,7 +14,8 @@ from dataclasses import dataclass, fields
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, NoReturn, get_args
 
-from pc2scan.core.params import ProjectionParams
+from pc2scan.core.params import CHOICES, MEASURED, ProjectionParams
+from pc2scan.core.presets import PRESETS
 from pc2scan.errors import ParameterError
 
 from .ros_scalars import plain_scalar, written_angle
@@ -33,6 +34,7 @@ __all__ = [
     "Setting",
     "expected_message",
     "names_of",
+    "preset_settings",
     "resolve",
     "shown",
     "unknown_parameter",
@@ -44,7 +46,7 @@ Direction = Literal["pointcloud_to_laserscan", "laserscan_to_pointcloud"]
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One of upstream's parameters, as `PARAMETERS` lists it.
+    """A parameter of the projection, upstream's or pc2scan's own, as `PARAMETERS` lists it.
 
     Attributes
     ----------
@@ -60,6 +62,10 @@ class Parameter:
         That of `ProjectionParams`.
     directions
         The nodes that have it.
+    words
+        What it may be in words: the choices of a text, or what a number may be besides.
+    upstreams
+        Whether upstream's node has it.
     """
 
     name: str
@@ -68,6 +74,8 @@ class Parameter:
     help: str
     default: float | bool | str
     directions: frozenset[Direction]
+    words: tuple[str, ...] = ()
+    upstreams: bool = True
 
     @property
     def option(self) -> str:
@@ -88,11 +96,14 @@ class Setting:
     origin
         For the user: ``--range-min``, ``--param range_min:=5``, or
         ``params.yaml, line 3, pointcloud_to_laserscan.ros__parameters.range_min``.
+    source
+        Which kind of source it is: ``option``, ``param``, ``file`` or ``preset``.
     """
 
     name: str
     value: object
     origin: str
+    source: str = "option"
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +141,7 @@ _HELP: dict[str, tuple[str, str]] = {
     "angle_min": ("rad", "Where the scan begins; 0 is straight ahead, positive is to the left."),
     "angle_max": ("rad", "Where the scan ends; see angle_min."),
     "angle_increment": ("rad", "Angle from one beam to the next."),
-    "scan_time": ("s", "Time between scans. Copied into the scan, nothing else."),
+    "scan_time": ("s", "Time between scans, copied into the scan. auto: the median interval of the recorded stamps."),
     "range_min": ("m", "Shortest horizontal distance that counts, inclusive."),
     "range_max": ("m", "Longest horizontal distance that counts, inclusive."),
     "use_inf": ("", "Whether a beam without a return reads inf; otherwise range_max + inf_epsilon."),
@@ -139,7 +150,26 @@ _HELP: dict[str, tuple[str, str]] = {
         "",
         "Most messages in work at one time; 0: as many as there are processor cores. Nothing is dropped.",
     ),
+    "geometry": (
+        "",
+        "Where beam i looks: upstream takes what begins there, centered what is within half an increment of it.",
+    ),
+    "beams": ("", "How many beams the sector has, instead of angle_increment."),
+    "no_return": ("", "What a beam without a return reads. Left out: use_inf tells."),
+    "reduce": (
+        "",
+        "Which of its returns a beam reads: the closest, farthest, their mean, median, or the kth closest.",
+    ),
+    "kth": ("", "Which one --reduce kth takes: 1 is the closest. A beam with fewer returns has none."),
+    "min_points": ("", "A beam with fewer returns than this has none."),
+    "intensity_field": ("", "Field of the cloud whose values, at the returns shown, become the scan's intensities."),
+    "time_increment": (
+        "s",
+        "Time from beam to beam. auto: from the points' own times; the scan's stamp is then the first beam's.",
+    ),
 }
+
+_UPSTREAMS = frozenset(list(_HELP)[: list(_HELP).index("geometry")])
 
 
 def _table() -> Mapping[str, Parameter]:
@@ -156,11 +186,13 @@ def _table() -> Mapping[str, Parameter]:
             help=text,
             default=default,
             directions=both if spec.name in _SHARED else frozenset({"pointcloud_to_laserscan"}),
+            words=CHOICES.get(spec.name, ("auto",) if spec.name in MEASURED else ()),
+            upstreams=spec.name in _UPSTREAMS,
         )
     return MappingProxyType(rows)
 
 
-#: Every parameter by its ROS name, in upstream's order.
+#: Every parameter by its ROS name: upstream's in its order, then those that it does not have.
 PARAMETERS: Mapping[str, Parameter] = _table()
 
 #: ROS 1's names for parameters that ROS 2 renamed.
@@ -170,7 +202,17 @@ ALIASES = {"concurrency_level": "queue_size"}
 #: last two.
 TOPICS = frozenset({"cloud_in", "scan", "scan_in", "cloud", "point_cloud_topic", "scan_topic"})
 
-SCALAR_PARAMETERS = PARAMETERS.keys() | ALIASES.keys()
+#: Names that mean a parameter of upstream's nodes wherever they stand. pc2scan's own (``geometry``, ``beams``) are
+#: names that any node may have, for whole groups of parameters too.
+SCALAR_PARAMETERS = {name for name, parameter in PARAMETERS.items() if parameter.upstreams} | ALIASES.keys()
+
+#: Parameters that say the same in two ways: the stronger setting of either leaves the other one out.
+_RIVALS = {
+    "beams": "angle_increment",
+    "angle_increment": "beams",
+    "no_return": "use_inf",
+    "use_inf": "no_return",
+}
 
 
 def names_of(direction: Direction | None) -> list[str]:
@@ -203,6 +245,8 @@ def expected_message(name: str, found: str, origin: str) -> str:
     """Say what kind of value a parameter has, and what was found instead."""
     parameter = PARAMETERS.get(ALIASES.get(name, name))
     expected = _EXPECTED[parameter.kind] if parameter else "a value"
+    if parameter and parameter.words:
+        expected = " or ".join(filter(None, ("" if parameter.kind == "str" else expected, ", ".join(parameter.words))))
     return f"{name}: expected {expected}, got {found} (from {origin})"
 
 
@@ -227,8 +271,11 @@ def _typed(parameter: Parameter, setting: Setting) -> float | bool | str:
     kind = parameter.kind
     if kind == "bool" and isinstance(value, bool):
         return value
-    if kind == "str" and isinstance(value, str):
+    if isinstance(value, str) and (value in parameter.words or (kind == "str" and not parameter.words)):
         return value
+    if kind == "str" and isinstance(value, float) and str(value) in parameter.words:
+        # YAML takes the words inf and nan for numbers.
+        return str(value)
     if kind == "int" and isinstance(value, int) and not isinstance(value, bool):
         return value
     if kind == "float" and isinstance(value, int | float) and not isinstance(value, bool):
@@ -243,6 +290,8 @@ def _typed(parameter: Parameter, setting: Setting) -> float | bool | str:
 
 
 def _type_hint(parameter: Parameter, value: object) -> str | None:
+    if parameter.words:
+        return None
     if parameter.kind == "str" and isinstance(value, bool | int | float):
         return "YAML takes it for a number or a truth value; put it in quotes."
     if parameter.kind == "bool" and isinstance(value, int):
@@ -265,7 +314,7 @@ def resolve(
     ----------
     settings_by_precedence
         The strongest first: command-line options, then ``--param`` **from the last to the first**, then
-        the file's. Also those that lose are checked for name and type.
+        the file's, then the preset's. Also those that lose are checked for name and type.
     direction
         The node that is replayed; ``laserscan_to_pointcloud`` has three of the parameters, and the
         others keep their defaults.
@@ -279,24 +328,59 @@ def resolve(
     ------
     ParameterError
         If a name is not one of the node's, a value has the wrong type or cannot be. The message names the
-        parameter, the value and its origin; of limits that contradict each other, both origins.
+        parameter, the value and its origin; of values that contradict each other, both origins.
     """
     known = names_of(direction)
     values: dict[str, Any] = {}
     origin = dict.fromkeys(PARAMETERS, "default")
+    winners: dict[str, Setting] = {}
     for setting in settings_by_precedence:
         name = ALIASES.get(setting.name, setting.name)
         if name not in known:
             raise unknown_parameter(setting.name, setting.origin, direction)
         value = _typed(PARAMETERS[name], setting)
+        rival = winners.get(_RIVALS.get(name, ""))
+        if rival is not None:
+            if rival.source == setting.source:
+                raise _contradiction(setting, rival)
+            continue
         if name not in values:
             values[name] = value
             origin[name] = setting.origin
+            winners[name] = setting
     try:
         params = ProjectionParams(**values)
     except ParameterError as err:
         _raise_with_origin(err, origin)
+    if params.beams:
+        origin["angle_increment"] = f"follows from {origin['beams']}"
     return ResolvedParams(params, origin)
+
+
+def preset_settings(consumer: str) -> list[Setting]:
+    """The parameters that suit a consumer of the scans, as settings; they belong at the end of the precedence.
+
+    Raises
+    ------
+    ParameterError
+        If there is no such preset.
+    """
+    if consumer not in PRESETS:
+        near = difflib.get_close_matches(consumer, PRESETS, n=1)
+        meant = f"; did you mean {near[0]}?" if near else ""
+        raise ParameterError(
+            f"there is no preset {shown(consumer)}{meant}", name="preset", hint=f"The presets are {', '.join(PRESETS)}."
+        )
+    return [Setting(name, value, f"--preset {consumer}", "preset") for name, value in PRESETS[consumer].items()]
+
+
+def _contradiction(setting: Setting, rival: Setting) -> ParameterError:
+    """Say that two settings of equal strength are about the same."""
+    return ParameterError(
+        f"{rival.name} and {setting.name} say the same in two ways; give one of them "
+        f"({rival.name} from {rival.origin}; {setting.name} from {setting.origin})",
+        name=rival.name,
+    )
 
 
 def _raise_with_origin(err: ParameterError, origin: Mapping[str, str]) -> NoReturn:

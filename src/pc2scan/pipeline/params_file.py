@@ -291,7 +291,7 @@ def _own_names(parameters: Iterable[str]) -> list[str]:
 
 
 def _foreign(names: Iterable[str]) -> list[str]:
-    return [name for name in names if name not in SCALAR_PARAMETERS and name not in TOPICS]
+    return [name for name in names if name not in PARAMETERS and name not in ALIASES and name not in TOPICS]
 
 
 def _only_upstreams(names: Collection[str]) -> bool:
@@ -340,7 +340,7 @@ def _merged(sections: _Sections, target: str, *, ros1: bool) -> ParamsFile:
         "laserscan_to_pointcloud" not in PARAMETERS[name].directions
         for section in applying
         for name in sections[section]
-        if name in PARAMETERS
+        if name in PARAMETERS and PARAMETERS[name].upstreams
     ):
         direction = "pointcloud_to_laserscan"
     known = names_of(direction)
@@ -351,7 +351,10 @@ def _merged(sections: _Sections, target: str, *, ros1: bool) -> ParamsFile:
         for written in _own_names(parameters):
             leaf = parameters[written]
             name = ALIASES.get(written, written)
-            if name in known and (name == written or name not in parameters):
+            # In a section for several nodes, a name that upstream's does not have is another node's.
+            named = section == applying[-1] or _direction_of(section) is not None
+            ours = name in known and (named or PARAMETERS[name].upstreams)
+            if ours and (name == written or name not in parameters):
                 merged[name] = leaf
             elif written in TOPICS or name in known or section != applying[-1]:
                 ignored.append(leaf.origin)
@@ -366,7 +369,7 @@ def _file_setting(name: str, leaf: _Leaf, *, ros1: bool) -> Setting:
     # roscpp takes 0 and 1 for a bool; rclcpp refuses them.
     if ros1 and PARAMETERS[name].kind == "bool" and isinstance(value, int) and value in {0, 1}:
         value = bool(value)
-    return Setting(name, value, leaf.origin)
+    return Setting(name, value, leaf.origin, "file")
 
 
 def render_params_file(params: ProjectionParams, *, direction: Direction = "pointcloud_to_laserscan") -> str:
@@ -375,8 +378,9 @@ def render_params_file(params: ProjectionParams, *, direction: Direction = "poin
     Parameters
     ----------
     params
-        Every value is written out, except a ``queue_size`` of 0: for pc2scan and, left out, for
-        upstream it means the number of processor cores.
+        Every value is written out, except a ``queue_size`` of 0 (for pc2scan and, left out, for
+        upstream it means the number of processor cores), the defaults of what upstream does not have, and of two
+        that say the same the weaker one: ``beams`` became an increment, ``no_return`` beats ``use_inf``.
     direction
         Names the node, and leaves out what that node does not have.
 
@@ -387,9 +391,15 @@ def render_params_file(params: ProjectionParams, *, direction: Direction = "poin
     """
     lines = [f"{direction}:", "  ros__parameters:"]
     for name in names_of(direction):
-        value = getattr(params, name)
-        if name != "queue_size" or value:
-            unit = PARAMETERS[name].unit
+        value, parameter = getattr(params, name), PARAMETERS[name]
+        left_out = (
+            (name == "queue_size" and not value)
+            or (not parameter.upstreams and value == parameter.default)
+            or name == "beams"
+            or (name == "use_inf" and params.no_return)
+        )
+        if not left_out:
+            unit = parameter.unit
             lines.append(f"    {name}: {_rendered(value)}{f'  # {unit}' if unit else ''}")
     return "\n".join(lines) + "\n"
 

@@ -18,6 +18,10 @@ MAX_LISTED = 100
 _NOTABLE_SHARE = 0.25
 
 
+#: A change of the increment, as a share of it, that is more than a rounding.
+_NOTABLE_STEP = 1e-5
+
+
 @dataclass(frozen=True, slots=True)
 class Skipped:
     """A message that was not converted.
@@ -97,6 +101,8 @@ class Report:
         The first `MAX_LISTED` messages that were not converted.
     warnings
         Whatever a user should know though nothing failed.
+    notes
+        What was measured, or chosen without being asked for.
     """
 
     sources: list[str]
@@ -106,6 +112,7 @@ class Report:
     topics: list[TopicReport] = field(default_factory=list)
     skipped: list[Skipped] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
     bytes_read: int = 0
     bytes_written: int = 0
     seconds: float = 0.0
@@ -127,7 +134,19 @@ class Report:
             self.skipped.append(skipped)
 
     def conclude(self) -> None:
-        """Add the warnings that only the whole conversion can tell."""
+        """Add what only the whole conversion can tell."""
+        layout, asked = self.params.layout, self.params.angle_increment
+        if layout.full_circle and abs(layout.angle_increment - asked) > _NOTABLE_STEP * asked:
+            self.notes.append(
+                f"angle_increment is {layout.angle_increment:.7g} rad instead of {asked:.7g}: "
+                f"{layout.count} beams divide the circle evenly"
+            )
+        origin = self.origins.get("range_max", "")
+        if origin.startswith("--preset"):
+            self.notes.append(
+                f"range_max is {self.params.range_max:g} m, chosen by {origin}: returns beyond are left out; "
+                "--range-max chooses another"
+            )
         for topic in self.topics:
             if topic.action == "converted" and not topic.messages_out:
                 why = "could be converted" if topic.messages_in else "was there to convert (see --start and --end)"
@@ -156,6 +175,7 @@ class Report:
             "skipped": [asdict(entry) for entry in self.skipped],
             "skipped_count": self.skipped_count,
             "warnings": self.warnings,
+            "notes": self.notes,
             "bytes_read": self.bytes_read,
             "bytes_written": self.bytes_written,
             "seconds": round(self.seconds, 3),

@@ -20,7 +20,7 @@ from pc2scan.bags.registry import (
     plan_destination,
 )
 from pc2scan.bags.staging import staged
-from pc2scan.errors import MessageError, UsageError
+from pc2scan.errors import MessageError, ParameterError, UsageError
 from pc2scan.messages.laserscan import LASERSCAN
 
 from .acceptance import refusal
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 
     from .conversion import Conversion, Converted
     from .options import ConvertOptions
+    from .plan import Plan
 
 __all__ = ["OutputOptions", "Progress", "run"]
 
@@ -115,13 +116,13 @@ def run(
         report = Report([str(source) for source in sources], str(path), options.params, dict(origins or {}))
         report.warnings += plan.warnings
         with staged(path, overwrite=output.overwrite, sources=sources) as partial:
-            conversion = _conversion(reader, options, stack, report)
+            span = _span(reader, options)
+            conversion = _conversion(reader, plan, options, span, stack, report)
             writer = open_writer(target, partial, path.name)
             try:
                 lanes = open_lanes(plan.routes, conversion, target, options, writer, report)
                 if not options.only_scans:
                     carry_extras(reader, target, writer, report)
-                span = _span(reader, options)
                 if options.frames.write_static:
                     write_static(options.frames, span.first_ns, target, writer, report)
                 _stream(reader, lanes, options, span, writer, report, progress)
@@ -152,8 +153,10 @@ def _merged(readers: list[Reader]) -> Reader:
     return MergedReader(readers) if len(readers) > 1 else readers[0]
 
 
-def _conversion(reader: Reader, options: ConvertOptions, stack: ExitStack, report: Report) -> Conversion:
-    """The direction asked for, with every transform known before the first message is converted."""
+def _conversion(
+    reader: Reader, plan: Plan, options: ConvertOptions, span: _Span, stack: ExitStack, report: Report
+) -> Conversion:
+    """The direction asked for, with all that has to be known before the first message is converted."""
     params, asked = options.params, options.frames
     frames = Frames(source_frame=asked.source_frame)
     if params.target_frame:
@@ -167,7 +170,19 @@ def _conversion(reader: Reader, options: ConvertOptions, stack: ExitStack, repor
         return ScanToCloud(options.channels, frames, deskewed=options.deskew)
     from .cloud_to_scan import CloudToScan  # noqa: PLC0415
 
-    return CloudToScan(params, frames)
+    if "auto" not in (params.scan_time, params.time_increment) and not params.intensity_field:
+        return CloudToScan(params, frames)
+    from .measure import measure  # noqa: PLC0415  # only where something is left to be measured
+
+    converted = [route.connection for route in plan.routes if route.target]
+    try:
+        timings, notes = measure(reader, converted, params, frames, span.start_ns, span.stop_ns)
+    except ParameterError as err:
+        if origin := report.origins.get(err.name):
+            err.message += f" (from {origin})"
+        raise
+    report.notes += notes
+    return CloudToScan(params, frames, timings)
 
 
 def _generation(connections: Iterable[Connection]) -> int | None:

@@ -13,6 +13,8 @@ from pc2scan.messages.pointcloud2 import DATATYPES, POINTCLOUD2, PointField, enc
 from .conversion import Converted
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     import numpy as np
 
     from pc2scan.bags.model import Buffer
@@ -46,6 +48,10 @@ class ScanToCloud:
         self.channels = channels
         self._frames = frames
         self._deskewed = deskewed
+
+    def for_topic(self, topic: str) -> Callable[[Buffer, str, str], Converted]:  # noqa: ARG002  # all are alike
+        """Return the conversion of one topic's messages."""
+        return self
 
     def __call__(self, data: Buffer, source: str, target: str) -> Converted:
         """Convert one message; see `Conversion`."""

@@ -1,0 +1,139 @@
+"""Where the beams of a scan look: what its message advertises, from the sector and the increment.
+
+Consumers compute with the float32 values that the message carries, so these are made here, once. Plain Python:
+reading parameters needs no NumPy.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from dataclasses import dataclass
+
+__all__ = ["TURN", "BeamLayout", "beam_count", "centered_layout", "float32", "upstream_layout"]
+
+TURN = 2 * math.pi
+
+#: Parts of a beam that a sector may lack for its last one, and a circle for its closing: angles are written with few
+#: digits, and quotients such as pi / (pi / 180) are off by some roundings.
+_SLACK = 1e-3
+_GAP = 0.5e-3
+
+
+def float32(value: float) -> float:
+    """Round to the nearest float32, as assigning to a message's field does; beyond its range is infinite."""
+    try:
+        rounded: float = struct.unpack("<f", struct.pack("<f", value))[0]
+    except OverflowError:
+        return math.copysign(math.inf, value)
+    return rounded
+
+
+def beam_count(angle_min: float, angle_max: float, angle_increment: float) -> int:
+    """Length of a scan's ``ranges``: the ceiling of a float32 quotient.
+
+    Source of the rule: pointcloud_to_laserscan_node.cpp computes ``ceil((angle_max - angle_min) /
+    angle_increment)`` on the message's float32 fields. 0 where the quotient is not positive and finite.
+
+    Notes
+    -----
+    Rounding the float64 result of one operation on float32 operands gives the float32 result: float64 has more
+    than twice the digits that double rounding could spoil.
+    """
+    increment = float32(angle_increment)
+    if increment == 0:
+        return 0
+    quotient = float32(float32(float32(angle_max) - float32(angle_min)) / increment)
+    return math.ceil(quotient) if 0 < quotient < math.inf else 0
+
+
+@dataclass(frozen=True, slots=True)
+class BeamLayout:
+    """What a scan advertises of its beams; the angles are values of float32, radians.
+
+    Attributes
+    ----------
+    count
+        Length of ``ranges``.
+    angle_min, angle_max, angle_increment
+        As in the message. Beam ``i`` looks at ``angle_min + i * angle_increment``: upstream means the lower edge of
+        the beam by it, the centered geometry its middle.
+    full_circle
+        Whether the last beam and the first are neighbours, and every angle belongs to one of the beams. Upstream's
+        geometry knows nothing of that: False.
+    """
+
+    count: int
+    angle_min: float
+    angle_max: float
+    angle_increment: float
+    full_circle: bool = False
+
+
+def upstream_layout(angle_min: float, angle_max: float, angle_increment: float, beams: int = 0) -> BeamLayout:
+    """What pointcloud_to_laserscan advertises: the parameters as they are, whatever the last beam.
+
+    Parameters
+    ----------
+    angle_min, angle_max, angle_increment
+        Radians.
+    beams
+        How many there shall be; the increment follows. 0: the increment tells.
+    """
+    if beams:
+        angle_increment = float32((float32(angle_max) - float32(angle_min)) / beams)
+        while beam_count(angle_min, angle_max, angle_increment) > beams:
+            angle_increment = _float32_beside(angle_increment, 1)
+    count = beam_count(angle_min, angle_max, angle_increment)
+    return BeamLayout(count, float32(angle_min), float32(angle_max), float32(angle_increment))
+
+
+def centered_layout(angle_min: float, angle_max: float, angle_increment: float, beams: int = 0) -> BeamLayout:
+    """Beams whose middles are at ``angle_min + i * angle_increment``, the last one at ``angle_max``.
+
+    Parameters
+    ----------
+    angle_min, angle_max
+        Middle of the first beam, and what that of the last one does not exceed, radians; any angles, so that a
+        circle may be -pi to pi or 0 to 2 pi.
+    angle_increment
+        Radians, positive.
+    beams
+        How many there shall be, at least 2; the increment follows. 0: the increment tells.
+
+    Returns
+    -------
+    BeamLayout
+        A full circle where the sector is a whole turn, or leaves no gap between the last beam and the first: its
+        beams divide the circle evenly, none of them twice, and their increment is the nearest to the one asked for
+        that does. ``angle_max`` is the float32 next to the last beam's middle.
+
+    Notes
+    -----
+    Why these float32 values suit the consumers: slam_toolbox (Karto) expects ``round((angle_max - angle_min) /
+    angle_increment) + 1`` ranges unless it takes the scan for a circle that repeats its first beam, for which the
+    span has to be closer to 2 pi than an increment by 2 pi times float32's epsilon (7.5e-7). With an increment that
+    is rounded down only the roundings of ``angle_max`` and of the span count, at most 4.8e-7 within +-8 rad. MRPT's
+    step, ``(angle_max - angle_min) / (len - 1)``, is the increment to within the same.
+    """
+    first, span = float32(angle_min), angle_max - angle_min
+    step = span / (beams - 1) if beams else angle_increment
+    full_circle = True
+    count = beams
+    if span < TURN:
+        count = beams or math.floor(span / step + _SLACK) + 1
+        full_circle = count * step >= TURN - _GAP * step
+    if full_circle:
+        count = beams or max(1, round(TURN / step))
+        step = TURN / count
+    increment = float32(step)
+    if (beams or full_circle) and increment > step:
+        increment = _float32_beside(increment, -1)
+    return BeamLayout(count, first, float32(first + (count - 1) * increment), increment, full_circle)
+
+
+def _float32_beside(value: float, steps: int) -> float:
+    """The float32 so many steps from a positive one."""
+    (bits,) = struct.unpack("<I", struct.pack("<f", value))
+    beside: float = struct.unpack("<f", struct.pack("<I", bits + steps))[0]
+    return beside

@@ -1,0 +1,78 @@
+"""From the returns of each beam to the one that the scan reads.
+
+Returns are given as two arrays of one length, in the order of the cloud: the beam that each fell into, and its range.
+Of equal ranges in a beam the first one in that order wins. Nothing depends on blocks or threads.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = ["extremes", "means", "winners"]
+
+
+def extremes(
+    beams: NDArray[Any], ranges: NDArray[np.float32], count: int, *, largest: bool = False
+) -> NDArray[np.float32]:
+    """The smallest or the largest range of each beam.
+
+    Parameters
+    ----------
+    beams, ranges
+        (M,): beams from 0 to ``count - 1``, ranges in metres, not NaN.
+    count
+        N, the beams of the scan.
+
+    Returns
+    -------
+    (N,) float32, metres; +inf (of the largest: -inf) for a beam without returns.
+    """
+    found = np.full(count, -np.inf if largest else np.inf, np.float32)
+    (np.maximum if largest else np.minimum).at(found, beams, ranges)
+    return found
+
+
+def winners(
+    beams: NDArray[Any], ranges: NDArray[np.float32], counts: NDArray[np.intp], how: str, kth: int = 0
+) -> NDArray[np.intp]:
+    """Which return each beam reads.
+
+    Parameters
+    ----------
+    beams, ranges
+        (M,), as for `extremes`.
+    counts
+        (N,) returns of each beam.
+    how
+        ``min``, ``max``, ``median`` (of an even number the lower one of the two in the middle) or ``kth``.
+    kth
+        1 is the closest return, 2 the next.
+
+    Returns
+    -------
+    (N,) intp, 0 to M - 1; -1 for a beam without returns, or with fewer than ``kth``.
+    """
+    found = np.full(counts.size, -1, np.intp)
+    if how in {"min", "max"}:
+        extreme = extremes(beams, ranges, counts.size, largest=how == "max")
+        equal = np.flatnonzero(ranges == extreme[beams])[::-1]
+        # Assigned from the last to the first, so that the first one stays.
+        found[beams[equal]] = equal
+        return found
+    order = np.lexsort((ranges, beams))
+    begins = np.cumsum(counts) - counts
+    places = begins + (kth - 1 if how == "kth" else (counts - 1) // 2)
+    there = counts >= max(1, kth)
+    found[there] = order[places[there]]
+    return found
+
+
+def means(beams: NDArray[Any], values: NDArray[Any], counts: NDArray[np.intp]) -> NDArray[np.float64]:
+    """The mean of each beam's values, (N,) float64, summed in the order of the cloud; 0 for a beam without any."""
+    sums = np.bincount(beams, weights=values, minlength=counts.size)
+    return np.divide(sums, counts, out=np.zeros(counts.size), where=counts > 0)

@@ -1,0 +1,169 @@
+"""When the beams of a scan were measured: from the stamps of clouds, and from the times of their points."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .layout import TURN
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from numpy.typing import NDArray
+
+    from .layout import BeamLayout
+
+__all__ = ["TIME_FIELDS", "Sweep", "beam_times", "fit_sweep", "median_interval_ns", "point_times"]
+
+#: Fields of clouds that drivers put a point's time into, the first one that is there counts: Ouster's ``t``, Velodyne's
+#: ``time``, Hesai's, RoboSense's and Livox's ``timestamp``, Autoware's ``time_stamp``, Livox's ``offset_time``.
+TIME_FIELDS = ("t", "time", "timestamp", "time_stamp", "offset_time")
+
+#: A cloud takes 2 ms to 2 s. Its floating-point times span so much in the unit that they are in.
+_UNITS = ((2.0, 1.0), (2e3, 1e-3), (2e6, 1e-6), (math.inf, 1e-9))
+
+#: Seconds from here on are not since the cloud's beginning but since 1970, or since the sensor was switched on.
+_ABSOLUTE = 1000.0
+
+#: Equal parts of a cloud's time whose mean directions a sweep is fitted to.
+_SLICES = 64
+
+#: A sweep may be off that line by so much, radians: the lasers of one column look up to 5 degrees to the side.
+_STRAIGHT = 0.1
+
+#: Two ends of a turn overlap by up to so much, radians, for the same reason.
+_OVERLAP = 0.2
+
+
+def median_interval_ns(stamps_ns: Iterable[int]) -> int | None:
+    """The median time between stamps, whatever their order; of an even number the lower one of the two in the middle.
+
+    None for fewer than two different stamps.
+    """
+    ordered = sorted(set(stamps_ns))
+    intervals = sorted(later - earlier for earlier, later in pairwise(ordered))
+    return intervals[(len(intervals) - 1) // 2] if intervals else None
+
+
+def point_times(values: NDArray[Any], stamp_ns: int) -> NDArray[np.float64]:
+    """When points were measured, seconds after their cloud's stamp.
+
+    Parameters
+    ----------
+    values
+        One of the `TIME_FIELDS`, of any shape. Integers are nanoseconds; floating-point numbers are seconds, milli-,
+        micro- or nanoseconds, as what they span tells. They count from the stamp, or are absolute.
+    stamp_ns
+        The cloud's stamp.
+
+    Returns
+    -------
+    (M,) float64, NaN where the value is not finite.
+    """
+    times: NDArray[np.float64] = np.ravel(values).astype(np.float64)
+    times[~np.isfinite(times)] = np.nan
+    if not times.size or np.isnan(times).all():
+        return times
+    low, high = float(np.nanmin(times)), float(np.nanmax(times))
+    unit = 1e-9 if values.dtype.kind in "iu" else next(unit for most, unit in _UNITS if high - low < most)
+    if abs(low * unit) >= _ABSOLUTE:
+        # Subtracted as whole numbers of the unit first: seconds since 1970 leave a float64 no digits to lose.
+        times -= stamp_ns / round(1e9 * unit)
+    times *= unit
+    return times
+
+
+@dataclass(frozen=True, slots=True)
+class Sweep:
+    """How a lidar turned while it took a cloud.
+
+    Attributes
+    ----------
+    begin, end
+        Seconds after the cloud's stamp.
+    angle
+        Where it looked at ``begin``, radians.
+    rate
+        Radians a second, positive counter-clockwise.
+    """
+
+    begin: float
+    end: float
+    angle: float
+    rate: float
+
+    @property
+    def lowest(self) -> float:
+        """The smallest angle of the sweep, radians, -pi to pi: a scan that begins there contains it in one piece."""
+        angle = self.angle + min(0.0, self.rate * (self.end - self.begin))
+        return math.remainder(angle, TURN)
+
+
+def fit_sweep(angles: NDArray[Any], times: NDArray[np.float64]) -> Sweep | None:
+    """Tell how a lidar turned from the directions and the times of a cloud's points.
+
+    Parameters
+    ----------
+    angles, times
+        (M,), radians and seconds after the stamp; points with a NaN do not count.
+
+    Returns
+    -------
+    Sweep
+        None where the points do not follow one turn at a constant rate: depth cameras, risley prisms, times that are
+        all equal.
+    """
+    known = np.isfinite(angles) & np.isfinite(times)
+    angles, times = angles[known].astype(np.float64), times[known]
+    if times.size < _SLICES:
+        return None
+    begin, end = float(times.min()), float(times.max())
+    if not end > begin:
+        return None
+    slices = np.minimum(((times - begin) * (_SLICES / (end - begin))).astype(np.intp), _SLICES - 1)
+    points = np.bincount(slices, minlength=_SLICES)
+    there = points > 0
+    if np.count_nonzero(there) < _SLICES / 4:
+        return None
+    x, y, when = (_sums(slices, weights)[there] for weights in (np.cos(angles), np.sin(angles), times))
+    directions = np.unwrap(np.arctan2(y, x))
+    when /= points[there]
+    # The median of the slopes between any two slices (Theil and Sen): some slices see only the outermost lasers.
+    first, second = np.triu_indices(when.size, 1)
+    rate = float(np.median((directions[second] - directions[first]) / (when[second] - when[first])))
+    angle = float(np.median(directions - rate * (when - begin)))
+    off = np.median(np.abs(angle + rate * (when - begin) - directions))
+    turned = abs(rate) * (end - begin)
+    if off > _STRAIGHT or not 4 * _STRAIGHT < turned < TURN + 2 * _OVERLAP:
+        return None
+    return Sweep(begin, end, angle, rate)
+
+
+def _sums(slices: NDArray[np.intp], weights: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.bincount(slices, weights, _SLICES).astype(np.float64)
+
+
+def beam_times(sweep: Sweep, layout: BeamLayout) -> tuple[float, float] | None:
+    """When a scan's first beam was measured, and the time from beam to beam.
+
+    Returns
+    -------
+    (float, float)
+        Seconds after the cloud's stamp, and seconds, negative where the lidar turns clockwise. None if the sweep
+        begins in the middle of the scan, so that its times are no straight line, or never comes by.
+    """
+    edge = layout.angle_min - layout.angle_increment / 2
+    width = layout.count * layout.angle_increment
+    start = sweep.angle - edge
+    low, high = sorted((start, start + sweep.rate * (sweep.end - sweep.begin)))
+    turns = range(math.floor((low - width) / TURN), math.ceil(high / TURN) + 1)
+    seen = [turn for turn in turns if min(high, turn * TURN + width) - max(low, turn * TURN) > _OVERLAP]
+    if len(seen) != 1:
+        return None
+    first = sweep.begin + (seen[0] * TURN + layout.angle_min - sweep.angle) / sweep.rate
+    return first, layout.angle_increment / sweep.rate

@@ -1,0 +1,174 @@
+"""What a conversion has to find out before it begins: when scans and beams were measured, which fields there are.
+
+Only the first clouds of a topic are looked at, so that a conversion stays a single pass over the recording.
+"""
+
+from __future__ import annotations
+
+import statistics
+from itertools import islice
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pc2scan.core.layout import TURN
+from pc2scan.core.timing import TIME_FIELDS, beam_times, fit_sweep, median_interval_ns, point_times
+from pc2scan.errors import MessageError, ParameterError, stamp_text
+from pc2scan.messages.pointcloud2 import decode_pointcloud2
+
+from .conversion import Timing
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from numpy.typing import NDArray
+
+    from pc2scan.bags.model import Connection, Reader
+    from pc2scan.core.params import ProjectionParams
+    from pc2scan.core.timing import Sweep
+    from pc2scan.messages.pointcloud2 import PointCloud2
+
+    from .frames import Frames
+
+__all__ = ["measure"]
+
+#: Clouds whose stamps tell the scan time, and those of them whose points tell the time of a beam.
+CLOUDS = 51
+SWEEPS = 11
+
+
+def measure(
+    reader: Reader,
+    connections: Iterable[Connection],
+    params: ProjectionParams,
+    frames: Frames,
+    start_ns: int | None = None,
+    stop_ns: int | None = None,
+) -> tuple[dict[str, Timing], list[str]]:
+    """Look at the first clouds of each topic.
+
+    Parameters
+    ----------
+    connections
+        Those to be converted.
+    params
+        ``scan_time`` and ``time_increment`` that are ``auto`` are measured; an ``intensity_field`` has to be there.
+    frames
+        The scans' frame is the one that beams are measured in.
+    start_ns, stop_ns
+        The cut, by log time; None: no limit.
+
+    Returns
+    -------
+    dict, list of str
+        The timing of each topic, and what was found, for the user.
+
+    Raises
+    ------
+    ParameterError
+        If no cloud of a topic's first ones has the ``intensity_field``.
+    """
+    timings: dict[str, Timing] = {}
+    notes: list[str] = []
+    topics: dict[str, list[Connection]] = {}
+    for connection in connections:
+        topics.setdefault(connection.topic, []).append(connection)
+    for topic, sources in topics.items():
+        first = _FirstClouds(params, frames)
+        wanted = CLOUDS if params.scan_time == "auto" else SWEEPS if params.time_increment == "auto" else 1
+        for message in islice(reader.messages(sources, start_ns, stop_ns), wanted):
+            try:
+                first.add(decode_pointcloud2(message.data, message.connection.serialization))
+            except MessageError:
+                # What cannot be decoded or transformed is told when its turn to be converted comes.
+                continue
+        first.require_field(topic)
+        timings[topic] = first.timing(topic, notes)
+    return timings, notes
+
+
+class _FirstClouds:
+    """What the first clouds of a topic tell."""
+
+    def __init__(self, params: ProjectionParams, frames: Frames) -> None:
+        self._params = params
+        self._frames = frames
+        self._stamps: list[int] = []
+        self._fields: dict[str, None] = {}
+        self._timed: dict[str, None] = {}
+        self._sweeps: list[Sweep] = []
+
+    def add(self, cloud: PointCloud2) -> None:
+        """Take a cloud."""
+        self._stamps.append(cloud.stamp_ns)
+        self._fields.update(dict.fromkeys(field.name for field in cloud.fields))
+        if self._params.time_increment != "auto" or len(self._stamps) > SWEEPS:
+            return
+        name = next((name for name in TIME_FIELDS if name in self._fields), None)
+        if name is None:
+            return
+        self._timed[name] = None
+        sweep = fit_sweep(self._angles(cloud), point_times(cloud.field(name), cloud.stamp_ns))
+        if sweep is not None:
+            self._sweeps.append(sweep)
+
+    def _angles(self, cloud: PointCloud2) -> NDArray[np.float64]:
+        """Where the points are seen, in the scan's frame; NaN for those without a direction."""
+        points = np.stack([np.ravel(part).astype(np.float64) for part in cloud.xyz()], axis=1)
+        nowhere = ~points.any(axis=1) | ~np.isfinite(points).all(axis=1)
+        moved = self._frames.place(cloud.frame_id, cloud.stamp_ns).target_from_source
+        if moved is not None:
+            points = moved.apply(points)
+        angles: NDArray[np.float64] = np.arctan2(points[:, 1], points[:, 0])
+        angles[nowhere] = np.nan
+        return angles
+
+    def require_field(self, topic: str) -> None:
+        """Refuse to begin without the field that was asked for."""
+        name = self._params.intensity_field
+        if name and self._stamps and name not in self._fields:
+            raise ParameterError(
+                f"intensity_field is {name!r}, which the clouds on {topic} do not have",
+                name="intensity_field",
+                hint=f"their fields are: {', '.join(self._fields) or 'none'}",
+            )
+
+    def timing(self, topic: str, notes: list[str]) -> Timing:
+        """What to write into the scans."""
+        scan_time, time_increment, first_beam_ns = self._params.scan_time, self._params.time_increment, 0
+        if scan_time == "auto":
+            interval = median_interval_ns(self._stamps)
+            scan_time = (interval or 0) / 1e9
+            notes.append(
+                f"{topic}: scan_time is 0, for there are no two different stamps to measure it between"
+                if interval is None
+                else f"{topic}: scan_time is {scan_time:.6g} s, the median interval of "
+                f"{'its' if len(self._stamps) < CLOUDS else 'the first'} {len(self._stamps)} stamps"
+            )
+        if time_increment == "auto":
+            time_increment, first_beam_ns, found = self._beams()
+            notes.append(f"{topic}: {found}")
+        return Timing(scan_time, time_increment, first_beam_ns)
+
+    def _beams(self) -> tuple[float, int, str]:
+        """Time from beam to beam in seconds, the first beam's after the stamp in nanoseconds, and what to say."""
+        if not self._timed:
+            return 0.0, 0, f"time_increment is 0, for the clouds have no field {', '.join(TIME_FIELDS)}"
+        field = ", ".join(self._timed)
+        if not self._sweeps:
+            return 0.0, 0, f"time_increment is 0, for the times of the points ({field}) do not follow a turning lidar"
+        found = [times for sweep in self._sweeps if (times := beam_times(sweep, self._params.layout)) is not None]
+        if len(found) < len(self._sweeps):
+            lowest = statistics.median_low(sweep.lowest for sweep in self._sweeps)
+            advice = f"--angle-min {lowest:.4f} --angle-max {lowest + TURN:.4f}"
+            note = "time_increment is 0, for the clouds begin and end inside the scan; one that begins there can tell"
+            return 0.0, 0, f"{note}: {advice}"
+        first_beam_ns = round(statistics.median_low(first for first, _ in found) * 1e9)
+        increment = statistics.median_low(step for _, step in found)
+        way = "clockwise, so the first beam is the last in time" if increment < 0 else "counter-clockwise"
+        note = f"time_increment is {increment:.4g} s, from {field}: the lidar turns {way}"
+        return (
+            increment,
+            first_beam_ns,
+            f"{note}; stamps are moved by {stamp_text(first_beam_ns)} s, to the first beam's",
+        )

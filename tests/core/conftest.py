@@ -1,0 +1,22 @@
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from pc2scan.core import kernel, plain
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+
+@pytest.fixture(params=["compiled", "plain"], scope="module")
+def loops(request: pytest.FixtureRequest) -> Iterator[None]:
+    """What is tested holds for the compiled loops over points and for those in NumPy."""
+    with pytest.MonkeyPatch.context() as patch:
+        if request.param == "plain":
+            for name in ("angles", "gather", "project"):
+                patch.setattr(kernel, name, getattr(plain, name))
+        elif not kernel.COMPILED:
+            pytest.skip("there was no C compiler: this installation has no compiled loops")
+        yield

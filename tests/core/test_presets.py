@@ -1,0 +1,100 @@
+"""What a preset makes, its consumer takes: by the rules of `pc2scan check`, and by their transcription."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from core.consumer_rules import RULES
+from pc2scan.core.consumers import CONSUMERS, Scan, judge
+from pc2scan.core.params import ProjectionParams
+from pc2scan.core.presets import PRESETS
+from pc2scan.core.project import project
+
+#: Degrees: 20 fields of view by 15 increments; coarse ones too, where Karto's rule for circles is at its narrowest.
+FIELDS = (30, 45, 60, 90, 100, 120, 135, 150, 180, 190, 200, 220, 240, 250, 270, 300, 330, 350, 359, 360)
+INCREMENTS = (0.2, 0.225, 0.25, 0.3, 1 / 3, 0.36, 0.4, 0.5, 0.6, 0.75, 1.0, 2.0, 5.0, 7.3, 15.0)
+
+#: Beams with a return and many without, before and behind the sensor.
+POINTS = np.array([[3.0, 0.1, 0], [2.0, -1, 0], [0.0, 0.0, 0.0], [-4, 3, 0], [250, 3, 0]])
+
+
+def scan_of(params: ProjectionParams) -> Scan:
+    """A scan as the message would have it."""
+    layout, made = params.layout, project(POINTS, params)
+    return Scan.of(
+        made.ranges,
+        angle_min=layout.angle_min,
+        angle_max=layout.angle_max,
+        angle_increment=layout.angle_increment,
+        range_min=params.range_min,
+        range_max=params.range_max,
+        scan_time=0.1,
+        intensities=len(made.intensities),
+    )
+
+
+def test_every_preset_has_a_consumer_with_rules() -> None:
+    assert set(PRESETS) == set(CONSUMERS) - {"mrpt"}
+
+
+@pytest.mark.parametrize("consumer", PRESETS)
+@pytest.mark.parametrize("start", ["centred on x", "from 0", "from -pi"])
+def test_a_preset_is_accepted_on_the_grid(consumer: str, start: str) -> None:
+    for field in FIELDS:
+        span = math.radians(field)
+        low = {"centred on x": -span / 2, "from 0": 0.0, "from -pi": -math.pi}[start]
+        for increment in INCREMENTS:
+            params = ProjectionParams.preset(
+                consumer,
+                min_height=-1.0,
+                angle_min=low,
+                angle_max=low + span,
+                angle_increment=math.radians(increment),
+            )
+            scan = scan_of(params)
+            assert judge(consumer, scan).outcome == "accepted", (field, increment)
+            assert RULES[consumer](scan, scan) == "accepted"
+            # A finite range_max and the last beam's angle satisfy all the others too.
+            assert {name: judge(name, scan).outcome for name in CONSUMERS} == dict.fromkeys(CONSUMERS, "accepted")
+
+
+@given(st.floats(-7, 4), st.floats(0.1, 7), st.floats(math.radians(0.18), 0.6))
+def test_any_centered_scan_is_accepted_by_all(low: float, span: float, increment: float) -> None:
+    # MRPT wants three beams, and what it divides by rounds to nothing in thousands.
+    params = ProjectionParams.preset(
+        "nav2", angle_min=low, angle_max=low + max(span, 2 * increment), angle_increment=increment
+    )
+    scan = scan_of(params)
+    assert {name: judge(name, scan).outcome for name in CONSUMERS} == dict.fromkeys(CONSUMERS, "accepted")
+
+
+@given(st.sampled_from([-math.pi, 0.0, -math.pi / 2, 1.0]), st.integers(3, 2000))
+def test_any_circle_of_a_number_of_beams_is_accepted_by_all(low: float, beams: int) -> None:
+    params = ProjectionParams.preset("amcl", angle_min=low, angle_max=low + 2 * math.pi, beams=beams)
+    scan = scan_of(params)
+    assert scan.beams == beams
+    assert {name: judge(name, scan).outcome for name in CONSUMERS} == dict.fromkeys(CONSUMERS, "accepted")
+
+
+def test_without_a_preset_they_refuse_or_misplace() -> None:
+    upstream = scan_of(ProjectionParams(min_height=-1.0, angle_min=-math.pi / 2, angle_max=math.pi / 2))
+    assert judge("slam_toolbox", upstream).refused
+    assert judge("cartographer", upstream).outcome == "misplaced"
+    # Each half of the cure alone is not enough for all of them.
+    endless = scan_of(replace(ProjectionParams.preset("slam_toolbox"), range_max=math.inf))
+    assert judge("cartographer", endless).outcome == "misplaced"
+
+
+@pytest.mark.parametrize("consumer", PRESETS)
+def test_a_non_return_at_the_origin_and_one_beyond_are_left_out(consumer: str) -> None:
+    params = ProjectionParams.preset(consumer, min_height=-1.0)
+    made = project(POINTS, params)
+    assert made.counts.range == 2
+    assert made.ranges.min() > 2
+    assert np.isfinite(made.ranges).all() == (consumer == "gmapping")

@@ -1,0 +1,140 @@
+"""When scans and beams were measured: lidars that are made to turn, and what does not turn."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pc2scan.core.layout import TURN, centered_layout
+from pc2scan.core.timing import Sweep, beam_times, fit_sweep, median_interval_ns, point_times
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+STAMP = 1_700_000_000_123_456_789
+
+
+@pytest.mark.parametrize(
+    ("stamps", "expected"),
+    [
+        ([], None),
+        ([5], None),
+        ([5, 5], None),
+        ([0, 100], 100),
+        ([0, 100, 200, 900], 100),
+        ([0, 100, 201], 100),
+        ([900, 0, 100, 100, 200], 100),
+        ([STAMP, STAMP + 99_999_999, STAMP + 200_000_000, STAMP + 300_000_000], 100_000_000),
+    ],
+)
+def test_the_median_interval(stamps: list[int], expected: int | None) -> None:
+    assert median_interval_ns(stamps) == expected
+
+
+#: 0 to 99 ms, as drivers write it.
+MILLISECONDS = np.arange(100)
+
+
+@pytest.mark.parametrize(
+    ("values", "first"),
+    [
+        ((MILLISECONDS * 1_000_000).astype("<u4"), 0.0),
+        ((MILLISECONDS * 1_000_000).astype(">i4"), 0.0),
+        ((MILLISECONDS * 1e-3).astype("<f4"), 0.0),
+        ((MILLISECONDS * 1e-3 - 0.099).astype("<f4"), -0.099),
+        (MILLISECONDS * 1.0, 0.0),
+        (MILLISECONDS * 1e3, 0.0),
+        (MILLISECONDS * 1e6, 0.0),
+        (STAMP / 1e9 + 0.5 + MILLISECONDS * 1e-3, 0.5),
+        (STAMP + MILLISECONDS * 1e6 - 0.099e9, -0.099),
+        (STAMP / 1e3 + MILLISECONDS * 1e3, 0.0),
+    ],
+)
+def test_times_of_points_in_every_unit(values: NDArray[Any], first: float) -> None:
+    times = point_times(values, STAMP)
+    # A float64 of seconds since 1970 resolves 0.24 us.
+    np.testing.assert_allclose(times, first + MILLISECONDS * 1e-3, atol=5e-7)
+
+
+def test_times_that_are_no_numbers() -> None:
+    assert point_times(np.array([], np.float32), 0).size == 0
+    assert np.isnan(point_times(np.array([np.nan, np.inf], np.float32), 0)).all()
+    times = point_times(np.array([[0, 0.1], [np.nan, np.inf]], np.float32), 0)
+    np.testing.assert_allclose(times, [0, 0.1, math.nan, math.nan])
+
+
+def sweep_of(rate: float, start: float, turned: float = TURN, begin: float = 0.0, columns: int = 900) -> Any:
+    """Angles and times of a lidar with 16 lasers that look up to 3 degrees to the side."""
+    times = np.repeat(begin + np.linspace(0, turned / abs(rate), columns, endpoint=False), 16)
+    aside = np.tile(np.deg2rad(np.linspace(-3, 3, 16)), columns)
+    return np.remainder(start + rate * (times - begin) + aside + math.pi, TURN) - math.pi, times
+
+
+@given(
+    st.sampled_from([-1.0, 1.0]),
+    st.floats(5, 20),
+    st.floats(-math.pi, math.pi),
+    st.floats(1.0, TURN),
+    st.floats(-0.1, 0.1),
+)
+def test_a_turning_lidar_is_recognised(way: float, hertz: float, start: float, turned: float, begin: float) -> None:
+    rate = way * TURN * hertz
+    angles, times = sweep_of(rate, start, turned, begin)
+    # Shuffled, and a third of the points missing.
+    kept = np.random.default_rng(1).permutation(times.size)[: times.size * 2 // 3]
+    sweep = fit_sweep(angles[kept], times[kept])
+    assert sweep is not None
+    assert sweep.rate == pytest.approx(rate, rel=2e-3)
+    assert abs(math.remainder(sweep.angle - start, TURN)) < 0.02
+    assert sweep.begin == pytest.approx(begin, abs=1e-3)
+
+
+def test_what_does_not_turn_is_not_taken_for_it() -> None:
+    random = np.random.default_rng(2)
+    angles, times = sweep_of(60.0, 0.0)
+    assert fit_sweep(random.permutation(angles), times) is None
+    assert fit_sweep(angles, np.zeros_like(times)) is None
+    assert fit_sweep(angles, np.full_like(times, np.nan)) is None
+    assert fit_sweep(angles[:20], times[:20]) is None
+    # There and back, as a MEMS mirror does; and two turns in one cloud.
+    assert fit_sweep(np.abs(np.linspace(-1, 1, 5000)), np.linspace(0, 0.1, 5000)) is None
+    assert fit_sweep(*sweep_of(60.0, 0.0, 2 * TURN)) is None
+
+
+def test_beams_of_a_scan_that_begins_with_the_sweep() -> None:
+    circle = centered_layout(0.0, TURN, 1.0, 1000)
+    first, step = beam_times(Sweep(-0.1, 0.0, 0.0, TURN * 10), circle) or (0, 0)
+    assert first == pytest.approx(-0.1)
+    assert step == pytest.approx(1e-4)
+    # Clockwise, the first beam is the last in time.
+    first, step = beam_times(Sweep(-0.1, 0.0, 0.0, -TURN * 10), circle) or (0, 0)
+    assert first == pytest.approx(0.0)
+    assert step == pytest.approx(-1e-4)
+
+
+@pytest.mark.parametrize("rate", [TURN * 10, -TURN * 10])
+def test_a_sweep_that_begins_inside_the_scan_cannot_be_told(rate: float) -> None:
+    sweep = Sweep(0.0, 0.1, 1.0, rate)
+    assert beam_times(sweep, centered_layout(-math.pi, math.pi, 1.0, 360)) is None
+    assert beam_times(sweep, centered_layout(0.0, 2.0, 1.0, 100)) is None
+    # But beginning there, the scan can; and a sector that the seam is outside of.
+    assert sweep.lowest == pytest.approx(1.0)
+    assert beam_times(sweep, centered_layout(sweep.lowest, sweep.lowest + TURN, 1.0, 360)) is not None
+    first, step = beam_times(sweep, centered_layout(-2.0, 0.0, 1.0, 101)) or (0, 0)
+    behind = (TURN - 3.0) / (TURN * 10) if rate > 0 else 3.0 / (TURN * 10)
+    assert first == pytest.approx(behind)
+    assert step == pytest.approx(0.02 / rate, rel=1e-6)
+
+
+def test_half_a_turn_in_a_whole_scan() -> None:
+    # Ahead only, clockwise from pi/2 to -pi/2: the beams behind are never seen, and tell nothing.
+    sweep = Sweep(-0.05, 0.0, math.pi / 2, -math.pi / 0.05)
+    first, step = beam_times(sweep, centered_layout(-math.pi, math.pi, 1.0, 360)) or (0, 0)
+    assert first + 90 * step == pytest.approx(0.0, abs=1e-6)
+    assert first + 270 * step == pytest.approx(-0.05, abs=1e-6)
+    assert beam_times(sweep, centered_layout(2.0, 4.0, 1.0, 100)) is None

@@ -1,0 +1,175 @@
+"""Scans made for their consumers, by the real command, read by other people's libraries and by `pc2scan check`."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from core.consumer_rules import RULES
+from e2e.command import run
+from e2e.outputs import opened
+from pc2scan.core.consumers import Scan
+from pc2scan.core.presets import PRESETS
+from support import ROOT
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+HALL = ROOT / "fixtures" / "hall.mcap"
+HEIGHTS = ("--min-height", "-0.3", "--max-height", "1")
+
+
+def described(message: Any) -> Scan:
+    return Scan.of(
+        message.ranges,
+        **{name: getattr(message, name) for name in ("angle_min", "angle_max", "angle_increment")},
+        **{name: getattr(message, name) for name in ("range_min", "range_max", "scan_time", "time_increment")},
+        intensities=len(message.intensities),
+    )
+
+
+def stamp_ns(message: Any) -> int:
+    stamp = message.header.stamp
+    return int(stamp.sec * 1_000_000_000 + stamp.nanosec)
+
+
+@pytest.mark.parametrize("consumer", PRESETS)
+def test_a_preset_is_accepted_by_its_consumer(consumer: str, tmp_path: Path) -> None:
+    destination, report = tmp_path / "out.mcap", tmp_path / "report.json"
+    done = run("convert", HALL, "-o", destination, *HEIGHTS, "--preset", consumer, "--report", report)
+    assert (done.status, done.stderr) == (0, "")
+    assert f"note: range_max is 100 m, chosen by --preset {consumer}" in done.stdout
+    scans = opened(destination).scans()
+    assert len(scans) == 5
+    first = described(scans[0])
+    assert {RULES[consumer](described(scan), first) for scan in scans} == {"accepted"}
+    for scan in scans:
+        assert len(scan.ranges) == 360
+        last = scan.angle_min + 359 * float(np.float32(scan.angle_increment))
+        assert np.float32(scan.angle_max) == np.float32(last)
+        assert scan.scan_time == np.float32(0.1)
+        assert np.isinf(scan.ranges).any() == (consumer != "gmapping")
+    told = json.loads(report.read_text())
+    assert told["param_origins"]["geometry"] == f"--preset {consumer}"
+    assert told["notes"][0] == "/points: scan_time is 0.1 s, the median interval of its 5 stamps"
+    checked = run("check", destination, "--for", consumer)
+    assert checked.status == 0, checked.stdout
+
+
+def test_what_is_given_beats_the_preset(tmp_path: Path) -> None:
+    file = tmp_path / "params.yaml"
+    file.write_text("pointcloud_to_laserscan:\n  ros__parameters:\n    range_max: 4.0\n    scan_time: 0.5\n")
+    destination = tmp_path / "out.mcap"
+    options = ("--preset", "slam_toolbox", "--params-file", file, "--beams", "720", "--param", "no_return:=zero")
+    done = run("convert", HALL, "-o", destination, *HEIGHTS, *options)
+    assert (done.status, done.stderr) == (0, "")
+    scan = opened(destination).scans()[0]
+    assert (len(scan.ranges), scan.range_max, scan.scan_time) == (720, 4.0, 0.5)
+    assert scan.ranges.min() == 0
+    assert scan.ranges.max() <= 4
+
+
+def test_a_circle_that_is_divided_evenly_is_told(tmp_path: Path) -> None:
+    destination = tmp_path / "out.mcap"
+    done = run("convert", HALL, "-o", destination, *HEIGHTS, "--geometry", "centered", "--angle-increment", "0.0175")
+    assert done.status == 0, done.stderr
+    assert (
+        "note: angle_increment is 0.01750191 rad instead of 0.0175: 359 beams divide the circle evenly" in done.stdout
+    )
+    # Rounded down to float32, so that the beams do not overlap.
+    assert opened(destination).scans()[0].angle_increment == np.nextafter(np.float32(2 * math.pi / 359), np.float32(0))
+
+
+def test_jobs_make_no_difference(tmp_path: Path) -> None:
+    outputs = []
+    options = ("--preset", "nav2", "--reduce", "median", "--min-points", "2", "--intensity-field", "intensity")
+    for jobs in ("1", "4"):
+        destination = tmp_path / f"out{jobs}.mcap"
+        done = run("convert", HALL, "-o", destination, *HEIGHTS, *options, "--time-increment", "auto", "--jobs", jobs)
+        assert done.status == 0, done.stderr
+        outputs.append(destination.read_bytes())
+    assert outputs[0] == outputs[1]
+
+
+def test_intensities_are_those_of_the_points_shown(tmp_path: Path) -> None:
+    destination = tmp_path / "out.mcap"
+    done = run(
+        "convert", HALL, "-o", destination, *HEIGHTS, "--keep-clouds", "--geometry", "centered", "--range-max", "50",
+        "--beams", "240", "--intensity-field", "ring",
+    )  # fmt: skip
+    assert done.status == 0, done.stderr
+    output = opened(destination)
+    shown = 0
+    for scan, cloud in zip(output.scans(), output.clouds("/points"), strict=True):
+        dtype = np.dtype(
+            {
+                "names": ["x", "y", "z", "ring"],
+                "formats": ["<f4"] * 3 + ["<u2"],
+                "offsets": [0, 4, 8, 16],
+                "itemsize": 22,
+            }
+        )
+        points = np.frombuffer(cloud.data.tobytes(), dtype)
+        points = points[
+            (points["z"] >= -0.3) & (points["z"] <= 1) & np.isfinite(points["x"]) & np.isfinite(points["y"])
+        ]
+        x, y = points["x"].astype(float), points["y"].astype(float)
+        reach = np.hypot(x, y).astype(np.float32)
+        beams = np.rint((np.arctan2(y, x) - scan.angle_min) / scan.angle_increment).astype(int) % 240
+        assert len(scan.intensities) == len(scan.ranges) == 240
+        for beam in range(240):
+            own = np.flatnonzero(beams == beam)
+            if own.size:
+                winner = own[np.argmin(reach[own])]
+                assert (scan.ranges[beam], scan.intensities[beam]) == (reach[winner], points["ring"][winner])
+                shown += 1
+            else:
+                assert (scan.ranges[beam], scan.intensities[beam]) == (math.inf, 0)
+    assert shown > 1000
+
+
+def test_beams_have_the_times_of_their_points(tmp_path: Path) -> None:
+    # The lidar of the hall turns clockwise from x, ten times a second, and stamps the end of its turn.
+    destination = tmp_path / "out.mcap"
+    where = ("--angle-min", "0.026", "--angle-max", str(0.026 + 2 * math.pi), "--geometry", "centered")
+    done = run(
+        "convert", HALL, "-o", destination, *HEIGHTS, *where, "--keep-clouds", "--time-increment", "auto",
+        "--intensity-field", "time",
+    )  # fmt: skip
+    assert (done.status, done.stderr) == (0, "")
+    assert "the lidar turns clockwise" in done.stdout
+    output = opened(destination)
+    for scan, cloud in zip(output.scans(), output.clouds("/points"), strict=True):
+        seen = np.flatnonzero(np.isfinite(scan.ranges))
+        after_cloud = (stamp_ns(scan) - stamp_ns(cloud)) / 1e9
+        times = after_cloud + seen * float(scan.time_increment)
+        # The intensities here are the times of the points: columns are 0.42 ms apart, the seam is one of them.
+        assert np.median(np.abs(times - scan.intensities[seen])) < 0.0003
+        assert np.max(np.abs(times - scan.intensities[seen])[3:-3]) < 0.0006
+        assert scan.time_increment == pytest.approx(-0.1 / 360, rel=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--beams", "360", "--angle-increment", "0.1"), "say the same in two ways; give one of them"),
+        (("--preset", "slamtoolbox"), "there is no preset 'slamtoolbox'; did you mean slam_toolbox?"),
+        (("--no-return", "range-max-plus"), "which needs a finite range_max"),
+        (("--intensity-field", "i"), "which the clouds on /points do not have (from --intensity-field)"),
+        (("--scan-time", "soon"), "scan_time: expected a number or auto, got 'soon' (from --scan-time)"),
+        (("--reverse", "--preset", "amcl"), "laserscan_to_pointcloud has no parameter 'geometry' (from --preset amcl)"),
+        (("--reverse", "--beams", "3"), "laserscan_to_pointcloud has no parameter 'beams' (from --beams)"),
+    ],
+)
+def test_what_cannot_be_is_said_before_anything_is_written(
+    options: tuple[str, ...], message: str, tmp_path: Path
+) -> None:
+    done = run("convert", HALL, "-o", tmp_path / "out.mcap", *options)
+    assert done.status == 2
+    assert message in done.stderr
+    assert "Traceback" not in done.stderr
+    assert list(tmp_path.iterdir()) == []
