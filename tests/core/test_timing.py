@@ -106,6 +106,15 @@ def test_what_does_not_turn_is_not_taken_for_it() -> None:
     assert fit_sweep(*sweep_of(60.0, 0.0, 2 * TURN)) is None
 
 
+@pytest.mark.parametrize("values", [[-1e308, 1e308], [0.0, 1e300], [1e308, 1e308], [0, 2**32 - 1]])
+def test_times_that_make_no_sense_are_no_sweep(values: list[float]) -> None:
+    angles, times = sweep_of(60.0, 0.0)
+    given = np.resize(np.array(values), times.size)
+    with np.errstate(all="raise", under="ignore"):
+        spoiled = point_times(given, STAMP)
+    assert fit_sweep(angles, spoiled) is None
+
+
 def test_beams_of_a_scan_that_begins_with_the_sweep() -> None:
     circle = centered_layout(0.0, TURN, 1.0, 1000)
     first, step = beam_times(Sweep(-0.1, 0.0, 0.0, TURN * 10), circle) or (0, 0)

@@ -15,6 +15,7 @@ from pc2scan.errors import DecodeError, TransformError
 from pc2scan.messages.laserscan import LaserScan, decode_laserscan, encode_laserscan
 from pc2scan.messages.pointcloud2 import PointCloud2, PointField, decode_pointcloud2, encode_pointcloud2
 from pc2scan.pipeline.cloud_to_scan import CloudToScan
+from pc2scan.pipeline.conversion import Timing
 from pc2scan.pipeline.frames import Frames
 from pc2scan.pipeline.scan_to_cloud import ScanToCloud
 from pc2scan.tf.buffer import TransformBuilder
@@ -78,6 +79,45 @@ def test_a_scan_carries_the_clouds_header_and_the_parameters() -> None:
     assert read.intensities.size == 0
     assert np.flatnonzero(np.isfinite(read.ranges)).tolist() == [8]
     assert not made.empty
+
+
+def test_a_centered_scan_advertises_its_last_beam_and_carries_intensities() -> None:
+    params = ProjectionParams(
+        min_height=-1, geometry="centered", angle_min=0.0, angle_max=2 * math.pi, beams=8, range_max=20, reduce="max",
+        intensity_field="z", no_return="nan",
+    )  # fmt: skip
+    made = CloudToScan(params, Frames())(cloud([[2, 0, 0.5], [3, 0, 0.25], [0, -4, 0.125]]), "ros1", "cdr")
+    read = decode_laserscan(made.data, "cdr")
+    assert read.angle_min == 0
+    assert read.angle_max == pytest.approx(2 * math.pi * 7 / 8)
+    assert read.ranges.tolist() == pytest.approx([3.0, *[math.nan] * 5, 4.0, math.nan], nan_ok=True)
+    assert read.intensities.tolist() == [0.25, 0, 0, 0, 0, 0, 0.125, 0]
+    assert not made.empty
+    assert CloudToScan(params, Frames())(cloud([]), "ros1", "cdr").empty
+
+
+def test_an_intensity_field_that_a_later_cloud_lacks_is_an_error_with_the_stamp() -> None:
+    params = ProjectionParams(intensity_field="reflectivity")
+    with pytest.raises(DecodeError, match="no field 'reflectivity'; the cloud's fields are: x, y, z") as caught:
+        CloudToScan(params, Frames())(cloud([[2, 0, 0]]), "ros1", "ros1")
+    assert caught.value.stamp_ns == 5 * SECOND
+
+
+@pytest.mark.parametrize(
+    ("stamp_ns", "first_beam_ns", "expected"),
+    [(5 * SECOND, -7, 5 * SECOND - 7), (5 * SECOND, 7, 5 * SECOND + 7), (5, -7, 0), (-SECOND, 0, -SECOND)],
+)
+def test_a_timed_topic_has_its_own_stamps(stamp_ns: int, first_beam_ns: int, expected: int) -> None:
+    params = ProjectionParams(scan_time="auto", time_increment="auto")
+    conversion = CloudToScan(params, Frames(), {"/front": Timing(0.125, -0.25, first_beam_ns)})
+    serialization = "ros1" if stamp_ns >= 0 else "cdr"
+    message = encode_pointcloud2(
+        serialization=serialization, sequence=0, stamp_ns=stamp_ns, frame_id="f", fields=XYZ, point_step=12, data=b""
+    )
+    read = decode_laserscan(conversion.for_topic("/front")(message, serialization, serialization).data, serialization)
+    assert (read.stamp_ns, read.scan_time, read.time_increment) == (expected, 0.125, -0.25)
+    other = decode_laserscan(conversion.for_topic("/rear")(message, serialization, serialization).data, serialization)
+    assert (other.stamp_ns, other.scan_time, other.time_increment) == (stamp_ns, 0, 0)
 
 
 def test_a_scan_without_returns_is_empty_also_where_that_is_not_infinity() -> None:

@@ -30,6 +30,9 @@ _UNITS = ((2.0, 1.0), (2e3, 1e-3), (2e6, 1e-6), (math.inf, 1e-9))
 #: Seconds from here on are not since the cloud's beginning but since 1970, or since the sensor was switched on.
 _ABSOLUTE = 1000.0
 
+#: No cloud takes so many seconds.
+_LONGEST = 60.0
+
 #: Equal parts of a cloud's time whose mean directions a sweep is fitted to.
 _SLICES = 64
 
@@ -70,7 +73,7 @@ def point_times(values: NDArray[Any], stamp_ns: int) -> NDArray[np.float64]:
     if not times.size or np.isnan(times).all():
         return times
     low, high = float(np.nanmin(times)), float(np.nanmax(times))
-    unit = 1e-9 if values.dtype.kind in "iu" else next(unit for most, unit in _UNITS if high - low < most)
+    unit = 1e-9 if values.dtype.kind in "iu" else next((unit for most, unit in _UNITS if high - low < most), 1e-9)
     if abs(low * unit) >= _ABSOLUTE:
         # Subtracted as whole numbers of the unit first: seconds since 1970 leave a float64 no digits to lose.
         times -= stamp_ns / round(1e9 * unit)
@@ -116,14 +119,14 @@ def fit_sweep(angles: NDArray[Any], times: NDArray[np.float64]) -> Sweep | None:
     -------
     Sweep
         None where the points do not follow one turn at a constant rate: depth cameras, risley prisms, times that are
-        all equal.
+        all equal or make no sense.
     """
     known = np.isfinite(angles) & np.isfinite(times)
     angles, times = angles[known].astype(np.float64), times[known]
     if times.size < _SLICES:
         return None
     begin, end = float(times.min()), float(times.max())
-    if not end > begin:
+    if not 0 < end - begin < _LONGEST:
         return None
     slices = np.minimum(((times - begin) * (_SLICES / (end - begin))).astype(np.intp), _SLICES - 1)
     points = np.bincount(slices, minlength=_SLICES)

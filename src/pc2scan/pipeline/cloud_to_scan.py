@@ -74,9 +74,13 @@ class CloudToScan:
         place = self._frames.place(cloud.frame_id, cloud.stamp_ns)
         scan = self._projected(cloud, place)
         params, layout = self.params, self._layout
+        stamp_ns = cloud.stamp_ns
+        if timing.first_beam_ns:
+            # A simulation's time begins at 0, and ROS 1 has none before.
+            stamp_ns = max(0, stamp_ns + timing.first_beam_ns)
         message = LaserScan(
             cloud.sequence,
-            max(0, cloud.stamp_ns + timing.first_beam_ns),
+            stamp_ns,
             place.frame_id,
             layout.angle_min,
             layout.angle_max,
