@@ -73,6 +73,24 @@ def test_what_is_given_beats_the_preset(tmp_path: Path) -> None:
     assert scan.ranges.max() <= 4
 
 
+def test_half_a_circle_by_degrees_is_refused_and_with_the_preset_accepted(tmp_path: Path) -> None:
+    file, destination = tmp_path / "params.yaml", tmp_path / "out.mcap"
+    half, degree = math.pi / 2, math.pi / 180
+    file.write_text(
+        f"pointcloud_to_laserscan:\n  ros__parameters:\n    angle_min: {-half!r}\n    angle_max: {half!r}\n"
+        f"    angle_increment: {degree!r}\n    min_height: 0.0\n    range_max: 4.0\n    use_inf: true\n"
+    )
+    done = run("convert", HALL, "-o", destination, "--params-file", file)
+    assert done.status == 0
+    assert "slam_toolbox would refuse these scans" in done.stderr
+    assert run("check", destination, "--for", "slam_toolbox").status == 1
+    done = run("convert", HALL, "-o", destination, "--params-file", file, "--preset", "slam_toolbox", "--overwrite")
+    assert (done.status, done.stderr) == (0, "")
+    assert run("check", destination, "--for", "slam_toolbox").status == 0
+    scan = opened(destination).scans()[0]
+    assert (scan.range_max, scan.scan_time, len(scan.ranges)) == (4, np.float32(0.1), 181)
+
+
 def test_a_circle_that_is_divided_evenly_is_told(tmp_path: Path) -> None:
     destination = tmp_path / "out.mcap"
     done = run("convert", HALL, "-o", destination, *HEIGHTS, "--geometry", "centered", "--angle-increment", "0.0175")
