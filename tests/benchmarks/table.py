@@ -28,6 +28,7 @@ from benchmarks.clouds import CLOUD_BYTES, FORMS, POINTS, TRIFLE, Form, serializ
 from benchmarks.test_projection import LAYOUTS, cloud, params_of, straightforward
 from pc2scan.bags.mcap_reader import McapReader
 from pc2scan.bags.rosbag1_reader import Rosbag1Reader
+from pc2scan.core.kernel import COMPILED
 from pc2scan.core.project import Projector
 from pc2scan.messages.pointcloud2 import decode_pointcloud2
 from pc2scan.pipeline.memory import keep_freed_memory
@@ -96,25 +97,37 @@ def median(values: Iterable[float]) -> float:
 
 
 def projection(repeat: int) -> None:
-    def rows() -> Iterable[Sequence[str]]:
-        for layout in LAYOUTS:
-            for beams in (90, 360, 3_600, 36_000):
-                x, y, z = cloud(131_072, layout)
-                params = params_of(beams, "all")
-                project = Projector(params)
-                found = rounds(
-                    4 * repeat,
-                    lambda: seconds(lambda: project(x, y, z)),  # noqa: B023  # called at once
-                    lambda: seconds(lambda: straightforward(x, y, z, params)),  # noqa: B023
-                )
-                ours, plain = (median(column) / x.size * 1e9 for column in zip(*found, strict=True))
-                ratio = median(row[1] / row[0] for row in found)
-                yield layout, f"{beams:,}", f"{ours:.1f}", f"{plain:.1f}", f"{ratio:.1f}"
+    def compared(points: int, layout: str, beams: int, heights: str) -> Sequence[str]:
+        x, y, z = cloud(points, layout)
+        params = params_of(beams, heights)
+        project = Projector(params)
+        found = rounds(
+            4 * repeat,
+            lambda: seconds(lambda: project(x, y, z)),
+            lambda: seconds(lambda: straightforward(x, y, z, params)),
+        )
+        ours, plain = (median(column) / x.size * 1e9 for column in zip(*found, strict=True))
+        return f"{ours:.1f}", f"{plain:.1f}", f"{median(row[1] / row[0] for row in found):.1f}"
 
+    columns = ("pc2scan", "straightforward NumPy", "times as fast")
+    loops = "compiled" if COMPILED else "not compiled"
     table(
-        "Projection** of 131,072 points, every height accepted, one thread, ns a point",
-        ("layout", "beams", "pc2scan", "straightforward NumPy", "times as fast"),
-        rows(),
+        f"Projection** of 131,072 points, every height accepted, one thread, ns a point ({loops})",
+        ("layout", "beams", *columns),
+        (
+            (layout, f"{beams:,}", *compared(131_072, layout, beams, "all"))
+            for layout in LAYOUTS
+            for beams in (90, 360, 3_600, 36_000)
+        ),
+    )
+    table(
+        "Projection** to 360 beams by the number of points, and with a height band, ns a point",
+        ("points", "heights", *columns),
+        (
+            (f"{points:,}", "all" if heights == "all" else "a band", *compared(points, "ring-major", 360, heights))
+            for points in (1_000, 16_384, 131_072, 2_000_000)
+            for heights in ("all", "band")
+        ),
     )
 
 

@@ -224,7 +224,7 @@ def test_nothing_is_half_a_beam_off() -> None:
     points = np.stack([5 * np.cos(angles), 5 * np.sin(angles), np.zeros_like(angles)], axis=1)
     for geometry, bias in (("centered", 0.0), ("upstream", 0.5)):
         params = replace(CENTERED, geometry=geometry)
-        slots = GatheringProjector(params)._grid.slots_of_points(*points.T[:2].astype(np.float32))
+        slots = GatheringProjector(params)._slots(*np.ascontiguousarray(points.T[:2], np.float32))
         layout = params.layout
         off = (angles - layout.angle_min - slots * layout.angle_increment) / layout.angle_increment
         assert off.mean() == pytest.approx(bias, abs=1e-2)

@@ -1,3 +1,5 @@
+"""Which beam an angle falls into: by upstream's rule, and to the one that looks closest by."""
+
 from __future__ import annotations
 
 import math
@@ -5,128 +7,112 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from pc2scan import ProjectionParams
-from pc2scan.core import grid as grid_module
-from pc2scan.core.grid import Grid
+from pc2scan.core.grid import centered_slots, upstream_slots
+from pc2scan.core.layout import TURN, BeamLayout, centered_layout, upstream_layout
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-PI32 = float(np.float32(np.pi))
+PI = math.pi
+#: What float64 may be off by in an angle of some turns.
+EXACT = 4e-15
 
 
-def beams_of(low: float, high: float, increment: float) -> Grid:
-    return Grid(ProjectionParams(angle_min=low, angle_max=high, angle_increment=increment))
+def nearest(layout: BeamLayout, angle: float) -> tuple[set[int], float]:
+    """The beams that look closest to an angle, one by one, and how far off they look."""
+    offsets = [
+        abs(math.remainder(angle - (layout.angle_min + beam * layout.angle_increment), TURN))
+        for beam in range(layout.count)
+    ]
+    least = min(offsets)
+    return {beam for beam, offset in enumerate(offsets) if offset <= least + EXACT}, least
 
 
-def find_slots(grid: Grid, x: NDArray[np.float32], y: NDArray[np.float32]) -> tuple[NDArray[np.intp], int]:
-    out = np.empty(x.size, np.intp)
-    close = grid.find_slots(x, y, out, (np.empty(x.size, np.float32), np.empty(x.size, np.float32)))
-    return out, close
-
-
-GRIDS = {
-    "defaults": (-math.pi, math.pi, math.pi / 180),
-    "0.01 degrees": (-math.pi, math.pi, math.pi / 18000),
-    "odd increment": (-math.pi, math.pi, 0.0061359),
-    "too fine": (-math.pi, math.pi, 3e-6),
-    "one beam": (-math.pi, math.pi, 7.0),
-    "front": (-0.5, 0.5, 0.01),
-    "cut last beam": (-0.3, 2.0, 0.0061),
-    "0 to 2 pi": (0.0, 2 * math.pi, 0.004),
-    "beyond pi": (-10.0, 10.0, 0.01),
-    "behind": (3.0, 3.3, 0.001),
-    "nowhere": (4.0, 5.0, 0.1),
-    "far away": (-1000.0, 1000.0, 0.05),
-    "sliver": (0.1, 0.1001, 1e-6),
-    "one sliver": (0.1, 0.1001, 1.0),
-}
-
-
-def edge_points(grid: tuple[float, float, float], rng: np.random.Generator) -> NDArray[np.float32]:
-    """Points on the edges of beams and on both limits, and some float32 beside them."""
-    low, high, increment = (float(np.float32(value)) for value in grid)
-    count = math.ceil((high - low) / increment)
-    edges = low + increment * rng.integers(0, count + 2, 20_000)
-    edges = np.concatenate([edges, np.repeat([low, high, 0.0, np.pi, -np.pi, np.pi / 2], 500)])
-    edges = edges[np.abs(edges) < 3.2]
-    radius = 10.0 ** rng.uniform(-2, 3, edges.size)
-    points = np.stack([radius * np.cos(edges), radius * np.sin(edges)]).astype(np.float32)
-    points.view(np.int32)[...] += rng.integers(-3, 4, points.shape, dtype=np.int32)
-    # One below zero's bit pattern is a NaN.
-    return points[:, ~np.isnan(points).any(axis=0)]
-
-
-@pytest.mark.parametrize("name", GRIDS)
-def test_points_get_the_slot_of_their_exact_angle(name: str) -> None:
-    rng = np.random.default_rng(7)
-    grid = beams_of(*GRIDS[name])
-    wide = rng.normal(size=(2, 20_000)).astype(np.float32)
-    integers = rng.integers(-9, 10, (2, 20_000)).astype(np.float32)
-    signed_zeros = np.array([[-1, -1, 1, 1, 0.0, -0.0, 0.0, -0.0], [0.0, -0.0, 0.0, -0.0, 0.0, 0.0, -0.0, -0.0]])
-    tiny = (wide * np.float32(1e-41)).astype(np.float32)
-    huge = wide[:, :2000] * np.float32(3e37)
-    x, y = np.concatenate(
-        [wide, integers, signed_zeros.astype(np.float32), tiny, huge, edge_points(GRIDS[name], rng)], axis=1
+LAYOUTS = st.builds(
+    centered_layout,
+    st.one_of(st.sampled_from([-PI, 0.0, -PI / 2, 1.0, -7.0]), st.floats(-8, 8)),
+    st.just(0.0),
+    st.just(1.0),
+).flatmap(
+    lambda start: st.builds(
+        centered_layout,
+        st.just(start.angle_min),
+        st.one_of(st.just(2 * PI), st.floats(0.1, 6.3)).map(lambda span: start.angle_min + span),
+        st.one_of(st.sampled_from([PI / 180, PI / 4, 0.0175, 0.5, 2.5]), st.floats(0.02, 3)),
     )
-    with np.errstate(all="ignore"):
-        angles = np.arctan2(y.astype(np.float64), x.astype(np.float64)).astype(np.float32)
-        expected = grid.slots_of_angles(angles)
-        np.testing.assert_array_equal(grid.slots_of_points(x, y), expected)
-        if grid.coarse:
-            np.testing.assert_array_equal(find_slots(grid, x, y)[0], expected)
-    assert grid.coarse == (name not in {"too fine", "sliver"})
-    assert expected.min() >= 0
-    assert expected.max() < grid.slots
-
-
-@pytest.mark.parametrize(("beams", "share"), [(360, 0.001), (36_000, 0.04)])
-def test_few_points_are_close_to_an_edge(beams: int, share: float) -> None:
-    x, y = np.random.default_rng(1).normal(size=(2, 100_000)).astype(np.float32)
-    slots, close = find_slots(beams_of(-math.pi, math.pi, 2 * math.pi / beams), x, y)
-    assert slots.size == x.size
-    assert 0 < close < share * x.size
-
-
-def test_the_error_of_float32_arctan2_is_below_what_the_grid_allows() -> None:
-    rng = np.random.default_rng(3)
-    x, y = rng.normal(size=(2, 1_000_000)).astype(np.float32)
-    y[::2] *= np.float32(10) ** rng.integers(-8, 8, 500_000).astype(np.float32)
-    fast = np.arctan2(y, x).astype(np.float64)
-    rounded = np.arctan2(y.astype(np.float64), x.astype(np.float64)).astype(np.float32)
-    assert np.max(np.abs(fast - rounded)) < grid_module._ANGLE_ERROR
-
-
-def test_a_beam_is_half_open_and_angle_max_falls_behind_the_last_one() -> None:
-    grid = beams_of(-1.0, 1.0, 0.5)
-    below = np.nextafter(np.float32(-0.5), np.float32(-1))
-    above = np.nextafter(np.float32(1), np.float32(2))
-    angles = np.array([-1, below, -0.5, 0, 0.5, 1, above, -above], np.float32)
-    assert grid.slots_of_angles(angles).tolist() == [0, 0, 1, 2, 3, grid.past_end, grid.outside, grid.outside]
-
-
-def test_angle_max_cuts_the_last_beam_off() -> None:
-    grid = beams_of(0.0, 1.25, 0.5)
-    assert grid.beams == 3
-    beyond = np.nextafter(np.float32(1.25), np.float32(2))
-    assert grid.slots_of_angles(np.array([1.0, 1.25, beyond], np.float32)).tolist() == [2, 2, grid.outside]
-
-
-@pytest.mark.parametrize(
-    ("low", "high", "whole"),
-    [
-        (-math.pi, math.pi, True),
-        (-4.0, 4.0, True),
-        (-PI32, float(np.nextafter(np.float32(PI32), np.float32(0))), False),
-        (float(np.nextafter(np.float32(-PI32), np.float32(0))), PI32, False),
-        (0.0, 2 * math.pi, False),
-    ],
 )
-def test_whole_circle(low: float, high: float, whole: bool) -> None:
-    assert beams_of(low, high, 0.1).whole_circle is whole
 
 
-def test_slots_follow_the_beams() -> None:
-    grid = beams_of(-math.pi, math.pi, math.pi / 180)
-    assert (grid.beams, grid.past_end, grid.outside, grid.slots) == (360, 360, 361, 362)
+@st.composite
+def layouts_and_angles(draw: st.DrawFn) -> tuple[BeamLayout, NDArray[np.float32]]:
+    layout = draw(LAYOUTS)
+    beams = st.integers(0, layout.count)
+    edges = beams.map(lambda beam: layout.angle_min + (beam - 0.5) * layout.angle_increment)
+    special = st.sampled_from([PI, -PI, 0.0, -0.0, PI / 2, float(np.float32(PI)), -float(np.float32(PI))])
+    around = st.one_of(edges, special, st.floats(-PI, PI)).map(lambda angle: math.remainder(angle, TURN))
+    drawn = draw(st.lists(st.tuples(around, st.integers(-2, 2)), min_size=1, max_size=30))
+    angles = np.array([angle for angle, _ in drawn], np.float32)
+    for number, (_, steps) in enumerate(drawn):
+        for _ in range(abs(steps)):
+            angles[number] = np.nextafter(angles[number], np.float32(math.copysign(9, steps)))
+    return layout, np.clip(angles, -np.float32(PI), np.float32(PI))
+
+
+@given(layouts_and_angles())
+def test_an_accepted_angle_belongs_to_the_nearest_beam(case: tuple[BeamLayout, NDArray[np.float32]]) -> None:
+    layout, angles = case
+    slots = centered_slots(angles, layout)
+    for angle, slot in zip(angles.tolist(), slots.tolist(), strict=True):
+        beams, offset = nearest(layout, angle)
+        half = layout.angle_increment / 2
+        if slot == layout.count + 1:
+            assert not layout.full_circle
+            assert offset >= half - EXACT
+        else:
+            assert slot in beams
+            # Half an increment on either side; on a circle also half of what rounding has left of it.
+            assert offset <= half + (4e-7 if layout.full_circle else EXACT)
+
+
+@pytest.mark.parametrize(("low", "high"), [(-PI, PI), (0.0, 2 * PI), (0.3, 0.3 + 2 * PI), (-7.0, -7.0 + 2 * PI)])
+@pytest.mark.parametrize("beams", [2, 3, 4, 7, 360, 1440, 40_000])
+def test_a_circle_wraps_around(low: float, high: float, beams: int) -> None:
+    layout = centered_layout(low, high, 1.0, beams)
+    middles = layout.angle_min + np.arange(beams) * layout.angle_increment
+    for offset in (0.0, 0.49, -0.49):
+        angles = np.remainder(middles + offset * layout.angle_increment + PI, TURN) - PI
+        np.testing.assert_array_equal(centered_slots(angles.astype(np.float32), layout), np.arange(beams))
+
+
+def test_the_directions_that_atan2_doubles_are_one_beam() -> None:
+    layout = centered_layout(-PI, PI, PI / 180)
+    x, y = np.array([-1, -1, -1, -1], np.float32), np.array([0.0, -0.0, 1e-30, -1e-30], np.float32)
+    assert centered_slots(np.arctan2(y, x, dtype=np.float64).astype(np.float32), layout).tolist() == [0, 0, 0, 0]
+
+
+def test_beams_of_a_sector_end_half_an_increment_outside() -> None:
+    layout = centered_layout(-0.5, 0.5, 0.25)
+    angles = np.array([-0.63, -0.625, -0.62, -0.376, -0.374, 0.0, 0.374, 0.62, 0.625, 0.63, 3.1, -3.1], np.float32)
+    assert centered_slots(angles, layout).tolist() == [6, 0, 0, 0, 1, 2, 3, 4, 4, 6, 6, 6]
+
+
+@given(
+    st.floats(-4, 2),
+    st.floats(0.1, 7),
+    st.floats(0.002, 2),
+    st.lists(st.one_of(st.floats(-PI, PI), st.integers(0, 400)), min_size=1, max_size=40),
+)
+def test_upstreams_beams(low: float, span: float, increment: float, wanted: list[float | int]) -> None:
+    layout = upstream_layout(low, low + span, increment)
+    # Whole numbers mean the edges of beams.
+    edges = [layout.angle_min + value * layout.angle_increment if isinstance(value, int) else value for value in wanted]
+    angles = np.array([edge for edge in edges if abs(edge) <= PI] or [0.0], np.float32)
+    for angle, slot in zip(angles.tolist(), upstream_slots(angles, layout).tolist(), strict=True):
+        if not layout.angle_min <= angle <= layout.angle_max:
+            assert slot == layout.count + 1
+        else:
+            index = int((angle - layout.angle_min) / layout.angle_increment)
+            assert slot == (min(layout.count, index))

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import struct
-import zlib
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from .crc32 import crc32
 from .mcap_records import CHUNK, OP_CHUNK, RECORD, REPAIR, UINT64
 from .segments import Segment
 
@@ -85,7 +85,7 @@ def payload(file: RecordFile, segment: Segment, *, verify: bool = True) -> memor
     if data[0] != OP_CHUNK or _storage(chunk) != _storage(segment):
         raise file.error(f"the index and the chunk at byte {segment.record_offset} contradict each other", REPAIR)
     unpacked = memoryview(_decompressed(data[head:], chunk, file))
-    if verify and chunk.crc and (actual := zlib.crc32(unpacked)) != chunk.crc:
+    if verify and chunk.crc and (actual := crc32(unpacked)) != chunk.crc:
         raise file.error(
             f"the chunk at byte {chunk.record_offset} has CRC {actual:08x}, recorded is {chunk.crc:08x}",
             REPAIR,

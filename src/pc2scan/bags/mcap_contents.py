@@ -7,7 +7,6 @@ summary does not account for. A file without a summary is walked from end to end
 from __future__ import annotations
 
 import struct
-import zlib
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
@@ -15,6 +14,7 @@ from typing import TYPE_CHECKING
 from mcap import records
 from mcap.opcode import Opcode
 
+from .crc32 import crc32
 from .mcap_chunks import CHUNK_HEAD_SIZE, ChunkSegment, chunk_at, payload
 from .mcap_records import (
     CHUNK,
@@ -152,7 +152,7 @@ def _read_summary(file: RecordFile, contents: Contents, *, verify: bool) -> tupl
     data = file.read(start, footer_offset - start)
     if verify and footer.summary_crc:
         # The footer counts too, up to the CRC itself.
-        actual = zlib.crc32(tail[: _FOOTER_SIZE - 4], zlib.crc32(data))
+        actual = crc32(tail[: _FOOTER_SIZE - 4], crc32(data))
         if actual != footer.summary_crc:
             raise file.error(f"the summary's CRC is {actual:08x}, recorded is {footer.summary_crc:08x}", REPAIR)
     accounted: dict[int, int] = {}

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import struct
-import zlib
 from typing import TYPE_CHECKING
 
 from mcap import records
 from mcap.opcode import Opcode
 
+from .crc32 import crc32
 from .mcap_chunks import payload
 from .mcap_contents import find_contents
 from .mcap_records import MESSAGE, OP_MESSAGE, RECORD, REPAIR, RecordFile, parse
@@ -151,7 +151,7 @@ class McapReader:
             texts = len(record.name.encode()) + len(record.media_type.encode())
             covered = 8 + 8 + 4 + 4 + texts + 8 + len(record.data)
             (crc,) = struct.unpack_from("<I", content, covered)
-            if self._verify and crc and (actual := zlib.crc32(memoryview(content)[:covered])) != crc:
+            if self._verify and crc and (actual := crc32(memoryview(content)[:covered])) != crc:
                 raise self._file.error(
                     f"attachment {record.name!r} has CRC {actual:08x}, recorded is {crc:08x}",
                     REPAIR,

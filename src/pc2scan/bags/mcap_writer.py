@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-import zlib
 from io import BytesIO
 from typing import TYPE_CHECKING
 
@@ -13,6 +12,7 @@ from mcap.opcode import Opcode
 
 from pc2scan.errors import DestinationError, OutputError
 
+from .crc32 import crc32
 from .files import NewFile
 from .mcap_records import CHUNK, MAGIC, MESSAGE, OP_CHUNK, OP_MESSAGE, OP_MESSAGE_INDEX, RECORD, UINT64
 from .model import normalized_type, ros1_type
@@ -178,7 +178,7 @@ class McapWriter:
             return
         # The view must be gone before the next message is written into the buffer.
         with chunk.buffer.getbuffer() as whole, whole[: chunk.size] as data:
-            crc = zlib.crc32(data)
+            crc = crc32(data)
             stored = self._compress(data)
             name = self._compression.encode()
             head_size = CHUNK.size + len(name) + UINT64.size
@@ -262,7 +262,7 @@ class McapWriter:
                 position += len(encoded)
         tail = b"".join((*summary, *offsets, _encoded(records.Footer(start, position, 0))))
         # The footer's last field is the CRC of the summary and of the footer in front of it.
-        self._file.put(tail[:-4], struct.pack("<I", zlib.crc32(tail[:-4])), MAGIC)
+        self._file.put(tail[:-4], struct.pack("<I", crc32(tail[:-4])), MAGIC)
         self._file.finish()
 
     def abort(self) -> None:

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .centered import CenteredGrid
-from .grid import Grid
+from . import kernel
+from .grid import centered_slots, upstream_slots
 from .project import PointCounts, ProjectedScan
 from .reduce import extremes, means, winners
 
@@ -36,11 +36,11 @@ class GatheringProjector:
         The projection's parameters; ``target_frame`` is the caller's business.
     """
 
-    __slots__ = ("_grid", "params")
+    __slots__ = ("_layout", "params")
 
     def __init__(self, params: ProjectionParams) -> None:
         self.params = params
-        self._grid = CenteredGrid(params.layout) if params.geometry == "centered" else Grid(params)
+        self._layout = params.layout
 
     def __call__(
         self,
@@ -97,13 +97,13 @@ class GatheringProjector:
             ranges = np.sqrt(np.square(x, dtype=np.float64) + np.square(y, dtype=np.float64)).astype(np.float32)
             level = np.flatnonzero(_within(ranges, self.params.range_min, self.params.range_max))
             near_or_far += kept.size - level.size
-            gathered.append((self._grid.slots_of_points(x[level], y[level]), ranges[level], kept[level] + start))
+            gathered.append((self._slots(x[level], y[level]), ranges[level], kept[level] + start))
         slots, ranges, points = (
             (np.concatenate(parts) for parts in zip(*gathered, strict=True))
             if gathered
             else (np.empty(0, np.intp), np.empty(0, np.float32), np.empty(0, np.intp))
         )
-        beams = self._grid.beams
+        beams = self._layout.count
         counts = np.bincount(slots, minlength=beams + 2)
         past_end, outside = int(counts[beams]), int(counts[beams + 1])
         if past_end + outside:
@@ -113,6 +113,12 @@ class GatheringProjector:
         found, lit = self._reduced(slots, ranges, counts[:beams], values)
         where = PointCounts(total, slots.size, nan, height, near_or_far, outside, past_end)
         return ProjectedScan(found, where, lit)
+
+    def _slots(self, x: NDArray[np.float32], y: NDArray[np.float32]) -> NDArray[np.intp]:
+        """The beams of points, contiguous and not NaN, or their other fates; see `pc2scan.core.grid`."""
+        angles = np.empty_like(x)
+        kernel.angles(x, y, angles)
+        return (centered_slots if self.params.geometry == "centered" else upstream_slots)(angles, self._layout)
 
     def _reduced(
         self,

@@ -161,9 +161,9 @@ def slerp(first: ArrayLike, last: ArrayLike, ratio: ArrayLike) -> NDArray[np.flo
     half_angle, sign = _half_angle(start.tolist(), stop.tolist())
     if half_angle == 0:
         return np.broadcast_to(start, (*ratios.shape[:-1], 4)).copy()
-    scale = 1 / math.sin(half_angle)
-    weights = np.sin((1 - ratios) * half_angle) * scale, np.sin(ratios * half_angle) * scale * sign
-    return np.asarray(weights[0] * start + weights[1] * stop)
+    from_start, from_stop = np.sin((1 - ratios) * half_angle), np.sin(ratios * half_angle) * sign
+    # tf2's order of operations.
+    return np.asarray((from_start * start + from_stop * stop) * (1 / math.sin(half_angle)))
 
 
 def lerp(first: ArrayLike, last: ArrayLike, ratio: ArrayLike) -> NDArray[np.float64]:

@@ -15,6 +15,8 @@ import numpy as np
 
 from pc2scan.errors import DecodeError, ParameterError, TransformError
 
+from .rigid import slerp
+
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
@@ -268,7 +270,7 @@ def deskew(scan: UnprojectedScan, start: Transform, end: Transform) -> Unproject
     # Upstream multiplies by the reciprocal, which is not always the quotient.
     step = 1.0 / (scan.beam_count - 1) if scan.beam_count > 1 else 0.0
     ratio = scan.beams.astype(np.float64) * step
-    matrix = _matrices(_slerp(q_start, q_end, ratio))
+    matrix = _matrices(slerp(q_start, q_end, ratio).T)
     origin = (1.0 - ratio)[:, np.newaxis] * t_start + ratio[:, np.newaxis] * t_end
     viewpoint = scan.viewpoint
     return scan.with_xyz(
@@ -344,20 +346,6 @@ def _checked(transform: Transform, beam: str) -> tuple[NDArray[np.float64], NDAr
 
 def _dot4(a: NDArray[np.float64], b: NDArray[np.float64]) -> Any:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]
-
-
-def _slerp(start: NDArray[np.float64], end: NDArray[np.float64], ratio: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Interpolate rotations: quaternions of shape (4,), ratios (N,) -> quaternions (4, N)."""
-    cosine = _dot4(start, end)
-    if cosine < 0:
-        # A quaternion and its negative are one rotation; this one is nearer.
-        end, cosine = -end, -cosine
-    theta = math.acos(min(1.0, cosine / math.sqrt(_dot4(start, start) * _dot4(end, end))))
-    if theta == 0:
-        return np.repeat(start[:, np.newaxis], len(ratio), axis=1)
-    from_start, from_end = np.sin((1.0 - ratio) * theta), np.sin(ratio * theta)
-    mixed: NDArray[np.float64] = np.outer(start, from_start) + np.outer(end, from_end)
-    return mixed * (1.0 / math.sin(theta))
 
 
 def _matrices(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,0 +1,162 @@
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from core.reference import reference_scan
+from pc2scan import ProjectionParams
+from pc2scan.core import kernel, plain
+from pc2scan.core.project import Projector
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+pytestmark = pytest.mark.skipif(not kernel.COMPILED, reason="there was no C compiler")
+
+GRIDS = {
+    "defaults": (-math.pi, math.pi, math.pi / 180),
+    "0.01 degrees": (-math.pi, math.pi, math.pi / 18000),
+    "odd increment": (-math.pi, math.pi, 0.0061359),
+    "very fine": (-math.pi, math.pi, 3e-6),
+    "one beam": (-math.pi, math.pi, 7.0),
+    "front": (-0.5, 0.5, 0.01),
+    "cut last beam": (-0.3, 2.0, 0.0061),
+    "0 to 2 pi": (0.0, 2 * math.pi, 0.004),
+    "beyond pi": (-10.0, 10.0, 0.01),
+    "behind": (3.0, 3.3, 0.001),
+    "nowhere": (4.0, 5.0, 0.1),
+    "far away": (-1000.0, 1000.0, 0.05),
+    "sliver": (0.1, 0.1001, 1e-6),
+    "one sliver": (0.1, 0.1001, 1.0),
+}
+
+
+def edge_points(grid: tuple[float, float, float], rng: np.random.Generator, count: int = 20_000) -> NDArray[np.float32]:
+    """Points on the edges of beams and on both limits, and some float32 beside them: (2, M)."""
+    low, high, increment = (float(np.float32(value)) for value in grid)
+    edges = low + increment * rng.integers(0, math.ceil((high - low) / increment) + 2, count)
+    edges = np.concatenate([edges, np.repeat([low, high, 0.0, np.pi, -np.pi, np.pi / 2], count // 40)])
+    edges = edges[np.abs(edges) < 3.2]
+    radius = 10.0 ** rng.uniform(-2, 3, edges.size)
+    points = np.stack([radius * np.cos(edges), radius * np.sin(edges)]).astype(np.float32)
+    points.view(np.int32)[...] += rng.integers(-3, 4, points.shape, dtype=np.int32)
+    # One below zero's bit pattern is a NaN.
+    return points[:, ~np.isnan(points).any(axis=0)]
+
+
+def points_of_all_kinds(rng: np.random.Generator) -> NDArray[np.float32]:
+    wide = rng.normal(size=(2, 20_000))
+    special = np.array([0.0, -0.0, 1e-45, -1e-45, 1.0, -1.0, 3.4e38, -3.4e38, np.inf, -np.inf])
+    kinds = [
+        wide,
+        rng.integers(-9, 10, (2, 20_000)),
+        wide * 1e-41,
+        wide[:, :2000] * 3e37,
+        wide * np.array([[1.0], [1e-6]]),
+        wide * np.array([[1e-6], [1.0]]),
+        wide * 10.0 ** rng.uniform(-40, 38, wide.shape),
+        np.stack(np.meshgrid(special, special)).reshape(2, -1),
+    ]
+    with np.errstate(over="ignore"):
+        return np.concatenate(kinds, axis=1).astype(np.float32)
+
+
+def angles(x: NDArray[np.float32], y: NDArray[np.float32]) -> NDArray[np.float32]:
+    out = np.empty_like(x)
+    kernel.angles(x, y, out)
+    return out
+
+
+def test_angles_are_atan2_rounded_to_float32() -> None:
+    rng = np.random.default_rng(7)
+    points = [points_of_all_kinds(rng), *(edge_points(grid, rng, 2000) for grid in GRIDS.values())]
+    x, y = np.concatenate(points, axis=1)
+    expected = [math.atan2(up, across) for across, up in zip(x.tolist(), y.tolist(), strict=True)]
+    np.testing.assert_array_equal(angles(x, y).view(np.int32), np.array(expected, np.float32).view(np.int32))
+
+
+def test_angles_between_two_float32_are_rounded_to_the_nearer() -> None:
+    # Pairs whose angle is within 1e-12 of the middle of two float32: the short way cannot tell, and knows it.
+    rng = np.random.default_rng(8)
+    x, y = (rng.uniform(0.5, 2, 3_000_000).astype(np.float32) for _ in "xy")
+    exact = np.arctan2(y, x, dtype=np.float64)
+    nearest = exact.astype(np.float32).astype(np.float64)
+    off = np.abs(exact - nearest) / np.spacing(nearest.astype(np.float32))
+    hard = np.flatnonzero(off > 0.4999985)
+    assert hard.size > 5
+    x, y = x[hard], y[hard]
+    expected = [math.atan2(up, across) for across, up in zip(x.tolist(), y.tolist(), strict=True)]
+    np.testing.assert_array_equal(angles(x, y), np.array(expected, np.float32))
+
+
+@pytest.mark.parametrize("size", [0, 1, 511, 512, 513, 1500])
+def test_angles_of_any_number_of_points(size: int) -> None:
+    x, y = np.random.default_rng(9).normal(size=(2, size)).astype(np.float32)
+    np.testing.assert_array_equal(angles(x, y), np.arctan2(y, x, dtype=np.float64).astype(np.float32))
+
+
+@pytest.mark.parametrize("name", GRIDS)
+def test_points_on_edges_fall_into_the_beam_of_their_exact_angle(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(7)
+    low, high, increment = GRIDS[name]
+    params = ProjectionParams(
+        angle_min=low, angle_max=high, angle_increment=increment, min_height=-1.0, max_height=1.0, range_min=0.02
+    )
+    x, y = np.concatenate([edge_points(GRIDS[name], rng), points_of_all_kinds(rng)], axis=1)
+    z = np.zeros_like(x)
+    compiled = Projector(params)(x, y, z)
+    few = slice(None, None, 37)
+    ranges, counts = reference_scan(zip(x[few].tolist(), y[few].tolist(), z[few].tolist(), strict=True), params)
+    scan = Projector(params)(x[few], y[few], z[few])
+    np.testing.assert_array_equal(scan.ranges, ranges)
+    assert scan.counts == counts
+    monkeypatch.setattr(kernel, "project", plain.project)
+    scan = Projector(params)(x, y, z)
+    np.testing.assert_array_equal(scan.ranges, compiled.ranges)
+    assert scan.counts == compiled.counts
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_transformed_points_are_summed_in_one_order(dtype: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(10)
+    x, y, z = rng.normal(scale=20, size=(3, 50_000)).astype(dtype)
+    moved = np.linalg.qr(rng.normal(size=(3, 3)))[0], rng.normal(size=3)
+    projector = Projector(ProjectionParams(min_height=-3.0, max_height=3.0, angle_increment=1e-4))
+    compiled = projector(x, y, z, moved)
+    monkeypatch.setattr(kernel, "project", plain.project)
+    scan = projector(x, y, z, moved)
+    np.testing.assert_array_equal(scan.ranges, compiled.ranges)
+    assert scan.counts == compiled.counts
+
+
+def test_arrays_that_do_not_fit_together_are_refused() -> None:
+    limits, ranges = np.zeros(7), np.zeros(4, np.float32)
+    one, two, double = np.zeros(1, np.float32), np.zeros(2, np.float32), np.zeros(1)
+    cube, small = np.zeros((1, 1, 1), np.float32), np.zeros(1, np.float16)
+    fixed = ranges.copy()
+    fixed.setflags(write=False)
+    triples: list[tuple[Any, Any, Any]] = [
+        (one, one, two),
+        (one, double, one),
+        (one, one, one[None]),
+        (cube, cube, cube),
+        (small, small, small),
+    ]
+    for xyz in triples:
+        with pytest.raises(ValueError, match="coordinates"):
+            kernel.project(*xyz, limits, None, ranges, 1.0)
+    triples = [(limits[:6], None, ranges), (limits, limits, ranges), (limits, None, limits)]
+    for others in triples:
+        with pytest.raises(ValueError, match="length or item size"):
+            kernel.project(one, one, one, *others, 1.0)
+    with pytest.raises(ValueError, match="read-only"):
+        kernel.project(one, one, one, limits, None, fixed, 1.0)
+    with pytest.raises(TypeError):
+        kernel.project(one, one, one, limits, [1.0] * 12, ranges, 1.0)  # type: ignore[arg-type]
+    triples = [(one, two, two), (two, one, two), (two, two, one), (double, double, double)]
+    for arrays in triples:
+        with pytest.raises(ValueError, match="length or item size"):
+            kernel.angles(*arrays)
