@@ -78,41 +78,46 @@ class GatheringProjector:
         if intensities is not None and intensities.shape != x.shape:
             raise ValueError(f"intensities have the shape {intensities.shape}, expected that of x, {x.shape}")
         with np.errstate(all="ignore"):
-            return self._projected((x.reshape(-1), y.reshape(-1), z.reshape(-1)), target_from_source, intensities)
+            values = None if intensities is None else intensities.reshape(-1)
+            return self._projected((x.reshape(-1), y.reshape(-1), z.reshape(-1)), target_from_source, values)
 
     def _projected(
         self, cloud: tuple[NDArray[Any], ...], transform: Transform | None, intensities: NDArray[Any] | None
     ) -> ProjectedScan:
+        params, beams = self.params, self._layout.count
         total, nan, height, near_or_far = cloud[0].size, 0, 0, 0
-        gathered = []
-        for start in range(0, total, BLOCK):
-            x, y, z = _coordinates([part[start : start + BLOCK] for part in cloud], transform)
+        slots, ranges, values = [], [], []
+        # A cloud without points is one empty block.
+        for start in range(0, max(1, total), BLOCK):
+            block = slice(start, start + BLOCK)
+            x, y, z = _coordinates([part[block] for part in cloud], transform)
             numbers = ~(np.isnan(x) | np.isnan(y) | np.isnan(z))
-            kept = np.flatnonzero(numbers & _within(z, self.params.min_height, self.params.max_height))
+            level = np.flatnonzero(numbers & _within(z, params.min_height, params.max_height))
             known = int(np.count_nonzero(numbers))
             nan += x.size - known
-            height += known - kept.size
-            x, y = x[kept], y[kept]
+            height += known - level.size
+            x, y = x.take(level), y.take(level)
             # float64 holds the squares of float32 exactly, and libm's hypotf adds them in float64.
-            ranges = np.sqrt(np.square(x, dtype=np.float64) + np.square(y, dtype=np.float64)).astype(np.float32)
-            level = np.flatnonzero(_within(ranges, self.params.range_min, self.params.range_max))
-            near_or_far += kept.size - level.size
-            gathered.append((self._slots(x[level], y[level]), ranges[level], kept[level] + start))
-        slots, ranges, points = (
-            (np.concatenate(parts) for parts in zip(*gathered, strict=True))
-            if gathered
-            else (np.empty(0, np.intp), np.empty(0, np.float32), np.empty(0, np.intp))
-        )
-        beams = self._layout.count
-        counts = np.bincount(slots, minlength=beams + 2)
+            reach = np.sqrt(np.square(x, dtype=np.float64) + np.square(y, dtype=np.float64)).astype(np.float32)
+            near = np.flatnonzero(_within(reach, params.range_min, params.range_max))
+            near_or_far += level.size - near.size
+            if near.size < level.size:
+                x, y, reach, level = (part.take(near) for part in (x, y, reach, level))
+            slot = self._slots(x, y)
+            seen = slot < beams
+            slots.append(slot)
+            ranges.append(reach if seen.all() else reach[seen])
+            if intensities is not None:
+                values.append(intensities[block][level[seen]])
+        where = np.concatenate(slots)
+        counts = np.bincount(where, minlength=beams + 2)
         past_end, outside = int(counts[beams]), int(counts[beams + 1])
-        if past_end + outside:
-            kept = np.flatnonzero(slots < beams)
-            slots, ranges, points = slots[kept], ranges[kept], points[kept]
-        values = None if intensities is None else intensities.reshape(-1)[points]
-        found, lit = self._reduced(slots, ranges, counts[:beams], values)
-        where = PointCounts(total, slots.size, nan, height, near_or_far, outside, past_end)
-        return ProjectedScan(found, where, lit)
+        where = where[where < beams] if past_end + outside else where
+        found, lit = self._reduced(
+            where, np.concatenate(ranges), counts[:beams], np.concatenate(values) if values else None
+        )
+        fates = PointCounts(total, where.size, nan, height, near_or_far, outside, past_end)
+        return ProjectedScan(found, fates, lit)
 
     def _slots(self, x: NDArray[np.float32], y: NDArray[np.float32]) -> NDArray[np.intp]:
         """The beams of points, contiguous and not NaN, or their other fates; see `pc2scan.core.grid`."""

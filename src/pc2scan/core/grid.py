@@ -68,9 +68,10 @@ def centered_slots(angles: NDArray[np.float32], layout: BeamLayout) -> NDArray[n
     # No angle is below -pi by more than a rounding: with whole turns added, none comes before the first edge.
     behind = angles.astype(np.float64)
     behind += TURN * math.ceil((first_edge + math.pi + 1e-6) / TURN) - first_edge
-    np.subtract(behind, TURN, out=behind, where=behind >= TURN)
-    slots = np.floor((behind + skew) / increment).astype(np.intp)
-    np.clip(slots, 0, last, out=slots)
+    behind -= TURN * (behind >= TURN)
+    # A skew below zero takes angles to less than a beam before 0, which is cut off to 0.
+    slots = ((behind + skew) / increment).astype(np.intp)
+    np.minimum(slots, last, out=slots)
     if not layout.full_circle:
         slots[behind > layout.count * increment] = layout.count + 1
     return slots
