@@ -102,7 +102,7 @@ class GatheringProjector:
             near = np.flatnonzero(_within(reach, params.range_min, params.range_max))
             near_or_far += level.size - near.size
             if near.size < level.size:
-                x, y, reach, level = (part.take(near) for part in (x, y, reach, level))
+                x, y, reach, level = x.take(near), y.take(near), reach.take(near), level.take(near)
             slot = self._slots(x, y)
             seen = slot < beams
             slots.append(slot)
