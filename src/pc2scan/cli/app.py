@@ -11,6 +11,8 @@ from typer.core import TyperCommand, TyperGroup
 from pc2scan.errors import Pc2ScanError
 
 from .convert import convert
+from .diff import diff
+from .golden import golden
 from .info import info
 from .render import error_text
 from .tf import tf
@@ -104,5 +106,5 @@ def root(
     """Recorded 3D lidar to the 2D laser scans that SLAM and navigation need, without a ROS installation."""
 
 
-for command in (convert, info, tf):
+for command in (convert, info, tf, diff, golden):
     app.command(cls=_Command)(command)
