@@ -1,7 +1,8 @@
 """Recorded 3D lidar to 2D laser scans, bit for bit what ROS's pointcloud_to_laserscan returns.
 
 `convert` turns recordings into recordings, `project` turns points into a scan, `info` tells what is in a
-recording. Errors are those of `pc2scan.errors`. Importing this module is cheap: what it offers is loaded on first use.
+recording, `diff` what differs between two. Errors are those of `pc2scan.errors`. Importing this module is cheap:
+what it offers is loaded on first use.
 """
 
 from __future__ import annotations
@@ -11,6 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from .api import convert as convert
+    from .api import diff as diff
+    from .compare.result import Difference as Difference
     from .core.params import ProjectionParams as ProjectionParams
     from .core.project import PointCounts as PointCounts
     from .core.project import ProjectedScan as ProjectedScan
@@ -24,6 +27,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 __all__ = [
+    "Difference",
     "FrameOptions",
     "PointCounts",
     "ProjectedScan",
@@ -32,11 +36,13 @@ __all__ = [
     "StaticTransform",
     "UnprojectParams",
     "convert",
+    "diff",
     "info",
     "project",
 ]
 
 _HOMES = {
+    "Difference": "compare.result",
     "FrameOptions": "pipeline.frames",
     "PointCounts": "core.project",
     "ProjectedScan": "core.project",
@@ -45,6 +51,7 @@ _HOMES = {
     "StaticTransform": "pipeline.frames",
     "UnprojectParams": "core.unproject",
     "convert": "api",
+    "diff": "api",
     "info": "inspect.info",
     "project": "core.project",
 }

@@ -53,12 +53,12 @@ def compare_messages(a: RawMessage, b: RawMessage, rules: Rules) -> MessageDiffe
 def _decoded(a: RawMessage, b: RawMessage, rules: Rules) -> MessageDifference:
     numbered = a.connection.generation == b.connection.generation == 1
     if a.connection.ros_type == LASERSCAN:
-        scans = [decode_laserscan(m.data, m.connection.serialization) for m in (a, b)]
-        changes = (*_header_changes(*scans, numbered=numbered), *scan_changes(*scans))
-        return MessageDifference(len(scans[0].ranges), changes, tuple(scan_values(*scans, rules)))
-    clouds = [decode_pointcloud2(m.data, m.connection.serialization) for m in (a, b)]
-    changes = (*_header_changes(*clouds, numbered=numbered), *cloud_changes(*clouds))
-    return MessageDifference(clouds[0].points, changes, tuple(cloud_values(*clouds, rules)))
+        scan, other = (decode_laserscan(m.data, m.connection.serialization) for m in (a, b))
+        changes = (*_header_changes(scan, other, numbered=numbered), *scan_changes(scan, other))
+        return MessageDifference(len(scan.ranges), changes, tuple(scan_values(scan, other, rules)))
+    cloud, second = (decode_pointcloud2(m.data, m.connection.serialization) for m in (a, b))
+    changes = (*_header_changes(cloud, second, numbered=numbered), *cloud_changes(cloud, second))
+    return MessageDifference(cloud.points, changes, tuple(cloud_values(cloud, second, rules)))
 
 
 def _header_changes(a: LaserScan | PointCloud2, b: LaserScan | PointCloud2, *, numbered: bool) -> Iterator[Change]:

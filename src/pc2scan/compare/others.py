@@ -19,7 +19,7 @@ from .result import Place
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from pc2scan.bags.model import Buffer, Connection, RawMessage
+    from pc2scan.bags.model import Buffer, RawMessage
 
     from .result import TopicDifference
     from .rules import Rules

@@ -7,8 +7,6 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from pc2scan.bags.model import RawMessage
-
     from .difference import MessageDifference
 
 __all__ = ["ChangeFound", "Difference", "Place", "TopicDifference", "Unpaired", "ValuesFound", "WorstValue"]
@@ -267,12 +265,14 @@ class Difference:
             "left_aside": self.left_aside,
         }
 
+    def text(self, names: tuple[str, str] = ("A", "B")) -> str:
+        """Tell what differs in a few lines; ``names`` is what the two sides are called."""
+        from .summary import summary  # noqa: PLC0415 - it knows this module
+
+        return "\n".join(summary(self, names))
+
     def __str__(self) -> str:
-        from .summary import summary  # noqa: PLC0415 - the text is written by those who ask for it
-
-        return "\n".join(summary(self))
-
-
+        return self.text()
 
 
 def _place(place: Place) -> dict[str, int | None]:

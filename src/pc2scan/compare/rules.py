@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -11,7 +10,7 @@ from pc2scan.core.compare import Tolerance
 from pc2scan.errors import UsageError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping
 
 __all__ = ["GEOMETRY", "IGNORABLE", "Rules", "parse_tolerance"]
 
@@ -68,9 +67,7 @@ class Rules:
                 hint="0.001 allows one beam in a thousand",
             )
         if unknown := sorted(self.ignore - IGNORABLE.keys()):
-            raise UsageError(
-                f"{unknown[0]!r} cannot be ignored", hint=f"what can be ignored: {', '.join(IGNORABLE)}"
-            )
+            raise UsageError(f"{unknown[0]!r} cannot be ignored", hint=f"what can be ignored: {', '.join(IGNORABLE)}")
 
     def tolerance(self, name: str) -> Tolerance:
         """Return the tolerance of ``ranges``, ``intensities`` or a field."""

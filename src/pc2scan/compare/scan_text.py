@@ -132,13 +132,13 @@ def _scan_lines(scan: LaserScan) -> Iterator[str]:
     geometry = np.array([getattr(scan, name) for name in GEOMETRY], np.float32)
     for name, text in zip(GEOMETRY, _texts(geometry), strict=True):
         yield f"  {name} {text}"
-    finite = scan.ranges[np.isfinite(scan.ranges)]
-    told = f"{len(finite)} finite, {finite.min()} to {finite.max()}" if len(finite) else "none finite"
+    returns = scan.ranges[np.isfinite(scan.ranges) & (scan.ranges >= scan.range_min) & (scan.ranges <= scan.range_max)]
+    told = f"{len(returns)} returns" + (f", {returns.min():.3f} to {returns.max():.3f} m" if len(returns) else "")
     for name, values in (("ranges", scan.ranges), ("intensities", scan.intensities)):
         yield f"  {name} {len(values)}" + (f"  # {told}" if name == "ranges" else "")
         texts = _texts(values)
         for start in range(0, len(texts), _VALUES_A_LINE):
-            yield f"    {start}: {' '.join(texts[start : start + _VALUES_A_LINE])}"
+            yield f"  {start:6}: {' '.join(texts[start : start + _VALUES_A_LINE])}"
 
 
 def _cloud_lines(cloud: PointCloud2) -> Iterator[str]:
@@ -155,7 +155,7 @@ def _cloud_lines(cloud: PointCloud2) -> Iterator[str]:
         columns += [_texts(column) for column in elements.T]
     yield f"  points {cloud.points}"
     for number, row in enumerate(zip(*columns, strict=True)):
-        yield f"    {number}: {' '.join(row)}"
+        yield f"  {number:6}: {' '.join(row)}"
 
 
 def _texts(values: NDArray[Any]) -> list[str]:
@@ -230,7 +230,7 @@ def open_scan_text(path: Path) -> ScanText:
                 raise ValueError(f"{word!r}")
     except (ValueError, LookupError, OverflowError, TypeError, DecodeError) as err:
         raise RecordingError(
-            f"line {reading.number} is not what was written: {err or type(err).__name__}",
+            f"line {reading.number} is not what was written: {str(err) or type(err).__name__}",
             path=path,
             hint="restore it from version control, or write it anew: pc2scan golden --update",
         ) from err
@@ -260,10 +260,11 @@ def _parse_message(lines: Iterator[str], connection: Connection) -> RawMessage:
     log_time_ns, stamp_ns = (_nanoseconds(_value(lines, name)) for name in ("log_time", "stamp"))
     sequence = int(_value(lines, "seq")) if connection.serialization == "ros1" else 0
     frame_id = json.loads(_value(lines, "frame_id"))
-    if connection.msgtype == LASERSCAN or connection.ros_type == LASERSCAN:
-        geometry = _numbers([_value(lines, name) for name in GEOMETRY], np.dtype(np.float32)).tolist()
-        ranges, intensities = (_parse_values(lines, name) for name in ("ranges", "intensities"))
-        scan = LaserScan(sequence, stamp_ns, frame_id, *geometry, ranges, intensities)
+    if connection.ros_type == LASERSCAN:
+        numbers = _numbers([_value(lines, name) for name in GEOMETRY], np.dtype(np.float32))
+        values: dict[str, Any] = dict(zip(GEOMETRY, numbers.tolist(), strict=True))
+        values |= {name: _parse_values(lines, name) for name in ("ranges", "intensities")}
+        scan = LaserScan(sequence, stamp_ns, frame_id, **values)
         data = encode_laserscan(scan, connection.serialization)
     else:
         height, is_dense, step = (int(_value(lines, name)) for name in ("height", "is_dense", "point_step"))
@@ -315,7 +316,7 @@ def _parse_values(lines: Iterator[str], name: str) -> NDArray[np.float32]:
 
 
 def _parse_fields(lines: Iterator[str]) -> tuple[list[PointField], int]:
-    fields = []
+    fields: list[PointField] = []
     for line in lines:
         word, _, rest = line.strip().partition(" ")
         if word == "points":

@@ -76,14 +76,13 @@ def _lines(topic: TopicDifference, names: tuple[str, str]) -> Iterator[tuple[str
 
 
 def _values(found: ValuesFound, topic: TopicDifference, element: str, message: str) -> str:
-    parts = [_count(found.changed, "changed value") if found.changed else ""]
-    if found.shifted:
-        parts.append(f"{_count(found.shifted, 'value')} one {element} over")
+    parts = [
+        f"{found.changed:,} changed" if found.changed else "",
+        f"{found.shifted:,} one {element} over" if found.shifted else "",
+    ]
     share = found.differing / topic.elements if topic.elements else 1.0
-    text = (
-        f"in {_count(found.messages, message)}: {_count(found.differing, element)} of {topic.elements:,} ({share:.2%}): "
-        + ", ".join(filter(None, parts))
-    )
+    differing = f"{_count(found.differing, element)} of {topic.elements:,} ({share:.2%})"
+    text = f"in {_count(found.messages, message)}: {differing}, {' and '.join(filter(None, parts))}"
     if found.whole_shifts:
         text += f"; {_count(found.whole_shifts, 'whole ' + message)} shifted by one {element}"
     if topic.allow_beams:

@@ -137,7 +137,7 @@ def compare_arrays(
     a, b = (np.ascontiguousarray(array, kind) for array in (reference, value))
     elements = len(a)
     differs = ~_same(a, b, tolerance)
-    rows = differs if differs.ndim == 1 else differs.any(axis=1)
+    rows: NDArray[np.bool_] = differs if differs.ndim == 1 else np.any(differs, axis=1)
     total = int(np.count_nonzero(rows))
     if not total:
         return ArrayDifference(elements)

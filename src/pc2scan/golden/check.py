@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.compare.diff import diff, open_source
 from pc2scan.compare.scan_text import render
-from pc2scan.compare.summary import summary
 from pc2scan.errors import OutputError, Pc2ScanError, RecordingError
 
 from .case import EXPECTED_TEXT, load_case
@@ -23,6 +22,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Command", "Ended", "check_case"]
 
+#: What the two sides are called.
 NAMES = ("expected", "actual")
 
 
@@ -85,7 +85,7 @@ def _checked(case: Case, command: Command, *, update: bool) -> _Checked:
             else:
                 if difference.same:
                     return Outcome.passed, [], difference
-                lines = list(summary(difference, NAMES))
+                lines = difference.text(NAMES).splitlines()
         if not update:
             return Outcome.failed, lines, difference
         _write_expected(case, actual, command)
