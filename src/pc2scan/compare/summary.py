@@ -34,8 +34,9 @@ def summary(difference: Difference, names: tuple[str, str] = ("A", "B")) -> Iter
     """
     for topic in difference.topics:
         yield f"{topic.name} ({topic.msgtype}): {'same' if topic.same else 'different'}"
-        for label, text in _lines(topic, names):
-            yield f"  {label:<12}{text}"
+        lines = list(_lines(topic, names))
+        width = max(len(label) for label, _ in lines)
+        yield from (f"  {label:<{width}}  {text}" for label, text in lines)
     apart = [topic for topic in difference.topics if not topic.same]
     pairs = sum(topic.matched for topic in difference.topics)
     if apart:

@@ -45,8 +45,8 @@ class GoldenCase(pytest.Directory):
     """A case."""
 
     def collect(self) -> Iterator[pytest.Item]:
-        """Yield its one test."""
-        yield GoldenItem.from_parent(self, name="as_expected")
+        """Yield its one test, whose id is the folder: what pytest prints can be given to it again."""
+        yield GoldenItem.from_parent(self, name=self.name, nodeid=self.nodeid)
 
 
 class GoldenItem(pytest.Item):
