@@ -93,7 +93,7 @@ def _checked(case: Case, command: Command, *, update: bool) -> _Checked:
 
 
 def _arguments(case: Case, destination: Path, *further: str) -> list[str]:
-    arguments = ["convert", *map(str, case.inputs), "-o", str(destination), "--quiet", *further]
+    arguments = ["convert", *map(str, case.inputs), "-o", str(destination), *further]
     if case.params is not None:
         arguments += ["--params-file", str(case.params)]
     if not case.all_topics:
