@@ -22,7 +22,10 @@ if TYPE_CHECKING:
 
 __all__ = ["app"]
 
-EPILOG = "Exit status: 0 done, 1 failed and nothing written, 2 wrong usage, 3 written but with messages skipped."
+EPILOG = (
+    "Exit status: 0 done, 1 failed and nothing written, 2 wrong usage, 3 written but with messages skipped. "
+    "diff and golden: 0 the same, 1 different, 2 not comparable."
+)
 
 _INTERRUPTED = 128 + signal.SIGINT
 
