@@ -278,6 +278,32 @@ def test_other_topics_by_bytes(against: str, sources: dict[str, Path], tmp_path:
     assert [topic.name for topic in pc2scan.diff(sources[against], other, topics=["/tf"]).topics] == [ODOMETRY.topic]
 
 
+def test_named_topics_and_all_others(sources: dict[str, Path]) -> None:
+    a, b = sources["bag-lz4"], sources["mcap-zstd"]
+    # One topic of A against two of B, and against one of another type.
+    found = pc2scan.diff(a, b, topics=["/imu", "/imu:=/battery", "/chatter:=/chatter", "/points"])
+    assert [(topic.name, topic.same) for topic in found.topics] == [
+        ("/imu", True),
+        ("/imu and /battery", False),
+        ("/chatter", True),
+        ("/points", True),
+    ]
+    assert list(found.topics[1].changes) == ["type"]
+    assert [topic.matched for topic in found.topics] == [3, 0, 3, 3]
+    found = pc2scan.diff(a, b, topics=["/points", "/imu"], all_topics=True)
+    assert [topic.name for topic in found.topics] == ["/points", "/imu", "/battery", "/chatter", "/tf", "/tf_static"]
+    assert found.same
+
+
+def test_recordings_of_two_drives(reference: Path, tmp_path: Path) -> None:
+    items = [scan_item(v, T0 + step, stamp_ns=T0 + step) for step, v in enumerate(TEN)]
+    done = run_here("diff", reference, write_mcap(tmp_path / "b.mcap", Recording((SCANS,), tuple(items))))
+    assert done.status == 1
+    assert "only in A  10 scans: " in done.stdout
+    assert " and 7 more" in done.stdout
+    assert "hint: no stamp is on both sides" in done.stdout
+
+
 def test_dropped_messages_of_other_topics(sources: dict[str, Path], tmp_path: Path) -> None:
     items = [
         entry for entry in CONTENT.items if entry.stream.msgtype != BATTERY or entry.log_time_ns < T0 + SECOND // 10

@@ -97,24 +97,14 @@ def diff_sources(
     """
     rules = rules or Rules()
     result = Difference(str(a.path), str(b.path))
-    pairs = _named(a, b, topics) if topics else _found(a, b)
-    rest = []
-    for one, other in pairs:
-        kinds = {canonical(c.msgtype) for c in (*one.connections, *other.connections)}
-        if len(kinds) == 1 and not kinds <= DECODED:
-            rest.append((one, other))
-            continue
-        entry = _entry(one, other, rules)
-        result.topics.append(entry)
-        _compare_topic(one, other, entry, rules)
+    asked = _named(a, b, topics) if topics else _sides(a, b, decoded=True)
+    others = [] if topics and not all_topics else _sides(a, b, decoded=False, without=topics)
+    for pair in asked:
+        _compare([pair], rules, result)
     if all_topics:
-        rest += _others(a, b)
+        _compare(others, rules, result)
     else:
-        result.left_aside = len(_others(a, b)) if not topics else 0
-    if rest:
-        entries = [_entry(one, other, rules) for one, other in rest]
-        compare_others(rest, entries, rules)
-        result.topics += entries
+        result.left_aside = len(others)
     if not result.topics:
         raise TopicError(
             "nothing to compare: neither recording has a LaserScan or PointCloud2 topic",
@@ -150,24 +140,33 @@ def _named(a: Source, b: Source, pairs: Sequence[TopicPair]) -> list[tuple[Strea
     return streams
 
 
-def _found(a: Source, b: Source) -> list[tuple[Stream, Stream]]:
-    """Every topic with scans or clouds on either side, with that of the same name on the other."""
-    return _sides(a, b, decoded=True)
-
-
-def _others(a: Source, b: Source) -> list[tuple[Stream, Stream]]:
-    """Every topic with neither scans nor clouds on either side."""
-    return _sides(a, b, decoded=False)
-
-
-def _sides(a: Source, b: Source, *, decoded: bool) -> list[tuple[Stream, Stream]]:
+def _sides(a: Source, b: Source, *, decoded: bool, without: Sequence[TopicPair] = ()) -> list[tuple[Stream, Stream]]:
+    """Every topic of either side that has scans or clouds (or: that has none), with that of its name on the other."""
     of_a, of_b = _by_topic(a), _by_topic(b)
+    taken = {name for pair in without for name in (pair.a, pair.b)}
     pairs = []
-    for topic in sorted({*of_a, *of_b}):
+    for topic in sorted({*of_a, *of_b} - taken):
         one, other = of_a.get(topic, ()), of_b.get(topic, ())
         if any(c.ros_type in DECODED for c in (*one, *other)) == decoded:
             pairs.append((Stream(a, one), Stream(b, other)))
     return pairs
+
+
+def _compare(pairs: Sequence[tuple[Stream, Stream]], rules: Rules, result: Difference) -> None:
+    """Compare topics: scans and clouds one after the other, all others in one pass."""
+    others = []
+    for one, other in pairs:
+        entry = _entry(one, other, rules)
+        result.topics.append(entry)
+        kinds = [sorted({canonical(c.msgtype) for c in stream.connections}) for stream in (one, other)]
+        if all(kinds) and (kinds[0] != kinds[1] or len(kinds[0]) > 1):
+            entry.change("type", Place(None, 0), ", ".join(kinds[0]), ", ".join(kinds[1]))
+        elif entry.msgtype in DECODED:
+            _compare_decoded(one, other, entry, rules)
+        else:
+            others.append(((one, other), entry))
+    if others:
+        compare_others([pair for pair, _ in others], [entry for _, entry in others], rules)
 
 
 def _entry(one: Stream, other: Stream, rules: Rules) -> TopicDifference:
@@ -176,12 +175,8 @@ def _entry(one: Stream, other: Stream, rules: Rules) -> TopicDifference:
     return TopicDifference(names[0], names[1], canonical(connection.msgtype), rules.allow_beams)
 
 
-def _compare_topic(one: Stream, other: Stream, entry: TopicDifference, rules: Rules) -> None:
+def _compare_decoded(one: Stream, other: Stream, entry: TopicDifference, rules: Rules) -> None:
     """Compare scans or clouds, pair by pair."""
-    kinds = [sorted({canonical(c.msgtype) for c in stream.connections}) for stream in (one, other)]
-    if one.connections and other.connections and (kinds[0] != kinds[1] or len(kinds[0]) > 1):
-        entry.change("type", Place(None, 0), ", ".join(kinds[0]), ", ".join(kinds[1]))
-        return
     for pair in matched(one, other):
         entry.messages_a += pair.a is not None
         entry.messages_b += pair.b is not None

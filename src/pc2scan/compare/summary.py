@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from operator import attrgetter
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import stamp_text
@@ -82,7 +83,8 @@ def _values(found: ValuesFound, topic: TopicDifference, element: str, message: s
         f"{found.shifted:,} one {element} over" if found.shifted else "",
     ]
     share = found.differing / topic.elements if topic.elements else 1.0
-    differing = f"{_count(found.differing, element)} of {topic.elements:,} ({share:.2%})"
+    shown = f"{share:.2%}" if share >= 0.0001 else "under 0.01%"
+    differing = f"{_count(found.differing, element)} of {topic.elements:,} ({shown})"
     text = f"in {_count(found.messages, message)}: {differing}, {' and '.join(filter(None, parts))}"
     if found.whole_shifts:
         text += f"; {_count(found.whole_shifts, 'whole ' + message)} shifted by one {element}"
@@ -105,9 +107,10 @@ def _worst(found: ValuesFound, element: str, names: tuple[str, str]) -> str:
 
 def _advice(difference: Difference, names: tuple[str, str]) -> Iterator[str]:
     """What the user may have meant."""
+    topic_a, topic_b = attrgetter("topic_a"), attrgetter("topic_b")
     alone = [
         [topic for topic in difference.topics if there(topic) is not None and other(topic) is None]
-        for there, other in ((_of_a, _of_b), (_of_b, _of_a))
+        for there, other in ((topic_a, topic_b), (topic_b, topic_a))
     ]
     if [len(side) for side in alone] == [1, 1] and alone[0][0].msgtype == alone[1][0].msgtype:
         yield f"hint: the same under another name? --topic {alone[0][0].topic_a}:={alone[1][0].topic_b}"
@@ -116,17 +119,11 @@ def _advice(difference: Difference, names: tuple[str, str]) -> Iterator[str]:
         topic.same or (topic.matched == topic.messages_a == topic.messages_b and not topic.values)
         for topic in difference.topics
     )
+    if any(topic.messages_a and topic.messages_b and not topic.matched for topic in difference.topics):
+        yield "hint: no stamp is on both sides; are these of one drive?"
     if only_changes and kinds and kinds <= {"log_time", "seq"}:
         ignored = " ".join(f"--ignore {name}" for name in sorted(kinds))
         yield f"hint: nothing else differs between {names[0]} and {names[1]}: {ignored}"
-
-
-def _of_a(topic: TopicDifference) -> str | None:
-    return topic.topic_a
-
-
-def _of_b(topic: TopicDifference) -> str | None:
-    return topic.topic_b
 
 
 def _listed(unpaired: Unpaired) -> str:
