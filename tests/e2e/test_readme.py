@@ -16,6 +16,8 @@ from ruamel.yaml import YAML
 
 from e2e.command import environment, run
 from pc2scan import pytest_plugin
+from pc2scan.compare.rules import GEOMETRY, IGNORABLE
+from pc2scan.golden.case import KEYS
 from support import ROOT
 
 if TYPE_CHECKING:
@@ -198,6 +200,23 @@ def test_the_recipe_for_ci_works_from_start_to_finish(tmp_path: Path) -> None:
     (tmp_path / "golden" / "drive" / "params.yaml").write_text(params.replace("-0.3", "-0.2"))
     (words,) = commands_in(in_ci[0])
     assert run(*words, cwd=tmp_path).status == 1
+
+
+def row_of(name: str) -> str:
+    (row,) = [line for line in README.splitlines() if line.startswith(f"| `{name}`")]
+    return row
+
+
+def test_what_is_said_of_diff_and_golden() -> None:
+    named = set(re.findall(r"`(\w+)`", row_of("--ignore NAME")))
+    # Of the geometry one name stands for all.
+    assert named == IGNORABLE.keys() - {*GEOMETRY} | {"angle_max"}
+    assert set(re.findall(r"`(\w+)`", row_of("case.yaml"))) - {"convert", "diff"} == set(KEYS)
+    report = json.loads(run("diff", ROOT / "fixtures" / "hall.bag", ROOT / "fixtures" / "hall.mcap", "--json").stdout)
+    told = README[README.index("`--json` prints `same`") :].partition("Exit status")[0]
+    keys = set(re.findall(r"`(\w+)(?:\[\])?`", told))
+    assert keys <= {*report, *report["topics"][0]}
+    assert keys > {"same", "exit_status", "topics", "values", "worst"}
 
 
 def test_the_fixtures_for_pytest_are_those_of_the_plugin() -> None:

@@ -14,14 +14,15 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-__all__ = ["EXPECTED_TEXT", "Case", "case_folders", "is_case", "load_case"]
+__all__ = ["EXPECTED_TEXT", "KEYS", "Case", "case_folders", "is_case", "load_case"]
 
 EXPECTED_TEXT = "expected.txt"
 _EXPECTED = (EXPECTED_TEXT, "expected.bag", "expected.mcap", "expected")
 _INPUTS = ("input.bag", "input.mcap", "input.db3", "input")
 _SETTINGS = "case.yaml"
 _PARAMS = "params.yaml"
-_KEYS = ("input", "params", "arguments", "exit_status", "all_topics", "atol", "rtol", "allow_beams", "ignore")
+#: What ``case.yaml`` may say.
+KEYS = ("input", "params", "arguments", "exit_status", "all_topics", "atol", "rtol", "allow_beams", "ignore")
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,9 +150,9 @@ def _settings(path: Path) -> dict[str, Any]:
     if settings is None:
         return {}
     if not isinstance(settings, dict):
-        raise UsageError("is not a mapping", path=path, hint=f"the keys are {', '.join(_KEYS)}")
-    if unknown := [key for key in settings if key not in _KEYS]:
-        raise UsageError(f"unknown key {unknown[0]!r}", path=path, hint=f"the keys are {', '.join(_KEYS)}")
+        raise UsageError("is not a mapping", path=path, hint=f"the keys are {', '.join(KEYS)}")
+    if unknown := [key for key in settings if key not in KEYS]:
+        raise UsageError(f"unknown key {unknown[0]!r}", path=path, hint=f"the keys are {', '.join(KEYS)}")
     return settings
 
 

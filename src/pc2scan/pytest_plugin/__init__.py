@@ -46,7 +46,10 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_configure(config: pytest.Config) -> None:
     """Remember the folders; those of the command line are collected whatever else is."""
     asked = [(config.invocation_params.dir / folder).resolve() for folder in config.getoption("--pc2scan-golden")]
-    config.stash[_FOLDERS] = frozenset((*asked, *(folder.resolve() for folder in config.getini("pc2scan_golden"))))
+    folders = frozenset((*asked, *(folder.resolve() for folder in config.getini("pc2scan_golden"))))
+    if folders and not hasattr(pytest, "Directory"):
+        raise pytest.UsageError(f"golden cases of pc2scan need pytest 8 or newer, this is {pytest.__version__}")
+    config.stash[_FOLDERS] = folders
     # Workers of pytest-xdist get the arguments with these already among them.
     config.args += [str(folder) for folder in asked if str(folder) not in config.args]
 
