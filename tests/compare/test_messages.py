@@ -186,3 +186,21 @@ class TestClouds:
     def test_clouds_without_points(self) -> None:
         empty = cloud(np.empty((0, 3), np.float32), 2)
         assert compared(empty, empty) == set()
+
+
+#: Where a ROS 1 message has its stamp, by which messages are matched.
+STAMP = range(4, 12)
+
+
+@pytest.mark.parametrize("msgtype", [LASERSCAN, POINTCLOUD2])
+def test_every_bit_of_a_message_matters(msgtype: str) -> None:
+    data = scan(RANGES, 1, seq=6) if msgtype == LASERSCAN else built(1, points=3)
+    original = message(data, msgtype, 1)
+    assert compare_messages(original, message(bytes(data), msgtype, 1), EXACT).same
+    for place in range(len(data)):
+        for bit in range(8):
+            if place not in STAMP:
+                flipped = bytearray(data)
+                flipped[place] ^= 1 << bit
+                found = compare_messages(original, message(bytes(flipped), msgtype, 1), EXACT)
+                assert not found.same, (place, bit)

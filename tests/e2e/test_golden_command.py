@@ -143,6 +143,17 @@ def test_one_input_for_several_cases_and_arguments(folder: Path) -> None:
     assert texts[0] != texts[1]
 
 
+def test_arguments_that_name_files_of_the_case(folder: Path, tmp_path: Path) -> None:
+    (folder / "hall" / "mount.yaml").write_text("- lidar cup 0 0 0 0 0 0\n")
+    settings(folder, "arguments: [--static-tf-file, '{case}/mount.yaml', --target-frame, cup]")
+    assert golden(folder, "--update").status == 0
+    text = (folder / "hall" / "expected.txt").read_text()
+    assert 'frame_id "cup"' in text
+    # From wherever it is run.
+    done = run("golden", os.path.relpath(folder, tmp_path.parent), cwd=tmp_path.parent)
+    assert done.status == 0, done.stdout
+
+
 def test_an_expected_exit_status(folder: Path) -> None:
     # Without a transform for the frame every cloud is skipped.
     (folder / "hall" / "params.yaml").write_text(PARAMS + "    target_frame: map\n")

@@ -83,17 +83,19 @@ class TestLoading:
         settings = """
 input: [../one.bag, ../two.bag]
 params: ../params.yaml
-arguments: [--topic, "/points:=/scan", --range-cutoff, 25]
+arguments: [--topic, "/points:=/scan", --range-cutoff, 25, --static-tf-file, "{case}/mount.yaml"]
 exit_status: 3
 atol: {x: 1e-6, y: 2.0e-6}
 rtol: 1.0e-5
 allow_beams: 0.001
 ignore: [seq, log_time]
 """
+        case(tmp_path, "one.bag", "two.bag", "params.yaml")
         found = load_case(case(tmp_path / "a", settings=settings))
         assert [path.name for path in found.inputs] == ["one.bag", "two.bag"]
         assert found.params == tmp_path / "a" / ".." / "params.yaml"
-        assert found.arguments == ("--topic", "/points:=/scan", "--range-cutoff", "25")
+        assert found.arguments[:4] == ("--topic", "/points:=/scan", "--range-cutoff", "25")
+        assert found.arguments[4:] == ("--static-tf-file", f"{tmp_path / 'a'}/mount.yaml")
         assert found.exit_status == 3
         assert found.rules == Rules(
             atol={"x": 1e-6, "y": 2e-6}, rtol={"": 1e-5}, allow_beams=0.001, ignore=frozenset({"seq", "log_time"})
@@ -107,6 +109,8 @@ ignore: [seq, log_time]
             ("a: [", "not valid YAML"),
             ("input: 5", "path or a list"),
             ("input: []", "path or a list"),
+            ("input: ../gone.bag", "names ../gone.bag, which is not there"),
+            ("params: gone.yaml", "names gone.yaml, which is not there"),
             ("params: [a]", "must be a path"),
             ("arguments: --topic /points", "must be a list"),
             ("arguments: [[a]]", "must be a list"),

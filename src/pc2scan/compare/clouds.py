@@ -60,7 +60,7 @@ def _described(field: PointField) -> str:
 
 
 def _layout(cloud: PointCloud2) -> str:
-    places = ", ".join(f"{field.name} @{field.offset}" for field in cloud.fields)
+    places = ", ".join(f"{f.name} @{f.offset}" + ("" if f.count == 1 else f" x {f.count}") for f in cloud.fields)
     order = "big" if cloud.is_bigendian else "little"
     steps = f"point_step {cloud.point_step}, row_step {cloud.row_step}, {len(cloud.data)} bytes"
     return f"{places}; {steps}, {order}-endian"

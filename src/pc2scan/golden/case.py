@@ -40,7 +40,7 @@ class Case:
     expected
         ``expected.txt`` (see `pc2scan.compare.scan_text`) or a recording; None where there is none yet.
     arguments
-        Further arguments of ``pc2scan convert``.
+        Further arguments of ``pc2scan convert``; ``{case}`` in them has become the folder.
     exit_status
         What the conversion is expected to end with.
     all_topics
@@ -172,7 +172,7 @@ def _inputs(folder: Path, named: Any) -> tuple[Path, ...]:
     names = named if isinstance(named, list) else [named]
     if not names or not all(isinstance(name, str) for name in names):
         raise _error(folder, f"input is {named!r}, it must be a path or a list of paths")
-    return tuple(folder / name for name in names)
+    return tuple(_existing(folder, name) for name in names)
 
 
 def _params(folder: Path, named: Any) -> Path | None:
@@ -180,7 +180,15 @@ def _params(folder: Path, named: Any) -> Path | None:
         return folder / _PARAMS if (folder / _PARAMS).exists() else None
     if not isinstance(named, str):
         raise _error(folder, f"params is {named!r}, it must be a path")
-    return folder / named
+    return _existing(folder, named)
+
+
+def _existing(folder: Path, name: str) -> Path:
+    """A file that the settings name; that it is missing must not pass for a conversion that fails as expected."""
+    path = folder / name
+    if not path.exists():
+        raise _error(folder, f"names {name}, which is not there", "paths are relative to the case's folder")
+    return path
 
 
 def _only(folder: Path, names: tuple[str, ...]) -> Path | None:
@@ -197,7 +205,7 @@ def _arguments(folder: Path, value: Any) -> tuple[str, ...]:
     parts = tuple(part if isinstance(part, str) else str(part) for part in value)
     if taken := [part for part in parts if part.split("=")[0] in ("-o", "--output", "--overwrite")]:
         raise _error(folder, f"arguments has {taken[0]}, but where the output goes is not a case's to say")
-    return parts
+    return tuple(part.replace("{case}", str(folder)) for part in parts)
 
 
 def _rules(folder: Path, settings: dict[str, Any]) -> Rules:
