@@ -48,7 +48,7 @@ def change(folder: Path, height: str = "0.5") -> None:
 
 
 def test_from_the_first_case_to_a_reviewed_change(folder: Path) -> None:
-    done = run("golden", folder)
+    done = golden(folder)
     assert done.status == 1
     assert "there is no expected output: --update makes expected.txt" in done.stdout
     assert not (folder / "hall" / "expected.txt").exists()
@@ -58,7 +58,7 @@ def test_from_the_first_case_to_a_reviewed_change(folder: Path) -> None:
     assert "updated hall" in done.stdout
     expected = folder / "hall" / "expected.txt"
     before = expected.read_bytes()
-    assert run("golden", folder).status == 0
+    assert golden(folder).status == 0
 
     change(folder)
     done = run("golden", folder)
@@ -80,7 +80,7 @@ def test_an_update_writes_what_convert_writes(folder: Path, tmp_path: Path) -> N
     case = folder / "hall"
     done = run("convert", HALL, "-o", tmp_path / "out.bag", "--params-file", case / "params.yaml", "--only-scans")
     assert done.status == 0, done.stderr
-    assert run("diff", case / "expected.txt", tmp_path / "out.bag").status == 0
+    assert pc2scan.diff(case / "expected.txt", tmp_path / "out.bag").same
 
 
 @pytest.mark.parametrize("name", ["expected.bag", "expected.mcap", "expected"])

@@ -54,7 +54,7 @@ def large() -> Recording:
             lambda generation, seq: cloud(points_of(seq, 15_000), generation, seq=seq, stamp_ns=T0 + SECOND),
             step,
         )
-        for step in range(12)
+        for step in range(8)
     ]
     return Recording(CONTENT.streams, (*CONTENT.items, *clouds))
 
