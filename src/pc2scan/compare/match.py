@@ -6,8 +6,8 @@ matched in order: the first with the first. Messages whose stamp is 0 or cannot 
 
 from __future__ import annotations
 
+from array import array
 from bisect import bisect_left
-from collections import defaultdict, deque
 from itertools import islice
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
@@ -100,7 +100,7 @@ def matched(a: Stream, b: Stream) -> Iterator[Match]:
     Notes
     -----
     As long as both sides carry the same stamps in the same order, they are read once. From the first difference on, the
-    stamps of both are read ahead (some 100 bytes of memory a message), so that gaps of any length and messages moved
+    stamps of both are read ahead (some 300 bytes of memory a message), so that gaps of any length and messages moved
     over any distance are told from one another, however little of the recordings fits into memory.
     """
     left, right = a.messages(), b.messages()
@@ -166,19 +166,12 @@ def _key(message: RawMessage) -> int:
 
 def _realigned(a: Stream, b: Stream, common: int) -> Iterator[Match]:
     """Pair what follows the first ``common`` messages, by the stamps of all of it."""
-    places: defaultdict[int, deque[int]] = defaultdict(deque)
-    times: list[int] = []
-    for place, message in enumerate(b.messages()):
-        times.append(message.log_time_ns)
-        if place >= common:
-            places[_key(message)].append(place)
-    mates = []
-    for message in islice(a.messages(), common, None):
-        waiting = places.get(_key(message))
-        mates.append(waiting.popleft() if waiting else -1)
+    times, mates = _planned(a, b, common)
     having = [index for index, mate in enumerate(mates) if mate >= 0]
     moved = {having[index] for index in moved_indices([mates[index] for index in having])}
-    alone = {place for waiting in places.values() for place in waiting}
+    paired = bytearray(len(times))
+    for index in having:
+        paired[mates[index]] = True
 
     following = islice(enumerate(b.messages()), common, None)
     for mate, (index, x) in zip(mates, enumerate(islice(a.messages(), common, None)), strict=True):
@@ -188,9 +181,34 @@ def _realigned(a: Stream, b: Stream, common: int) -> Iterator[Match]:
             yield Match(x, b.at(times[mate], mate - bisect_left(times, times[mate])), moved=True)
         else:
             for place, y in following:
-                if place in alone:
+                if not paired[place]:
                     yield Match(None, y)
                 elif place == mate:
                     yield Match(x, y)
                     break
-    yield from (Match(None, y) for place, y in following if place in alone)
+    yield from (Match(None, y) for place, y in following if not paired[place])
+
+
+def _planned(a: Stream, b: Stream, common: int) -> tuple[Sequence[int], Sequence[int]]:
+    """Read the stamps: the log time of every message of ``b``, and for each of ``a`` its partner's place there or -1."""
+    times: list[int] = []
+    keys: list[int] = []
+    for message in b.messages():
+        times.append(message.log_time_ns)
+        keys.append(_key(message))
+    # The first place of each stamp, and for a place the next one of its stamp.
+    first: dict[int, int] = {}
+    again: dict[int, int] = {}
+    for place in range(len(keys) - 1, common - 1, -1):
+        key = keys[place]
+        if key in first:
+            again[place] = first[key]
+        first[key] = place
+    mates = array("q")
+    for message in islice(a.messages(), common, None):
+        key = _key(message)
+        place = first.pop(key, -1)
+        mates.append(place)
+        if place in again:
+            first[key] = again[place]
+    return times, mates
