@@ -1,8 +1,8 @@
 """Recorded 3D lidar to 2D laser scans, bit for bit what ROS's pointcloud_to_laserscan returns.
 
 `convert` turns recordings into recordings, `project` turns points into a scan, `check` tells who would take a
-recording's scans, `info` tells what is in it. Errors are those of `pc2scan.errors`. Importing this module is cheap:
-what it offers is loaded on first use.
+recording's scans, `info` what is in it, `diff` what differs between two. Errors are those of `pc2scan.errors`.
+Importing this module is cheap: what it offers is loaded on first use.
 """
 
 from __future__ import annotations
@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from .api import convert as convert
+    from .api import diff as diff
+    from .compare.result import Difference as Difference
     from .core.params import ProjectionParams as ProjectionParams
     from .core.project import PointCounts as PointCounts
     from .core.project import ProjectedScan as ProjectedScan
@@ -26,6 +28,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 __all__ = [
+    "Difference",
     "FrameOptions",
     "PointCounts",
     "ProjectedScan",
@@ -35,11 +38,13 @@ __all__ = [
     "UnprojectParams",
     "check",
     "convert",
+    "diff",
     "info",
     "project",
 ]
 
 _HOMES = {
+    "Difference": "compare.result",
     "FrameOptions": "pipeline.frames",
     "PointCounts": "core.project",
     "ProjectedScan": "core.project",
@@ -49,6 +54,7 @@ _HOMES = {
     "UnprojectParams": "core.unproject",
     "check": "inspect.check",
     "convert": "api",
+    "diff": "api",
     "info": "inspect.info",
     "project": "core.project",
 }

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from .compare.diff import TopicPair
+from .compare.diff import diff as compare
+from .compare.rules import Rules
 from .core.params import ProjectionParams
 from .pipeline.frames import FrameOptions
 from .pipeline.options import ConvertOptions, TimeBound, TopicRequest
@@ -14,10 +18,11 @@ from .pipeline.run import OutputOptions, Progress, run
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
+    from .compare.result import Difference
     from .core.unproject import UnprojectParams
     from .pipeline.report import Report
 
-__all__ = ["convert"]
+__all__ = ["convert", "diff"]
 
 
 def convert(
@@ -131,3 +136,55 @@ def convert(
         output,
         progress=progress,
     )
+
+
+def diff(
+    a: str | PathLike[str],
+    b: str | PathLike[str] | None = None,
+    *,
+    topics: Iterable[str] = (),
+    all_topics: bool = False,
+    atol: float | Mapping[str, float] = 0.0,
+    rtol: float | Mapping[str, float] = 0.0,
+    allow_beams: float = 0.0,
+    ignore: Iterable[str] = (),
+) -> Difference:
+    """Compare the scans and clouds of two recordings, as ``pc2scan diff`` does.
+
+    Parameters
+    ----------
+    a, b
+        ``a`` is the reference. ``b`` left out: ``a`` itself, for two topics of it.
+    topics
+        What to compare, as ``/scan`` or ``/scan:=/scan2``; empty means every LaserScan and PointCloud2 topic.
+    all_topics
+        Whether the other topics are compared too: matched by log time, byte for byte.
+    atol, rtol, allow_beams, ignore
+        See `pc2scan.compare.rules.Rules`; a tolerance that is a number is for all values.
+
+    Returns
+    -------
+    Difference
+        ``same`` tells whether there is none; as text it is what the command prints.
+
+    Raises
+    ------
+    UsageError
+        If a topic is not there, there is nothing to compare, or a rule cannot be.
+    RecordingError
+        If a recording cannot be read.
+
+    Examples
+    --------
+    >>> import pc2scan
+    >>> found = pc2scan.diff("expected.bag", "scans.mcap", rtol=1e-5)  # doctest: +SKIP
+    >>> assert found.same, found  # doctest: +SKIP
+    """
+    rules = Rules(
+        atol=atol if isinstance(atol, Mapping) else {"": atol},
+        rtol=rtol if isinstance(rtol, Mapping) else {"": rtol},
+        allow_beams=allow_beams,
+        ignore=frozenset(ignore),
+    )
+    pairs = [TopicPair.parse(topic) for topic in topics]
+    return compare(Path(a), None if b is None else Path(b), topics=pairs, all_topics=all_topics, rules=rules)

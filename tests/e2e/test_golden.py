@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+import shutil
+from dataclasses import replace
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
@@ -9,19 +12,27 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
-from builders import CLOUD, SCAN, deserialized
+from builders import CLOUD, SCAN, deserialized, serialized, typestore
 from e2e.command import run
 from e2e.outputs import opened
-from support import GOLDEN
+from pc2scan.bags.model import Connection, RawMessage
+from pc2scan.cli.in_process import run_command
+from pc2scan.compare.rules import Rules
+from pc2scan.compare.scan_text import render
+from pc2scan.golden.case import load_case
+from pc2scan.golden.check import check_case
+from support import GOLDEN, ROOT
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
-
-    from numpy.typing import NDArray
 
     from e2e.outputs import Found
 
+#: With the tolerances that the project states for each case.
+FOLDER = ROOT / "fixtures" / "golden"
 CASES = sorted(path.name for path in GOLDEN.iterdir() if path.is_dir())
+OWN = sorted(path.name for path in FOLDER.iterdir() if path.is_dir())
 TRANSFORMED = {"tf_static", "tf_dynamic", "scan_tf"}
 EXACT = [name for name in CASES if name not in TRANSFORMED]
 
@@ -91,55 +102,83 @@ def test_equal_to_the_bit_in_ros2_containers(name: str, options: tuple[str, ...]
         assert parts_of(found.data, msgtype, 2) == parts_of(reference.data, msgtype, 1)
 
 
-def moved_bins(ours: NDArray[np.float32], theirs: NDArray[np.float32]) -> int:
-    """Beams that differ by more than 1e-5, relative; infinities are equal to themselves only."""
-    same = ours == theirs
-    finite = np.isfinite(ours) & np.isfinite(theirs)
-    near = np.zeros(len(ours), bool)
-    near[finite] = np.abs(ours[finite] - theirs[finite]) <= 1e-5 * np.abs(theirs[finite])
-    return int(np.count_nonzero(~(same | near)))
+# --- the same by `pc2scan golden`, with the tolerances that each case states ---
+
+
+def test_the_projects_cases_pass_in_one_command() -> None:
+    done = run("golden", FOLDER, "--json")
+    assert done.status == 0, done.stdout
+    found = json.loads(done.stdout)
+    assert found["passed"] == len(OWN) == len(found["cases"])
+    assert {case["name"] for case in found["cases"]} == set(OWN)
+    # A comparison of nothing would pass, too.
+    for case in found["cases"]:
+        (topic,) = case["difference"]["topics"]
+        assert topic["matched"] == len(expected(case["name"]))
+        assert topic["elements"] > 100
+
+
+def test_only_transformed_cases_have_tolerances() -> None:
+    rules = {name: load_case(FOLDER / name).rules for name in OWN}
+    assert {name for name, rule in rules.items() if rule != Rules()} == TRANSFORMED
+    for name in ("tf_static", "tf_dynamic"):
+        assert rules[name] == Rules(rtol={"ranges": 1e-5}, allow_beams=0.001)
+    assert rules["scan_tf"] == Rules(atol={"x": 2e-6, "y": 2e-6, "z": 2e-6})
+
+
+def checked(folder: Path) -> str:
+    return check_case("case", folder, run_command).outcome.value
+
+
+def with_expected(name: str, folder: Path, change: Callable[[Any], None]) -> Path:
+    """A copy of a case with another expected first message, as text; ``change`` edits its float32 values."""
+    case = folder / name
+    shutil.copytree(FOLDER / name, case)
+    msgtype = CLOUD if is_reverse(name) else SCAN
+    topic, connection = ("/cloud", CLOUD) if msgtype == CLOUD else ("/scan", SCAN)
+    messages = []
+    for number, found in enumerate(expected(name)):
+        message = deserialized(found.data, msgtype, 1)
+        if number == 0:
+            values = (message.data if msgtype == CLOUD else message.ranges).copy()
+            change(values.view(np.float32))
+            message = replace(message, **{"data" if msgtype == CLOUD else "ranges": values})
+        data = serialized(typestore(1), message, msgtype, 1)
+        messages.append(RawMessage(Connection(0, topic, connection, "ros1"), found.log_time_ns, data, 0))
+    (case / "expected.bag").unlink()
+    (case / "expected.txt").write_text(render(messages))
+    return case
+
+
+@pytest.mark.parametrize("name", OWN)
+def test_every_case_notices_a_bit_or_what_its_tolerance_excludes(name: str, tmp_path: Path) -> None:
+    def nothing(_: Any) -> None:
+        pass
+
+    def worse(values: Any) -> None:
+        if name == "scan_tf":
+            values[0] += 3e-6
+        elif name in TRANSFORMED:
+            # One beam in a thousand may differ; these cases have 1,440 beams or more.
+            beams = np.flatnonzero(np.isfinite(values))[: sum(len(found.data) for found in expected(name)) // 4000 + 2]
+            values[beams] *= 1.001
+        else:
+            values.view(np.uint32)[3] ^= 1
+
+    assert checked(with_expected(name, tmp_path / "as it is", nothing)) == "passed"
+    assert checked(with_expected(name, tmp_path / "worse", worse)) == "failed"
 
 
 @pytest.mark.parametrize("name", ["tf_static", "tf_dynamic"])
-def test_transformed_scans(name: str, tmp_path: Path) -> None:
-    destination = tmp_path / "out.bag"
-    converted(name, destination)
-    output = opened(destination)
-    ours, theirs = output.scans(), [deserialized(found.data, SCAN, 1) for found in expected(name)]
-    assert [found.log_time_ns for found in output.of("/scan")] == [found.log_time_ns for found in expected(name)]
-    moved = beams = 0
-    for scan, reference in zip(ours, theirs, strict=True):
-        assert scan.header == reference.header
-        assert [getattr(scan, field) for field in FIELDS] == [getattr(reference, field) for field in FIELDS]
-        assert len(scan.ranges) == len(reference.ranges)
-        moved += moved_bins(scan.ranges, reference.ranges)
-        beams += len(scan.ranges)
-    assert moved <= beams // 1000
+def test_a_beam_in_a_thousand_may_differ(name: str, tmp_path: Path) -> None:
+    def one(values: Any) -> None:
+        values[np.flatnonzero(np.isfinite(values))[0]] += 1
+
+    assert checked(with_expected(name, tmp_path, one)) == "passed"
 
 
-def test_transformed_clouds(tmp_path: Path) -> None:
-    destination = tmp_path / "out.bag"
-    converted("scan_tf", destination)
-    output = opened(destination)
+def test_transformed_clouds_are_numbered_as_upstream_does() -> None:
+    # tf2 gives a transformed cloud the transform's header, whose sequence number is 0; `seq` is not ignored.
     reference = [deserialized(found.data, CLOUD, 1) for found in expected("scan_tf")]
-    assert [found.log_time_ns for found in output.of("/cloud")] == [found.log_time_ns for found in expected("scan_tf")]
-    worst = 0.0
-    for ours, theirs in zip(output.clouds(), reference, strict=True):
-        assert (ours.header.stamp, ours.header.frame_id) == (theirs.header.stamp, theirs.header.frame_id)
-        assert ours.fields == theirs.fields
-        assert (ours.height, ours.width, ours.point_step) == (theirs.height, theirs.width, theirs.point_step)
-        assert (ours.is_dense, ours.is_bigendian) == (theirs.is_dense, theirs.is_bigendian)
-        mine, other = (message.data.reshape(-1, ours.point_step) for message in (ours, theirs))
-        # Beyond x, y, z nothing is transformed.
-        assert mine[:, 12:].tobytes() == other[:, 12:].tobytes()
-        difference = mine[:, :12].copy().view("<f4") - other[:, :12].copy().view("<f4")
-        worst = max(worst, float(np.abs(difference).max()))
-    assert worst <= 2e-6
-
-
-def test_transformed_clouds_are_numbered_as_upstream_does(tmp_path: Path) -> None:
-    # tf2 gives a transformed cloud the transform's header, whose sequence number is 0.
-    destination = tmp_path / "out.bag"
-    converted("scan_tf", destination)
-    reference = [deserialized(found.data, CLOUD, 1) for found in expected("scan_tf")]
-    assert [m.header.seq for m in opened(destination).clouds()] == [m.header.seq for m in reference]
+    assert {message.header.seq for message in reference} == {0}
+    assert "seq" not in load_case(FOLDER / "scan_tf").rules.ignore

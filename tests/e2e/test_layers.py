@@ -26,8 +26,11 @@ ALLOWED = {
     "messages": {"bags.model", "core", "errors"},
     "pipeline": {"core", "tf", "messages", "bags", "errors"},
     "inspect": {"pipeline", "core", "tf", "messages", "bags", "errors"},
-    "api": {"pipeline", "core", "errors"},
-    "cli": {"pipeline", "inspect", "core", "errors"},
+    "compare": {"messages", "bags", "core", "errors"},
+    "golden": {"compare", "bags", "errors"},
+    "api": {"pipeline", "compare", "core", "errors"},
+    "cli": {"pipeline", "inspect", "compare", "golden", "core", "errors"},
+    "pytest_plugin": {"api", "cli", "golden", "errors"},
 }
 
 #: What layers may import from elsewhere, beside the standard library.
@@ -39,8 +42,11 @@ THIRD_PARTY = {
     "bags": {"rosbags", "mcap", "lz4", "zstandard", "ruamel"},
     "pipeline": {"numpy", "ruamel"},
     "inspect": {"numpy"},
+    "compare": {"numpy"},
+    "golden": set(),
     "api": set[str](),
     "cli": {"typer", "rich"},
+    "pytest_plugin": {"pytest"},
 }
 
 MODULES = sorted(PACKAGE.rglob("*.py"))

@@ -12,9 +12,13 @@ from functools import cache
 from typing import TYPE_CHECKING
 
 import pytest
+from ruamel.yaml import YAML
 
 from e2e.command import environment, run
+from pc2scan import pytest_plugin
+from pc2scan.compare.rules import GEOMETRY, IGNORABLE
 from pc2scan.core.presets import PRESETS
+from pc2scan.golden.case import KEYS
 from pc2scan.pipeline.parameters import PARAMETERS
 from support import ROOT
 
@@ -22,10 +26,13 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 README = (ROOT / "README.md").read_text("utf-8")
-COMMANDS = ("convert", "check", "info", "tf")
+COMMANDS = ("convert", "check", "info", "tf", "diff", "golden")
 
 #: Options of other programs that the README names, and pc2scan's own outside its commands.
-ELSEWHERE = {"--install-completion", "--clock", "--version", "--help", "--repeat", "--memory"}
+ELSEWHERE = {
+    *("--install-completion", "--version", "--help"),
+    *("--clock", "--repeat", "--memory", "--pc2scan-golden", "--pc2scan-update"),
+}
 
 
 @cache
@@ -144,7 +151,7 @@ def test_the_report_has_the_keys_of_the_readme(tmp_path: Path) -> None:
 
 
 def test_the_example_for_the_library_runs(tmp_path: Path) -> None:
-    (block,) = code_blocks("python")
+    (block,) = [block for block in code_blocks("python") if "import pc2scan" in block]
     shutil.copytree(ROOT / "fixtures", tmp_path / "fixtures")
     done = subprocess.run(
         [sys.executable, "-W", "error", "-c", block],
@@ -186,3 +193,53 @@ def test_the_shown_commands_run_on_a_recording(tmp_path: Path) -> None:
                 ran += 1
                 (tmp_path / "drive_scan.bag").unlink(missing_ok=True)
     assert ran >= 6
+
+
+def test_the_recipe_for_ci_works_from_start_to_finish(tmp_path: Path) -> None:
+    """Its commands, then those of the workflow, then a change that it is there to find."""
+    shutil.copy(ROOT / "fixtures" / "hall.bag", tmp_path / "drive.bag")
+    params = "pointcloud_to_laserscan:\n  ros__parameters:\n    min_height: -0.3\n"
+    (tmp_path / "params.yaml").write_text(params)
+    block = README.partition("<!-- golden commands -->")[2].split("```")[1].removeprefix("sh\n")
+    (workflow,) = code_blocks("yaml")
+    steps = YAML(typ="safe").load(workflow)["jobs"]["golden"]["steps"]
+    in_ci = [step["run"] for step in steps if step.get("run", "").startswith("pc2scan")]
+    uploaded = [step["with"]["path"] for step in steps if "upload-artifact" in step.get("uses", "")]
+    commands = [*block.splitlines(), *in_ci]
+    assert len(commands) == 6
+    for command in commands:
+        words = shlex.split(command)
+        if words[0] == "pc2scan":
+            done = run(*words[1:], cwd=tmp_path)
+            assert done.status == 0, (command, done)
+        else:
+            subprocess.run(words, cwd=tmp_path, check=True)
+    assert [(tmp_path / path).is_file() for path in uploaded] == [True]
+    (tmp_path / "golden" / "drive" / "params.yaml").write_text(params.replace("-0.3", "-0.2"))
+    (words,) = commands_in(in_ci[0])
+    assert run(*words, cwd=tmp_path).status == 1
+
+
+def row_of(name: str) -> str:
+    (row,) = [line for line in README.splitlines() if line.startswith(f"| `{name}`")]
+    return row
+
+
+def test_what_is_said_of_diff_and_golden() -> None:
+    named = set(re.findall(r"`(\w+)`", row_of("--ignore NAME")))
+    # Of the geometry one name stands for all.
+    assert named == IGNORABLE.keys() - {*GEOMETRY} | {"angle_max"}
+    assert set(re.findall(r"`(\w+)`", row_of("case.yaml"))) - {"convert", "diff"} == set(KEYS)
+    report = json.loads(run("diff", ROOT / "fixtures" / "hall.bag", ROOT / "fixtures" / "hall.mcap", "--json").stdout)
+    told = README[README.index("`--json` prints `same`") :].partition("Exit status")[0]
+    keys = set(re.findall(r"`(\w+)(?:\[\])?`", told))
+    assert keys <= {*report, *report["topics"][0]}
+    assert keys > {"same", "exit_status", "topics", "values", "worst"}
+
+
+def test_the_fixtures_for_pytest_are_those_of_the_plugin() -> None:
+    (block,) = [block for block in code_blocks("python") if "def test_" in block]
+    compile(block, "README.md", "exec")
+    asked = re.search(r"def test_\w+\((.*)\)", block)
+    assert asked is not None
+    assert set(asked[1].split(", ")) == set(pytest_plugin.__all__)

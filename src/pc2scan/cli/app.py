@@ -12,6 +12,8 @@ from pc2scan.errors import Pc2ScanError
 
 from .check import check
 from .convert import convert
+from .diff import diff
+from .golden import golden
 from .info import info
 from .render import error_text
 from .tf import tf
@@ -22,8 +24,8 @@ if TYPE_CHECKING:
 __all__ = ["app"]
 
 EPILOG = (
-    "Exit status: 0 done, 1 failed and nothing written (check: not accepted), 2 wrong usage, "
-    "3 written but with messages skipped."
+    "Exit status: 0 done, 1 failed and nothing written, 2 wrong usage, 3 written but with messages skipped. "
+    "check: 0 accepted, 1 not. diff and golden: 0 the same, 1 different, 2 not comparable."
 )
 
 _INTERRUPTED = 128 + signal.SIGINT
@@ -110,5 +112,5 @@ def root(
     """Recorded 3D lidar to the 2D laser scans that SLAM and navigation need, without a ROS installation."""
 
 
-for command in (convert, check, info, tf):
+for command in (convert, check, info, tf, diff, golden):
     app.command(cls=_Command)(command)

@@ -1,0 +1,108 @@
+"""``pc2scan diff``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .render import printable
+from .unusable import exit_status_2
+
+__all__ = ["diff"]
+
+_RULES = "What counts as the same"
+
+
+def diff(
+    a: Annotated[Path, typer.Argument(metavar="A", help="A recording, the reference.")],
+    b: Annotated[
+        Path | None,
+        typer.Argument(metavar="[B]", help="The recording to compare with it. Left out: A itself, see --topic."),
+    ] = None,
+    *,
+    topics: Annotated[
+        list[str],
+        typer.Option(
+            "--topic",
+            "-t",
+            metavar="A[:=B]",
+            help="Topic to compare, and its name in B where that is another. Repeatable. "
+            "Default: every LaserScan and PointCloud2 topic.",
+        ),
+    ] = [],  # noqa: B006 - typer reads the default and never hands it out
+    all_topics: Annotated[
+        bool,
+        typer.Option("--all-topics", help="Compare the other topics too: matched by log time, byte for byte."),
+    ] = False,
+    atol: Annotated[
+        list[str],
+        typer.Option(
+            "--atol",
+            metavar="[NAME=]X",
+            help="Absolute tolerance: of all values, or of ranges, intensities or a field of the clouds. Repeatable.",
+            rich_help_panel=_RULES,
+        ),
+    ] = [],  # noqa: B006
+    rtol: Annotated[
+        list[str],
+        typer.Option(
+            "--rtol",
+            metavar="[NAME=]X",
+            help="Tolerance relative to A's value; the two add up. Repeatable.",
+            rich_help_panel=_RULES,
+        ),
+    ] = [],  # noqa: B006
+    allow_beams: Annotated[
+        float,
+        typer.Option(
+            metavar="SHARE",
+            help="Share of a topic's beams (clouds: points) that may be beyond the tolerance: 0.001 is one in a "
+            "thousand.",
+            show_default=False,
+            rich_help_panel=_RULES,
+        ),
+    ] = 0.0,
+    ignore: Annotated[
+        list[str],
+        typer.Option(
+            "--ignore",
+            metavar="NAME",
+            help="Do not compare: log_time, seq, frame_id, order, intensities, ranges, angle_min and the other numbers "
+            "of a scan, shape, layout, padding, is_dense. Repeatable.",
+            rich_help_panel=_RULES,
+        ),
+    ] = [],  # noqa: B006
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Tell by the exit status only.")] = False,
+) -> None:
+    """Compare the scans and clouds of two recordings, message by message.
+
+    Messages are matched by their header's stamp: repeated stamps in order, messages without a stamp by log time.
+    Everything is compared to the bit unless a tolerance is given. Container, compression and ROS generation make no
+    difference.
+
+    Exit status: 0 the same, 1 different, 2 not comparable.
+    """
+    with exit_status_2():
+        from pc2scan.compare.diff import TopicPair
+        from pc2scan.compare.diff import diff as compare
+        from pc2scan.compare.rules import Rules, parse_tolerance
+
+        rules = Rules(
+            atol=parse_tolerance(atol, "--atol"),
+            rtol=parse_tolerance(rtol, "--rtol"),
+            allow_beams=allow_beams,
+            ignore=frozenset(ignore),
+        )
+        pairs = [TopicPair.parse(topic) for topic in topics]
+        result = compare(a, b, topics=pairs, all_topics=all_topics, rules=rules)
+    if as_json:
+        import json
+
+        typer.echo(json.dumps(result.as_dict(), indent=2))
+    elif not quiet:
+        for line in str(result).splitlines():
+            typer.echo(printable(line))
+    raise typer.Exit(result.exit_status)

@@ -1,0 +1,89 @@
+"""``pc2scan golden``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from pc2scan.errors import OutputError
+
+from .render import printable
+from .unusable import exit_status_2
+
+if TYPE_CHECKING:
+    from pc2scan.golden.result import CaseResult, GoldenReport
+
+__all__ = ["golden"]
+
+
+def golden(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="A folder of cases, or one case.")],
+    pattern: Annotated[
+        str,
+        typer.Option(
+            "-k", metavar="PATTERN", help="Only cases with this in their name; may be a glob.", show_default=False
+        ),
+    ] = "",
+    *,
+    update: Annotated[
+        bool,
+        typer.Option("--update", help="Write the expected output of cases that differ or have none; review the diff."),
+    ] = False,
+    junit: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the results as JUnit XML, for CI systems.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Do not show cases that passed.")] = False,
+) -> None:
+    """Convert the inputs of a folder of cases, and compare with what is expected.
+
+    A case is a folder: input.bag (or input.mcap, input.db3, input/), params.yaml, and what the conversion is expected
+    to make, expected.txt (or expected.bag, expected.mcap, expected/). A case.yaml may name other inputs, further
+    arguments of convert, and tolerances.
+
+    Exit status: 0 all as expected, 1 some differ, 2 some could not be checked.
+    """
+    with exit_status_2():
+        from pc2scan.golden.case import case_folders
+        from pc2scan.golden.check import check_case
+        from pc2scan.golden.result import GoldenReport
+
+        from .in_process import run_command
+
+        if junit is not None and not junit.parent.is_dir():
+            raise OutputError("cannot be written: its directory does not exist", path=junit)
+        report = GoldenReport(str(folder))
+        for name, case in case_folders(folder, pattern):
+            result = check_case(name, case, run_command, update=update)
+            report.cases.append(result)
+            if not as_json:
+                _show(result, quiet=quiet)
+        if junit is not None:
+            _write_junit(report, junit)
+    if as_json:
+        import json
+
+        typer.echo(json.dumps(report.as_dict(), indent=2))
+    else:
+        counted = [f"{number} {outcome.value}" for outcome, number in report.counts.items() if number]
+        typer.echo(f"{', '.join(counted)} in {report.seconds:.1f} s")
+    raise typer.Exit(report.exit_status)
+
+
+def _show(result: CaseResult, *, quiet: bool) -> None:
+    if result.outcome == "passed" and quiet:
+        return
+    typer.echo(printable(f"{result.outcome.value:<8}{result.name}"))
+    for line in result.lines:
+        typer.echo(printable(f"    {line}"))
+
+
+def _write_junit(report: GoldenReport, path: Path) -> None:
+    from pc2scan.golden.junit import junit_xml
+
+    try:
+        path.write_text(junit_xml(report), "utf-8")
+    except OSError as err:
+        raise OutputError(f"cannot be written: {err.strerror}", path=path) from err

@@ -1,0 +1,1 @@
+"""Two recordings compared: what differs between their scans and clouds, message by message."""

@@ -1,0 +1,195 @@
+"""Two recordings compared, topic by topic."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from pc2scan.bags.registry import open_recording
+from pc2scan.errors import TopicError, UsageError
+from pc2scan.messages.schema import canonical
+
+from .match import Source, Stream, header_stamp_ns, matched
+from .messages import DECODED, compare_messages
+from .others import compare_others
+from .result import Difference, Place, TopicDifference
+from .rules import Rules
+from .scan_text import is_scan_text, open_scan_text
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from pc2scan.bags.model import Connection, RawMessage
+
+__all__ = ["TopicPair", "diff", "diff_sources", "open_source"]
+
+
+@dataclass(frozen=True, slots=True)
+class TopicPair:
+    """A topic of A, and the one of B that it is compared with."""
+
+    a: str
+    b: str
+
+    @classmethod
+    def parse(cls, text: str) -> TopicPair:
+        """Read ``/scan``, or ``/scan:=/scan2`` where the topic has another name in B.
+
+        Raises
+        ------
+        UsageError
+            If a side of ``:=`` is empty.
+        """
+        a, renamed, b = text.partition(":=")
+        if not a or (renamed and not b):
+            raise UsageError(f"{text!r} is not a topic", hint="write /scan, or /scan:=/scan2 if B has another name")
+        return cls(a, b or a)
+
+
+def diff(
+    a: Path, b: Path | None, *, topics: Sequence[TopicPair] = (), all_topics: bool = False, rules: Rules | None = None
+) -> Difference:
+    """Compare two recordings; see `pc2scan.diff`."""
+    if b is None and not (topics and all(pair.a != pair.b for pair in topics)):
+        raise UsageError(
+            "one recording is compared with itself only by two topics of it",
+            path=a,
+            hint="name a second recording, or two topics: --topic /scan:=/scan2",
+        )
+    with ExitStack() as stack:
+        sources = []
+        for path in (a, a if b is None else b):
+            source = open_source(path)
+            stack.callback(source.close)
+            sources.append(source)
+        return diff_sources(sources[0], sources[1], topics=topics, all_topics=all_topics, rules=rules)
+
+
+def open_source(path: Path) -> Source:
+    """Open a recording, or a text file of scans.
+
+    Raises
+    ------
+    RecordingError
+        If it cannot be read.
+    """
+    return open_scan_text(path) if is_scan_text(path) else open_recording(path)
+
+
+def diff_sources(
+    a: Source,
+    b: Source,
+    *,
+    topics: Sequence[TopicPair] = (),
+    all_topics: bool = False,
+    rules: Rules | None = None,
+) -> Difference:
+    """Compare what is open already.
+
+    Raises
+    ------
+    TopicError
+        If a topic is not there, or there is nothing to compare.
+    RecordingError
+        If one cannot be read to its end.
+    """
+    rules = rules or Rules()
+    result = Difference(str(a.path), str(b.path))
+    asked = _named(a, b, topics) if topics else _sides(a, b, decoded=True)
+    others = [] if topics and not all_topics else _sides(a, b, decoded=False, without=topics)
+    for pair in asked:
+        _compare([pair], rules, result)
+    if all_topics:
+        _compare(others, rules, result)
+    else:
+        result.left_aside = len(others)
+    if not result.topics:
+        raise TopicError(
+            "nothing to compare: neither recording has a LaserScan or PointCloud2 topic",
+            path=a.path,
+            hint="--all-topics compares the other topics too, --topic one of them",
+        )
+    return result
+
+
+def _by_topic(source: Source) -> dict[str, tuple[Connection, ...]]:
+    topics: dict[str, tuple[Connection, ...]] = {}
+    for connection in source.connections:
+        topics[connection.topic] = (*topics.get(connection.topic, ()), connection)
+    return topics
+
+
+def _named(a: Source, b: Source, pairs: Sequence[TopicPair]) -> list[tuple[Stream, Stream]]:
+    """The streams of topics asked for by name."""
+    streams = []
+    for pair in pairs:
+        sides = []
+        for source, topic in ((a, pair.a), (b, pair.b)):
+            topics = _by_topic(source)
+            if topic not in topics:
+                raise TopicError(
+                    "there is no such topic",
+                    path=source.path,
+                    topic=topic,
+                    hint=f"the recording's topics are: {', '.join(sorted(topics)) or 'none'}",
+                )
+            sides.append(Stream(source, topics[topic]))
+        streams.append((sides[0], sides[1]))
+    return streams
+
+
+def _sides(a: Source, b: Source, *, decoded: bool, without: Sequence[TopicPair] = ()) -> list[tuple[Stream, Stream]]:
+    """Every topic of either side that has scans or clouds (or: that has none), with that of its name on the other."""
+    of_a, of_b = _by_topic(a), _by_topic(b)
+    taken = {name for pair in without for name in (pair.a, pair.b)}
+    pairs = []
+    for topic in sorted({*of_a, *of_b} - taken):
+        one, other = of_a.get(topic, ()), of_b.get(topic, ())
+        if any(c.ros_type in DECODED for c in (*one, *other)) == decoded:
+            pairs.append((Stream(a, one), Stream(b, other)))
+    return pairs
+
+
+def _compare(pairs: Sequence[tuple[Stream, Stream]], rules: Rules, result: Difference) -> None:
+    """Compare topics: scans and clouds one after the other, all others in one pass."""
+    others = []
+    for one, other in pairs:
+        entry = _entry(one, other, rules)
+        result.topics.append(entry)
+        kinds = [sorted({canonical(c.msgtype) for c in stream.connections}) for stream in (one, other)]
+        if all(kinds) and (kinds[0] != kinds[1] or len(kinds[0]) > 1):
+            entry.change("type", Place(None, 0), ", ".join(kinds[0]), ", ".join(kinds[1]))
+        elif entry.msgtype in DECODED:
+            _compare_decoded(one, other, entry, rules)
+        else:
+            others.append(((one, other), entry))
+    if others:
+        compare_others([pair for pair, _ in others], [entry for _, entry in others], rules)
+
+
+def _entry(one: Stream, other: Stream, rules: Rules) -> TopicDifference:
+    names = [stream.connections[0].topic if stream.connections else None for stream in (one, other)]
+    connection = (*one.connections, *other.connections)[0]
+    return TopicDifference(names[0], names[1], canonical(connection.msgtype), rules.allow_beams)
+
+
+def _compare_decoded(one: Stream, other: Stream, entry: TopicDifference, rules: Rules) -> None:
+    """Compare scans or clouds, pair by pair."""
+    for pair in matched(one, other):
+        entry.messages_a += pair.a is not None
+        entry.messages_b += pair.b is not None
+        if pair.a is not None and pair.b is not None:
+            place = _place(pair.a)
+            if pair.moved and "order" not in rules.ignore:
+                entry.moved.add(place)
+            entry.count_pair(place, compare_messages(pair.a, pair.b, rules))
+        elif pair.a is not None:
+            entry.missing.add(_place(pair.a))
+        elif pair.b is not None:
+            entry.extra.add(_place(pair.b))
+
+
+def _place(message: RawMessage) -> Place:
+    return Place(header_stamp_ns(message), message.log_time_ns)

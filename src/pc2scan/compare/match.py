@@ -1,0 +1,214 @@
+"""Which message of one topic belongs to which of another, one pair in memory at a time.
+
+Messages are matched by their header's stamp, which survives every container and every re-recording. Repeated stamps are
+matched in order: the first with the first. Messages whose stamp is 0 or cannot be read are matched by their log time.
+"""
+
+from __future__ import annotations
+
+from array import array
+from bisect import bisect_left
+from itertools import islice
+from typing import TYPE_CHECKING, NamedTuple, Protocol
+
+from pc2scan.errors import DecodeError, RecordingError
+from pc2scan.messages.wire import Cursor
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator, Sequence
+    from pathlib import Path
+
+    from pc2scan.bags.model import Connection, RawMessage
+
+__all__ = ["Match", "Source", "Stream", "header_stamp_ns", "matched", "moved_indices"]
+
+
+class Source(Protocol):
+    """What is needed of an open recording; `pc2scan.bags.model.Reader` has it."""
+
+    @property
+    def path(self) -> Path:
+        """Where it was opened."""
+        ...
+
+    @property
+    def connections(self) -> Sequence[Connection]:
+        """Every connection."""
+        ...
+
+    def messages(
+        self,
+        connections: Collection[Connection] | None = None,
+        start_ns: int | None = None,
+        stop_ns: int | None = None,
+    ) -> Iterator[RawMessage]:
+        """Messages in the order of log time, ``start_ns <= log_time_ns < stop_ns``."""
+        ...
+
+    def close(self) -> None:
+        """Release the files."""
+        ...
+
+
+class Stream(NamedTuple):
+    """The messages of some connections of a recording, in order; without connections there are none."""
+
+    source: Source
+    connections: tuple[Connection, ...]
+
+    def messages(self) -> Iterator[RawMessage]:
+        """Read from the beginning."""
+        return self.source.messages(self.connections) if self.connections else iter(())
+
+    def at(self, log_time_ns: int, position: int) -> RawMessage:
+        """One of the messages of a log time, found through the recording's index."""
+        found = self.source.messages(self.connections, log_time_ns, log_time_ns + 1)
+        message = next(islice(found, position, None), None)
+        if message is None:
+            raise RecordingError("has changed while it was read", path=self.source.path)
+        return message
+
+
+class Match(NamedTuple):
+    """A message of each side that belong together; None where one side has none.
+
+    ``moved`` tells that the two stand at different places in the order of their recordings.
+    """
+
+    a: RawMessage | None
+    b: RawMessage | None
+    moved: bool = False
+
+
+def header_stamp_ns(message: RawMessage) -> int | None:
+    """Nanoseconds of the header that the message begins with; None where it cannot be read."""
+    try:
+        return Cursor(message.data, message.connection.serialization).header()[1]
+    except DecodeError:
+        return None
+
+
+def matched(a: Stream, b: Stream) -> Iterator[Match]:
+    """Pair the messages of two streams.
+
+    Yields
+    ------
+    Match
+        Every message of either side once: those of ``a`` in its order, each of ``b`` without a partner where it stands
+        between those that have kept their order.
+
+    Notes
+    -----
+    As long as both sides carry the same stamps in the same order, they are read once. From the first difference on, the
+    stamps of both are read ahead (some 300 bytes of memory a message), so that gaps of any length and messages moved
+    over any distance are told from one another, however little of the recordings fits into memory.
+    """
+    left, right = a.messages(), b.messages()
+    common = 0
+    x, y = next(left, None), next(right, None)
+    while x is not None and y is not None and _key(x) == _key(y):
+        yield Match(x, y)
+        common += 1
+        x, y = next(left, None), next(right, None)
+    if x is not None and y is not None:
+        yield from _realigned(a, b, common)
+    elif x is not None:
+        yield Match(x, None)
+        yield from (Match(other, None) for other in left)
+    elif y is not None:
+        yield Match(None, y)
+        yield from (Match(None, other) for other in right)
+
+
+def moved_indices(mates: Sequence[int]) -> set[int]:
+    """Positions outside the longest run in order: what has moved, if the others have stayed.
+
+    Parameters
+    ----------
+    mates
+        For each element its place in the other sequence; each place at most once.
+
+    Returns
+    -------
+    set of int
+        Indices into ``mates``, as few as there can be.
+
+    Notes
+    -----
+    The complement of a longest increasing subsequence, by patience sorting.
+
+    Examples
+    --------
+    >>> moved_indices([0, 2, 1, 3])
+    {1}
+    """
+    ends: list[int] = []
+    places: list[int] = []
+    before: list[int] = []
+    for index, mate in enumerate(mates):
+        length = bisect_left(ends, mate)
+        before.append(places[length - 1] if length else -1)
+        ends[length : length + 1] = [mate]
+        places[length : length + 1] = [index]
+    stayed = set()
+    index = places[-1] if places else -1
+    while index >= 0:
+        stayed.add(index)
+        index = before[index]
+    return set(range(len(mates))) - stayed
+
+
+def _key(message: RawMessage) -> int:
+    """What messages are matched by; even numbers come from stamps, odd ones from log times."""
+    stamp_ns = header_stamp_ns(message)
+    return 2 * stamp_ns if stamp_ns else 2 * message.log_time_ns + 1
+
+
+def _realigned(a: Stream, b: Stream, common: int) -> Iterator[Match]:
+    """Pair what follows the first ``common`` messages, by the stamps of all of it."""
+    times, mates = _planned(a, b, common)
+    having = [index for index, mate in enumerate(mates) if mate >= 0]
+    moved = {having[index] for index in moved_indices([mates[index] for index in having])}
+    paired = bytearray(len(times))
+    for index in having:
+        paired[mates[index]] = True
+
+    following = islice(enumerate(b.messages()), common, None)
+    for mate, (index, x) in zip(mates, enumerate(islice(a.messages(), common, None)), strict=True):
+        if mate < 0:
+            yield Match(x, None)
+        elif index in moved:
+            yield Match(x, b.at(times[mate], mate - bisect_left(times, times[mate])), moved=True)
+        else:
+            for place, y in following:
+                if not paired[place]:
+                    yield Match(None, y)
+                elif place == mate:
+                    yield Match(x, y)
+                    break
+    yield from (Match(None, y) for place, y in following if not paired[place])
+
+
+def _planned(a: Stream, b: Stream, common: int) -> tuple[Sequence[int], Sequence[int]]:
+    """The log time of every message of ``b``, and for each of ``a`` its partner's place there, or -1."""
+    times: list[int] = []
+    keys: list[int] = []
+    for message in b.messages():
+        times.append(message.log_time_ns)
+        keys.append(_key(message))
+    # The first place of each stamp, and for a place the next one of its stamp.
+    first: dict[int, int] = {}
+    again: dict[int, int] = {}
+    for place in range(len(keys) - 1, common - 1, -1):
+        key = keys[place]
+        if key in first:
+            again[place] = first[key]
+        first[key] = place
+    mates = array("q")
+    for message in islice(a.messages(), common, None):
+        key = _key(message)
+        place = first.pop(key, -1)
+        mates.append(place)
+        if place in again:
+            first[key] = again[place]
+    return times, mates

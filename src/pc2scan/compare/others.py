@@ -1,0 +1,118 @@
+"""Topics that are neither scans nor clouds: matched by log time, compared by their bytes.
+
+Where the bytes differ because the wire formats do (ROS 1 against ROS 2, the byte order and the padding of CDR), both
+messages are re-encoded and compared again: what is compared is content, not its spelling.
+"""
+
+from __future__ import annotations
+
+from itertools import groupby
+from typing import TYPE_CHECKING
+
+from pc2scan.errors import DecodeError
+from pc2scan.messages.transcode import transcoder
+
+from .difference import Change, MessageDifference
+from .match import Stream
+from .result import Place
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from pc2scan.bags.model import Buffer, RawMessage
+
+    from .result import TopicDifference
+    from .rules import Rules
+
+__all__ = ["compare_others"]
+
+#: The messages of one log time, by the number of their topic.
+_Group = dict[int, list["RawMessage"]]
+
+
+def compare_others(pairs: Sequence[tuple[Stream, Stream]], entries: Sequence[TopicDifference], rules: Rules) -> None:
+    """Compare several topics in one pass.
+
+    Parameters
+    ----------
+    pairs
+        The topics of A and of B, all of one A and one B.
+    entries
+        Where the result of each goes.
+    rules
+        ``ignore`` may name ``seq``; tolerances do not apply.
+    """
+    content = _Content(numbered="seq" not in rules.ignore)
+    for log_time_ns, groups in _joined(*(_groups([pair[side] for pair in pairs]) for side in (0, 1))):
+        place = Place(None, log_time_ns)
+        for number, entry in enumerate(entries):
+            ours, theirs = (group.get(number, ()) for group in groups)
+            entry.messages_a += len(ours)
+            entry.messages_b += len(theirs)
+            for a, b in zip(ours, theirs, strict=False):
+                entry.count_pair(place, content.compare(a, b))
+            for _ in ours[len(theirs) :]:
+                entry.missing.add(place)
+            for _ in theirs[len(ours) :]:
+                entry.extra.add(place)
+
+
+def _groups(streams: Sequence[Stream]) -> Iterator[tuple[int, _Group]]:
+    """The messages of several topics of one recording, those of one log time together."""
+    numbers = {connection.id: n for n, stream in enumerate(streams) for connection in stream.connections}
+    connections = tuple(connection for stream in streams for connection in stream.connections)
+    messages = Stream(streams[0].source, connections).messages()
+    for log_time_ns, together in groupby(messages, lambda message: message.log_time_ns):
+        group: _Group = {}
+        for message in together:
+            group.setdefault(numbers[message.connection.id], []).append(message)
+        yield log_time_ns, group
+
+
+def _joined(
+    a: Iterator[tuple[int, _Group]], b: Iterator[tuple[int, _Group]]
+) -> Iterator[tuple[int, tuple[_Group, _Group]]]:
+    """Both sides' groups, by log time; an empty one where a side has none."""
+    x, y = next(a, None), next(b, None)
+    while x is not None or y is not None:
+        if y is None or (x is not None and x[0] < y[0]):
+            assert x is not None
+            yield x[0], (x[1], {})
+            x = next(a, None)
+        elif x is None or y[0] < x[0]:
+            yield y[0], ({}, y[1])
+            y = next(b, None)
+        else:
+            yield x[0], (x[1], y[1])
+            x, y = next(a, None), next(b, None)
+
+
+class _Content:
+    """Compares messages of any type, in either generation's wire format."""
+
+    def __init__(self, *, numbered: bool) -> None:
+        self._numbered = numbered
+
+    def compare(self, a: RawMessage, b: RawMessage) -> MessageDifference:
+        """Compare two messages; what cannot be re-encoded is told by its bytes alone."""
+        alike = a.connection.serialization == b.connection.serialization
+        if alike and bytes(a.data) == bytes(b.data):
+            return MessageDifference()
+        note = ""
+        generations = (a.connection.generation, b.connection.generation)
+        # In ROS 1's format all bytes count: it has no padding and one byte order.
+        if None not in generations and not (self._numbered and generations == (1, 1)):
+            try:
+                if self._plain(a) == self._plain(b):
+                    return MessageDifference()
+            except DecodeError as err:
+                note = f"; not decoded: {err.message}"
+        return MessageDifference(0, (Change("bytes", f"{len(a.data)} bytes", f"{len(b.data)} bytes{note}"),))
+
+    def _plain(self, message: RawMessage) -> Buffer:
+        """The message in ROS 1's format, its headers without sequence numbers."""
+        connection, data = message.connection, message.data
+        for generation in (1,) if connection.generation == 2 else (2, 1):
+            coding = transcoder(connection, generation)
+            connection, data = coding.connection, coding.encode(data)
+        return data

@@ -1,0 +1,97 @@
+"""What counts as the same: tolerances, the allowed share, and what is left aside."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from pc2scan.core.compare import Tolerance
+from pc2scan.errors import UsageError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+__all__ = ["GEOMETRY", "IGNORABLE", "Rules", "parse_tolerance"]
+
+#: The single numbers of a LaserScan, which are always compared bit for bit.
+GEOMETRY = ("angle_min", "angle_max", "angle_increment", "time_increment", "scan_time", "range_min", "range_max")
+
+#: What `Rules.ignore` may name, and what each means.
+IGNORABLE: Mapping[str, str] = {
+    "log_time": "when a message was recorded",
+    "seq": "ROS 1's header.seq",
+    "frame_id": "header.frame_id",
+    "order": "the order of the messages",
+    **dict.fromkeys(GEOMETRY, "of a LaserScan"),
+    "ranges": "of a LaserScan",
+    "intensities": "of a LaserScan",
+    "shape": "height and width of a cloud",
+    "layout": "offsets, steps and byte order of a cloud",
+    "padding": "bytes of a cloud that belong to no field",
+    "is_dense": "of a cloud",
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rules:
+    """What counts as the same. The default is everything, to the bit.
+
+    Attributes
+    ----------
+    atol, rtol
+        Tolerances by name: ``ranges``, ``intensities``, or a field of a cloud; the empty name stands for all of
+        them that are not named. See `pc2scan.core.compare.Tolerance`; A is the reference.
+    allow_beams
+        The share of a topic's beams (of a cloud: points), over all its messages, that may be beyond the tolerance.
+    ignore
+        Names of `IGNORABLE` that are not compared.
+
+    Raises
+    ------
+    UsageError
+        If a tolerance is negative, the share not within 0 and 1, or a name unknown.
+    """
+
+    atol: Mapping[str, float] = field(default_factory=dict)
+    rtol: Mapping[str, float] = field(default_factory=dict)
+    allow_beams: float = 0.0
+    ignore: frozenset[str] = frozenset()
+
+    def __post_init__(self) -> None:
+        for name in {*self.atol, *self.rtol}:
+            self.tolerance(name)
+        if not (math.isfinite(self.allow_beams) and 0 <= self.allow_beams <= 1):
+            raise UsageError(
+                f"allow_beams is {self.allow_beams}, it must be a share from 0 to 1",
+                hint="0.001 allows one beam in a thousand",
+            )
+        if unknown := sorted(self.ignore - IGNORABLE.keys()):
+            raise UsageError(f"{unknown[0]!r} cannot be ignored", hint=f"what can be ignored: {', '.join(IGNORABLE)}")
+
+    def tolerance(self, name: str) -> Tolerance:
+        """Return the tolerance of ``ranges``, ``intensities`` or a field."""
+        return Tolerance(self.atol.get(name, self.atol.get("", 0.0)), self.rtol.get(name, self.rtol.get("", 0.0)))
+
+
+def parse_tolerance(texts: Iterable[str], option: str) -> dict[str, float]:
+    """Read tolerances as the command line gives them: ``0.001`` for all values, ``x=0.001`` for those of one name.
+
+    Raises
+    ------
+    UsageError
+        If a text is neither, or a name is given twice.
+    """
+    found: dict[str, float] = {}
+    for text in texts:
+        name, _, number = text.rpartition("=")
+        try:
+            value = float(number)
+        except ValueError:
+            raise UsageError(
+                f"{option}: {text!r} is not a tolerance", hint=f"write {option} 0.001 or {option} intensities=0.5"
+            ) from None
+        if name in found:
+            raise UsageError(f"{option} is given twice for {name or 'all values'}")
+        found[name] = value
+    return found

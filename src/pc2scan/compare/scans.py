@@ -1,0 +1,48 @@
+"""One LaserScan against another."""
+
+from __future__ import annotations
+
+import struct
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pc2scan.core.compare import compare_arrays
+
+from .difference import Change, ValueChange
+from .rules import GEOMETRY
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from pc2scan.messages.laserscan import LaserScan
+
+    from .rules import Rules
+
+__all__ = ["scan_changes", "scan_values"]
+
+
+def scan_changes(a: LaserScan, b: LaserScan) -> Iterator[Change]:
+    """What differs in geometry, bit for bit."""
+    for name in GEOMETRY:
+        left, right = getattr(a, name), getattr(b, name)
+        # NaN is itself, and -0.0 is not 0.0.
+        if struct.pack("<d", left) != struct.pack("<d", right):
+            yield Change(name, str(np.float32(left)), str(np.float32(right)))
+    if len(a.ranges) != len(b.ranges):
+        yield Change("beams", f"{len(a.ranges)}", f"{len(b.ranges)}")
+    if len(a.intensities) != len(b.intensities):
+        yield Change("intensities", f"{len(a.intensities)} values", f"{len(b.intensities)} values")
+
+
+def scan_values(a: LaserScan, b: LaserScan, rules: Rules) -> Iterator[ValueChange]:
+    """Ranges and intensities that differ, where there are as many of them."""
+    for name in ("ranges", "intensities"):
+        left, right = getattr(a, name), getattr(b, name)
+        if name in rules.ignore or len(left) != len(right):
+            continue
+        # What lies outside the scan's own limits stands for no return.
+        limits = (a.range_min, a.range_max) if name == "ranges" else None
+        found = compare_arrays(left, right, rules.tolerance(name), limits=limits)
+        if found.differing:
+            yield ValueChange(name, found, (a.angle_min, a.angle_increment))

@@ -1,0 +1,145 @@
+"""What differs, in a few lines for people; plain text, safe for a terminal only after escaping."""
+
+from __future__ import annotations
+
+import math
+from operator import attrgetter
+from typing import TYPE_CHECKING
+
+from pc2scan.errors import stamp_text
+from pc2scan.messages.laserscan import LASERSCAN
+from pc2scan.messages.pointcloud2 import POINTCLOUD2
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from .result import Difference, Place, TopicDifference, Unpaired, ValuesFound
+
+__all__ = ["summary"]
+
+#: Stamps of unpaired messages that are shown.
+_SHOWN = 3
+#: A longer value of a changed field is cut.
+_LONGEST = 100
+#: What the elements of a message are called, and the message itself.
+_WORDS = {LASERSCAN: ("beam", "scan"), POINTCLOUD2: ("point", "cloud")}
+
+
+def summary(difference: Difference, names: tuple[str, str] = ("A", "B")) -> Iterator[str]:
+    """Write one block of lines a topic, and a verdict.
+
+    Parameters
+    ----------
+    names
+        What the two sides are called.
+    """
+    for topic in difference.topics:
+        yield f"{topic.name} ({topic.msgtype}): {'same' if topic.same else 'different'}"
+        lines = list(_lines(topic, names))
+        width = max(len(label) for label, _ in lines)
+        yield from (f"  {label:<{width}}  {text}" for label, text in lines)
+    apart = [topic for topic in difference.topics if not topic.same]
+    pairs = sum(topic.matched for topic in difference.topics)
+    if apart:
+        yield f"different: {len(apart)} of {_count(len(difference.topics), 'topic')}"
+        yield from _advice(difference, names)
+    else:
+        yield f"same: {_count(len(difference.topics), 'topic')}, {_count(pairs, 'message')}"
+    if difference.left_aside:
+        yield f"not compared: {_count(difference.left_aside, 'other topic')} (--all-topics)"
+
+
+def _lines(topic: TopicDifference, names: tuple[str, str]) -> Iterator[tuple[str, str]]:
+    element, message = _WORDS.get(topic.msgtype, ("element", "message"))
+    absent = [name for name, there in zip(names, (topic.topic_a, topic.topic_b), strict=True) if there is None]
+    total = _count(topic.matched - topic.differing, message)
+    if absent:
+        yield "messages", f"{topic.messages_a + topic.messages_b:,}; {absent[0]} has no such topic"
+        return
+    elements = f", {_count(topic.elements, element)} compared" if topic.elements else ""
+    yield "messages", f"{topic.messages_a:,} in {names[0]}, {topic.messages_b:,} in {names[1]}: {total} equal{elements}"
+    for label, unpaired in ((f"only in {names[0]}", topic.missing), (f"only in {names[1]}", topic.extra)):
+        if unpaired.count:
+            yield label, f"{_count(unpaired.count, message)}: {_listed(unpaired)}"
+    if topic.moved.count:
+        yield "order", f"{_count(topic.moved.count, message)} elsewhere among the others: {_listed(topic.moved)}"
+    for change in topic.changes.values():
+        first = f", first {_where(change.place)}" if change.messages > 1 else f", {_where(change.place)}"
+        there = "" if change.name == "type" else f"in {_count(change.messages, message)}{first}: "
+        sides = f"{_cut(change.a)} in {names[0]}, {_cut(change.b)} in {names[1]}" if change.a else change.b
+        yield change.name, f"{there}{sides}"
+    for found in topic.values.values():
+        yield found.name, _values(found, topic, element, message)
+        if found.worst is not None:
+            yield "", f"worst {_worst(found, element, names)}"
+    if topic.worst is not None and topic.differing > 1:
+        place, differing = topic.worst
+        yield f"worst {message}", f"{_where(place)}: {_count(differing, element)}"
+
+
+def _values(found: ValuesFound, topic: TopicDifference, element: str, message: str) -> str:
+    parts = [
+        f"{found.changed:,} changed" if found.changed else "",
+        f"{found.shifted:,} one {element} over" if found.shifted else "",
+    ]
+    share = found.differing / topic.elements if topic.elements else 1.0
+    shown = f"{share:.2%}" if share >= 0.0001 else "under 0.01%"
+    differing = f"{_count(found.differing, element)} of {topic.elements:,} ({shown})"
+    text = f"in {_count(found.messages, message)}: {differing}, {' and '.join(filter(None, parts))}"
+    if found.whole_shifts:
+        text += f"; {_count(found.whole_shifts, 'whole ' + message)} shifted by one {element}"
+    if topic.allow_beams:
+        text += f"; {'within' if topic.allows(found) else 'more than'} the allowed {topic.allow_beams:.2%}"
+    return text
+
+
+def _worst(found: ValuesFound, element: str, names: tuple[str, str]) -> str:
+    worst = found.worst
+    assert worst is not None
+    angle = "" if worst.angle is None else f" ({math.degrees(worst.angle):.2f} deg)"
+    values = f"{worst.a:.9g} in {names[0]}, {worst.b:.9g} in {names[1]}"
+    if not worst.difference:
+        values += ": other bits of one value"
+    elif math.isfinite(worst.difference):
+        values += f": {worst.difference:.3g} apart"
+    return f"{element} {worst.index}{angle}, {_where(worst.place)}: {values}"
+
+
+def _advice(difference: Difference, names: tuple[str, str]) -> Iterator[str]:
+    """What the user may have meant."""
+    topic_a, topic_b = attrgetter("topic_a"), attrgetter("topic_b")
+    alone = [
+        [topic for topic in difference.topics if there(topic) is not None and other(topic) is None]
+        for there, other in ((topic_a, topic_b), (topic_b, topic_a))
+    ]
+    if [len(side) for side in alone] == [1, 1] and alone[0][0].msgtype == alone[1][0].msgtype:
+        yield f"hint: the same under another name? --topic {alone[0][0].topic_a}:={alone[1][0].topic_b}"
+    kinds = {name for topic in difference.topics if not topic.same for name in topic.changes}
+    only_changes = all(
+        topic.same or (topic.matched == topic.messages_a == topic.messages_b and not topic.values)
+        for topic in difference.topics
+    )
+    if any(topic.messages_a and topic.messages_b and not topic.matched for topic in difference.topics):
+        yield "hint: no stamp is on both sides; are these of one drive?"
+    if only_changes and kinds and kinds <= {"log_time", "seq"}:
+        ignored = " ".join(f"--ignore {name}" for name in sorted(kinds))
+        yield f"hint: nothing else differs between {names[0]} and {names[1]}: {ignored}"
+
+
+def _listed(unpaired: Unpaired) -> str:
+    shown = ", ".join(_where(place) for place in unpaired.first[:_SHOWN])
+    return shown + (f" and {unpaired.count - _SHOWN:,} more" if unpaired.count > _SHOWN else "")
+
+
+def _where(place: Place) -> str:
+    if place.stamp_ns is None:
+        return f"log time {stamp_text(place.log_time_ns)}"
+    return f"stamp {stamp_text(place.stamp_ns)}"
+
+
+def _count(number: int, word: str) -> str:
+    return f"{number:,} {word}{'' if number == 1 else 's'}"
+
+
+def _cut(text: str) -> str:
+    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 3]}..."

@@ -1,0 +1,206 @@
+"""Two arrays of measurements: which differ, by how much, and whether they only moved to a neighbour.
+
+Without a tolerance values are equal when their bits are: a NaN with another payload differs, and -0.0 differs from
+0.0. With a tolerance they are compared as numbers.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pc2scan.errors import UsageError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = ["EXACT", "ArrayDifference", "Tolerance", "Worst", "compare_arrays"]
+
+
+@dataclass(frozen=True, slots=True)
+class Tolerance:
+    """How far a value may be from its reference: ``abs(value - reference) <= atol + rtol * abs(reference)``.
+
+    Attributes
+    ----------
+    atol
+        In the unit of the values.
+    rtol
+        A share of the reference.
+
+    Raises
+    ------
+    UsageError
+        If one is negative or not finite.
+    """
+
+    atol: float = 0.0
+    rtol: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, value in (("atol", self.atol), ("rtol", self.rtol)):
+            if not (math.isfinite(value) and value >= 0):
+                raise UsageError(f"{name} is {value}, it must be a finite number of at least 0")
+
+    @property
+    def exact(self) -> bool:
+        """Whether bits are compared."""
+        return not (self.atol or self.rtol)
+
+
+EXACT = Tolerance()
+
+
+@dataclass(frozen=True, slots=True)
+class Worst:
+    """The element that differs most.
+
+    Attributes
+    ----------
+    index
+        Of the element (the beam, the point).
+    reference, value
+        What it is in either array.
+    difference
+        ``abs(value - reference)``; infinity if only one of them is finite, 0.0 if only the bits differ.
+    """
+
+    index: int
+    reference: float
+    value: float
+    difference: float
+
+
+@dataclass(frozen=True, slots=True)
+class ArrayDifference:
+    """What differs between two arrays of one length.
+
+    Attributes
+    ----------
+    elements
+        Compared.
+    changed
+        Elements beyond the tolerance that no shift explains.
+    shifted
+        Elements beyond the tolerance whose value, or whose reference, is found at a neighbour that differs too: a
+        return that fell one beam over.
+    shift
+        1 if all of the reference is found one element later, -1 if one earlier, 0 otherwise.
+    worst
+        None if nothing differs.
+    """
+
+    elements: int
+    changed: int = 0
+    shifted: int = 0
+    shift: int = 0
+    worst: Worst | None = None
+
+    @property
+    def differing(self) -> int:
+        """Elements beyond the tolerance, for whatever reason."""
+        return self.changed + self.shifted
+
+
+def compare_arrays(
+    reference: NDArray[Any],
+    value: NDArray[Any],
+    tolerance: Tolerance = EXACT,
+    *,
+    limits: tuple[float, float] | None = None,
+) -> ArrayDifference:
+    """Compare two arrays, element by element.
+
+    Parameters
+    ----------
+    reference, value
+        Of one shape ``(n,)`` or ``(n, count)`` and one numeric dtype but for the byte order. An element with several
+        values differs if one of them does.
+    tolerance
+        Integers have none: they are equal or not. Infinities are equal to themselves only, and with a tolerance NaN
+        equals NaN.
+    limits
+        Smallest and largest value of a return. Given for one-dimensional arrays, returns that moved to a neighbour are
+        told apart from changed ones; values outside (what stands for no return) move nowhere.
+
+    Raises
+    ------
+    ValueError
+        If the shapes or dtypes differ.
+    """
+    kind = reference.dtype.newbyteorder("=")
+    if reference.shape != value.shape or kind != value.dtype.newbyteorder("="):
+        raise ValueError(f"{reference.dtype}{reference.shape} cannot be compared with {value.dtype}{value.shape}")
+    a, b = (np.ascontiguousarray(array, kind) for array in (reference, value))
+    elements = len(a)
+    differs = ~_same(a, b, tolerance)
+    rows: NDArray[np.bool_] = differs if differs.ndim == 1 else np.any(differs, axis=1)
+    total = int(np.count_nonzero(rows))
+    if not total:
+        return ArrayDifference(elements)
+    shifted = shift = 0
+    if limits is not None and elements > 1:
+        shifted = int(np.count_nonzero(_explained(a, b, rows, tolerance, limits)))
+        shift = _whole_shift(a, b, tolerance, limits)
+    return ArrayDifference(elements, total - shifted, shifted, shift, _worst(a, b, differs))
+
+
+def _same(a: NDArray[Any], b: NDArray[Any], tolerance: Tolerance) -> NDArray[np.bool_]:
+    """Which values are equal; all of one shape and dtype."""
+    result: NDArray[np.bool_]
+    if a.dtype.kind != "f":
+        result = a == b
+        return result
+    bits = np.dtype(f"u{a.dtype.itemsize}")
+    result = a.view(bits) == b.view(bits)
+    if tolerance.exact or result.all():
+        return result
+    wide_a, wide_b = a.astype(np.float64), b.astype(np.float64)
+    finite = np.isfinite(wide_a) & np.isfinite(wide_b)
+    with np.errstate(invalid="ignore", over="ignore"):
+        near = np.abs(wide_b - wide_a) <= tolerance.atol + tolerance.rtol * np.abs(wide_a)
+        equal = (wide_a == wide_b) | (np.isnan(wide_a) & np.isnan(wide_b))
+    result = result | equal | (finite & near)
+    return result
+
+
+def _explained(
+    a: NDArray[Any], b: NDArray[Any], differs: NDArray[np.bool_], tolerance: Tolerance, limits: tuple[float, float]
+) -> NDArray[np.bool_]:
+    """Which differing elements have their return at a neighbour that differs too."""
+    low, high = limits
+    both = differs[:-1] & differs[1:]
+    explained = np.zeros(len(a), bool)
+    # From one element to the next: a return of a's left is b's right, or the other way round.
+    for left, right in ((a, b), (b, a)):
+        found = both & _same(left[:-1], right[1:], tolerance) & (left[:-1] >= low) & (left[:-1] <= high)
+        found &= np.isfinite(left[:-1])
+        explained[:-1] |= found
+        explained[1:] |= found
+    return explained
+
+
+def _whole_shift(a: NDArray[Any], b: NDArray[Any], tolerance: Tolerance, limits: tuple[float, float]) -> int:
+    returns = np.isfinite(a) & (a >= limits[0]) & (a <= limits[1])
+    if returns[:-1].any() and _same(a[:-1], b[1:], tolerance).all():
+        return 1
+    if returns[1:].any() and _same(a[1:], b[:-1], tolerance).all():
+        return -1
+    return 0
+
+
+def _worst(a: NDArray[Any], b: NDArray[Any], differs: NDArray[np.bool_]) -> Worst:
+    places = np.flatnonzero(differs)
+    flat_a, flat_b = a.ravel()[places], b.ravel()[places]
+    with np.errstate(invalid="ignore", over="ignore"):
+        distance = np.abs(flat_b.astype(np.float64) - flat_a.astype(np.float64))
+        alike = (flat_a == flat_b) | (np.isnan(flat_a) & np.isnan(flat_b))
+    # NaN against a number is as far as it gets; bits that mean one value are no distance at all.
+    distance[np.isnan(distance)] = np.inf
+    distance[alike] = 0.0
+    place = int(np.argmax(distance))
+    index = int(places[place]) // (a.size // len(a))
+    return Worst(index, flat_a[place].item(), flat_b[place].item(), float(distance[place]))

@@ -1,0 +1,237 @@
+"""A golden case: a folder, what is in it, and what its ``case.yaml`` says."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from typing import TYPE_CHECKING, Any
+
+from pc2scan.bags.yaml import load_yaml
+from pc2scan.compare.rules import Rules
+from pc2scan.errors import UsageError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+__all__ = ["EXPECTED_TEXT", "KEYS", "Case", "case_folders", "is_case", "load_case"]
+
+EXPECTED_TEXT = "expected.txt"
+_EXPECTED = (EXPECTED_TEXT, "expected.bag", "expected.mcap", "expected")
+_INPUTS = ("input.bag", "input.mcap", "input.db3", "input")
+_SETTINGS = "case.yaml"
+_PARAMS = "params.yaml"
+#: What ``case.yaml`` may say.
+KEYS = ("input", "params", "arguments", "exit_status", "all_topics", "atol", "rtol", "allow_beams", "ignore")
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """A conversion, and what it is expected to make.
+
+    Attributes
+    ----------
+    folder
+        Where the case is.
+    inputs
+        Recordings; several are one.
+    params
+        The parameter file; None for upstream's defaults.
+    expected
+        ``expected.txt`` (see `pc2scan.compare.scan_text`) or a recording; None where there is none yet.
+    arguments
+        Further arguments of ``pc2scan convert``; ``{case}`` in them has become the folder.
+    exit_status
+        What the conversion is expected to end with.
+    all_topics
+        Whether all that is written is expected, and not only what is converted.
+    rules
+        What counts as the same.
+    """
+
+    folder: Path
+    inputs: tuple[Path, ...]
+    params: Path | None
+    expected: Path | None
+    arguments: tuple[str, ...]
+    exit_status: int
+    all_topics: bool
+    rules: Rules
+
+    def new_expected(self) -> Path:
+        """Where the expected output is to be written: in the form that it has, or as text where text can hold it."""
+        return self.expected or self.folder / ("expected.mcap" if self.all_topics else EXPECTED_TEXT)
+
+
+def is_case(folder: Path) -> bool:
+    """Whether a folder is a case, complete or not."""
+    return any((folder / name).exists() for name in (_SETTINGS, _PARAMS, *_INPUTS, *_EXPECTED))
+
+
+def case_folders(folder: Path, pattern: str = "") -> list[tuple[str, Path]]:
+    """Find the cases in a folder, at any depth; the folder itself may be one.
+
+    Parameters
+    ----------
+    pattern
+        A part of the name, or a glob over all of it; empty for every case.
+
+    Returns
+    -------
+    list of (name, folder)
+        Sorted; a name is the path below the folder.
+
+    Raises
+    ------
+    UsageError
+        If there is no folder, or no case in it, or none with such a name.
+    """
+    if not folder.is_dir():
+        raise UsageError("is not a folder", path=folder, hint="name the folder that holds the cases")
+    if is_case(folder):
+        found = [(folder.resolve().name, folder)]
+    else:
+        found = [(case.relative_to(folder).as_posix(), case) for case in _below(folder)]
+    if not found:
+        raise UsageError(
+            "no cases in it", path=folder, hint="a case is a folder with input.bag (or .mcap, ...) and params.yaml"
+        )
+    chosen = [(name, case) for name, case in found if pattern in name or fnmatchcase(name, pattern)]
+    if not chosen:
+        raise UsageError(f"none of its {len(found)} cases has {pattern!r} in its name", path=folder)
+    return chosen
+
+
+def _below(folder: Path) -> Iterator[Path]:
+    for path in sorted(folder.iterdir()):
+        if path.is_dir() and not path.is_symlink() and not path.name.startswith("."):
+            if is_case(path):
+                yield path
+            else:
+                yield from _below(path)
+
+
+def load_case(folder: Path) -> Case:
+    """Read what a case's folder says.
+
+    Raises
+    ------
+    UsageError
+        If something is missing, there twice, or its ``case.yaml`` says what cannot be.
+    """
+    settings = _settings(folder / _SETTINGS)
+    return Case(
+        folder=folder,
+        inputs=_inputs(folder, settings.get("input")),
+        params=_params(folder, settings.get("params")),
+        expected=_only(folder, _EXPECTED),
+        arguments=_arguments(folder, settings.get("arguments", [])),
+        exit_status=_checked(folder, settings, "exit_status", int, 0),
+        all_topics=_checked(folder, settings, "all_topics", bool, False),
+        rules=_rules(folder, settings),
+    )
+
+
+def _error(folder: Path, message: str, hint: str | None = None) -> UsageError:
+    return UsageError(message, path=folder / _SETTINGS, hint=hint)
+
+
+def _settings(path: Path) -> dict[str, Any]:
+    try:
+        text = path.read_text("utf-8")
+    except FileNotFoundError:
+        return {}
+    except (OSError, UnicodeDecodeError) as err:
+        raise UsageError(f"cannot be read: {err}", path=path) from err
+    try:
+        settings = load_yaml(text)
+    except ValueError as err:
+        raise UsageError(str(err), path=path) from err
+    if settings is None:
+        return {}
+    if not isinstance(settings, dict):
+        raise UsageError("is not a mapping", path=path, hint=f"the keys are {', '.join(KEYS)}")
+    if unknown := [key for key in settings if key not in KEYS]:
+        raise UsageError(f"unknown key {unknown[0]!r}", path=path, hint=f"the keys are {', '.join(KEYS)}")
+    return settings
+
+
+def _checked(folder: Path, settings: dict[str, Any], key: str, kind: type, default: Any) -> Any:
+    value = settings.get(key, default)
+    if type(value) is not kind:
+        raise _error(folder, f"{key} is {value!r}, it must be {'true or false' if kind is bool else 'a whole number'}")
+    return value
+
+
+def _inputs(folder: Path, named: Any) -> tuple[Path, ...]:
+    if named is None:
+        found = _only(folder, _INPUTS)
+        if found is None:
+            raise UsageError("has no input", path=folder, hint=f"{', '.join(_INPUTS)}, or 'input:' in {_SETTINGS}")
+        return (found,)
+    names = named if isinstance(named, list) else [named]
+    if not names or not all(isinstance(name, str) for name in names):
+        raise _error(folder, f"input is {named!r}, it must be a path or a list of paths")
+    return tuple(_existing(folder, name) for name in names)
+
+
+def _params(folder: Path, named: Any) -> Path | None:
+    if named is None:
+        return folder / _PARAMS if (folder / _PARAMS).exists() else None
+    if not isinstance(named, str):
+        raise _error(folder, f"params is {named!r}, it must be a path")
+    return _existing(folder, named)
+
+
+def _existing(folder: Path, name: str) -> Path:
+    """A file that the settings name; that it is missing must not pass for a conversion that fails as expected."""
+    path = folder / name
+    if not path.exists():
+        raise _error(folder, f"names {name}, which is not there", "paths are relative to the case's folder")
+    return path
+
+
+def _only(folder: Path, names: tuple[str, ...]) -> Path | None:
+    """The one of several names that exists."""
+    found = [folder / name for name in names if (folder / name).exists()]
+    if len(found) > 1:
+        raise UsageError(f"has {' and '.join(path.name for path in found)}", path=folder, hint="remove all but one")
+    return found[0] if found else None
+
+
+def _arguments(folder: Path, value: Any) -> tuple[str, ...]:
+    if not isinstance(value, list) or any(isinstance(part, (list, dict)) or part is None for part in value):
+        raise _error(folder, f"arguments is {value!r}, it must be a list", "such as [--topic, /points:=/scan]")
+    parts = tuple(part if isinstance(part, str) else str(part) for part in value)
+    if taken := [part for part in parts if part.split("=")[0] in ("-o", "--output", "--overwrite")]:
+        raise _error(folder, f"arguments has {taken[0]}, but where the output goes is not a case's to say")
+    return tuple(part.replace("{case}", str(folder)) for part in parts)
+
+
+def _rules(folder: Path, settings: dict[str, Any]) -> Rules:
+    ignore = settings.get("ignore", [])
+    names = ignore if isinstance(ignore, list) else [ignore]
+    share = settings.get("allow_beams", 0.0)
+    if not _is_number(share):
+        raise _error(folder, f"allow_beams is {share!r}, it must be a number")
+    try:
+        return Rules(
+            atol=_tolerance(folder, settings, "atol"),
+            rtol=_tolerance(folder, settings, "rtol"),
+            allow_beams=float(share),
+            ignore=frozenset(map(str, names)),
+        )
+    except UsageError as err:
+        raise _error(folder, err.message, err.hint) from err
+
+
+def _tolerance(folder: Path, settings: dict[str, Any], key: str) -> dict[str, float]:
+    value = settings.get(key, {})
+    named = value if isinstance(value, dict) else {"": value}
+    if not all(isinstance(name, str) and _is_number(number) for name, number in named.items()):
+        raise _error(folder, f"{key} is {value!r}, it must be a number or numbers by name", "such as {x: 1.0e-6}")
+    return {name: float(number) for name, number in named.items()}
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)

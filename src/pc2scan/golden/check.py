@@ -1,0 +1,122 @@
+"""Run a case's conversion, and compare what it makes with what is expected."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, NamedTuple
+
+from pc2scan.compare.diff import diff, open_source
+from pc2scan.compare.scan_text import render
+from pc2scan.errors import OutputError, Pc2ScanError, RecordingError
+
+from .case import EXPECTED_TEXT, load_case
+from .result import CaseResult, Outcome
+
+if TYPE_CHECKING:
+    from pc2scan.compare.result import Difference
+
+    from .case import Case
+
+__all__ = ["Command", "Ended", "check_case"]
+
+#: What the two sides are called.
+NAMES = ("expected", "actual")
+
+
+class Ended(NamedTuple):
+    """How a command ended, and what it had to say."""
+
+    status: int
+    messages: str
+
+
+#: Runs pc2scan with arguments, as the command line does.
+Command = Callable[[Sequence[str]], Ended]
+
+
+def check_case(name: str, folder: Path, command: Command, *, update: bool = False) -> CaseResult:
+    """Check a case.
+
+    Parameters
+    ----------
+    name
+        What to call it.
+    command
+        Runs ``pc2scan``.
+    update
+        Whether an expected output that differs, or is not there, is written anew. What differs only within the case's
+        tolerances is left as it is.
+    """
+    began = time.monotonic()
+    try:
+        outcome, lines, difference = _checked(load_case(folder), command, update=update)
+    except Pc2ScanError as err:
+        outcome, difference = Outcome.error, None
+        lines = (str(err), *([f"hint: {err.hint}"] if err.hint else []))
+    return CaseResult(name, outcome, tuple(lines), difference, time.monotonic() - began)
+
+
+_Checked = tuple[Outcome, Sequence[str], "Difference | None"]
+
+
+def _checked(case: Case, command: Command, *, update: bool) -> _Checked:
+    with TemporaryDirectory(prefix="pc2scan-golden-") as folder:
+        actual = Path(folder) / "actual.mcap"
+        ended = command(_arguments(case, actual, "--compression", "none"))
+        if ended.status != case.exit_status:
+            told = f"the conversion ended with {ended.status}, expected is {case.exit_status}"
+            return Outcome.failed, [told, *ended.messages.splitlines()], None
+        if not actual.exists():
+            # It failed, as it should.
+            return Outcome.passed, [], None
+        if case.expected is None:
+            lines: list[str] = [f"there is no expected output: --update makes {case.new_expected().name}"]
+            difference = None
+        else:
+            try:
+                difference = diff(case.expected, actual, all_topics=case.all_topics, rules=case.rules)
+            except RecordingError as err:
+                if not update:
+                    raise
+                lines, difference = [str(err)], None
+            else:
+                if difference.same:
+                    return Outcome.passed, [], difference
+                lines = difference.text(NAMES).splitlines()
+        if not update:
+            return Outcome.failed, lines, difference
+        _write_expected(case, actual, command)
+        return Outcome.updated, lines if case.expected else [f"new: {case.new_expected().name}"], difference
+
+
+def _arguments(case: Case, destination: Path, *further: str) -> list[str]:
+    arguments = ["convert", *map(str, case.inputs), "-o", str(destination), *further]
+    if case.params is not None:
+        arguments += ["--params-file", str(case.params)]
+    if not case.all_topics:
+        arguments.append("--only-scans")
+    return [*arguments, *case.arguments]
+
+
+def _write_expected(case: Case, actual: Path, command: Command) -> None:
+    """Make what was made the expected output, in the form that it has."""
+    path = case.new_expected()
+    if path.name != EXPECTED_TEXT:
+        ended = command(_arguments(case, path, "--overwrite"))
+        if ended.status != case.exit_status:
+            raise OutputError(f"cannot be written: {ended.messages.strip()}", path=path)
+        return
+    source = open_source(actual)
+    try:
+        text = render(source.messages())
+    finally:
+        source.close()
+    partial = path.with_name(f"{path.name}.pc2scan-partial")
+    try:
+        partial.write_text(text, "utf-8", newline="\n")
+        partial.replace(path)
+    except OSError as err:
+        raise OutputError(f"cannot be written: {err.strerror}", path=path) from err

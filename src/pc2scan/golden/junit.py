@@ -1,0 +1,49 @@
+"""Golden cases as JUnit XML, which CI systems show beside the results of other tests."""
+
+from __future__ import annotations
+
+import re
+import xml.etree.ElementTree as ET  # only written, never parsed
+from typing import TYPE_CHECKING
+
+from .result import Outcome
+
+if TYPE_CHECKING:
+    from .result import GoldenReport
+
+__all__ = ["junit_xml"]
+
+#: What XML 1.0 cannot hold, however it is escaped.
+_UNPRINTABLE = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+
+
+def junit_xml(report: GoldenReport) -> str:
+    """Write one test suite, with a test case a golden case; an updated case has passed."""
+    suite = ET.Element(
+        "testsuite",
+        name="pc2scan golden",
+        tests=str(len(report.cases)),
+        failures=str(report.counts[Outcome.failed]),
+        errors=str(report.counts[Outcome.error]),
+        skipped="0",
+        time=f"{report.seconds:.3f}",
+    )
+    for case in report.cases:
+        element = ET.SubElement(
+            suite, "testcase", classname="pc2scan.golden", name=_clean(case.name), time=f"{case.seconds:.3f}"
+        )
+        text = _clean("\n".join(case.lines))
+        if case.outcome in (Outcome.failed, Outcome.error):
+            kind = "failure" if case.outcome is Outcome.failed else "error"
+            told = ET.SubElement(element, kind, message=text.partition("\n")[0])
+            told.text = text
+        elif text:
+            ET.SubElement(element, "system-out").text = text
+    root = ET.Element("testsuites")
+    root.append(suite)
+    ET.indent(root)
+    return f'<?xml version="1.0" encoding="utf-8"?>\n{ET.tostring(root, encoding="unicode")}\n'
+
+
+def _clean(text: str) -> str:
+    return _UNPRINTABLE.sub("?", text)

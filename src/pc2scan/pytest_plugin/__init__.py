@@ -1,0 +1,105 @@
+"""A pytest plugin: golden cases as tests, and fixtures that compare recordings.
+
+``pytest --pc2scan-golden DIR`` runs the cases of a folder beside the other tests; with the ini option
+``pc2scan_golden`` they run whenever pytest comes across the folder. Silent unless asked: what it needs is imported
+by the first test that uses it, and the hooks do nothing without a folder.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+    from os import PathLike
+
+    from .collect import GoldenCase, GoldenFolder
+
+__all__ = ["assert_same_scans", "pc2scan_golden"]
+
+_FOLDERS = pytest.StashKey[frozenset[Path]]()
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Declare the options."""
+    group = parser.getgroup("pc2scan")
+    group.addoption(
+        "--pc2scan-golden",
+        action="append",
+        default=[],
+        metavar="DIR",
+        help="Also run the golden cases of this folder. Repeatable.",
+    )
+    group.addoption(
+        "--pc2scan-update",
+        action="store_true",
+        help="Write the expected output of golden cases that differ or have none.",
+    )
+    parser.addini(
+        "pc2scan_golden", "Folders of golden cases, run when pytest comes across them.", type="paths", default=[]
+    )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Remember the folders; those of the command line are collected whatever else is."""
+    asked = [(config.invocation_params.dir / folder).resolve() for folder in config.getoption("--pc2scan-golden")]
+    folders = frozenset((*asked, *(folder.resolve() for folder in config.getini("pc2scan_golden"))))
+    if folders and not hasattr(pytest, "Directory"):
+        raise pytest.UsageError(f"golden cases of pc2scan need pytest 8 or newer, this is {pytest.__version__}")
+    config.stash[_FOLDERS] = folders
+    # Workers of pytest-xdist get the arguments with these already among them.
+    config.args += [str(folder) for folder in asked if str(folder) not in config.args]
+
+
+# Older versions of pytest do not know this hook.
+@pytest.hookimpl(tryfirst=True, optionalhook=True)
+def pytest_collect_directory(path: Path, parent: pytest.Collector) -> GoldenFolder | GoldenCase | None:
+    """Take the folders of golden cases, and leave all others to pytest."""
+    folders = parent.config.stash[_FOLDERS]
+    resolved = path.resolve() if folders else path
+    if not any(folder == resolved or folder in resolved.parents for folder in folders):
+        return None
+    from .collect import collector  # noqa: PLC0415 - loads what comparing needs
+
+    return collector(path, parent)
+
+
+@pytest.fixture(scope="session")
+def assert_same_scans() -> Callable[..., None]:
+    """Compare two recordings: ``assert_same_scans(expected, actual, rtol=1e-5)``; takes what `pc2scan.diff` takes."""
+
+    def assert_same(
+        expected: str | PathLike[str],
+        actual: str | PathLike[str],
+        *,
+        atol: float | Mapping[str, float] = 0.0,
+        rtol: float | Mapping[str, float] = 0.0,
+        **rules: Any,
+    ) -> None:
+        __tracebackhide__ = True
+        import pc2scan  # noqa: PLC0415
+
+        difference = pc2scan.diff(expected, actual, atol=atol, rtol=rtol, **rules)
+        if not difference.same:
+            pytest.fail(difference.text(("expected", "actual")), pytrace=False)
+
+    return assert_same
+
+
+@pytest.fixture(scope="session")
+def pc2scan_golden(request: pytest.FixtureRequest) -> Callable[[str | PathLike[str]], None]:
+    """Check one golden case: ``pc2scan_golden("golden/hall")``."""
+    update = bool(request.config.getoption("--pc2scan-update"))
+
+    def check(folder: str | PathLike[str]) -> None:
+        __tracebackhide__ = True
+        from .collect import checked  # noqa: PLC0415
+
+        result = checked(Path(folder), update=update)
+        if result.outcome in ("failed", "error"):
+            pytest.fail("\n".join((f"golden case {result.name}", *result.lines)), pytrace=False)
+
+    return check

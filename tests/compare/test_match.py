@@ -1,0 +1,174 @@
+from __future__ import annotations
+
+import tracemalloc
+from collections import Counter, defaultdict
+from dataclasses import dataclass
+from itertools import count
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pc2scan.bags.model import Connection, RawMessage
+from pc2scan.compare.match import Match, Stream, matched, moved_indices
+from pc2scan.compare.scan_text import ScanText
+from pc2scan.errors import RecordingError
+from pc2scan.messages.wire import Packer
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator, Sequence
+
+CONNECTION = Connection(0, "/scan", "sensor_msgs/msg/LaserScan", "cdr")
+
+
+def header(stamp_ns: int) -> bytes:
+    packer = Packer("cdr")
+    packer.header(0, stamp_ns, "laser")
+    return packer.finish()
+
+
+def stream(stamps: Sequence[int], times: Sequence[int] | None = None) -> Stream:
+    """Messages by their stamps; ``sequence`` is the place of each."""
+    places = count()
+    content = [
+        RawMessage(CONNECTION, time, header(stamp), time, next(places))
+        for time, stamp in zip(times or range(100, 100 + len(stamps)), stamps, strict=True)
+    ]
+    return Stream(ScanText(Path("made"), [CONNECTION], content), (CONNECTION,))
+
+
+def places(matches: Iterator[Match]) -> list[tuple[int | None, int | None, bool]]:
+    return [(m.a.sequence if m.a else None, m.b.sequence if m.b else None, m.moved) for m in matches]
+
+
+def longest_in_order(values: Sequence[int]) -> int:
+    """By trying for each value what may come before."""
+    best = [0] * len(values)
+    for i, value in enumerate(values):
+        best[i] = 1 + max((best[j] for j in range(i) if values[j] < value), default=0)
+    return max(best, default=0)
+
+
+STAMPS = st.lists(st.integers(1, 6), max_size=12)
+
+
+@given(STAMPS, STAMPS)
+def test_every_message_once_with_the_partner_of_its_stamp(a: list[int], b: list[int]) -> None:
+    found = places(matched(stream(a), stream(b)))
+    assert sorted(i for i, _, _ in found if i is not None) == list(range(len(a)))
+    assert sorted(j for _, j, _ in found if j is not None) == list(range(len(b)))
+    assert [i for i, _, _ in found if i is not None] == list(range(len(a)))
+    pairs = [(i, j, moved) for i, j, moved in found if i is not None and j is not None]
+    assert len(pairs) == sum((Counter(a) & Counter(b)).values())
+    # Of repeated stamps the first belongs to the first.
+    in_a, in_b = ({s: [k for k, v in enumerate(side) if v == s] for s in set(side)} for side in (a, b))
+    by_stamp: defaultdict[int, list[tuple[int, int]]] = defaultdict(list)
+    for i, j, _ in pairs:
+        assert a[i] == b[j]
+        by_stamp[a[i]].append((i, j))
+    for stamp, found_pairs in by_stamp.items():
+        assert found_pairs == list(zip(in_a[stamp], in_b[stamp], strict=False))
+    # As few as possible have moved, and the others are in order.
+    stayed = [j for _, j, moved in pairs if not moved]
+    assert stayed == sorted(stayed)
+    assert len(stayed) == longest_in_order([j for _, j, _ in pairs])
+
+
+@given(st.permutations(range(8)))
+def test_the_longest_run_stays(mates: list[int]) -> None:
+    assert len(moved_indices(mates)) == 8 - longest_in_order(mates)
+
+
+def test_a_swapped_pair_is_one_move() -> None:
+    found = places(matched(stream([1, 2, 3, 4]), stream([1, 3, 2, 4])))
+    assert sum(moved for _, _, moved in found) == 1
+    assert {(i, j) for i, j, _ in found} == {(0, 0), (1, 2), (2, 1), (3, 3)}
+
+
+def test_a_clock_that_jumps_back_after_a_gap() -> None:
+    a = [*range(1000, 1100), *range(1, 100)]
+    b = [*a[:20], *a[60:]]
+    found = places(matched(stream(a), stream(b)))
+    assert [i for i, j, _ in found if j is None] == list(range(20, 60))
+    assert not any(moved for _, _, moved in found)
+
+
+def test_messages_without_a_stamp_go_by_log_time() -> None:
+    # The second is missing: those after it keep their partners all the same.
+    found = places(matched(stream([0, 0, 0, 0], [10, 20, 30, 40]), stream([0, 0, 0], [10, 30, 40])))
+    assert [(i, j) for i, j, _ in found] == [(0, 0), (1, None), (2, 1), (3, 2)]
+
+
+def test_a_stamp_is_no_log_time() -> None:
+    found = places(matched(stream([0], [500]), stream([500], [500])))
+    assert {(i, j) for i, j, _ in found} == {(0, None), (None, 0)}
+
+
+def test_headers_that_cannot_be_read_go_by_log_time() -> None:
+    short = [RawMessage(CONNECTION, time, b"\0\1", time) for time in (1, 2)]
+    sides = [Stream(ScanText(Path("made"), [CONNECTION], short), (CONNECTION,)) for _ in range(2)]
+    assert [(m.a is None, m.b is None) for m in matched(*sides)] == [(False, False)] * 2
+
+
+def test_equal_log_times_are_told_apart_when_a_message_moved() -> None:
+    found = places(matched(stream([1, 2, 3], [5, 5, 5]), stream([3, 1, 2], [5, 5, 5])))
+    assert {(i, j) for i, j, _ in found} == {(0, 1), (1, 2), (2, 0)}
+
+
+@dataclass(frozen=True)
+class Endless:
+    """Messages made when they are asked for: what is held is what the matching holds."""
+
+    stamps: tuple[int, ...]
+    path: Path = Path("made")
+    connections: tuple[Connection, ...] = (CONNECTION,)
+
+    def messages(
+        self,
+        connections: Collection[Connection] | None = None,  # noqa: ARG002 - there is one
+        start_ns: int | None = None,
+        stop_ns: int | None = None,
+    ) -> Iterator[RawMessage]:
+        for time, stamp in enumerate(self.stamps):
+            if (start_ns is None or time >= start_ns) and (stop_ns is None or time < stop_ns):
+                yield RawMessage(CONNECTION, time, header(stamp) + bytes(200_000), time)
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.mark.parametrize("change", ["none", "gap", "reversed ends"])
+def test_memory_does_not_grow_with_the_recording(change: str) -> None:
+    stamps = tuple(range(1, 301))
+    other = {"none": stamps, "gap": stamps[:5] + stamps[250:], "reversed ends": (300, *stamps[1:-1], 1)}[change]
+    streams = [Stream(Endless(s), (CONNECTION,)) for s in (stamps, other)]
+    tracemalloc.start()
+    try:
+        pairs = sum(m.a is not None and m.b is not None for m in matched(*streams))
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert pairs == len(other)
+    # 60 MB pass on either side.
+    assert peak < 3_000_000
+
+
+class Shrinking(ScanText):
+    def messages(
+        self,
+        connections: Collection[Connection] | None = None,
+        start_ns: int | None = None,
+        stop_ns: int | None = None,
+    ) -> Iterator[RawMessage]:
+        return iter(()) if start_ns is not None else super().messages(connections, start_ns, stop_ns)
+
+
+def test_a_recording_that_changes_meanwhile_is_an_error() -> None:
+    a, b = stream([1, 2, 3]), stream([3, 2, 1])
+    source = b.source
+    assert isinstance(source, ScanText)
+    shrinking = Shrinking(source.path, source.connections, source.content)
+    with pytest.raises(RecordingError, match="changed while it was read"):
+        list(matched(a, Stream(shrinking, (CONNECTION,))))

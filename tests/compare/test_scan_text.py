@@ -1,0 +1,160 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from builders import CLOUD, STRING, T0, cloud, deserialized, points_of, scan, serialized, string, typestore
+from pc2scan.bags.model import Connection, RawMessage
+from pc2scan.compare.diff import open_source
+from pc2scan.compare.rules import GEOMETRY
+from pc2scan.compare.scan_text import is_scan_text, open_scan_text, render
+from pc2scan.errors import RecordingError, UsageError
+from pc2scan.messages.laserscan import LASERSCAN, LaserScan, encode_laserscan
+from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointField, encode_pointcloud2
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+ENCODINGS = {1: "ros1", 2: "cdr"}
+
+
+def message(data: bytes, msgtype: str = LASERSCAN, generation: int = 2, topic: str = "/scan") -> RawMessage:
+    return RawMessage(Connection(4, topic, msgtype, ENCODINGS[generation]), T0, data, T0)
+
+
+def reread(tmp_path: Path, *messages: RawMessage) -> list[RawMessage]:
+    path = tmp_path / "expected.txt"
+    path.write_text(render(messages))
+    return list(open_scan_text(path).messages())
+
+
+BITS = arrays(np.uint32, st.integers(0, 25)).map(lambda bits: bits.view(np.float32))
+TEXTS = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=5)
+
+
+@given(
+    ranges=BITS,
+    intensities=BITS,
+    geometry=st.lists(st.floats(width=32), min_size=7, max_size=7),
+    stamp_ns=st.integers(-(2**31) * 10**9, 2**31 * 10**9 - 1),
+    frame_id=TEXTS,
+)
+def test_any_scan_survives_to_the_bit(
+    tmp_path_factory: pytest.TempPathFactory,
+    ranges: np.ndarray[tuple[int], np.dtype[np.float32]],
+    intensities: np.ndarray[tuple[int], np.dtype[np.float32]],
+    geometry: list[float],
+    stamp_ns: int,
+    frame_id: str,
+) -> None:
+    values = dict(zip(GEOMETRY, geometry, strict=True))
+    data = encode_laserscan(LaserScan(0, stamp_ns, frame_id, **values, ranges=ranges, intensities=intensities), "cdr")
+    (again,) = reread(tmp_path_factory.mktemp("text"), message(data))
+    assert again.data == data
+    assert again.log_time_ns == T0
+
+
+KINDS = ["i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8"]
+
+
+@given(st.binary(min_size=0, max_size=64), st.sampled_from(range(1, 9)), st.integers(0, 2))
+def test_any_cloud_survives_to_the_bit(
+    tmp_path_factory: pytest.TempPathFactory, content: bytes, datatype: int, count: int
+) -> None:
+    step = np.dtype(KINDS[datatype - 1]).itemsize * max(count, 1)
+    data = encode_pointcloud2(
+        serialization="ros1",
+        sequence=7,
+        stamp_ns=5,
+        frame_id="a  # b",
+        fields=[PointField("value of it", 0, datatype, count)],
+        point_step=step,
+        data=content[: len(content) // step * step],
+    )
+    (again,) = reread(tmp_path_factory.mktemp("text"), message(data, POINTCLOUD2, 1))
+    assert again.data == data
+
+
+@pytest.mark.parametrize("generation", [1, 2])
+def test_several_topics_keep_their_order(generation: int, tmp_path: Path) -> None:
+    ranges = np.array([1.5, np.inf, np.nan, -0.0], np.float32)
+    messages = [
+        message(scan(ranges, generation, seq=3), LASERSCAN, generation, "/front scan"),
+        message(cloud(points_of(1), generation, seq=4), POINTCLOUD2, generation, "/cloud"),
+        message(scan(ranges[:2], generation, seq=5), LASERSCAN, generation, "/front scan"),
+    ]
+    again = reread(tmp_path, *messages)
+    assert [(m.connection.topic, bytes(m.data)) for m in again] == [(m.connection.topic, m.data) for m in messages]
+
+
+def test_one_changed_beam_is_one_changed_line() -> None:
+    ranges = np.linspace(1, 9, 400, dtype=np.float32)
+    changed = ranges.copy()
+    changed[123] += 1
+    before, after = (render([message(scan(values, 2))]).splitlines() for values in (ranges, changed))
+    differing = [(x, y) for x, y in zip(before, after, strict=True) if x != y]
+    assert len(differing) == 1
+    assert differing[0][0].split(":")[0].strip() == "120"
+    assert max(map(len, before)) < 130
+
+
+def test_a_reader_sees_what_is_in_a_scan() -> None:
+    text = render([message(scan(np.array([0.5, np.inf, 12.25], np.float32), 2))])
+    assert "2 returns, 0.500 to 12.250 m" in text
+    assert "0: 0.5 inf 12.25" in text
+    assert f"stamp {T0 // 10**9}.{T0 % 10**9:09d}" in text
+
+
+def test_what_text_cannot_hold_is_refused() -> None:
+    padded = deserialized(cloud(points_of(1, 4), 2), CLOUD, 2)
+    data = np.full((4, 16), 7, np.uint8)
+    data[:, :12] = padded.data.reshape(4, 12)
+    wide = replace(padded, point_step=16, row_step=64, data=data.ravel())
+    with pytest.raises(UsageError, match="padding would be lost"):
+        render([message(serialized(typestore(2), wide, CLOUD, 2), POINTCLOUD2)])
+    with pytest.raises(UsageError, match="cannot be written as text"):
+        render([message(string("hello", 2), STRING)])
+
+
+def test_only_its_own_text_is_taken_for_it(tmp_path: Path) -> None:
+    path = tmp_path / "notes.txt"
+    path.write_text("# pc2scan notes\n")
+    assert not is_scan_text(path)
+    with pytest.raises(RecordingError):
+        open_source(path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "blamed"),
+    [
+        ("range_max 30.0", "range_maximum 30.0", "range_maximum"),
+        ("ranges 3", "ranges 4", "intensities 0"),
+        ("0: 1.0 2.0 3.0", "1: 1.0 2.0 3.0", "1: 1.0"),
+        ("0: 1.0 2.0 3.0", "0: 1.0 two 3.0", "two"),
+        ('topic "/scan"', '<<<<<<< ours\ntopic "/scan"', "<<<<<<<"),
+        ('frame_id "laser"', "frame_id laser", "frame_id"),
+    ],
+)
+def test_damage_is_named_with_its_line(old: str, new: str, blamed: str, tmp_path: Path) -> None:
+    path = tmp_path / "expected.txt"
+    text = render([message(scan(np.array([1, 2, 3], np.float32), 2))])
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+    (line,) = [n for n, line in enumerate(path.read_text().splitlines(), 1) if blamed in line]
+    with pytest.raises(RecordingError, match=rf"line {line} is not what was written") as caught:
+        open_scan_text(path)
+    assert "--update" in (caught.value.hint or "")
+
+
+def test_a_cut_is_by_log_time(tmp_path: Path) -> None:
+    path = tmp_path / "expected.txt"
+    path.write_text(render([message(scan(np.array([1], np.float32), 2))._replace(log_time_ns=t) for t in (5, 6, 7)]))
+    source = open_scan_text(path)
+    assert [m.log_time_ns for m in source.messages(source.connections, 6, 7)] == [6]
+    assert list(source.messages([])) == []

@@ -1,0 +1,237 @@
+"""``pc2scan golden``: from an empty folder to a guarded conversion."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import xml.etree.ElementTree as ET
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from typer.testing import CliRunner
+
+import pc2scan
+from e2e.command import Finished, run
+from pc2scan.cli.app import app
+from support import ROOT
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+HALL = ROOT / "fixtures" / "hall.bag"
+PARAMS = "pointcloud_to_laserscan:\n  ros__parameters:\n    min_height: -0.3\n    max_height: 1.0\n"
+
+
+def golden(*arguments: str | Path) -> Finished:
+    done = CliRunner().invoke(app, ["golden", *(str(argument) for argument in arguments)])
+    return Finished(done.exit_code, done.stdout, done.stderr)
+
+
+def outcomes(folder: Path, *options: str) -> dict[str, str]:
+    found = json.loads(golden(folder, "--json", *options).stdout)
+    return {case["name"]: case["outcome"] for case in found["cases"]}
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A folder with one case that has no expected output yet."""
+    case = tmp_path / "golden" / "hall"
+    case.mkdir(parents=True)
+    shutil.copy(HALL, case / "input.bag")
+    (case / "params.yaml").write_text(PARAMS)
+    return tmp_path / "golden"
+
+
+def change(folder: Path, height: str = "0.5") -> None:
+    (folder / "hall" / "params.yaml").write_text(PARAMS.replace("1.0", height))
+
+
+def test_from_the_first_case_to_a_reviewed_change(folder: Path) -> None:
+    done = golden(folder)
+    assert done.status == 1
+    assert "there is no expected output: --update makes expected.txt" in done.stdout
+    assert not (folder / "hall" / "expected.txt").exists()
+
+    done = run("golden", folder, "--update")
+    assert (done.status, done.stderr) == (0, "")
+    assert "updated hall" in done.stdout
+    expected = folder / "hall" / "expected.txt"
+    before = expected.read_bytes()
+    assert golden(folder).status == 0
+
+    change(folder)
+    done = run("golden", folder)
+    assert done.status == 1
+    assert "failed  hall" in done.stdout
+    assert "in expected" in done.stdout
+    assert "in actual" in done.stdout
+    assert "1 failed in" in done.stdout
+    assert expected.read_bytes() == before
+
+    assert outcomes(folder, "--update") == {"hall": "updated"}
+    assert expected.read_bytes() != before
+    assert outcomes(folder, "--update") == {"hall": "passed"}
+    assert sorted(path.name for path in expected.parent.iterdir()) == ["expected.txt", "input.bag", "params.yaml"]
+
+
+def test_an_update_writes_what_convert_writes(folder: Path, tmp_path: Path) -> None:
+    assert golden(folder, "--update").status == 0
+    case = folder / "hall"
+    done = run("convert", HALL, "-o", tmp_path / "out.bag", "--params-file", case / "params.yaml", "--only-scans")
+    assert done.status == 0, done.stderr
+    assert pc2scan.diff(case / "expected.txt", tmp_path / "out.bag").same
+
+
+@pytest.mark.parametrize("name", ["expected.bag", "expected.mcap", "expected"])
+def test_an_expected_recording_stays_what_it_is(name: str, folder: Path) -> None:
+    case = folder / "hall"
+    params = pc2scan.ProjectionParams(min_height=-0.3, max_height=1.0)
+    pc2scan.convert(HALL, case / name, params=params, only_scans=True)
+    assert outcomes(folder) == {"hall": "passed"}
+    change(folder)
+    assert outcomes(folder) == {"hall": "failed"}
+    assert outcomes(folder, "--update") == {"hall": "updated"}
+    assert outcomes(folder) == {"hall": "passed"}
+    assert not (case / "expected.txt").exists()
+
+
+def test_what_differs_within_the_tolerance_is_not_updated(folder: Path) -> None:
+    assert golden(folder, "--update").status == 0
+    expected = folder / "hall" / "expected.txt"
+    lines = expected.read_text().splitlines()
+    place = next(k for k, line in enumerate(lines) if line.strip().startswith("100:"))
+    label, _, values = lines[place].partition(":")
+    first, *rest = values.split()
+    lines[place] = f"{label}: {float(first) + 1e-6} {' '.join(rest)}"
+    expected.write_text("\n".join(lines) + "\n")
+    before = expected.read_bytes()
+    assert outcomes(folder) == {"hall": "failed"}
+    (folder / "hall" / "case.yaml").write_text("atol: {ranges: 1.0e-5}")
+    assert outcomes(folder, "--update") == {"hall": "passed"}
+    assert expected.read_bytes() == before
+
+
+def test_an_unreadable_expected_output(folder: Path) -> None:
+    assert golden(folder, "--update").status == 0
+    expected = folder / "hall" / "expected.txt"
+    expected.write_text(expected.read_text().replace("  stamp", "<<<<<<< ours\n  stamp", 1))
+    done = golden(folder)
+    assert done.status == 2
+    assert "error   hall" in done.stdout
+    assert "is not what was written" in done.stdout
+    assert outcomes(folder, "--update") == {"hall": "updated"}
+    assert outcomes(folder) == {"hall": "passed"}
+
+
+def settings(folder: Path, text: str) -> Path:
+    (folder / "hall" / "case.yaml").write_text(text)
+    return folder
+
+
+def test_one_input_for_several_cases_and_arguments(folder: Path) -> None:
+    shutil.move(folder / "hall" / "input.bag", folder / "hall.bag")
+    for name, argument in (("all", "--no-use-inf"), ("named", "--range-max=5")):
+        shutil.copytree(folder / "hall", folder / name)
+        (folder / name / "case.yaml").write_text(f"input: ../hall.bag\narguments: [-t, '/points:=/x', {argument}]\n")
+    shutil.rmtree(folder / "hall")
+    assert outcomes(folder, "--update") == {"all": "updated", "named": "updated"}
+    assert outcomes(folder) == {"all": "passed", "named": "passed"}
+    texts = [(folder / name / "expected.txt").read_text() for name in ("all", "named")]
+    assert all('topic "/x" sensor_msgs/msg/LaserScan' in text for text in texts)
+    assert "range_max 5.0" in texts[1]
+    assert texts[0] != texts[1]
+
+
+def test_arguments_that_name_files_of_the_case(folder: Path, tmp_path: Path) -> None:
+    (folder / "hall" / "mount.yaml").write_text("- lidar cup 0 0 0 0 0 0\n")
+    settings(folder, "arguments: [--static-tf-file, '{case}/mount.yaml', --target-frame, cup]")
+    assert golden(folder, "--update").status == 0
+    text = (folder / "hall" / "expected.txt").read_text()
+    assert 'frame_id "cup"' in text
+    # From wherever it is run.
+    done = run("golden", os.path.relpath(folder, tmp_path.parent), cwd=tmp_path.parent)
+    assert done.status == 0, done.stdout
+
+
+def test_an_expected_exit_status(folder: Path) -> None:
+    # Without a transform for the frame every cloud is skipped.
+    (folder / "hall" / "params.yaml").write_text(PARAMS + "    target_frame: map\n")
+    done = golden(folder, "--update")
+    assert done.status == 1
+    assert "ended with 3, expected is 0" in done.stdout
+    assert "map" in done.stdout
+    assert outcomes(settings(folder, "exit_status: 3"), "--update") == {"hall": "updated"}
+    assert outcomes(folder) == {"hall": "passed"}
+    (folder / "hall" / "params.yaml").write_text(PARAMS)
+    assert outcomes(folder) == {"hall": "failed"}
+
+
+def test_a_failure_that_is_expected_needs_no_output(folder: Path) -> None:
+    (folder / "hall" / "params.yaml").write_text(PARAMS.replace("min_height: -0.3", "min_height: 2.0"))
+    assert outcomes(folder) == {"hall": "failed"}
+    assert outcomes(settings(folder, "exit_status: 2")) == {"hall": "passed"}
+
+
+def test_everything_that_is_written(folder: Path) -> None:
+    settings(folder, "all_topics: true")
+    assert outcomes(folder, "--update") == {"hall": "updated"}
+    found = json.loads(golden(folder, "--json").stdout)
+    (case,) = found["cases"]
+    assert case["outcome"] == "passed"
+    names = [topic["topic_a"] for topic in case["difference"]["topics"]]
+    assert names == ["/scan", "/tf", "/tf_static"]
+    settings(folder, "all_topics: true\narguments: [--drop, /tf]")
+    assert outcomes(folder) == {"hall": "failed"}
+
+
+def test_junit_and_patterns(folder: Path, tmp_path: Path) -> None:
+    shutil.copytree(folder / "hall", folder / "broken")
+    (folder / "broken" / "input.bag").write_bytes(b"#ROSBAG V2.0\nand nothing more")
+    assert outcomes(folder, "--update", "-k", "hall") == {"hall": "updated"}
+    done = golden(folder, "--junit", tmp_path / "report.xml", "-q")
+    assert done.status == 1
+    assert "passed  hall" not in done.stdout
+    (suite,) = ET.parse(tmp_path / "report.xml").getroot()
+    assert {case.get("name"): [part.tag for part in case] for case in suite} == {"broken": ["failure"], "hall": []}
+    assert golden(folder, "-k", "ha*").status == 0
+
+
+def test_wrong_usage(folder: Path, tmp_path: Path) -> None:
+    for arguments, told in (
+        ((tmp_path / "nowhere",), "not a folder"),
+        ((HALL,), "not a folder"),
+        ((folder, "-k", "nothing"), "none of its 1 cases"),
+        ((folder, "--junit", tmp_path / "no" / "report.xml"), "directory does not exist"),
+        ((), "DIR"),
+    ):
+        done = golden(*arguments)
+        assert done.status == 2, arguments
+        assert told in done.stderr
+    done = golden(settings(folder, "tolerance: 3"))
+    assert done.status == 2
+    assert "unknown key 'tolerance'" in done.stdout
+    assert "hint: the keys are" in done.stdout
+
+
+def test_an_unwritable_report(folder: Path, tmp_path: Path) -> None:
+    assert golden(folder, "--update").status == 0
+    (tmp_path / "report.xml").mkdir()
+    done = golden(folder, "--junit", tmp_path / "report.xml")
+    assert done.status == 2
+    assert "cannot be written" in done.stderr
+
+
+def test_the_text_is_the_same_wherever_it_is_made(folder: Path) -> None:
+    texts: list[Any] = []
+    for environment in ({"TZ": "Asia/Tokyo", "PYTHONHASHSEED": "1"}, {"TZ": "UTC", "LANG": "C", "LC_ALL": "C"}):
+        (folder / "hall" / "expected.txt").unlink(missing_ok=True)
+        before = dict(os.environ)
+        os.environ.update(environment)
+        try:
+            assert run("golden", folder, "--update").status == 0
+        finally:
+            os.environ.clear()
+            os.environ.update(before)
+        texts.append((folder / "hall" / "expected.txt").read_bytes())
+    assert texts[0] == texts[1]
