@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from pc2scan.errors import UsageError
 
-from .model import Summary
+from .model import StoredChunk, Summary
 
 if TYPE_CHECKING:
     from collections.abc import (
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
     from pathlib import Path
 
-    from .model import Attachment, Connection, Metadata, RawMessage, Reader
+    from .model import Attachment, ChunkRule, Connection, Metadata, RawMessage, Reader
 
 __all__ = ["MergedReader", "merged_summary", "unified"]
 
@@ -125,6 +125,26 @@ class MergedReader:
                 continue
             waiting.append(_Source(index, due_ns, _adopted(reader, known, chosen, start_ns, stop_ns)))
         return _by_time(waiting)
+
+    def messages_or_chunks(
+        self,
+        rule: ChunkRule,
+        connections: Collection[Connection] | None = None,
+        start_ns: int | None = None,
+        stop_ns: int | None = None,
+    ) -> Iterator[RawMessage | StoredChunk]:
+        """The same; only a single source's chunks stay whole."""
+        reader, known = self._readers[0], self._maps[0]
+        if len(self._readers) > 1:
+            return self.messages(connections, start_ns, stop_ns)
+        if self._unchanged:
+            return reader.messages_or_chunks(rule, connections, start_ns, stop_ns)
+        wanted = {connection.id for connection in self._connections if connections is None or connection in connections}
+        chosen = [own for own in reader.connections if known[own.id].id in wanted]
+        return (
+            item if isinstance(item, StoredChunk) else item._replace(connection=known[item.connection.id])
+            for item in reader.messages_or_chunks(rule, chosen, start_ns, stop_ns)
+        )
 
     def read_ahead(self, pool: Executor) -> None:
         """Let the following calls of `messages` read and decompress what comes next on these threads."""
