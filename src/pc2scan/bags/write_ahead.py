@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -28,7 +28,7 @@ class WriteAhead:
     def __init__(self) -> None:
         self._pool: Executor | None = None
         # The work (None: there is none), what writes its result, and the bytes held meanwhile.
-        self._waiting: deque[tuple[Future[object] | None, Callable[[], None], int]] = deque()
+        self._waiting: deque[tuple[Future[Any] | None, Callable[[], None], int]] = deque()
         self._held = 0
 
     def use(self, pool: Executor) -> None:
