@@ -1,4 +1,4 @@
-"""Chunks of MCAP files that can be written again as they are: their messages told without taking them out."""
+"""Chunks of MCAP files that can be written again as a whole: their messages told without taking them out."""
 
 from __future__ import annotations
 
@@ -36,21 +36,21 @@ def agreed(contents: Contents, rule: ChunkRule) -> frozenset[int]:
     return frozenset(found)
 
 
-def whole_by_index(file: RecordFile, segment: ChunkSegment) -> StoredChunk | None:
+def whole_by_index(file: RecordFile, segment: ChunkSegment, rule: ChunkRule) -> StoredChunk | None:
     """Read a chunk and the message indexes behind it, and decompress nothing.
 
     Returns
     -------
     StoredChunk | None
-        None if its messages are not sorted by log time, if the indexes do not tell of all of them, or if there may
-        be declarations of others in front of the first one.
+        None if it cannot keep its compression, its messages are not sorted by log time, the indexes do not tell of all
+        of them, or there may be declarations of others in front of the first one.
 
     Raises
     ------
     RecordingError
         If the bytes are not there, or the chunk's header is not what the index says.
     """
-    if not segment.index_length:
+    if not segment.index_length or segment.compression not in rule.compressions:
         return None
     chunk, data = stored_chunk(file, segment, segment.index_length)
     stored, indexes = data[: segment.length], data[segment.length :]
@@ -94,7 +94,10 @@ def whole_by_content(
     index = _index_of(records, segment, rule.declarations)
     if index is None or not index.keys() <= rule.connection_ids:
         return records
-    return StoredChunk(chunk.compression, stored, len(records), chunk.crc or zlib.crc32(records), index)
+    crc = chunk.crc or zlib.crc32(records)
+    if chunk.compression not in rule.compressions:
+        return StoredChunk("", records, len(records), crc, index)
+    return StoredChunk(chunk.compression, stored, len(records), crc, index)
 
 
 def _index_of(records: memoryview, segment: ChunkSegment, declarations: Collection[bytes]) -> Index | None:

@@ -150,7 +150,7 @@ class McapReader:
             if rule and whole and isinstance(segment, ChunkSegment):
                 chunk = None
                 if segment.connection_ids and segment.connection_ids <= blindly:
-                    chunk = whole_by_index(self._file, segment)
+                    chunk = whole_by_index(self._file, segment, rule)
                 seen = chunk or whole_by_content(self._file, segment, rule, verify=self._verify)
                 if isinstance(seen, StoredChunk):
                     return seen

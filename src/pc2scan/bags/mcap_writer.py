@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 import zlib
+from dataclasses import replace
 from functools import partial
 from io import BytesIO
 from itertools import chain
@@ -196,11 +197,14 @@ class McapWriter:
             self._finish_chunk()
 
     def write_chunk(self, chunk: StoredChunk) -> None:
-        """Append a chunk as it is stored, with message indexes of its own."""
+        """Append a whole chunk, compressed if it is not yet, with message indexes of its own."""
         self._finish_chunk()
         for channel_id, entries in chunk.index.items():
             self._counts[channel_id] += len(entries)
-        self._ahead.put_ready(partial(self._put_chunk, chunk), len(chunk.stored))
+        if chunk.compression:
+            self._ahead.put_ready(partial(self._put_chunk, chunk), len(chunk.stored))
+        else:
+            self._ahead.put(partial(self._repacked, chunk), self._put_chunk, chunk.size)
 
     def _finish_chunk(self) -> None:
         """Hand the open chunk on to be compressed and written, and begin another one."""
@@ -214,6 +218,9 @@ class McapWriter:
         data = chunk.buffer.getbuffer()[: chunk.size]
         compression = self._compression or "none"
         return StoredChunk(compression, self._compress(data), chunk.size, zlib.crc32(data), chunk.index)
+
+    def _repacked(self, chunk: StoredChunk) -> StoredChunk:
+        return replace(chunk, compression=self._compression or "none", stored=self._compress(memoryview(chunk.stored)))
 
     def _put_packed(self, chunk: _OpenChunk, packed: StoredChunk) -> None:
         self._put_chunk(packed)

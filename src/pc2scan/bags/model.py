@@ -131,14 +131,15 @@ class RawMessage(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class StoredChunk:
-    """A chunk as a file stores it.
+    """A chunk as a whole, to be written without taking it apart.
 
     Attributes
     ----------
     compression
-        ``none``, ``bz2``, ``lz4`` or ``zstd``.
+        ``none``, ``bz2``, ``lz4`` or ``zstd``: it is written as it is. Empty: its records are not compressed, and are
+        to be as the destination's own chunks are.
     stored
-        Its records, compressed.
+        Its records, compressed so.
     size
         Bytes of its records, uncompressed.
     crc
@@ -168,7 +169,7 @@ class ChunkRule:
     container
         Whose chunks: ``rosbag1`` or ``mcap``.
     compressions
-        Those that a chunk may have.
+        Those that a chunk may keep; one of another is compressed again, as a whole.
     connection_ids
         The connections that go to the destination untouched and have the same ids there. A chunk with anything of
         another one is not taken.

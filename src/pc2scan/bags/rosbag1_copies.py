@@ -1,4 +1,4 @@
-"""Chunks of ROS 1 bags that can be written again as they are."""
+"""Chunks of ROS 1 bags that can be written again as a whole."""
 
 from __future__ import annotations
 
@@ -43,6 +43,7 @@ def first_uses(segments: Collection[Segment], start_ns: int | None) -> dict[Segm
 def whole(
     segment: Segment,
     stored: bytes,
+    records: bytes,
     messages: Sequence[RawMessage],
     places: Places,
     rule: ChunkRule,
@@ -52,8 +53,8 @@ def whole(
 
     Parameters
     ----------
-    stored
-        Its records, compressed.
+    stored, records
+        Its records, compressed and not.
     messages, places
         What was found in it.
     needed
@@ -62,8 +63,8 @@ def whole(
     Returns
     -------
     StoredChunk | None
-        None if ``rule`` does not allow to copy it, its messages are not sorted by log time, or ROS 1's own reader
-        would refuse it.
+        None if ``rule`` does not allow to copy it, or its messages are not sorted by log time. What ROS 1's own reader
+        would refuse does not keep its compression.
     """
     times = [message.log_time_ns for message in messages]
     if not times or len(times) != len(places.messages) or times != sorted(times):
@@ -72,11 +73,11 @@ def whole(
         return None
     if not places.described <= rule.connection_ids or not places.described.issuperset(needed):
         return None
-    if segment.compression == "lz4" and not ros1_reads(stored):
-        return None
     index: dict[int, list[tuple[int, int]]] = {}
     for message, place in zip(messages, places.messages, strict=True):
         index.setdefault(message.connection.id, []).append((message.log_time_ns, place))
     if not index.keys() <= rule.connection_ids:
         return None
-    return StoredChunk(segment.compression, stored, segment.uncompressed_size, 0, index)
+    if segment.compression not in rule.compressions or (segment.compression == "lz4" and not ros1_reads(stored)):
+        return StoredChunk("", records, len(records), 0, index)
+    return StoredChunk(segment.compression, stored, len(records), 0, index)

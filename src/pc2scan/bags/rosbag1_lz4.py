@@ -23,7 +23,7 @@ _STORED = 0x8000_0000
 _HEADER_SIZE = 7
 
 
-def packed(data: bytes) -> bytes:
+def packed(data: Buffer) -> bytes:
     """Compress into such a frame."""
     import lz4.frame  # noqa: PLC0415  # heavy
 

@@ -142,7 +142,7 @@ class Rosbag1Reader:
             chunk = decompressed(stored, segment.compression, segment.uncompressed_size)
             places = Places()
             messages = messages_in(chunk, wanted, start_ns, stop_ns, places)
-            return whole(segment, stored, messages, places, rule, needed[segment]) or messages
+            return whole(segment, stored, chunk, messages, places, rule, needed[segment]) or messages
 
         def load(segment: Segment, may_be_whole: bool) -> list[RawMessage] | StoredChunk:
             try:

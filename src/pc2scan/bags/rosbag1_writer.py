@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -194,10 +194,13 @@ class Rosbag1Writer:
             chunk.append(bytes(data))
 
     def write_chunk(self, chunk: StoredChunk) -> None:
-        """Append a whole chunk as it is stored, with an index of its own."""
+        """Append a whole chunk, compressed if it is not yet, with an index of its own."""
         self._flush()
         self._declared.update(chunk.index)
-        self._ahead.put_ready(partial(self._put_chunk, chunk, (chunk.stored,)), len(chunk.stored))
+        if chunk.compression:
+            self._ahead.put_ready(partial(self._put_chunk, chunk), len(chunk.stored))
+        else:
+            self._ahead.put(partial(self._packed, chunk), self._put_chunk, chunk.size)
 
     def add_attachment(self, attachment: Attachment) -> None:
         """Do nothing: a ROS 1 bag has no attachments."""
@@ -227,18 +230,20 @@ class Rosbag1Writer:
             return
         self._chunk = _OpenChunk()
         if self._compression == "none":
+            self._ahead.finish()
             self._put_chunk(StoredChunk("none", b"", chunk.size, 0, chunk.index), chunk.parts)
             return
         # Joined here: the last part may belong to the caller.
-        data = b"".join(chunk.parts)
+        whole = StoredChunk("", b"".join(chunk.parts), chunk.size, 0, chunk.index)
+        self._ahead.put(partial(self._packed, whole), self._put_chunk, chunk.size)
 
-        def packed() -> StoredChunk:
-            return StoredChunk(self._compression, _compressed(data, self._compression), chunk.size, 0, chunk.index)
+    def _packed(self, chunk: StoredChunk) -> StoredChunk:
+        """Compress a chunk; runs on any thread."""
+        return replace(chunk, compression=self._compression, stored=_compressed(chunk.stored, self._compression))
 
-        self._ahead.put(packed, lambda done: self._put_chunk(done, (done.stored,)), chunk.size)
-
-    def _put_chunk(self, chunk: StoredChunk, stored: Sequence[Buffer]) -> None:
-        """Write a chunk, whose compressed records are these together, and its index."""
+    def _put_chunk(self, chunk: StoredChunk, parts: Sequence[Buffer] = ()) -> None:
+        """Write a chunk, whose records are in ``parts`` if there are any, and its index."""
+        stored = parts or (chunk.stored,)
         self._chunk_infos.append(_pack_chunk_info(chunk, self._file.position))
         header = {"compression": chunk.compression.encode(), "size": UINT32.pack(chunk.size)}
         length = sum(len(part) for part in stored)
@@ -259,8 +264,10 @@ class _OpenChunk:
         self.size += len(part)
 
 
-def _compressed(data: bytes, compression: str) -> bytes:
+def _compressed(data: Buffer, compression: str) -> Buffer:
     """Compress a chunk so that ROS 1's own reader takes it."""
+    if compression == "none":
+        return data
     if compression == "bz2":
         import bz2  # noqa: PLC0415  # heavy
 

@@ -4,7 +4,7 @@ ROS 1 bags and MCAP files are runs of chunks. Each chunk is (nearly) sorted, but
 had several buffers. Sorting a whole index would need memory that grows with the recording; here a
 segment is loaded when its first message is due and forgotten after its last.
 
-A chunk that stands alone in time may be handed on as it is stored: see `standing_alone`.
+A chunk that stands alone in time may be handed on as a whole: see `standing_alone`.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from .model import ChunkRule, RawMessage
 
-    #: What a segment is loaded as: its messages, or the whole chunk as it is stored.
+    #: What a segment is loaded as: its messages, or the chunk as a whole.
     Loaded = list[RawMessage] | StoredChunk
 
     #: How it is loaded; the flag says whether it may be whole.
@@ -107,7 +107,6 @@ def standing_alone(
             and (following is None or segment.end_ns < following.start_ns)
             and segment.connection_ids is not None
             and segment.connection_ids <= rule.connection_ids
-            and segment.compression in rule.compressions
             and segment.uncompressed_size >= MIN_WHOLE_BYTES
             and (start_ns is None or start_ns <= segment.start_ns)
             and (stop_ns is None or segment.end_ns < stop_ns)
