@@ -63,7 +63,7 @@ def test_both_ways_find_the_same(chunk: Chunk) -> None:
         2: [1010, 1030, 1050, 1070],
     }
     assert found.span_ns() == (1000, 1070)
-    assert found.stored == chunk.data[chunk.segment.offset : chunk.indexes]
+    assert bytes(found.stored) == bytes(chunk.data[chunk.segment.offset : chunk.indexes])
 
 
 @pytest.mark.parametrize(

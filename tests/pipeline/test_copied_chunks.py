@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import threading
 from contextlib import closing
 from typing import TYPE_CHECKING, Any
@@ -13,7 +14,7 @@ from mcap.writer import Writer as LibraryWriter
 
 import pc2scan
 from bags.mcap_files import encoded, streamed
-from bags.rosbag1_files import ros1_missing, ros1_read
+from bags.rosbag1_files import ROS1, ROSBAG, ros1, ros1_missing, ros1_read
 from e2e.outputs import opened, physical_order
 from pc2scan.bags import mcap_chunks, mcap_reader, mcap_writer, rosbag1_reader, rosbag1_writer, segments
 from pc2scan.bags.mcap_reader import McapReader
@@ -366,6 +367,21 @@ def test_ros1_itself_reads_copied_chunks(compression: str, start: str | None, tm
     destination = convert(source, start=start)
     theirs = [(topic, time_ns) for topic, time_ns, *_ in ros1_read(destination)]
     assert sorted(theirs) == sorted((found.topic, found.log_time_ns) for found in opened(destination).messages)
+
+
+def test_ros1_can_make_a_new_index(tmp_path: Path) -> None:
+    """Also where the chunks that described the connections first were cut off."""
+    if ros1_missing():
+        pytest.skip(ros1_missing())
+    destination = convert(write(tmp_path / "drive.bag", "lz4", drive("ros1")), start=str(T0 + 3 * STEP))
+    expected = len(opened(destination).messages)
+    data = bytearray(destination.read_bytes())
+    (index_pos,) = struct.unpack_from("<Q", data, place := data.index(b"index_pos=") + 10)
+    data[place : place + 8] = bytes(8)
+    destination.write_bytes(data[:index_pos])
+    done = ros1(ROS1, ROSBAG, "reindex", destination)
+    assert done.returncode == 0, done.stderr
+    assert len(opened(destination).messages) == expected
 
 
 def test_rosbag2_directories(tmp_path: Path) -> None:
