@@ -373,7 +373,7 @@ def test_ros1_can_make_a_new_index(tmp_path: Path) -> None:
     """Also where the chunks that described the connections first were cut off."""
     if ros1_missing():
         pytest.skip(ros1_missing())
-    destination = convert(write(tmp_path / "drive.bag", "lz4", drive("ros1")), start=str(T0 + 3 * STEP))
+    destination = convert(write(tmp_path / "drive.bag", "lz4", drive("ros1")), start=str(T0 + 7 * STEP))
     expected = len(opened(destination).messages)
     data = bytearray(destination.read_bytes())
     (index_pos,) = struct.unpack_from("<Q", data, place := data.index(b"index_pos=") + 10)
