@@ -342,7 +342,8 @@ def plan_destination(
     storage
         For a rosbag2 directory: ``mcap`` (default) or ``sqlite3``.
     compression
-        Default: ``zstd`` for MCAP, ``lz4`` for ROS 1 bags, ``none`` for sqlite3.
+        Default: ``zstd`` for MCAP, ``lz4`` for ROS 1 bags, ``none`` for sqlite3. Chunks that are copied whole have
+        this one only if it is given.
     profile
         For an MCAP file: ``ros1`` or ``ros2``; default: the source's.
     metadata_version

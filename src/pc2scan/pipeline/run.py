@@ -57,7 +57,8 @@ class OutputOptions:
     storage
         Of a rosbag2 directory: ``mcap`` or ``sqlite3``.
     compression
-        ``none``, ``lz4``, ``zstd`` or ``bz2``, as the container allows.
+        ``none``, ``lz4``, ``zstd`` or ``bz2``, as the container allows. With None, chunks that are copied whole keep
+        theirs.
     profile
         Of an ``.mcap`` file: ``ros1`` or ``ros2``.
     metadata_version
