@@ -254,8 +254,8 @@ def passing(place: Path, size: int, repeat: int) -> None:
             shutil.rmtree(source) if source.is_dir() else source.unlink()
 
     table(
-        "Passing through** clouds of 131,072 points of 32 bytes, written uncompressed or, by pc2scan, compressed as they "
-        "were: whole processes, until everything is on the disk",
+        "Passing through** clouds of 131,072 points of 32 bytes, written uncompressed or, by pc2scan, compressed as "
+        "they were: whole processes, until everything is on the disk",
         (
             "source",
             "pc2scan",
