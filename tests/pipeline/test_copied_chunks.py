@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 import threading
+from collections import defaultdict
 from contextlib import closing
 from typing import TYPE_CHECKING, Any
 
@@ -140,6 +141,8 @@ class Counts:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.decompressed = self.compressed = self.split = 0
+        #: Which threads did what.
+        self.threads: dict[str, set[str]] = defaultdict(set)
         self._lock = threading.Lock()
         for module, name, counter in (
             (mcap_chunks, "_decompressed", "decompressed"),
@@ -156,6 +159,7 @@ class Counts:
         def counted(*args: Any, **options: Any) -> Any:
             with self._lock:
                 setattr(self, counter, getattr(self, counter) + 1)
+                self.threads[counter].add(threading.current_thread().name.partition("_")[0])
             return work(*args, **options)
 
         return counted
@@ -210,6 +214,23 @@ def test_the_compression_asked_for_is_that_of_every_chunk(source: Path) -> None:
         destination = convert(source, compression=compression)
         assert {name for _, name, _ in stored_chunks(destination)} == {compression}
         assert len(opened(destination).messages) == ROUNDS * (IMAGES_A_CHUNK + 2)
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_compressing_is_the_work_of_the_pool(source: Path, jobs: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    counts = Counts(monkeypatch)
+    convert(source, jobs=jobs, keep_clouds=True, compression="lz4")
+    assert counts.compressed >= ROUNDS
+    assert counts.threads["compressed"] == {"MainThread" if jobs == 1 else "pc2scan"}
+
+
+def test_messages_are_compressed_by_the_pool_too(tmp_path: Path) -> None:
+    source = write(tmp_path / "drive.mcap", "none", drive("cdr"))
+    written = [
+        (convert(source, suffix="", storage="sqlite3", compression="zstd", jobs=jobs) / "scans_0.db3").read_bytes()
+        for jobs in (1, 2, 5)
+    ]
+    assert written[0] == written[1] == written[2]
 
 
 @pytest.mark.parametrize("options", [{}, {"keep_clouds": True}, {"compression": "lz4"}, {"start": "0.004"}], ids=str)
