@@ -26,6 +26,10 @@ def alone(*segments: Segment, start_ns: int | None = None, stop_ns: int | None =
     return sorted(found.offset for found in standing_alone(segments, RULE, start_ns, stop_ns))
 
 
+def test_of_no_chunks_none_stands_alone() -> None:
+    assert alone() == []
+
+
 def test_chunks_one_after_the_other_stand_alone() -> None:
     assert alone(segment(30, 1, 4), segment(10, 5, 8), segment(20, 9, 9)) == [10, 20, 30]
 

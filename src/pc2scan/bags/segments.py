@@ -13,6 +13,7 @@ import heapq
 from collections import deque
 from dataclasses import dataclass
 from functools import partial
+from itertools import zip_longest
 from operator import attrgetter
 from typing import TYPE_CHECKING
 
@@ -101,7 +102,7 @@ def standing_alone(
     ordered = sorted(segments, key=attrgetter("start_ns", "offset"))
     alone = []
     latest = (-1, 0)
-    for segment, following in zip(ordered, (*ordered[1:], None), strict=True):
+    for segment, following in zip_longest(ordered, ordered[1:]):
         if (
             latest < (segment.start_ns, segment.offset)
             and (following is None or segment.end_ns < following.start_ns)
