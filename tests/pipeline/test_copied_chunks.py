@@ -405,6 +405,39 @@ def test_ros1_can_make_a_new_index(tmp_path: Path) -> None:
     assert len(opened(destination).messages) == expected
 
 
+@pytest.mark.parametrize("apart", [True, False])
+def test_parts_of_a_recording(apart: bool, tmp_path: Path) -> None:
+    rows = drive("cdr")
+    half = next(i for i, (_, time_ns, _) in enumerate(rows) if time_ns >= T0 + 10 * STEP) - 1
+    parts = [rows[:half], rows[half:]]
+    if not apart:
+        # The first part ends after the second has begun.
+        parts[0].append(("/left", T0 + 12 * STEP + 1, image(0)))
+    paths = [write_numbered(tmp_path / f"part{i}.mcap", part) for i, part in enumerate(parts)]
+    there = [stored for path in paths for ids, _, stored in stored_chunks(path) if ids is not None and ids <= {2, 3}]
+    destination = tmp_path / "scans.mcap"
+    for jobs in (1, 2):
+        pc2scan.convert(paths, destination, params=PARAMS, overwrite=True, jobs=jobs)
+        copied = [stored for _, _, stored in stored_chunks(destination) if stored in there]
+        assert copied == (there if apart else [])
+        times = [time_ns for _, time_ns in physical_order(destination)]
+        assert times == sorted(times)
+        assert len(times) == sum(bool(topic) for part in parts for topic, _, _ in part)
+
+
+def write_numbered(path: Path, messages: list[tuple[str, int, bytes]]) -> Path:
+    """Write MCAP with ids 1, 2, 3, as rosbag2 gives them."""
+    writer = McapWriter(path, "zstd", chunk_size=CHUNK)
+    handles = {connection.topic: writer.add_connection(connection) for connection in topics("cdr")}
+    for topic, time_ns, data in messages:
+        if topic:
+            writer.write(handles[topic], time_ns, data, time_ns)
+        else:
+            writer._finish_chunk()
+    writer.finish()
+    return path
+
+
 def test_rosbag2_directories(tmp_path: Path) -> None:
     source = tmp_path / "drive"
     writer = Rosbag2Writer(source, "drive", compression="zstd")

@@ -104,7 +104,7 @@ class Rosbag2Reader(MergedReader):
         start_ns: int | None = None,
         stop_ns: int | None = None,
     ) -> Iterator[RawMessage | StoredChunk]:
-        """The same; chunks stay whole in a single file whose messages are not compressed by themselves."""
+        """The same; chunks stay whole unless messages are compressed by themselves."""
         if self._unpack_messages:
             return self.messages(connections, start_ns, stop_ns)
         return super().messages_or_chunks(rule, connections, start_ns, stop_ns)

@@ -118,8 +118,7 @@ def run(
             conversion = _conversion(reader, options, stack, report)
             writer = open_writer(target, partial, path.name)
             try:
-                # Chunks are copied whole from one source only: of several, each has ids of its own.
-                copying = len(readers) == 1 and target.chunks == reader.summary.chunks != ""
+                copying = target.chunks == reader.summary.chunks != ""
                 if copying:
                     writer.keep_ids(reader.connections)
                 lanes = open_lanes(plan.routes, conversion, target, options, writer, report)
