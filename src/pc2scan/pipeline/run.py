@@ -131,8 +131,8 @@ def run(
                 if pool is not None:
                     reader.read_ahead(pool)
                     writer.compress_ahead(pool)
-                items = _cut(reader, lanes, span, chunk_rule(lanes, target, writer) if copying else None)
-                _stream(items, reader, lanes, options, pool, writer, report, progress)
+                rule = chunk_rule(lanes, target, writer) if copying else None
+                _stream(reader, lanes, options, span, rule, pool, writer, report, progress)
                 writer.finish()
             except BaseException:
                 writer.abort()
@@ -188,20 +188,24 @@ def _threads(options: ConvertOptions, stack: ExitStack) -> ThreadPoolExecutor | 
 
 
 def _stream(
-    items: Iterator[RawMessage | StoredChunk],
     reader: Reader,
     lanes: Mapping[int, Lane],
     options: ConvertOptions,
+    span: _Span,
+    rule: ChunkRule | None,
     pool: ThreadPoolExecutor | None,
     writer: Writer,
     report: Report,
     progress: Progress | None,
 ) -> None:
-    """Work on several threads, and write in the order of reading."""
+    """Read, work on several threads, and write in the order of reading."""
     total = reader.summary.size_bytes
     outcomes = map_in_order(
         _work,
-        (item if isinstance(item, StoredChunk) else (lanes[item.connection.id], item) for item in items),
+        (
+            item if isinstance(item, StoredChunk) else (lanes[item.connection.id], item)
+            for item in _cut(reader, lanes, span, rule)
+        ),
         is_heavy=_is_heavy,
         size=_held_bytes,
         pool=pool,
