@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from pc2scan.bags.files import NewFile, SourceFile
+from pc2scan.bags.files import FreeIds, NewFile, SourceFile
 from pc2scan.errors import OutputError, RecordingError
 
 if TYPE_CHECKING:
@@ -100,3 +100,14 @@ def test_a_disk_that_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     assert caught.value.path == tmp_path / "new"
     file.abort()
     file.abort()
+
+
+def test_kept_ids_are_for_those_who_ask_for_them() -> None:
+    ids = FreeIds(1)
+    ids.keep([1, 2, 4, 900])
+    assert [ids.take(wanted) for wanted in (-1, 2, 900, 7, 2, 1, 4, 0)] == [3, 2, 900, 5, 6, 1, 4, 7]
+
+
+def test_ids_are_handed_out_in_a_row_when_none_is_kept() -> None:
+    ids = FreeIds(0)
+    assert [ids.take(wanted) for wanted in (5, 5, 0)] == [0, 1, 2]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from hypothesis import given
@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
     from concurrent.futures import Executor
     from pathlib import Path
+
+    from pc2scan.bags.model import ChunkRule, StoredChunk
 
 
 class FakeReader:
@@ -65,6 +67,11 @@ class FakeReader:
                     yield RawMessage(by_id[number], time_ns, data, time_ns, 7)
         finally:
             self._log.append(f"close {self.path.name}")
+
+    def messages_or_chunks(self, rule: ChunkRule, *selection: Any) -> Iterator[RawMessage | StoredChunk]:
+        """There are no chunks."""
+        del rule
+        yield from self.messages(*selection)
 
     def attachments(self) -> Iterator[Attachment]:
         yield Attachment(self.path.name, "", 0, 0, b"")

@@ -47,9 +47,11 @@ def main() -> None:
     parser.add_argument("--repeat", type=int, default=5, help="rounds, of which the median is taken (default: 5)")
     parser.add_argument("--memory", type=float, nargs="*", metavar="GB", help="peak memory too; default: 0.5 2 8")
     parser.add_argument("--folder", type=Path, help="where the recordings are written meanwhile")
-    parser.add_argument("--only", choices=("projection", "conversions", "start-up", "memory"), help="one table")
+    parser.add_argument(
+        "--only", choices=("projection", "conversions", "passing", "start-up", "memory"), help="one table"
+    )
     asked = parser.parse_args()
-    wanted = {asked.only} if asked.only else {"projection", "conversions", "start-up"}
+    wanted = {asked.only} if asked.only else {"projection", "conversions", "passing", "start-up"}
     keep_freed_memory()
     with TemporaryDirectory(dir=asked.folder) as folder:
         place = Path(folder)
@@ -58,6 +60,8 @@ def main() -> None:
             projection(asked.repeat)
         if "conversions" in wanted:
             conversions(place, int(asked.gb * 1e9), asked.repeat)
+        if "passing" in wanted:
+            passing(place, int(asked.gb * 1e9), asked.repeat)
         if "start-up" in wanted:
             start_up(place, asked.repeat)
         if "memory" in wanted or asked.memory is not None:
@@ -199,16 +203,12 @@ def decompress(chunks: list[bytes], compression: str, threads: int) -> None:
 
 def conversions(place: Path, size: int, repeat: int) -> None:
     count = max(1, size // CLOUD_BYTES)
-    passing: list[tuple[str, ...]] = []
     clouds = [decode_pointcloud2(data, "cdr").xyz() for data in serialized_clouds("cdr")]
     project = Projector(PARAMS)
 
     def projected() -> None:
         for number in range(count):
             project(*clouds[number % len(clouds)])
-
-    def speed(duration: float) -> str:
-        return f"{count * CLOUD_BYTES / MEGABYTE / duration:,.0f} MB/s, {count / duration:,.0f}/s"
 
     def rows() -> Iterable[Sequence[str]]:
         for name, form in FORMS.items():
@@ -227,13 +227,12 @@ def conversions(place: Path, size: int, repeat: int) -> None:
             columns = list(zip(*found, strict=True))
             yield (
                 name,
-                *(speed(median(column)) for column in columns[4:]),
+                *(speed(count, median(column)) for column in columns[4:]),
                 f"{median(row[5] / (row[0] + row[3]) for row in found):.2f}",
                 *((f"{median(2 * row[5] / row[1] for row in found):.2f}",
                    f"{median(row[5] / row[2] for row in found):.2f}") if chunks else ("", "")),
             )  # fmt: skip
             chunks.clear()
-            passing.append(passed(name, source, form, place, repeat, speed))
             shutil.rmtree(source) if source.is_dir() else source.unlink()
 
     table(
@@ -250,10 +249,35 @@ def conversions(place: Path, size: int, repeat: int) -> None:
         ),
         rows(),
     )
+
+
+def speed(count: int, duration: float) -> str:
+    """So many clouds in so many seconds."""
+    return f"{count * CLOUD_BYTES / MEGABYTE / duration:,.0f} MB/s, {count / duration:,.0f}/s"
+
+
+# --- Passing through ---
+
+
+def passing(place: Path, size: int, repeat: int) -> None:
+    def rows() -> Iterable[Sequence[str]]:
+        for name, form in FORMS.items():
+            source = write_recording(place, form, size)
+            yield passed(name, source, form, place, repeat, max(1, size // CLOUD_BYTES))
+            shutil.rmtree(source) if source.is_dir() else source.unlink()
+
     table(
-        "Passing through** the same clouds, written uncompressed: whole processes, until everything is on the disk",
-        ("source", "pc2scan", "`rosbags-convert`", "times as fast"),
-        passing,
+        "Passing through** clouds of 131,072 points of 32 bytes, written uncompressed or, by pc2scan, compressed as "
+        "they were: whole processes, until everything is on the disk",
+        (
+            "source",
+            "pc2scan",
+            "`rosbags-convert`",
+            "times as fast",
+            "pc2scan, compression kept",
+            "the same, `--no-verify`",
+        ),
+        rows(),
     )
 
 
@@ -264,16 +288,16 @@ def to_disk(path: Path) -> None:
             os.fsync(written.fileno())
 
 
-def passed(
-    name: str, source: Path, form: Form, place: Path, repeat: int, speed: Callable[[float], str]
-) -> tuple[str, ...]:
+def passed(name: str, source: Path, form: Form, place: Path, repeat: int, count: int) -> tuple[str, ...]:
     """A row of the table of pass-through."""
     ours, theirs = place / f"ours{form.suffix}", place / f"theirs{'.bag' if form.suffix == '.bag' else ''}"
     storage = form.storage or "mcap"
     more = ["--storage", storage] if not form.suffix else []
 
-    def pc2scan_passes() -> float:
-        return seconds(lambda: command(source, "-o", ours, "--topic", TRIFLE, "--compression", "none", *more))
+    def pc2scan_passes(compression: str, *options: str) -> float:
+        return seconds(
+            lambda: command(source, "-o", ours, "--topic", TRIFLE, "--compression", compression, *more, *options)
+        )
 
     def rosbags_passes() -> float:
         shutil.rmtree(theirs, ignore_errors=True)
@@ -287,11 +311,18 @@ def passed(
 
         return seconds(work)
 
-    found = rounds(min(repeat, 3), pc2scan_passes, rosbags_passes)
+    found = rounds(
+        min(repeat, 3),
+        lambda: pc2scan_passes("none"),
+        rosbags_passes,
+        lambda: pc2scan_passes(form.compression),
+        lambda: pc2scan_passes(form.compression, "--no-verify"),
+    )
     for path in (ours, theirs):
         shutil.rmtree(path) if path.is_dir() else path.unlink()
-    mine, other = (median(column) for column in zip(*found, strict=True))
-    return name, speed(mine), speed(other), f"{median(row[1] / row[0] for row in found):.1f}"
+    mine, other, *kept = (median(column) for column in zip(*found, strict=True))
+    ratio = median(row[1] / row[0] for row in found)
+    return name, speed(count, mine), speed(count, other), f"{ratio:.1f}", *(speed(count, each) for each in kept)
 
 
 # --- Start-up and memory ---

@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING
 from pc2scan.errors import OutputError, RecordingError
 
 if TYPE_CHECKING:
+    from collections.abc import Collection
     from pathlib import Path
 
     from .model import Buffer
 
-__all__ = ["NewFile", "SourceFile"]
+__all__ = ["FreeIds", "NewFile", "SourceFile"]
 
 
 class SourceFile:
@@ -133,3 +134,32 @@ class NewFile:
 
     def _failed(self, err: OSError) -> OutputError:
         return OutputError(f"cannot be written: {err.strerror}", path=self._path)
+
+
+class FreeIds:
+    """Ids for what is declared in a file: some are kept, all others are handed out from the first one on.
+
+    Parameters
+    ----------
+    first
+        The smallest id.
+    """
+
+    def __init__(self, first: int) -> None:
+        self._next = first
+        self._kept: set[int] = set()
+        self._taken: set[int] = set()
+
+    def keep(self, ids: Collection[int]) -> None:
+        """Hand these out to nobody but those who ask for them."""
+        self._kept.update(ids)
+
+    def take(self, wanted: int) -> int:
+        """Return ``wanted`` if it is kept and nobody has it, else the next one that is neither kept nor taken."""
+        if wanted in self._kept and wanted not in self._taken:
+            self._taken.add(wanted)
+            return wanted
+        while self._next in self._kept:
+            self._next += 1
+        self._next += 1
+        return self._next - 1

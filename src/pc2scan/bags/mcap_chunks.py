@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from .mcap_records import RecordFile
     from .model import Buffer
 
-__all__ = ["CHUNK_HEAD_SIZE", "ChunkSegment", "chunk_at", "payload"]
+__all__ = ["CHUNK_HEAD_SIZE", "ChunkSegment", "chunk_at", "payload", "stored_chunk", "unpacked_chunk"]
 
 # No compression has a longer name; a longer one is garbage.
 _MAX_COMPRESSION_NAME = 64
@@ -32,9 +32,12 @@ class ChunkSegment(Segment):
     ----------
     record_offset
         Where the chunk's record begins in the file.
+    index_length
+        Bytes of the message indexes behind it; 0 when unknown.
     """
 
     record_offset: int = 0
+    index_length: int = 0
 
 
 def chunk_at(data: Buffer, position: int, record_offset: int, file: RecordFile) -> ChunkSegment:
@@ -78,13 +81,40 @@ def payload(file: RecordFile, segment: Segment, *, verify: bool = True) -> memor
     """
     if not isinstance(segment, ChunkSegment):
         return memoryview(file.read(segment.offset, segment.length))
+    chunk, data = stored_chunk(file, segment)
+    return unpacked_chunk(file, chunk, data, verify=verify)
+
+
+def stored_chunk(file: RecordFile, segment: ChunkSegment, more: int = 0) -> tuple[ChunkSegment, memoryview]:
+    """Read a chunk as it is stored.
+
+    Parameters
+    ----------
+    more
+        Bytes behind the chunk's records to read with them.
+
+    Returns
+    -------
+    tuple[ChunkSegment, memoryview]
+        What the chunk's own header says, and its compressed records with what is ``more``.
+
+    Raises
+    ------
+    RecordingError
+        If the bytes are not there, or the header is not what the index says.
+    """
     # The header in front of the payload comes with the same read. An index has no CRC; the header does.
     head = segment.offset - segment.record_offset
-    data = memoryview(file.read(segment.record_offset, head + segment.length))
+    data = memoryview(file.read(segment.record_offset, head + segment.length + more))
     chunk = chunk_at(data, 0, segment.record_offset, file)
     if data[0] != OP_CHUNK or _storage(chunk) != _storage(segment):
         raise file.error(f"the index and the chunk at byte {segment.record_offset} contradict each other", REPAIR)
-    unpacked = memoryview(_decompressed(data[head:], chunk, file))
+    return chunk, data[head:]
+
+
+def unpacked_chunk(file: RecordFile, chunk: ChunkSegment, data: memoryview, *, verify: bool = True) -> memoryview:
+    """Decompress a chunk's records, and compare them with the CRC that it has; see `payload`."""
+    unpacked = memoryview(_decompressed(data, chunk, file))
     if verify and chunk.crc and (actual := crc32(unpacked)) != chunk.crc:
         raise file.error(
             f"the chunk at byte {chunk.record_offset} has CRC {actual:08x}, recorded is {chunk.crc:08x}",

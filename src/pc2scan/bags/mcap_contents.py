@@ -198,6 +198,7 @@ def _indexed_chunk(content: memoryview, origin: int, file: RecordFile) -> tuple[
         # Nothing listed: either there are no message indexes or no messages.
         connection_ids=ids or None,
         record_offset=offset,
+        index_length=message_index_size,
     )
     if chunk.offset + chunk.length > offset + length or offset + length > origin:
         raise file.error(

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import struct
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from mcap import records
 from mcap.opcode import Opcode
 
 from .crc32 import crc32
-from .mcap_chunks import payload
+from .mcap_chunks import ChunkSegment, payload
 from .mcap_contents import find_contents
+from .mcap_copies import agreed, whole_by_content, whole_by_index
 from .mcap_records import MESSAGE, OP_MESSAGE, RECORD, REPAIR, RecordFile, parse
-from .model import Attachment, Connection, Definition, Metadata, RawMessage, Summary
+from .model import Attachment, Connection, Definition, Metadata, RawMessage, StoredChunk, Summary
 from .qos import latches
-from .segments import in_time_order
+from .segments import in_time_order, standing_alone
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from .mcap_contents import Contents
+    from .model import ChunkRule
     from .segments import Segment
 
 __all__ = ["McapReader"]
@@ -110,6 +112,28 @@ class McapReader:
         RecordingError
             If a chunk is damaged, or a message belongs to no channel.
         """
+        return cast("Iterator[RawMessage]", self._read(connections, start_ns, stop_ns, None))
+
+    def messages_or_chunks(
+        self,
+        rule: ChunkRule,
+        connections: Collection[Connection] | None = None,
+        start_ns: int | None = None,
+        stop_ns: int | None = None,
+    ) -> Iterator[RawMessage | StoredChunk]:
+        """The same, with whole chunks where ``rule`` allows it.
+
+        Without verifying, chunks whose message indexes tell everything are not decompressed.
+        """
+        return self._read(connections, start_ns, stop_ns, rule if rule.container == "mcap" else None)
+
+    def _read(
+        self,
+        connections: Collection[Connection] | None,
+        start_ns: int | None,
+        stop_ns: int | None,
+        rule: ChunkRule | None,
+    ) -> Iterator[RawMessage | StoredChunk]:
         known = {connection.id: connection for connection in self._connections}
         wanted = known
         if connections is not None:
@@ -117,10 +141,22 @@ class McapReader:
         ids = None if connections is None else frozenset(wanted)
         first = 0 if start_ns is None else start_ns
         stop = 1 << 64 if stop_ns is None else stop_ns
+        segments = [s for s in self._contents.segments if s.may_hold(ids, start_ns, stop_ns)]
+        alone = standing_alone(segments, rule, start_ns, stop_ns) if rule else frozenset()
+        blindly = agreed(self._contents, rule) if rule and not self._verify else frozenset()
 
-        def load(segment: Segment) -> list[RawMessage]:
-            data = payload(self._file, segment, verify=self._verify)
+        def load(segment: Segment, whole: bool) -> list[RawMessage] | StoredChunk:
             self._bytes_read += segment.length
+            if rule and whole and isinstance(segment, ChunkSegment):
+                chunk = None
+                if segment.connection_ids and segment.connection_ids <= blindly:
+                    chunk = whole_by_index(self._file, segment, rule)
+                seen = chunk or whole_by_content(self._file, segment, rule, verify=self._verify)
+                if isinstance(seen, StoredChunk):
+                    return seen
+                data = seen
+            else:
+                data = payload(self._file, segment, verify=self._verify)
             found, others, sound = _messages_in(data, wanted, first, stop)
             if sound != len(data):
                 raise self._file.error(
@@ -135,8 +171,7 @@ class McapReader:
             return found
 
         if ids is None or ids:
-            segments = [s for s in self._contents.segments if s.may_hold(ids, start_ns, stop_ns)]
-            yield from in_time_order(segments, load, pool=self._pool)
+            yield from in_time_order(segments, load, alone=alone, pool=self._pool)
 
     def read_ahead(self, pool: Executor) -> None:
         """Let the following calls of `messages` read and decompress what comes next on these threads."""
@@ -244,6 +279,7 @@ def _connection(channel: records.Channel, schema: records.Schema | None, content
         qos=qos,
         metadata=metadata,
         message_count=_message_count(channel.id, contents),
+        schema_id=channel.schema_id,
     )
 
 

@@ -10,7 +10,7 @@ from io import BytesIO
 from typing import TYPE_CHECKING, TypeVar
 
 from mcap import records
-from mcap.data_stream import ReadDataStream
+from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.exceptions import EndOfFile
 
 from .files import SourceFile
@@ -35,6 +35,7 @@ __all__ = [
     "REPAIR",
     "UINT64",
     "RecordFile",
+    "encoded",
     "parse",
     "split",
 ]
@@ -118,3 +119,11 @@ def split(data: memoryview, origin: int, file: RecordFile) -> Iterator[tuple[int
         yield opcode, data[start:position]
     if position != len(data):
         raise file.error(f"the records from byte {origin} on do not end after {len(data)} bytes", REPAIR)
+
+
+def encoded(record: records.McapRecord) -> bytes:
+    """Pack a record, its opcode and length included."""
+    builder = RecordBuilder()
+    record.write(builder)
+    packed: bytes = builder.end()  # type: ignore[no-untyped-call]
+    return packed

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import heapq
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from pc2scan.errors import UsageError
 
-from .model import Summary
+from .model import StoredChunk, Summary
 
 if TYPE_CHECKING:
     from collections.abc import (
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
     from pathlib import Path
 
-    from .model import Attachment, Connection, Metadata, RawMessage, Reader
+    from .model import Attachment, ChunkRule, Connection, Metadata, RawMessage, Reader
 
 __all__ = ["MergedReader", "merged_summary", "unified"]
 
@@ -110,8 +110,30 @@ class MergedReader:
 
         A source is not read before its first message is due, where its summary tells when that is.
         """
+        return cast("Iterator[RawMessage]", self._read(connections, start_ns, stop_ns, None))
+
+    def messages_or_chunks(
+        self,
+        rule: ChunkRule,
+        connections: Collection[Connection] | None = None,
+        start_ns: int | None = None,
+        stop_ns: int | None = None,
+    ) -> Iterator[RawMessage | StoredChunk]:
+        """The same; chunks stay whole where no other source has messages at their time and their ids are those here."""
+        return self._read(connections, start_ns, stop_ns, rule)
+
+    def _read(
+        self,
+        connections: Collection[Connection] | None,
+        start_ns: int | None,
+        stop_ns: int | None,
+        rule: ChunkRule | None,
+    ) -> Iterator[RawMessage | StoredChunk]:
         if self._unchanged:
-            return self._readers[0].messages(connections, start_ns, stop_ns)
+            only = self._readers[0]
+            if rule is None:
+                return only.messages(connections, start_ns, stop_ns)
+            return only.messages_or_chunks(rule, connections, start_ns, stop_ns)
         wanted = None if connections is None else {connection.id for connection in connections}
         waiting: list[_Source] = []
         for index, (reader, known) in enumerate(zip(self._readers, self._maps, strict=True)):
@@ -123,8 +145,25 @@ class MergedReader:
             due_ns = reader.summary.start_ns
             if due_ns is not None and stop_ns is not None and due_ns >= stop_ns:
                 continue
-            waiting.append(_Source(index, due_ns, _adopted(reader, known, chosen, start_ns, stop_ns)))
+            own_rule = None
+            if rule is not None and self._stands_alone(reader):
+                same = frozenset(own for own, connection in known.items() if own == connection.id)
+                own_rule = replace(rule, connection_ids=rule.connection_ids & same)
+            waiting.append(_Source(index, due_ns, _adopted(reader, known, chosen, start_ns, stop_ns, own_rule)))
         return _by_time(waiting)
+
+    def _stands_alone(self, reader: Reader) -> bool:
+        """Whether no other source has messages between the first and the last of this one."""
+        start_ns, end_ns = reader.summary.start_ns, reader.summary.end_ns
+        if start_ns is None or end_ns is None or end_ns < start_ns:
+            return len(self._readers) == 1
+        return all(
+            other is reader
+            or other.summary.message_count == 0
+            or (other.summary.start_ns is not None and end_ns < other.summary.start_ns)
+            or (other.summary.end_ns is not None and other.summary.end_ns < start_ns)
+            for other in self._readers
+        )
 
     def read_ahead(self, pool: Executor) -> None:
         """Let the following calls of `messages` read and decompress what comes next on these threads."""
@@ -150,21 +189,21 @@ class MergedReader:
 class _Source:
     """A stream of messages and its place in the order."""
 
-    __slots__ = ("due_ns", "index", "key", "message", "stream")
+    __slots__ = ("due_ns", "index", "item", "key", "stream")
 
-    def __init__(self, index: int, due_ns: int | None, stream: Generator[RawMessage]) -> None:
+    def __init__(self, index: int, due_ns: int | None, stream: Generator[RawMessage | StoredChunk]) -> None:
         self.index = index
         self.due_ns = due_ns
         self.stream = stream
-        self.message: RawMessage | None = None
+        self.item: RawMessage | StoredChunk | None = None
         self.key = (0, index)
 
     def advance(self) -> bool:
-        """Take the next message; False at the end."""
-        self.message = next(self.stream, None)
-        if self.message is None:
+        """Take the next message or chunk; False at the end."""
+        self.item = item = next(self.stream, None)
+        if item is None:
             return False
-        self.key = (self.message.log_time_ns, self.index)
+        self.key = (item.span_ns()[0] if isinstance(item, StoredChunk) else item.log_time_ns, self.index)
         return True
 
     def __lt__(self, other: _Source) -> bool:
@@ -177,13 +216,18 @@ def _adopted(
     chosen: Collection[Connection] | None,
     start_ns: int | None,
     stop_ns: int | None,
-) -> Generator[RawMessage]:
-    """One source's messages under the unified connections."""
-    for message in reader.messages(chosen, start_ns, stop_ns):
-        yield message._replace(connection=known[message.connection.id])
+    rule: ChunkRule | None,
+) -> Generator[RawMessage | StoredChunk]:
+    """One source's messages under the unified connections; whole chunks where ``rule`` allows it."""
+    if rule is None:
+        for message in reader.messages(chosen, start_ns, stop_ns):
+            yield message._replace(connection=known[message.connection.id])
+        return
+    for item in reader.messages_or_chunks(rule, chosen, start_ns, stop_ns):
+        yield item if isinstance(item, StoredChunk) else item._replace(connection=known[item.connection.id])
 
 
-def _by_time(sources: Sequence[_Source]) -> Generator[RawMessage]:
+def _by_time(sources: Sequence[_Source]) -> Generator[RawMessage | StoredChunk]:
     """Merge streams that are sorted by log time, each opened when it is due."""
     # A source of unknown start is due at once; sorting is stable, so that equal starts keep their order.
     waiting = sorted(sources, key=lambda source: (source.due_ns is not None, source.due_ns or 0))
@@ -203,10 +247,10 @@ def _by_time(sources: Sequence[_Source]) -> Generator[RawMessage]:
                 # Everything still waiting has a known start: those of unknown start came first.
                 arrival = (waiting[due].due_ns or 0, -1)
                 limit = arrival if limit is None else min(limit, arrival)
-            while current.message is not None and (limit is None or current.key < limit):
-                yield current.message
+            while current.item is not None and (limit is None or current.key < limit):
+                yield current.item
                 current.advance()
-            if current.message is not None:
+            if current.item is not None:
                 heapq.heappush(heap, current)
     finally:
         for source in waiting:

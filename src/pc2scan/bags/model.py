@@ -12,6 +12,8 @@ if TYPE_CHECKING:
 
 Buffer = bytes | memoryview
 
+#: The id of a connection that no recording has yet.
+NEW_ID = -1
 
 #: Latched, as rosbag2 (metadata version 8) writes it: keep last 1, reliable, transient local, automatic
 #: liveliness, every duration infinite. Topics that are not latched get none: ``ros2 bag play`` then
@@ -63,7 +65,8 @@ class Connection:
     Attributes
     ----------
     id
-        Unique within its reader, and for a chunked container the id that its messages carry.
+        Unique within its reader, and for a chunked container the id that its messages carry. `NEW_ID` for a connection
+        that is made, not read.
     topic
         As recorded.
     msgtype
@@ -84,6 +87,8 @@ class Connection:
         MCAP channel metadata or further ROS 1 connection header fields, verbatim.
     message_count
         None where the container does not say.
+    schema_id
+        In an MCAP file: the id of its definition; 0 for none.
     """
 
     id: int
@@ -97,6 +102,7 @@ class Connection:
     qos: str = ""
     metadata: Mapping[str, str] = field(default_factory=dict)
     message_count: int | None = None
+    schema_id: int = 0
 
     @property
     def ros_type(self) -> str:
@@ -121,6 +127,60 @@ class RawMessage(NamedTuple):
     data: Buffer
     publish_time_ns: int
     sequence: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class StoredChunk:
+    """A chunk as a whole, to be written without taking it apart.
+
+    Attributes
+    ----------
+    compression
+        ``none``, ``bz2``, ``lz4`` or ``zstd``: it is written as it is. Empty: its records are not compressed, and are
+        to be as the destination's own chunks are.
+    stored
+        Its records, compressed so.
+    size
+        Bytes of its records, uncompressed.
+    crc
+        CRC-32 of its records; 0 when there is none.
+    index
+        For every connection with messages in it, by id: their log times (ns) and places among the uncompressed
+        records, in the order of the file.
+    """
+
+    compression: str
+    stored: Buffer
+    size: int
+    crc: int
+    index: Mapping[int, Sequence[tuple[int, int]]]
+
+    def span_ns(self) -> tuple[int, int]:
+        """Log times of the earliest and the latest message."""
+        return min(map(min, self.index.values()))[0], max(map(max, self.index.values()))[0]
+
+
+@dataclass(frozen=True, slots=True)
+class ChunkRule:
+    """Which chunks a destination takes as they are.
+
+    Attributes
+    ----------
+    container
+        Whose chunks: ``rosbag1`` or ``mcap``.
+    compressions
+        Those that a chunk may keep; one of another is compressed again, as a whole.
+    connection_ids
+        The connections that go to the destination untouched and have the same ids there. A chunk with anything of
+        another one is not taken.
+    declarations
+        Schema and Channel records of the destination, byte for byte. A chunk may repeat these and has no others.
+    """
+
+    container: str
+    compressions: frozenset[str]
+    connection_ids: frozenset[int]
+    declarations: frozenset[bytes] = frozenset()
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,6 +229,12 @@ class Summary:
     end_ns: int | None
     profile: str = ""
 
+    @property
+    def chunks(self) -> str:
+        """Whose chunks its messages lie in: ``rosbag1`` or ``mcap``; empty for none."""
+        form = self.storage or self.container
+        return form if form in {"rosbag1", "mcap"} else ""
+
 
 class Reader(Protocol):
     """An open recording."""
@@ -210,6 +276,19 @@ class Reader(Protocol):
         """
         ...
 
+    def messages_or_chunks(
+        self,
+        rule: ChunkRule,
+        connections: Collection[Connection] | None = None,
+        start_ns: int | None = None,
+        stop_ns: int | None = None,
+    ) -> Iterator[RawMessage | StoredChunk]:
+        """The same as `messages`, with whole chunks in the place of their messages where ``rule`` allows it.
+
+        The order stays that of `messages`: those of a whole chunk are sorted, and no other one belongs between them.
+        """
+        ...
+
     def read_ahead(self, pool: Executor) -> None:
         """Let the following calls of `messages` read and decompress what comes next on these threads."""
         ...
@@ -230,12 +309,28 @@ class Reader(Protocol):
 class Writer(Protocol):
     """A recording being written; it becomes valid with `finish` and not before."""
 
+    def keep_ids(self, connections: Collection[Connection]) -> None:
+        """Let these connections keep their ids when they are declared, and no other one have them."""
+        ...
+
     def add_connection(self, connection: Connection) -> int:
-        """Declare a connection; returns the handle that `write` takes. Its ``id`` is ignored."""
+        """Declare a connection; returns the handle that `write` takes. Its ``id`` matters only to `keep_ids`."""
+        ...
+
+    def declarations(self) -> frozenset[bytes]:
+        """What a chunk may repeat of the connections declared so far; see `ChunkRule`."""
+        ...
+
+    def compress_ahead(self, pool: Executor) -> None:
+        """Compress on these threads, which outlive the writer's work; what is written stays the same."""
         ...
 
     def write(self, handle: int, log_time_ns: int, data: Buffer, publish_time_ns: int, sequence: int = 0) -> None:
         """Append a message."""
+        ...
+
+    def write_chunk(self, chunk: StoredChunk) -> None:
+        """Append a whole chunk, whose connections have been declared and have kept their ids."""
         ...
 
     def add_attachment(self, attachment: Attachment) -> None:

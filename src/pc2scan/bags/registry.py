@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
     from concurrent.futures import Executor
 
-    from .model import Attachment, Connection, Metadata, RawMessage, Reader, Summary, Writer
+    from .model import Attachment, ChunkRule, Connection, Metadata, RawMessage, Reader, StoredChunk, Summary, Writer
 
 __all__ = [
     "Container",
@@ -201,6 +201,15 @@ class _UnpackedReader:
     ) -> Iterator[RawMessage]:
         return self._inner.messages(connections, start_ns, stop_ns)
 
+    def messages_or_chunks(
+        self,
+        rule: ChunkRule,
+        connections: Collection[Connection] | None = None,
+        start_ns: int | None = None,
+        stop_ns: int | None = None,
+    ) -> Iterator[RawMessage | StoredChunk]:
+        return self._inner.messages_or_chunks(rule, connections, start_ns, stop_ns)
+
     def read_ahead(self, pool: Executor) -> None:
         """Let the following calls of `messages` read and decompress what comes next on these threads."""
         self._inner.read_ahead(pool)
@@ -289,6 +298,9 @@ class Destination:
         Of an MCAP file: ``ros1`` or ``ros2``; else empty.
     metadata_version
         Of a rosbag2 directory: 8 or 9.
+    chunk_compressions
+        Those that chunks copied from the source may have: the one that was asked for, else any that the container
+        knows.
     """
 
     path: Path
@@ -297,6 +309,12 @@ class Destination:
     compression: str
     profile: str
     metadata_version: int
+    chunk_compressions: frozenset[str]
+
+    @property
+    def chunks(self) -> str:
+        """Whose chunks its messages lie in: ``rosbag1`` or ``mcap``; empty for none."""
+        return {"sqlite3": "", "mcap": "mcap"}.get(self.storage, self.container)
 
     @property
     def generation(self) -> int:
@@ -324,7 +342,8 @@ def plan_destination(
     storage
         For a rosbag2 directory: ``mcap`` (default) or ``sqlite3``.
     compression
-        Default: ``zstd`` for MCAP, ``lz4`` for ROS 1 bags, ``none`` for sqlite3.
+        Default: ``zstd`` for MCAP, ``lz4`` for ROS 1 bags, ``none`` for sqlite3. Chunks that are copied whole have
+        this one only if it is given.
     profile
         For an MCAP file: ``ros1`` or ``ros2``; default: the source's.
     metadata_version
@@ -366,6 +385,7 @@ def plan_destination(
         compression=_one_of("--compression", compression or _DEFAULT_COMPRESSION[form], _COMPRESSIONS[form], path),
         profile=profile or "",
         metadata_version=metadata_version,
+        chunk_compressions=frozenset((compression,) if compression else _COMPRESSIONS[form]),
     )
 
 

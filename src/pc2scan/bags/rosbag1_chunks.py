@@ -7,6 +7,7 @@ nothing that the chunk does not, and some recorders get their length wrong.
 from __future__ import annotations
 
 import struct
+from dataclasses import dataclass, field
 from itertools import permutations
 from operator import itemgetter
 from typing import TYPE_CHECKING, NamedTuple
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
     from .rosbag1_records import BagFile
     from .segments import Segment
 
-__all__ = ["USUAL_LAYOUT", "messages_in", "payload", "records_in"]
+__all__ = ["USUAL_LAYOUT", "Places", "decompressed", "messages_in", "payload", "records_in"]
 
 
 def payload(file: BagFile, segment: Segment) -> bytes:
@@ -137,11 +138,20 @@ _LAYOUTS = {order: _layout(order) for order in permutations((b"conn", b"op", b"t
 USUAL_LAYOUT = _LAYOUTS[b"conn", b"op", b"time"]
 
 
+@dataclass(slots=True)
+class Places:
+    """Where in a chunk its messages begin, all of them, and which connections it describes."""
+
+    messages: list[int] = field(default_factory=list)
+    described: set[int] = field(default_factory=set)
+
+
 def messages_in(
     chunk: bytes,
     wanted: Mapping[int, Connection | None],
     start_ns: int | None,
     stop_ns: int | None,
+    places: Places | None = None,
 ) -> list[RawMessage]:
     """Find the messages of a decompressed chunk.
 
@@ -153,6 +163,8 @@ def messages_in(
         For every connection that there is, itself, or None if its messages are to be passed over.
     start_ns, stop_ns
         Only messages with ``start_ns <= log_time_ns < stop_ns``.
+    places
+        Is filled, if given.
 
     Raises
     ------
@@ -168,6 +180,7 @@ def messages_in(
     prefix = layout.size
     position = 0
     while position < end:
+        origin = position
         values = layout.unpack_from(data, position) if position + prefix <= end else None
         if values and literals(values) == expected:
             identity = values[at_connection]
@@ -185,6 +198,8 @@ def messages_in(
                 continue
             position = stop
             if kind_of(fields) == CONNECTION:
+                if places is not None:
+                    places.described.add(uint32_field(fields, "conn"))
                 continue
             if kind_of(fields) != MESSAGE:
                 raise Damaged(f"a record of kind {kind_of(fields)} lies where only messages and connections may")
@@ -194,6 +209,8 @@ def messages_in(
             connection = wanted[identity]
         except KeyError:
             raise Damaged(f"it has a message of connection {identity}, which the index does not know") from None
+        if places is not None:
+            places.messages.append(origin)
         if connection is not None and low <= stamp < high:
             messages.append(RawMessage(connection, stamp, data[start:position], stamp))
     return messages

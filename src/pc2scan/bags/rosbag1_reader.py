@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from pc2scan.errors import RecordingError
 
 from .model import Summary
-from .rosbag1_chunks import messages_in, payload
+from .rosbag1_chunks import Places, decompressed, messages_in, payload
 from .rosbag1_contents import read_index
+from .rosbag1_copies import first_uses, whole
 from .rosbag1_records import DAMAGED, REINDEX, BagFile, Damaged
-from .segments import in_time_order
+from .segments import in_time_order, standing_alone
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
     from concurrent.futures import Executor
     from pathlib import Path
 
-    from .model import Attachment, Connection, Metadata, RawMessage
+    from .model import Attachment, ChunkRule, Connection, Metadata, RawMessage, StoredChunk
     from .segments import Segment
 
 __all__ = ["Rosbag1Reader"]
@@ -109,16 +110,46 @@ class Rosbag1Reader:
         RecordingError
             If a chunk cannot be read, decompressed or taken apart.
         """
+        return cast("Iterator[RawMessage]", self._read(connections, start_ns, stop_ns, None))
+
+    def messages_or_chunks(
+        self,
+        rule: ChunkRule,
+        connections: Collection[Connection] | None = None,
+        start_ns: int | None = None,
+        stop_ns: int | None = None,
+    ) -> Iterator[RawMessage | StoredChunk]:
+        """The same, with whole chunks where ``rule`` allows it. They are decompressed to see what is in them."""
+        return self._read(connections, start_ns, stop_ns, rule if rule.container == "rosbag1" else None)
+
+    def _read(
+        self,
+        connections: Collection[Connection] | None,
+        start_ns: int | None,
+        stop_ns: int | None,
+        rule: ChunkRule | None,
+    ) -> Iterator[RawMessage | StoredChunk]:
         known = self._contents.connections
         ids = None if connections is None else frozenset(connection.id for connection in connections)
         wanted = {key: item if ids is None or key in ids else None for key, item in known.items()}
         self._bytes_read = 0
+        due = [segment for segment in self._contents.segments if segment.may_hold(ids, start_ns, stop_ns)]
+        alone = standing_alone(due, rule, start_ns, stop_ns) if rule else frozenset()
+        needed = first_uses(due, start_ns) if alone else {}
 
-        def load(segment: Segment) -> list[RawMessage]:
+        def load_whole(segment: Segment, rule: ChunkRule) -> list[RawMessage] | StoredChunk:
+            stored = self._file.read(segment.offset, segment.length)
+            chunk = decompressed(stored, segment.compression, segment.uncompressed_size)
+            places = Places()
+            messages = messages_in(chunk, wanted, start_ns, stop_ns, places)
+            return whole(segment, stored, chunk, messages, places, rule, needed[segment]) or messages
+
+        def load(segment: Segment, may_be_whole: bool) -> list[RawMessage] | StoredChunk:
             try:
-                chunk = payload(self._file, segment)
                 self._bytes_read += segment.length
-                return messages_in(chunk, wanted, start_ns, stop_ns)
+                if rule and may_be_whole:
+                    return load_whole(segment, rule)
+                return messages_in(payload(self._file, segment), wanted, start_ns, stop_ns)
             except Damaged as err:
                 raise RecordingError(
                     f"the chunk with data at byte {segment.offset} cannot be read: {err}",
@@ -126,8 +157,7 @@ class Rosbag1Reader:
                     hint=DAMAGED,
                 ) from err
 
-        due = [segment for segment in self._contents.segments if segment.may_hold(ids, start_ns, stop_ns)]
-        return in_time_order(due, load, pool=self._pool)
+        return in_time_order(due, load, alone=alone, pool=self._pool)
 
     def read_ahead(self, pool: Executor) -> None:
         """Let the following calls of `messages` read and decompress what comes next on these threads."""

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass, field
-from itertools import chain
+from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import DestinationError, OutputError
 
-from .files import NewFile
-from .model import ros1_type
+from . import rosbag1_lz4
+from .files import FreeIds, NewFile
+from .model import StoredChunk, ros1_type
 from .rosbag1_chunks import USUAL_LAYOUT
 from .rosbag1_records import (
     BAG_HEADER,
@@ -27,9 +28,11 @@ from .rosbag1_records import (
     UINT32_MAX,
     UINT64,
 )
+from .write_ahead import WriteAhead
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Collection, Mapping, Sequence
+    from concurrent.futures import Executor
     from pathlib import Path
 
     from .model import Attachment, Buffer, Connection, Metadata
@@ -72,12 +75,14 @@ class Rosbag1Writer:
         self.path = path
         self._compression = compression
         self._chunk_size = chunk_size
-        self._connections: list[bytes] = []
+        self._ids = FreeIds(0)
+        self._connections: dict[int, bytes] = {}
         # The part of a message's record before its time, for each connection.
-        self._prefixes: list[bytes] = []
+        self._prefixes: dict[int, bytes] = {}
         self._chunk_infos: list[bytes] = []
         self._declared: set[int] = set()
         self._chunk = _OpenChunk()
+        self._ahead = WriteAhead()
         try:
             self._file = NewFile(path)
         except FileExistsError as err:
@@ -86,19 +91,27 @@ class Rosbag1Writer:
             raise OutputError(f"cannot be created: {err.strerror}", path=path) from err
         self._file.put(FIRST_LINE, _pack_bag_header(0, 0, 0))
 
+    def keep_ids(self, connections: Collection[Connection]) -> None:
+        """Let these keep their ids when they are declared, and no other one have them."""
+        self._ids.keep([connection.id for connection in connections])
+
+    def compress_ahead(self, pool: Executor) -> None:
+        """Compress chunks on these threads from now on; the file stays the same."""
+        self._ahead.use(pool)
+
     def add_connection(self, connection: Connection) -> int:
         """Declare a connection; equal ones stay apart.
 
         Parameters
         ----------
         connection
-            With serialization ``ros1``. Its id is ignored; a missing digest is written as ``*``; the
+            With serialization ``ros1``. Its id matters only to `keep_ids`; a missing digest is written as ``*``; the
             definition is written byte for byte, and the type in ROS 1's spelling.
 
         Returns
         -------
         int
-            The handle that `write` takes, and the connection's id in the bag: 0, 1, 2, ...
+            The handle that `write` takes, and the connection's id in the bag: 0, 1, 2, ... where it keeps none.
 
         Raises
         ------
@@ -119,11 +132,15 @@ class Rosbag1Writer:
                     path=self.path,
                     topic=connection.topic,
                 )
-        handle = len(self._connections)
-        self._connections.append(_pack_connection(handle, connection))
+        handle = self._ids.take(connection.id)
+        self._connections[handle] = _pack_connection(handle, connection)
         literals = USUAL_LAYOUT.expected
-        self._prefixes.append(b"%b%b%b" % (literals[0], UINT32.pack(handle), literals[1]))
+        self._prefixes[handle] = b"%b%b%b" % (literals[0], UINT32.pack(handle), literals[1])
         return handle
+
+    def declarations(self) -> frozenset[bytes]:
+        """None: nothing compares what chunks say of their connections."""
+        return frozenset()
 
     def write(self, handle: int, log_time_ns: int, data: Buffer, publish_time_ns: int, sequence: int = 0) -> None:
         """Append a message. ``data`` is not referred to after the call.
@@ -167,9 +184,7 @@ class Rosbag1Writer:
         if declaration:
             self._declared.add(handle)
             chunk.append(declaration)
-        chunk.index.setdefault(handle, []).append((seconds, nanoseconds, chunk.size))
-        chunk.start_ns = min(chunk.start_ns, log_time_ns)
-        chunk.end_ns = max(chunk.end_ns, log_time_ns)
+        chunk.index.setdefault(handle, []).append((log_time_ns, chunk.size))
         chunk.append(self._prefixes[handle] + _TRIPLE.pack(seconds, nanoseconds, len(data)))
         if chunk.size + len(data) >= self._chunk_size:
             chunk.append(data)
@@ -177,6 +192,15 @@ class Rosbag1Writer:
         else:
             # A view would keep alive the whole chunk that it was read from, and may change under us.
             chunk.append(bytes(data))
+
+    def write_chunk(self, chunk: StoredChunk) -> None:
+        """Append a whole chunk, compressed if it is not yet, with an index of its own."""
+        self._flush()
+        self._declared.update(chunk.index)
+        if chunk.compression:
+            self._ahead.put_ready(partial(self._put_chunk, chunk), len(chunk.stored))
+        else:
+            self._ahead.put(partial(self._packed, chunk), self._put_chunk, chunk.size)
 
     def add_attachment(self, attachment: Attachment) -> None:
         """Do nothing: a ROS 1 bag has no attachments."""
@@ -187,25 +211,41 @@ class Rosbag1Writer:
     def finish(self) -> None:
         """Write the open chunk and the index, complete the header, and put everything on the disk."""
         self._flush()
+        self._ahead.finish()
         index_pos = self._file.position
-        self._file.put(*self._connections, *self._chunk_infos)
+        self._file.put(*self._connections.values(), *self._chunk_infos)
         header = _pack_bag_header(index_pos, len(self._connections), len(self._chunk_infos))
         self._file.replace(len(FIRST_LINE), header)
         self._file.finish()
 
     def abort(self) -> None:
         """Release the file; without its index it is not a bag."""
+        self._ahead.cancel()
         self._file.abort()
 
     def _flush(self) -> None:
-        """Write the open chunk with its index, if it has anything in it."""
+        """Hand the open chunk on to be compressed and written, if it has anything in it."""
         chunk = self._chunk
         if not chunk.parts:
             return
         self._chunk = _OpenChunk()
+        if self._compression == "none":
+            self._ahead.finish()
+            self._put_chunk(StoredChunk("none", b"", chunk.size, 0, chunk.index), chunk.parts)
+            return
+        # Joined here: the last part may belong to the caller.
+        whole = StoredChunk("", b"".join(chunk.parts), chunk.size, 0, chunk.index)
+        self._ahead.put(partial(self._packed, whole), self._put_chunk, chunk.size)
+
+    def _packed(self, chunk: StoredChunk) -> StoredChunk:
+        """Compress a chunk; runs on any thread."""
+        return replace(chunk, compression=self._compression, stored=_compressed(chunk.stored, self._compression))
+
+    def _put_chunk(self, chunk: StoredChunk, parts: Sequence[Buffer] = ()) -> None:
+        """Write a chunk, whose records are in ``parts`` if there are any, and its index."""
+        stored = parts or (chunk.stored,)
         self._chunk_infos.append(_pack_chunk_info(chunk, self._file.position))
-        stored = _compressed(chunk.parts, self._compression)
-        header = {"compression": self._compression.encode(), "size": UINT32.pack(chunk.size)}
+        header = {"compression": chunk.compression.encode(), "size": UINT32.pack(chunk.size)}
         length = sum(len(part) for part in stored)
         self._file.put(_pack_header(CHUNK, header), UINT32.pack(length), *stored)
         self._file.put(*(_pack_index(handle, entries) for handle, entries in chunk.index.items()))
@@ -213,44 +253,26 @@ class Rosbag1Writer:
 
 @dataclass(slots=True)
 class _OpenChunk:
-    """A chunk being filled.
-
-    ``index`` has the seconds, nanoseconds and place of the messages of each connection.
-    """
+    """A chunk being filled; ``index`` has the log times and places of the messages of each connection."""
 
     parts: list[Buffer] = field(default_factory=list)
     size: int = 0
-    index: dict[int, list[tuple[int, int, int]]] = field(default_factory=dict)
-    start_ns: int = (UINT32_MAX + 1) * SECOND_NS
-    end_ns: int = 0
+    index: dict[int, list[tuple[int, int]]] = field(default_factory=dict)
 
     def append(self, part: Buffer) -> None:
         self.parts.append(part)
         self.size += len(part)
 
 
-def _compressed(parts: Sequence[Buffer], compression: str) -> Sequence[Buffer]:
+def _compressed(data: Buffer, compression: str) -> Buffer:
     """Compress a chunk so that ROS 1's own reader takes it."""
     if compression == "none":
-        return parts
-    data = b"".join(parts)
+        return data
     if compression == "bz2":
         import bz2  # noqa: PLC0415  # heavy
 
-        return [bz2.compress(data)]
-    import lz4.frame  # noqa: PLC0415  # heavy
-
-    # ROS 1's reader knows frames of independent blocks, without a content size and with a checksum,
-    # and no others.
-    return [
-        lz4.frame.compress(
-            data,
-            block_size=lz4.frame.BLOCKSIZE_MAX1MB,
-            block_linked=False,
-            store_size=False,
-            content_checksum=True,
-        )
-    ]
+        return bz2.compress(data)
+    return rosbag1_lz4.packed(data)
 
 
 def _pack_fields(fields: Mapping[str, bytes]) -> bytes:
@@ -307,22 +329,23 @@ def _pack_connection(identity: int, connection: Connection) -> bytes:
     return _pack_record(CONNECTION, {"conn": UINT32.pack(identity), "topic": topic}, _pack_fields(body))
 
 
-def _pack_index(handle: int, entries: list[tuple[int, int, int]]) -> bytes:
+def _pack_index(handle: int, entries: Sequence[tuple[int, int]]) -> bytes:
     """Put the index of one connection in one chunk together: times and places, by time."""
     return _pack_record(
         INDEX_DATA,
         {"conn": UINT32.pack(handle), "count": UINT32.pack(len(entries)), "ver": UINT32.pack(1)},
-        struct.pack(f"<{3 * len(entries)}I", *chain.from_iterable(sorted(entries))),
+        b"".join(_TRIPLE.pack(*divmod(time_ns, SECOND_NS), place) for time_ns, place in sorted(entries)),
     )
 
 
-def _pack_chunk_info(chunk: _OpenChunk, chunk_pos: int) -> bytes:
+def _pack_chunk_info(chunk: StoredChunk, chunk_pos: int) -> bytes:
     """Put the entry of a chunk in the bag's index together."""
+    start_ns, end_ns = chunk.span_ns()
     fields = {
         "chunk_pos": UINT64.pack(chunk_pos),
         "count": UINT32.pack(len(chunk.index)),
-        "end_time": _pack_time(chunk.end_ns),
-        "start_time": _pack_time(chunk.start_ns),
+        "end_time": _pack_time(end_ns),
+        "start_time": _pack_time(start_ns),
         "ver": UINT32.pack(1),
     }
     counts = (PAIR.pack(handle, len(entries)) for handle, entries in chunk.index.items())

@@ -15,7 +15,7 @@ from .rosbag2_metadata import RECORD_NAME, located_file, read_info
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping, Sequence
 
-    from .model import Connection, Metadata, RawMessage, Reader, Summary
+    from .model import ChunkRule, Connection, Metadata, RawMessage, Reader, StoredChunk, Summary
 
 __all__ = ["Rosbag2Reader"]
 
@@ -96,6 +96,18 @@ class Rosbag2Reader(MergedReader):
         """Messages of all files by log time; equal log times in the order of the files."""
         messages = super().messages(connections, start_ns, stop_ns)
         return self._unpacked_messages(messages) if self._unpack_messages else messages
+
+    def messages_or_chunks(
+        self,
+        rule: ChunkRule,
+        connections: Collection[Connection] | None = None,
+        start_ns: int | None = None,
+        stop_ns: int | None = None,
+    ) -> Iterator[RawMessage | StoredChunk]:
+        """The same; chunks stay whole unless messages are compressed by themselves."""
+        if self._unpack_messages:
+            return self.messages(connections, start_ns, stop_ns)
+        return super().messages_or_chunks(rule, connections, start_ns, stop_ns)
 
     def metadata(self) -> Iterator[Metadata]:
         """MCAP metadata records, without rosbag2's copy of metadata.yaml, which is about these files only."""

@@ -14,10 +14,11 @@ from .rosbag2_metadata import METADATA_NAME, NEWEST_VERSION, RECORD_NAME, ROOT
 from .yaml import dump_yaml
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Collection, Mapping
+    from concurrent.futures import Executor
     from pathlib import Path
 
-    from .model import Attachment, Buffer, Writer
+    from .model import Attachment, Buffer, StoredChunk, Writer
 
 __all__ = ["Rosbag2Writer"]
 
@@ -92,6 +93,14 @@ class Rosbag2Writer:
             self._keep_info = lambda text: mcap.add_metadata(Metadata(RECORD_NAME, {"serialized_metadata": text}))
             self._storage = mcap
 
+    def keep_ids(self, connections: Collection[Connection]) -> None:
+        """Let these keep their ids when they are declared, and no other one have them."""
+        self._storage.keep_ids(connections)
+
+    def compress_ahead(self, pool: Executor) -> None:
+        """Compress on these threads from now on; what is written stays the same."""
+        self._storage.compress_ahead(pool)
+
     def add_connection(self, connection: Connection) -> int:
         """Declare a topic, with type and QoS profiles as rosbag2 spells them."""
         qos = respelled_qos(connection.qos, by_name=self._version >= NEWEST_VERSION)
@@ -104,12 +113,26 @@ class Rosbag2Writer:
         self._counts[handle] = 0
         return handle
 
+    def declarations(self) -> frozenset[bytes]:
+        """What a chunk may repeat of the topics declared so far."""
+        return self._storage.declarations()
+
     def write(self, handle: int, log_time_ns: int, data: Buffer, publish_time_ns: int, sequence: int = 0) -> None:
         """Append a message."""
         self._storage.write(handle, log_time_ns, data, publish_time_ns, sequence)
         self._counts[handle] += 1
-        first_ns, last_ns = self._span_ns or (log_time_ns, log_time_ns)
-        self._span_ns = (min(first_ns, log_time_ns), max(last_ns, log_time_ns))
+        self._extend(log_time_ns, log_time_ns)
+
+    def write_chunk(self, chunk: StoredChunk) -> None:
+        """Append a whole chunk, if the storage is MCAP."""
+        self._storage.write_chunk(chunk)
+        for handle, entries in chunk.index.items():
+            self._counts[handle] += len(entries)
+        self._extend(*chunk.span_ns())
+
+    def _extend(self, first_ns: int, last_ns: int) -> None:
+        earliest_ns, latest_ns = self._span_ns or (first_ns, last_ns)
+        self._span_ns = (min(earliest_ns, first_ns), max(latest_ns, last_ns))
 
     def add_attachment(self, attachment: Attachment) -> None:
         """Append an attachment, if the storage is MCAP."""

@@ -3,6 +3,8 @@
 ROS 1 bags and MCAP files are runs of chunks. Each chunk is (nearly) sorted, but chunks overlap where the recorder
 had several buffers. Sorting a whole index would need memory that grows with the recording; here a
 segment is loaded when its first message is due and forgotten after its last.
+
+A chunk that stands alone in time may be handed on as a whole: see `standing_alone`.
 """
 
 from __future__ import annotations
@@ -10,14 +12,24 @@ from __future__ import annotations
 import heapq
 from collections import deque
 from dataclasses import dataclass
+from functools import partial
+from itertools import zip_longest
 from operator import attrgetter
 from typing import TYPE_CHECKING
 
+from .model import StoredChunk
+
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
     from concurrent.futures import Executor, Future
 
-    from .model import RawMessage
+    from .model import ChunkRule, RawMessage
+
+    #: What a segment is loaded as: its messages, or the chunk as a whole.
+    Loaded = list[RawMessage] | StoredChunk
+
+    #: How it is loaded; the flag says whether it may be whole.
+    Load = Callable[["Segment", bool], Loaded]
 
 #: Loaded segments may take this much before the ones needed last are dropped and later read again.
 MAX_OPEN_BYTES = 128 << 20
@@ -25,6 +37,9 @@ MAX_OPEN_BYTES = 128 << 20
 #: Segments are loaded ahead of their turn until they take this much together, or there are this many.
 MAX_AHEAD_BYTES = 32 << 20
 MAX_AHEAD = 8
+
+#: Chunks smaller than this, uncompressed, are not worth copying: their messages are gathered in larger ones.
+MIN_WHOLE_BYTES = 256 << 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,16 +80,59 @@ class Segment:
         )
 
 
+def standing_alone(
+    segments: Collection[Segment], rule: ChunkRule, start_ns: int | None, stop_ns: int | None
+) -> frozenset[Segment]:
+    """Find the chunks that can be handed on whole, by what is known of them without reading them.
+
+    Parameters
+    ----------
+    segments
+        All that are read.
+    rule
+        What the destination takes.
+    start_ns, stop_ns
+        The cut, ``start_ns <= log_time_ns < stop_ns``.
+
+    Returns
+    -------
+    frozenset[Segment]
+        Those of which everything is wanted, and between whose first and last message no other segment has any.
+    """
+    ordered = sorted(segments, key=attrgetter("start_ns", "offset"))
+    alone = []
+    latest = (-1, 0)
+    for segment, following in zip_longest(ordered, ordered[1:]):
+        if (
+            latest < (segment.start_ns, segment.offset)
+            and (following is None or segment.end_ns < following.start_ns)
+            and segment.connection_ids is not None
+            and segment.connection_ids <= rule.connection_ids
+            and segment.uncompressed_size >= MIN_WHOLE_BYTES
+            and (start_ns is None or start_ns <= segment.start_ns)
+            and (stop_ns is None or segment.end_ns < stop_ns)
+        ):
+            alone.append(segment)
+        latest = max(latest, (segment.end_ns, segment.offset))
+    return frozenset(alone)
+
+
 class _Open:
     """A segment on the heap, keyed by its next message's log time, then by its place in the file."""
 
-    __slots__ = ("key", "messages", "position", "segment")
+    __slots__ = ("key", "messages", "position", "segment", "whole")
 
-    def __init__(self, segment: Segment, messages: list[RawMessage]) -> None:
+    def __init__(self, segment: Segment, loaded: Loaded) -> None:
         self.segment = segment
-        self.messages: list[RawMessage] | None = messages
         self.position = 0
-        self.key = (messages[0].log_time_ns, segment.offset)
+        self.messages: list[RawMessage] | None = None
+        self.whole: StoredChunk | None = None
+        if isinstance(loaded, StoredChunk):
+            self.whole = loaded
+            self.key = (loaded.span_ns()[0], segment.offset)
+        else:
+            self.messages = loaded
+            self.key = (loaded[0].log_time_ns, segment.offset)
 
     def __lt__(self, other: _Open) -> bool:
         return self.key < other.key
@@ -82,11 +140,12 @@ class _Open:
 
 def in_time_order(
     segments: Iterable[Segment],
-    load: Callable[[Segment], list[RawMessage]],
+    load: Load,
     *,
+    alone: Collection[Segment] = frozenset(),
     max_open_bytes: int = MAX_OPEN_BYTES,
     pool: Executor | None = None,
-) -> Iterator[RawMessage]:
+) -> Iterator[RawMessage | StoredChunk]:
     """Merge the messages of overlapping segments.
 
     Parameters
@@ -94,8 +153,11 @@ def in_time_order(
     segments
         Any order; ``start_ns`` must not be later than a segment's first message.
     load
-        Returns a segment's wanted messages in the order of the file. Called once a segment, except that
-        a segment is loaded again if more than ``max_open_bytes`` of segments overlap at one time.
+        Returns a segment's wanted messages in the order of the file or, where the flag allows it, the whole chunk if
+        that is sorted. Called once a segment, except that a segment is loaded again if more than
+        ``max_open_bytes`` of segments overlap at one time, or if one of ``alone`` does not stand alone after all.
+    alone
+        Segments that may be whole; see `standing_alone`.
     max_open_bytes
         Bound on the payload of the segments held at one time (one is always held).
     pool
@@ -104,20 +166,21 @@ def in_time_order(
 
     Yields
     ------
-    RawMessage
-        By log time; equal log times in the order of the file.
+    RawMessage | StoredChunk
+        By log time; equal log times in the order of the file. Whole chunks only if there are any ``alone``.
     """
     waiting = sorted(segments, key=attrgetter("start_ns", "offset"))
 
-    def loaded(segment: Segment) -> list[RawMessage]:
-        messages = load(segment)
-        # A stable sort, and next to free where the recorder kept the order.
-        messages.sort(key=attrgetter("log_time_ns"))
-        return messages
+    def loaded(segment: Segment, *, split: bool = False) -> Loaded:
+        found = load(segment, not split and segment in alone)
+        if not isinstance(found, StoredChunk):
+            # A stable sort, and next to free where the recorder kept the order.
+            found.sort(key=attrgetter("log_time_ns"))
+        return found
 
     arrivals = _Ahead(waiting, loaded, pool) if pool is not None else map(loaded, waiting)
     try:
-        yield from _merged(waiting, iter(arrivals), loaded, max_open_bytes)
+        yield from _merged(waiting, iter(arrivals), partial(loaded, split=True), max_open_bytes)
     finally:
         if isinstance(arrivals, _Ahead):
             arrivals.cancel()
@@ -126,15 +189,13 @@ def in_time_order(
 class _Ahead:
     """Segments loaded on other threads before their turn, in the order given, within the bounds above."""
 
-    def __init__(
-        self, segments: Sequence[Segment], load: Callable[[Segment], list[RawMessage]], pool: Executor
-    ) -> None:
+    def __init__(self, segments: Sequence[Segment], load: Callable[[Segment], Loaded], pool: Executor) -> None:
         self._segments = segments
         self._load = load
         self._pool = pool
-        self._pending: deque[tuple[Segment, Future[list[RawMessage]]]] = deque()
+        self._pending: deque[tuple[Segment, Future[Loaded]]] = deque()
 
-    def __iter__(self) -> Iterator[list[RawMessage]]:
+    def __iter__(self) -> Iterator[Loaded]:
         held = 0
         for segment in self._segments:
             size = segment.uncompressed_size
@@ -155,33 +216,41 @@ class _Ahead:
 
 def _merged(
     waiting: Sequence[Segment],
-    arrivals: Iterator[list[RawMessage]],
-    loaded: Callable[[Segment], list[RawMessage]],
+    arrivals: Iterator[Loaded],
+    split: Callable[[Segment], Loaded],
     max_open_bytes: int,
-) -> Iterator[RawMessage]:
-    """Merge segments, given their messages in the same order; ``loaded`` is for those that were dropped."""
+) -> Iterator[RawMessage | StoredChunk]:
+    """Merge segments, loaded in the same order; ``split`` is for those whose messages are not (or no longer) there."""
     heap: list[_Open] = []
     due = 0
     while heap or due < len(waiting):
         while due < len(waiting) and (not heap or waiting[due].start_ns <= heap[0].key[0]):
             segment = waiting[due]
             due += 1
-            messages = next(arrivals)
-            if messages:
-                heapq.heappush(heap, _Open(segment, messages))
+            found = next(arrivals)
+            if found:
+                heapq.heappush(heap, _Open(segment, found))
                 _evict(heap, max_open_bytes)
+            del found
         if not heap:
             continue
         current = heapq.heappop(heap)
-        if current.messages is None:
-            current.messages = loaded(current.segment)
+        offset = current.segment.offset
         # Everything up to the next segment's turn comes from this one: no heap operation a message.
         limit = heap[0].key if heap else None
         if due < len(waiting):
             arrival = (waiting[due].start_ns, -1)
             limit = arrival if limit is None or arrival < limit else limit
+        if current.whole is not None and (limit is None or (current.whole.span_ns()[1], offset) < limit):
+            yield current.whole
+            del current
+            continue
+        if current.messages is None:
+            again = split(current.segment)
+            assert not isinstance(again, StoredChunk)
+            current.messages, current.whole = again, None
+            del again
         messages, position = current.messages, current.position
-        offset = current.segment.offset
         while position < len(messages) and (limit is None or (messages[position].log_time_ns, offset) < limit):
             yield messages[position]
             position += 1

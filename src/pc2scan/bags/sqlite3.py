@@ -24,6 +24,7 @@ from __future__ import annotations
 import shutil
 import sqlite3
 from contextlib import closing, suppress
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -36,12 +37,13 @@ from . import zstd
 from .model import Connection, Definition, RawMessage, Summary
 from .qos import latches
 from .staging import sync_file
+from .write_ahead import WriteAhead
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
     from concurrent.futures import Executor
 
-    from .model import Attachment, Buffer, Metadata
+    from .model import Attachment, Buffer, ChunkRule, Metadata, StoredChunk
 
 __all__ = ["Sqlite3Reader", "Sqlite3Writer"]
 
@@ -162,6 +164,16 @@ class Sqlite3Reader:
                 yield RawMessage(known[topic_id], time_ns, data, time_ns)
         except sqlite3.Error as err:
             raise self._error(err) from err
+
+    def messages_or_chunks(
+        self,
+        rule: ChunkRule,  # noqa: ARG002 - there are no chunks
+        connections: Collection[Connection] | None = None,
+        start_ns: int | None = None,
+        stop_ns: int | None = None,
+    ) -> Iterator[RawMessage | StoredChunk]:
+        """The same: the storage has no chunks."""
+        return self.messages(connections, start_ns, stop_ns)
 
     def read_ahead(self, pool: Executor) -> None:
         """Let the following calls of `messages` read and decompress what comes next on these threads."""
@@ -348,7 +360,8 @@ class Sqlite3Writer:
 
     def __init__(self, path: Path, *, compression: str = "none") -> None:
         self._path = path
-        self._compressor = zstandard.ZstdCompressor(level=_ZSTD_LEVEL) if compression == "zstd" else None
+        self._compresses = compression == "zstd"
+        self._ahead = WriteAhead()
         self._pending = 0
         self._defined: set[tuple[str, str]] = set()
         try:
@@ -368,8 +381,16 @@ class Sqlite3Writer:
             self.abort()
             raise self._failed(err) from err
 
+    def keep_ids(self, connections: Collection[Connection]) -> None:
+        """Do nothing: there are no chunks that would carry ids."""
+
+    def compress_ahead(self, pool: Executor) -> None:
+        """Compress messages on these threads from now on; the file stays the same."""
+        self._ahead.use(pool)
+
     def add_connection(self, connection: Connection) -> int:
         """Add a row to ``topics``, and its definition if it is the first of its type and hash."""
+        self._ahead.finish()
         definition = connection.definition
         identity = (connection.msgtype, connection.digest)
         if definition.encoding and identity not in self._defined:
@@ -391,6 +412,10 @@ class Sqlite3Writer:
             ),
         )
 
+    def declarations(self) -> frozenset[bytes]:
+        """None: there are no chunks that could repeat any."""
+        return frozenset()
+
     def write(
         self,
         handle: int,
@@ -400,8 +425,18 @@ class Sqlite3Writer:
         sequence: int = 0,  # noqa: ARG002 - and no sequence number
     ) -> None:
         """Append a message."""
-        if self._compressor is not None:
-            data = self._compressor.compress(data)
+        insert = partial(self._insert_message, handle, log_time_ns)
+        if self._compresses:
+            # A view would keep alive the whole chunk that it was read from.
+            self._ahead.put(partial(_packed, bytes(data)), insert, len(data))
+        else:
+            insert(data)
+
+    def write_chunk(self, chunk: StoredChunk) -> None:
+        """Refuse: the storage has no chunks."""
+        raise NotImplementedError
+
+    def _insert_message(self, handle: int, log_time_ns: int, data: Buffer) -> None:
         self._insert("INSERT INTO messages(timestamp, topic_id, data) VALUES (?, ?, ?)", (log_time_ns, handle, data))
         self._pending += len(data)
         if self._pending >= _BATCH_BYTES:
@@ -417,10 +452,12 @@ class Sqlite3Writer:
 
     def add_bag_metadata(self, version: int, text: str) -> None:
         """Keep rosbag2's metadata.yaml (its ``rosbag2_bagfile_information``) in the file, as rosbag2 does."""
+        self._ahead.finish()
         self._insert("INSERT INTO metadata(metadata_version, metadata) VALUES (?, ?)", (version, text))
 
     def finish(self) -> None:
         """Commit, close, and put the file on the disk."""
+        self._ahead.finish()
         self._run("COMMIT")
         try:
             self._database.close()
@@ -430,6 +467,7 @@ class Sqlite3Writer:
 
     def abort(self) -> None:
         """Close; the file is not a recording."""
+        self._ahead.cancel()
         with suppress(sqlite3.Error):
             self._database.close()
 
@@ -446,3 +484,8 @@ class Sqlite3Writer:
     def _failed(self, err: Exception) -> OutputError:
         reason = err.strerror if isinstance(err, OSError) else str(err)
         return OutputError(f"cannot be written: {reason}", path=self._path)
+
+
+def _packed(data: bytes) -> bytes:
+    # One for each: a compressor serves one thread at a time.
+    return zstandard.ZstdCompressor(level=_ZSTD_LEVEL).compress(data)

@@ -309,7 +309,8 @@ def convert(
     compression: Annotated[
         Compression | None,
         typer.Option(
-            help="Bags: lz4 (default), none, bz2. MCAP: zstd (default), none, lz4. sqlite3: none (default), zstd.",
+            help="Bags: lz4 (default), none, bz2. MCAP: zstd (default), none, lz4. sqlite3: none (default), zstd. "
+            "Left out, chunks that are copied whole keep theirs.",
             show_default=False,
             rich_help_panel=_OUTPUT,
         ),

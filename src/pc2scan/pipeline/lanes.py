@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from pc2scan.bags.model import LATCHED_QOS, Connection
+from pc2scan.bags.model import LATCHED_QOS, NEW_ID, ChunkRule, Connection
 from pc2scan.errors import MessageError
 from pc2scan.messages.definitions import definition
 from pc2scan.messages.tfmessage import encode_transforms
@@ -13,7 +13,7 @@ from pc2scan.messages.tfmessage import encode_transforms
 from .report import TopicReport
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Mapping
 
     from pc2scan.bags.model import Buffer, Reader, Writer
     from pc2scan.bags.registry import Destination
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from .plan import Route
     from .report import Report
 
-__all__ = ["Lane", "carry_extras", "open_lanes", "write_static"]
+__all__ = ["Lane", "carry_extras", "chunk_rule", "open_lanes", "write_static"]
 
 
 @dataclass(slots=True)
@@ -134,7 +134,7 @@ def _converted_connection(source: Connection, topic: str, msgtype: str, target: 
     text, digest = definition(msgtype, target.generation)
     same = source.generation == target.generation
     return Connection(
-        id=0,
+        id=NEW_ID,
         topic=topic,
         msgtype=msgtype,
         serialization="ros1" if target.generation == 1 else "cdr",
@@ -144,6 +144,16 @@ def _converted_connection(source: Connection, topic: str, msgtype: str, target: 
         latching=source.latching,
         qos=source.qos if same else LATCHED_QOS if source.latching and target.generation == 2 else "",
     )
+
+
+def chunk_rule(lanes: Mapping[int, Lane], target: Destination, writer: Writer) -> ChunkRule:
+    """Which of the source's chunks can be copied whole, when everything has been declared in the destination."""
+    untouched = frozenset(
+        lane.connection.id
+        for lane in lanes.values()
+        if lane.convert is None and lane.encode is None and lane.passing_handle == lane.connection.id
+    )
+    return ChunkRule(target.chunks, target.chunk_compressions, untouched, writer.declarations())
 
 
 def carry_extras(reader: Reader, target: Destination, writer: Writer, report: Report) -> None:
@@ -176,7 +186,7 @@ def write_static(frames: FrameOptions, log_time_ns: int, target: Destination, wr
     serialization = "ros1" if target.generation == 1 else "cdr"
     handle = writer.add_connection(
         Connection(
-            id=0,
+            id=NEW_ID,
             topic="/tf_static",
             msgtype=msgtype,
             serialization=serialization,

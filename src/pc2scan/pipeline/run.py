@@ -6,12 +6,13 @@ import os
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from itertools import chain
 from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.bags.merged import MergedReader
+from pc2scan.bags.model import StoredChunk
 from pc2scan.bags.registry import (
     default_destination,
     default_storage,
@@ -25,7 +26,7 @@ from pc2scan.messages.laserscan import LASERSCAN
 
 from .acceptance import refusal
 from .frames import Frames, is_static, read_transforms
-from .lanes import Lane, carry_extras, open_lanes, write_static
+from .lanes import Lane, carry_extras, chunk_rule, open_lanes, write_static
 from .memory import keep_freed_memory
 from .ordered import map_in_order
 from .plan import make_plan
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from pc2scan.bags.model import Buffer, Connection, RawMessage, Reader, Writer
+    from pc2scan.bags.model import Buffer, ChunkRule, Connection, RawMessage, Reader, Writer
 
     from .conversion import Conversion, Converted
     from .options import ConvertOptions
@@ -59,7 +60,8 @@ class OutputOptions:
     storage
         Of a rosbag2 directory: ``mcap`` or ``sqlite3``.
     compression
-        ``none``, ``lz4``, ``zstd`` or ``bz2``, as the container allows.
+        ``none``, ``lz4``, ``zstd`` or ``bz2``, as the container allows. With None, chunks that are copied whole keep
+        theirs.
     profile
         Of an ``.mcap`` file: ``ros1`` or ``ros2``.
     metadata_version
@@ -120,12 +122,20 @@ def run(
             conversion = _conversion(reader, plan, options, span, stack, report)
             writer = open_writer(target, partial, path.name)
             try:
+                copying = target.chunks == reader.summary.chunks != ""
+                if copying:
+                    writer.keep_ids(reader.connections)
                 lanes = open_lanes(plan.routes, conversion, target, options, writer, report)
                 if not options.only_scans:
                     carry_extras(reader, target, writer, report)
                 if options.frames.write_static:
                     write_static(options.frames, span.first_ns, target, writer, report)
-                _stream(reader, lanes, options, span, writer, report, progress)
+                pool = _threads(options, stack)
+                if pool is not None:
+                    reader.read_ahead(pool)
+                    writer.compress_ahead(pool)
+                rule = chunk_rule(lanes, target, writer) if copying else None
+                _stream(reader, lanes, options, span, rule, pool, writer, report, progress)
                 if conversion.target_type == LASERSCAN:
                     report.warnings += _refusals(lanes.values(), "ros1" if target.generation == 1 else "cdr")
                 writer.finish()
@@ -190,37 +200,48 @@ def _generation(connections: Iterable[Connection]) -> int | None:
     return next((c.generation for c in connections if c.generation is not None), None)
 
 
+def _threads(options: ConvertOptions, stack: ExitStack) -> ThreadPoolExecutor | None:
+    """The threads that read, decompress, convert and compress, until the stack is left; None for one job."""
+    jobs = options.jobs or _cores()
+    return stack.enter_context(ThreadPoolExecutor(jobs, thread_name_prefix="pc2scan")) if jobs > 1 else None
+
+
 def _stream(
     reader: Reader,
     lanes: Mapping[int, Lane],
     options: ConvertOptions,
     span: _Span,
+    rule: ChunkRule | None,
+    pool: ThreadPoolExecutor | None,
     writer: Writer,
     report: Report,
     progress: Progress | None,
 ) -> None:
     """Read, work on several threads, and write in the order of reading."""
     total = reader.summary.size_bytes
-    jobs = options.jobs or _cores()
-    with ExitStack() as stack:
-        pool = None
-        if jobs > 1:
-            pool = stack.enter_context(ThreadPoolExecutor(jobs, thread_name_prefix="pc2scan"))
-            reader.read_ahead(pool)
-        outcomes = map_in_order(
-            _work,
-            ((lanes[message.connection.id], message) for message in _cut(reader, lanes, span)),
-            is_heavy=lambda item: item[0].convert is not None or item[0].encode is not None,
-            size=lambda item: len(item[1].data),
-            pool=pool,
-            window=options.params.queue_size or 2 * jobs,
-        )
-        # Closed before the pool is waited for, so that an error gives up what has not begun.
-        stack.callback(outcomes.close)
-        for count, outcome in enumerate(outcomes, 1):
-            _write(outcome, writer, report, options.on_error)
-            if progress is not None and count % _PROGRESS_EVERY == 0:
-                progress(reader.bytes_read, total, count)
+    outcomes = map_in_order(
+        _work,
+        (
+            item if isinstance(item, StoredChunk) else (lanes[item.connection.id], item)
+            for item in _cut(reader, lanes, span, rule)
+        ),
+        is_heavy=_is_heavy,
+        size=_held_bytes,
+        pool=pool,
+        window=options.params.queue_size or 2 * (options.jobs or _cores()),
+    )
+    done = told = 0
+    # Closed before the pool is waited for, so that an error gives up what has not begun.
+    with closing(outcomes):
+        for outcome in outcomes:
+            if isinstance(outcome, StoredChunk):
+                done += _write_chunk(outcome, lanes, writer)
+            else:
+                _write(outcome, writer, report, options.on_error)
+                done += 1
+            if progress is not None and done - told >= _PROGRESS_EVERY:
+                progress(reader.bytes_read, total, done)
+                told = done
     if progress is not None:
         progress(total, total, sum(entry.messages_in for entry in report.topics))
 
@@ -251,19 +272,37 @@ def _span(reader: Reader, options: ConvertOptions) -> _Span:
     return _Span(start, stop, beginning if start is None else max(start, beginning))
 
 
-def _cut(reader: Reader, lanes: Mapping[int, Lane], span: _Span) -> Iterator[RawMessage]:
-    """The wanted messages of the cut, after the latched ones from before it."""
+def _cut(
+    reader: Reader, lanes: Mapping[int, Lane], span: _Span, rule: ChunkRule | None
+) -> Iterator[RawMessage | StoredChunk]:
+    """The wanted messages of the cut, after the latched ones from before it; in whole chunks where ``rule`` allows."""
     wanted = [lane.connection for lane in lanes.values()]
     start, stop = span.start_ns, span.stop_ns
-    messages = reader.messages(wanted, start, stop)
+    items: Iterator[RawMessage | StoredChunk] = (
+        reader.messages(wanted, start, stop) if rule is None else reader.messages_or_chunks(rule, wanted, start, stop)
+    )
     lasting = [c for c in wanted if c.latching or is_static(c.topic)]
     if start is None or not lasting:
-        return messages
-    return chain(reader.messages(lasting, None, start), messages)
+        return items
+    return chain(reader.messages(lasting, None, start), items)
 
 
-def _work(item: tuple[Lane, RawMessage]) -> _Outcome:
-    """All the work on one message; runs on any thread."""
+#: A message with its lane, or a chunk to be copied.
+_Item = tuple[Lane, "RawMessage"] | StoredChunk
+
+
+def _is_heavy(item: _Item) -> bool:
+    return not isinstance(item, StoredChunk) and (item[0].convert is not None or item[0].encode is not None)
+
+
+def _held_bytes(item: _Item) -> int:
+    return len(item.stored if isinstance(item, StoredChunk) else item[1].data)
+
+
+def _work(item: _Item) -> _Outcome | StoredChunk:
+    """All the work on one message, and none on a chunk; runs on any thread."""
+    if isinstance(item, StoredChunk):
+        return item
     lane, message = item
     converted = passing = error = None
     try:
@@ -274,6 +313,15 @@ def _work(item: tuple[Lane, RawMessage]) -> _Outcome:
     except MessageError as err:
         error = err
     return _Outcome(lane, message, converted, passing, error)
+
+
+def _write_chunk(chunk: StoredChunk, lanes: Mapping[int, Lane], writer: Writer) -> int:
+    """Copy a chunk and account for its messages; returns how many they are."""
+    writer.write_chunk(chunk)
+    for connection_id, entries in chunk.index.items():
+        lanes[connection_id].report.messages_in += len(entries)
+        lanes[connection_id].report.messages_out += len(entries)
+    return sum(map(len, chunk.index.values()))
 
 
 def _write(outcome: _Outcome, writer: Writer, report: Report, on_error: str) -> None:

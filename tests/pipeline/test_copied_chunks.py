@@ -1,0 +1,457 @@
+"""Chunks that are copied whole: which ones, what it costs (counted), and that nobody can tell by the messages."""
+
+from __future__ import annotations
+
+import struct
+import threading
+from collections import defaultdict
+from contextlib import closing
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from mcap.records import Channel, Schema
+from mcap.writer import Writer as LibraryWriter
+
+import pc2scan
+from bags.mcap_files import encoded, streamed
+from bags.rosbag1_files import ROS1, ROSBAG, ros1, ros1_missing, ros1_read
+from e2e.outputs import opened, physical_order
+from pc2scan.bags import mcap_chunks, mcap_reader, mcap_writer, rosbag1_reader, rosbag1_writer, segments
+from pc2scan.bags.mcap_reader import McapReader
+from pc2scan.bags.mcap_writer import McapWriter
+from pc2scan.bags.model import Connection, Definition
+from pc2scan.bags.rosbag1_reader import Rosbag1Reader
+from pc2scan.bags.rosbag1_writer import Rosbag1Writer
+from pc2scan.bags.rosbag2_writer import Rosbag2Writer
+from pc2scan.errors import RecordingError
+from pc2scan.messages.definitions import definition
+from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointField, encode_pointcloud2
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+T0 = 1_600_000_000_000_000_000
+STEP = 1_000_000
+CHUNK = 40_000
+IMAGES_A_CHUNK = 3
+ROUNDS = 4
+FORMS = [(".bag", "none"), (".bag", "lz4"), (".bag", "bz2"), (".mcap", "none"), (".mcap", "lz4"), (".mcap", "zstd")]
+PARAMS = pc2scan.ProjectionParams(min_height=-2, max_height=2)
+
+
+@pytest.fixture(autouse=True)
+def small_chunks_count(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Chunks of a few kB are worth copying here, lest the recordings be large."""
+    monkeypatch.setattr(segments, "MIN_WHOLE_BYTES", 20_000)
+
+
+def image(number: int) -> bytes:
+    """Something that compresses to about a half."""
+    return np.random.default_rng(number).integers(0, 16, 12_000).astype("u1").tobytes()
+
+
+def cloud(serialization: str, number: int) -> bytes:
+    return encode_pointcloud2(
+        serialization=serialization,
+        sequence=number,
+        stamp_ns=T0 + number,
+        frame_id="lidar",
+        fields=[PointField(name, offset, 7) for name, offset in (("x", 0), ("y", 4), ("z", 8))],
+        point_step=12,
+        data=np.random.default_rng(number).uniform(-8, 8, (20, 3)).astype("<f4").tobytes(),
+    )
+
+
+def topics(serialization: str) -> list[Connection]:
+    """The clouds, and two topics of images: ids as no writer of ours would choose them."""
+    text, digest = definition(POINTCLOUD2, 1 if serialization == "ros1" else 2)
+    blob = Definition("ros1msg" if serialization == "ros1" else "ros2msg", b"uint8[] data\n")
+    kind = "pc2scan_msgs/Blob" if serialization == "ros1" else "pc2scan_msgs/msg/Blob"
+    return [
+        Connection(7, "/points", POINTCLOUD2, serialization, text, digest, schema_id=4),
+        Connection(3, "/left", kind, serialization, blob, "*", schema_id=9),
+        Connection(5, "/right", kind, serialization, blob, "*", schema_id=9),
+    ]
+
+
+def write(path: Path, compression: str, messages: list[tuple[str, int, bytes]]) -> Path:
+    """Write (topic, log time, data); a topic that is empty ends the chunk."""
+    bag = path.suffix == ".bag"
+    writer: Any = (
+        Rosbag1Writer(path, compression, chunk_size=CHUNK) if bag else McapWriter(path, compression, chunk_size=CHUNK)
+    )
+    known = topics("ros1" if bag else "cdr")
+    writer.keep_ids(known)
+    handles = {connection.topic: writer.add_connection(connection) for connection in known}
+    assert handles == {"/points": 7, "/left": 3, "/right": 5}
+    for topic, time_ns, data in messages:
+        if topic:
+            writer.write(handles[topic], time_ns, data, time_ns, 1)
+        elif bag:
+            writer._flush()
+        else:
+            writer._finish_chunk()
+    writer.finish()
+    return path
+
+
+def drive(serialization: str) -> list[tuple[str, int, bytes]]:
+    """Chunks of images alone, and between them chunks with a cloud and an image."""
+    found: list[tuple[str, int, bytes]] = []
+    for number in range(ROUNDS * (IMAGES_A_CHUNK + 2)):
+        time_ns = T0 + number * STEP
+        if number % (IMAGES_A_CHUNK + 2) == 0:
+            found += [("", 0, b""), ("/points", time_ns, cloud(serialization, number))]
+        else:
+            found.append(("/left" if number % 2 else "/right", time_ns, image(number)))
+        if number % (IMAGES_A_CHUNK + 2) == 1:
+            found.append(("", 0, b""))
+    return found
+
+
+@pytest.fixture(params=FORMS, ids=lambda form: "".join(form).replace(".", "-")[1:])
+def source(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    suffix, compression = request.param
+    return write(tmp_path / f"drive{suffix}", compression, drive("ros1" if suffix == ".bag" else "cdr"))
+
+
+def stored_chunks(path: Path) -> list[tuple[frozenset[int] | None, str, bytes]]:
+    """Connections, compression and stored bytes of every chunk."""
+    reader: Any = Rosbag1Reader(path) if path.suffix == ".bag" else McapReader(path)
+    with closing(reader):
+        return [
+            (s.connection_ids, s.compression, reader._file.read(s.offset, s.length)) for s in reader._contents.segments
+        ]
+
+
+def images_only(path: Path) -> list[bytes]:
+    return [stored for ids, _, stored in stored_chunks(path) if ids is not None and ids <= {3, 5}]
+
+
+def convert(source: Path, **options: Any) -> Path:
+    destination = source.with_name(f"scans{options.pop('suffix', source.suffix)}")
+    pc2scan.convert(source, destination, params=PARAMS, overwrite=True, **options)
+    return destination
+
+
+class Counts:
+    """How often chunks were decompressed, compressed and taken apart."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.decompressed = self.compressed = self.split = 0
+        #: Which threads did what.
+        self.threads: dict[str, set[str]] = defaultdict(set)
+        self._lock = threading.Lock()
+        for module, name, counter in (
+            (mcap_chunks, "_decompressed", "decompressed"),
+            (rosbag1_reader, "decompressed", "decompressed"),
+            (rosbag1_reader, "payload", "decompressed"),
+            (mcap_reader, "_messages_in", "split"),
+            (rosbag1_writer, "_compressed", "compressed"),
+        ):
+            monkeypatch.setattr(module, name, self._counting(getattr(module, name), counter))
+        for name, compress in mcap_writer._COMPRESS.items():
+            monkeypatch.setitem(mcap_writer._COMPRESS, name, self._counting(compress, "compressed"))
+
+    def _counting(self, work: Callable[..., Any], counter: str) -> Callable[..., Any]:
+        def counted(*args: Any, **options: Any) -> Any:
+            with self._lock:
+                setattr(self, counter, getattr(self, counter) + 1)
+                self.threads[counter].add(threading.current_thread().name.partition("_")[0])
+            return work(*args, **options)
+
+        return counted
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_chunks_without_anything_to_convert_are_copied(source: Path, jobs: int) -> None:
+    there = images_only(source)
+    assert len(there) == ROUNDS
+    written = stored_chunks(convert(source, jobs=jobs))
+    assert [stored for ids, _, stored in written if ids is not None and ids <= {3, 5} and stored in there] == there
+
+
+def test_copying_is_seen_in_the_work_and_not_in_the_messages(source: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    chunks = len(stored_chunks(source))
+    assert chunks == 2 * ROUNDS
+    counts = Counts(monkeypatch)
+    copied = opened(convert(source, jobs=2))
+    # Each is decompressed once, to be verified; only the mixed ones are compressed again.
+    assert counts.decompressed == chunks
+    assert counts.compressed == ROUNDS
+    monkeypatch.setattr(segments, "MIN_WHOLE_BYTES", 1 << 40)
+    taken_apart = opened(convert(source, jobs=2))
+    assert copied == taken_apart
+    assert len(copied.of("/scan")) == ROUNDS
+
+
+def test_unverified_chunks_of_mcap_are_not_even_decompressed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    source = write(tmp_path / "drive.mcap", "zstd", drive("cdr"))
+    expected = convert(source).read_bytes()
+    counts = Counts(monkeypatch)
+    assert convert(source, verify=False).read_bytes() == expected
+    assert (counts.decompressed, counts.compressed) == (ROUNDS, ROUNDS)
+
+
+@pytest.mark.parametrize("suffix", [".bag", ".mcap"])
+def test_another_compression_leaves_chunks_whole(suffix: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    source = write(tmp_path / f"drive{suffix}", "lz4", drive("ros1" if suffix == ".bag" else "cdr"))
+    counts = Counts(monkeypatch)
+    destination = convert(source, compression="none")
+    assert {compression for _, compression, _ in stored_chunks(destination)} == {"none"}
+    there = write(tmp_path / f"plain{suffix}", "none", drive("ros1" if suffix == ".bag" else "cdr"))
+    assert images_only(destination) == images_only(there)
+    if suffix == ".mcap":
+        assert counts.split == ROUNDS
+    monkeypatch.setattr(segments, "MIN_WHOLE_BYTES", 1 << 40)
+    assert opened(destination) == opened(convert(source, compression="none"))
+
+
+def test_the_compression_asked_for_is_that_of_every_chunk(source: Path) -> None:
+    for compression in ("none", "lz4"):
+        destination = convert(source, compression=compression)
+        assert {name for _, name, _ in stored_chunks(destination)} == {compression}
+        assert len(opened(destination).messages) == ROUNDS * (IMAGES_A_CHUNK + 2)
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_compressing_is_the_work_of_the_pool(source: Path, jobs: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    counts = Counts(monkeypatch)
+    convert(source, jobs=jobs, keep_clouds=True, compression="lz4")
+    assert counts.compressed >= ROUNDS
+    assert counts.threads["compressed"] == {"MainThread" if jobs == 1 else "pc2scan"}
+
+
+def test_messages_are_compressed_by_the_pool_too(tmp_path: Path) -> None:
+    source = write(tmp_path / "drive.mcap", "none", drive("cdr"))
+    written = [
+        (convert(source, suffix="", storage="sqlite3", compression="zstd", jobs=jobs) / "scans_0.db3").read_bytes()
+        for jobs in (1, 2, 5)
+    ]
+    assert written[0] == written[1] == written[2]
+
+
+@pytest.mark.parametrize("options", [{}, {"keep_clouds": True}, {"compression": "lz4"}, {"start": "0.004"}], ids=str)
+def test_the_bytes_do_not_depend_on_the_threads(source: Path, options: dict[str, Any]) -> None:
+    alone = convert(source, jobs=1, **options).read_bytes()
+    assert [convert(source, jobs=jobs, **options).read_bytes() == alone for jobs in (2, 5)] == [True, True]
+
+
+@pytest.mark.parametrize("options", [{"drop": ["/right"]}, {"keep": ["/right"]}], ids=str)
+def test_a_chunk_with_something_left_out_is_taken_apart(source: Path, options: dict[str, Any]) -> None:
+    there = images_only(source)
+    destination = convert(source, **options)
+    assert not {stored for _, _, stored in stored_chunks(destination)} & set(there)
+    (gone,) = options.get("drop", ["/left"])
+    assert gone not in opened(destination).topics()
+
+
+def test_only_chunks_inside_the_cut_are_copied(source: Path) -> None:
+    there = images_only(source)
+    # The cut begins and ends inside the first and the last chunk of images.
+    start, end = T0 + 3 * STEP, T0 + (ROUNDS * (IMAGES_A_CHUNK + 2) - 1) * STEP
+    destination = convert(source, start=str(start), end=str(end))
+    written = {stored for _, _, stored in stored_chunks(destination)}
+    inside = [stored for stored in there if stored in written]
+    # What a cut leaves of a chunk describes nobody knows which connections: a bag's next chunk is written anew, so that
+    # ROS 1's reindex finds every connection where it is first used.
+    assert inside == there[2 if source.suffix == ".bag" else 1 : -1]
+    times = [found.log_time_ns for found in opened(destination).messages]
+    assert times == [start + STEP * i for i in range((end - start) // STEP)]
+
+
+@pytest.mark.parametrize("suffix", [".bag", ".mcap"])
+def test_unsorted_and_overlapping_chunks_are_taken_apart(suffix: str, tmp_path: Path) -> None:
+    chunks = [
+        [("/left", 10), ("/right", 30), ("/left", 20)],
+        [("/left", 40), ("/left", 60), ("/right", 80)],
+        [("/left", 70), ("/left", 71), ("/right", 90)],
+        [("/left", 100), ("/left", 110), ("/left", 120)],
+    ]
+    rows = [("/points", T0, cloud("ros1" if suffix == ".bag" else "cdr", 1))]
+    for chunk in chunks:
+        rows += [("", 0, b""), *((topic, T0 + time, image(time)) for topic, time in chunk)]
+    source = write(tmp_path / f"drive{suffix}", "none", rows)
+    there = images_only(source)
+    assert len(there) == len(chunks)
+    destination = convert(source)
+    written = [stored for _, _, stored in stored_chunks(destination)]
+    assert [stored in written for stored in there] == [False, False, False, True]
+    expected = sorted(T0 + time for chunk in chunks for _, time in chunk)
+    if suffix == ".mcap":
+        order = [time for topic, time in physical_order(destination) if topic != "/scan"]
+        assert order == expected
+    assert [found.log_time_ns for found in opened(destination).messages if found.topic != "/scan"] == expected
+
+
+def test_small_chunks_are_gathered(source: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(segments, "MIN_WHOLE_BYTES", 256 << 10)
+    assert len(stored_chunks(convert(source))) == 1
+
+
+@pytest.mark.parametrize("options", [{}, {"jobs": 1}, {"compression": "none"}], ids=str)
+def test_damage_in_a_copied_chunk_is_found(source: Path, options: dict[str, Any]) -> None:
+    if source.suffix == ".bag" and stored_chunks(source)[0][1] == "none":
+        pytest.skip("an uncompressed ROS 1 bag has no checksums")
+    data = bytearray(source.read_bytes())
+    chunk = images_only(source)[1]
+    data[data.index(chunk) + len(chunk) // 2] ^= 0x10
+    source.write_bytes(data)
+    with pytest.raises(RecordingError):
+        convert(source, **options)
+
+
+def test_added_connections_get_ids_that_the_source_does_not_use(source: Path) -> None:
+    destination = convert(source)
+    reader: Any = Rosbag1Reader(destination) if source.suffix == ".bag" else McapReader(destination)
+    with closing(reader):
+        ids = {connection.topic: connection.id for connection in reader.connections}
+    assert ids == {"/left": 3, "/right": 5, "/scan": 0 if source.suffix == ".bag" else 1}
+
+
+QOS = "- history: 1\n  depth: 1\n  reliability: 1\n  durability: 1"
+
+
+def declaring_chunks(path: Path, *, clouds_first: bool) -> list[bytes]:
+    """Write chunks of images that declare their own channel, as other writers do; returns the chunks.
+
+    With ``clouds_first`` the first of them declares the clouds' channel too.
+    """
+
+    def declare_clouds() -> int:
+        text, _ = definition(POINTCLOUD2, 2)
+        schema = writer.register_schema(POINTCLOUD2, "ros2msg", text.data)
+        return writer.register_channel("/points", "cdr", schema, {"offered_qos_profiles": QOS})
+
+    with path.open("wb") as file:
+        writer = LibraryWriter(file, chunk_size=CHUNK)
+        writer.start("ros2", "test")
+        points = declare_clouds() if clouds_first else 0
+        schema = writer.register_schema("pc2scan_msgs/msg/Blob", "ros2msg", b"uint8[] data\n")
+        images = writer.register_channel("/left", "cdr", schema, {"offered_qos_profiles": QOS})
+        for number in range(8):
+            writer.add_message(images, T0 + number * STEP, image(number), T0)
+        points = points or declare_clouds()
+        writer.add_message(points, T0 + 8 * STEP, cloud("cdr", 8), T0)
+        writer.finish()  # type: ignore[no-untyped-call]
+    return [stored for _, _, stored in stored_chunks(path)]
+
+
+def consistent(path: Path) -> bool:
+    """Whether all records of one channel or schema are equal."""
+    declared: dict[tuple[type, int], set[bytes]] = {}
+    for record in streamed(path):
+        if isinstance(record, Channel | Schema):
+            declared.setdefault((type(record), record.id), set()).add(encoded(record))
+    return all(len(records) == 1 for records in declared.values())
+
+
+@pytest.mark.parametrize("verify", [True, False])
+def test_chunks_that_declare_the_same_are_copied(verify: bool, tmp_path: Path) -> None:
+    there = declaring_chunks(tmp_path / "drive.mcap", clouds_first=False)
+    assert len(there) == 3
+    destination = convert(tmp_path / "drive.mcap", verify=verify)
+    assert [stored for _, _, stored in stored_chunks(destination) if stored in there] == there[:2]
+    assert consistent(destination)
+
+
+@pytest.mark.parametrize("verify", [True, False])
+def test_chunks_that_declare_what_is_left_out_are_taken_apart(verify: bool, tmp_path: Path) -> None:
+    there = declaring_chunks(tmp_path / "drive.mcap", clouds_first=True)
+    destination = convert(tmp_path / "drive.mcap", verify=verify)
+    assert [stored for _, _, stored in stored_chunks(destination) if stored in there] == there[1:2]
+    assert consistent(destination)
+    assert {channel.topic for channel in streamed(destination) if isinstance(channel, Channel)} == {"/left", "/scan"}
+
+
+@pytest.mark.parametrize("verify", [True, False])
+def test_chunks_that_declare_otherwise_are_taken_apart(verify: bool, tmp_path: Path) -> None:
+    """A destination of another metadata version spells the QoS profiles otherwise."""
+    there = declaring_chunks(tmp_path / "drive.mcap", clouds_first=False)
+    destination = convert(tmp_path / "drive.mcap", suffix="", metadata_version=9, verify=verify)
+    storage = destination / "scans_0.mcap"
+    # The second chunk declares nothing, but that cannot be known without looking.
+    copied = [stored for _, _, stored in stored_chunks(storage) if stored in there]
+    assert copied == there[1:2]
+    assert consistent(storage)
+    assert len(opened(destination).messages) == 9
+
+
+@pytest.mark.parametrize("compression", ["none", "lz4", "bz2"])
+@pytest.mark.parametrize("start", [None, str(T0 + 3 * STEP)])
+def test_ros1_itself_reads_copied_chunks(compression: str, start: str | None, tmp_path: Path) -> None:
+    if ros1_missing():
+        pytest.skip(ros1_missing())
+    source = write(tmp_path / "drive.bag", compression, drive("ros1"))
+    destination = convert(source, start=start)
+    theirs = [(topic, time_ns) for topic, time_ns, *_ in ros1_read(destination)]
+    assert sorted(theirs) == sorted((found.topic, found.log_time_ns) for found in opened(destination).messages)
+
+
+def test_ros1_can_make_a_new_index(tmp_path: Path) -> None:
+    """Also where the chunks that described the connections first were cut off."""
+    if ros1_missing():
+        pytest.skip(ros1_missing())
+    destination = convert(write(tmp_path / "drive.bag", "lz4", drive("ros1")), start=str(T0 + 7 * STEP))
+    expected = len(opened(destination).messages)
+    data = bytearray(destination.read_bytes())
+    (index_pos,) = struct.unpack_from("<Q", data, place := data.index(b"index_pos=") + 10)
+    data[place : place + 8] = bytes(8)
+    destination.write_bytes(data[:index_pos])
+    done = ros1(ROS1, ROSBAG, "reindex", destination)
+    assert done.returncode == 0, done.stderr
+    assert len(opened(destination).messages) == expected
+
+
+@pytest.mark.parametrize("apart", [True, False])
+def test_parts_of_a_recording(apart: bool, tmp_path: Path) -> None:
+    rows = drive("cdr")
+    half = next(i for i, (_, time_ns, _) in enumerate(rows) if time_ns >= T0 + 10 * STEP) - 1
+    parts = [rows[:half], rows[half:]]
+    if not apart:
+        # The first part ends after the second has begun.
+        parts[0].append(("/left", T0 + 12 * STEP + 1, image(0)))
+    paths = [write_numbered(tmp_path / f"part{i}.mcap", part) for i, part in enumerate(parts)]
+    there = [stored for path in paths for ids, _, stored in stored_chunks(path) if ids is not None and ids <= {2, 3}]
+    destination = tmp_path / "scans.mcap"
+    for jobs in (1, 2):
+        pc2scan.convert(paths, destination, params=PARAMS, overwrite=True, jobs=jobs)
+        copied = [stored for _, _, stored in stored_chunks(destination) if stored in there]
+        assert copied == (there if apart else [])
+        times = [time_ns for _, time_ns in physical_order(destination)]
+        assert times == sorted(times)
+        assert len(times) == sum(bool(topic) for part in parts for topic, _, _ in part)
+
+
+def write_numbered(path: Path, messages: list[tuple[str, int, bytes]]) -> Path:
+    """Write MCAP with ids 1, 2, 3, as rosbag2 gives them."""
+    writer = McapWriter(path, "zstd", chunk_size=CHUNK)
+    handles = {connection.topic: writer.add_connection(connection) for connection in topics("cdr")}
+    for topic, time_ns, data in messages:
+        if topic:
+            writer.write(handles[topic], time_ns, data, time_ns)
+        else:
+            writer._finish_chunk()
+    writer.finish()
+    return path
+
+
+def test_rosbag2_directories(tmp_path: Path) -> None:
+    source = tmp_path / "drive"
+    writer = Rosbag2Writer(source, "drive", compression="zstd")
+    known = topics("cdr")
+    handles = {connection.topic: writer.add_connection(connection) for connection in known}
+    for topic, time_ns, data in drive("cdr"):
+        if topic:
+            writer.write(handles[topic], time_ns, data, time_ns)
+        else:
+            writer._storage._finish_chunk()  # type: ignore[attr-defined]
+    writer.finish()
+    there = [stored for ids, _, stored in stored_chunks(source / "drive_0.mcap") if ids is not None and ids <= {2, 3}]
+    assert len(there) == ROUNDS
+    destination = convert(source)
+    written = [stored for _, _, stored in stored_chunks(destination / "scans_0.mcap")]
+    assert [stored for stored in written if stored in there] == there
+    assert len(opened(destination).messages) == ROUNDS * (IMAGES_A_CHUNK + 2)
