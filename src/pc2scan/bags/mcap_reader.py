@@ -136,7 +136,7 @@ class McapReader:
         stop = 1 << 64 if stop_ns is None else stop_ns
 
         def load(segment: Segment) -> list[RawMessage]:
-            data, problem = payload_prefix(self._file, segment, verify=self._verify)
+            data, problem = payload_prefix(self._file, segment, verify=self._verify, strict=self._log.strict)
             self._bytes_read += segment.length
             found, others, sound = _messages_in(data, wanted, first, stop)
             if problem is None and sound != len(data):
@@ -158,7 +158,7 @@ class McapReader:
 
     def _records(self, chunk: Segment) -> Iterator[tuple[int, memoryview]]:
         """A chunk's records, as far as they can be read."""
-        data, problem = payload_prefix(self._file, chunk, verify=self._verify)
+        data, problem = payload_prefix(self._file, chunk, verify=self._verify, strict=self._log.strict)
         if problem is None:
             try:
                 return iter(list(split(data, chunk.offset, self._file)))

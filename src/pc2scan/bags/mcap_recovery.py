@@ -23,6 +23,7 @@ from .mcap_contents import Contents, Walk, read_header, read_summary
 from .mcap_records import MAGIC, MESSAGE, OP_CHUNK, OP_MESSAGE, OP_MESSAGE_INDEX, RECORD, parse
 from .model import RawMessage
 from .salvage import decompressed_prefix
+from .segments import times_around
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Mapping
@@ -104,18 +105,11 @@ def recovered_contents(file: RecordFile, problem: DamageError, log: DamageLog, *
         contents.channels.setdefault(identity, channel)
     contents.channels_listed = summary.channels_listed
     _adopt(contents, summary.segments, gaps)
+    around = times_around(contents.segments)
     for err in noted or ([] if gaps else [problem]):
-        log.note(err, last_ns=None, first_ns=max((s.end_ns for s in contents.segments), default=None))
+        log.note(err, **around(file.size, file.size))
     for gap in gaps:
-        before = [s.end_ns for s in contents.segments if s.offset < gap.start and s.end_ns]
-        behind = [s.start_ns for s in contents.segments if s.offset >= gap.stop and s.end_ns]
-        log.note(
-            gap.error,
-            offset=gap.start,
-            bytes_lost=gap.stop - gap.start,
-            first_ns=max(before, default=None),
-            last_ns=min(behind, default=None),
-        )
+        log.note(gap.error, offset=gap.start, bytes_lost=gap.stop - gap.start, **around(gap.start, gap.stop))
     return contents
 
 
@@ -286,11 +280,18 @@ def _adopt(contents: Contents, indexed: Iterable[Segment], gaps: list[_Gap]) -> 
 # --- Inside chunks ---
 
 
-def payload_prefix(file: RecordFile, segment: Segment, *, verify: bool) -> tuple[memoryview, DamageError | None]:
-    """Read a segment's records as far as they can be decompressed, and tell why that is not all."""
+def payload_prefix(
+    file: RecordFile, segment: Segment, *, verify: bool, strict: bool = False
+) -> tuple[memoryview, DamageError | None]:
+    """Read a segment's records as far as they can be decompressed, and tell why that is not all.
+
+    ``strict`` saves the trouble: damage is raised.
+    """
     try:
         return payload(file, segment, verify=verify), None
     except DamageError as err:
+        if strict:
+            raise
         problem = err
     chunk: Segment = segment
     if isinstance(segment, ChunkSegment):
