@@ -14,6 +14,7 @@ from pc2scan.bags.model import Attachment, Connection, Definition, Metadata, Raw
 from pc2scan.errors import UsageError
 
 if TYPE_CHECKING:
+    from pc2scan.bags.damage import Damage
     from collections.abc import Collection, Iterator, Sequence
     from concurrent.futures import Executor
     from pathlib import Path
@@ -34,6 +35,7 @@ class FakeReader:
         self.path = path
         path.touch()
         self.connections = topics
+        self.damage: tuple[Damage, ...] = ()
         self._messages = messages
         self._log = [] if log is None else log
         times = [time_ns for _, time_ns, _ in messages]

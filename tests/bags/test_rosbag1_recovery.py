@@ -200,7 +200,7 @@ def test_of_a_chunk_that_breaks_midway_the_front_is_kept(tmp_path: Path, compres
     rows = [(0, 1_000_000_000 + i, string(" ".join(noise.choices(words, k=600)))) for i in range(600)]
     path = write(tmp_path / "a.bag", CONNECTIONS[:1], rows, compression, chunk_size=4 << 20)
     data = bytearray(path.read_bytes())
-    ((start, stop),) = chunks_of(data)
+    ((start, stop),) = chunks_of(bytes(data))
     at = start + (stop - start) * 3 // 4
     data[at : at + 100] = bytes(100)
     path.write_bytes(data)

@@ -106,8 +106,8 @@ def recovered_contents(file: RecordFile, problem: DamageError, log: DamageLog, *
     contents.channels_listed = summary.channels_listed
     _adopt(contents, summary.segments, gaps)
     around = times_around(contents.segments)
-    for err in noted or ([] if gaps else [problem]):
-        log.note(err, **around(file.size, file.size))
+    for error in noted or ([] if gaps else [problem]):
+        log.note(error, **around(file.size, file.size))
     for gap in gaps:
         log.note(gap.error, offset=gap.start, bytes_lost=gap.stop - gap.start, **around(gap.start, gap.stop))
     return contents
@@ -235,7 +235,7 @@ def _certain(file: RecordFile, opcode: int, offset: int, length: int, end: int, 
     """Whether what looks like a record's beginning is one."""
     if opcode == OP_CHUNK:
         head = _chunk_in_front(file, offset, end)
-        return head is not None and head.offset + head.length == offset + RECORD.size + length
+        return head is not None and bool(head.offset + head.length == offset + RECORD.size + length)
     following = offset + RECORD.size + length
     if following > end:
         return False
@@ -259,7 +259,7 @@ def _certain(file: RecordFile, opcode: int, offset: int, length: int, end: int, 
         parse(kind[Opcode(opcode)], file.read(offset + RECORD.size, length), offset, file)
     except DamageError:
         return False
-    return length >= 8
+    return True
 
 
 def _adopt(contents: Contents, indexed: Iterable[Segment], gaps: list[_Gap]) -> None:
