@@ -14,10 +14,11 @@ from pc2scan.bags.model import Attachment, Connection, Definition, Metadata, Raw
 from pc2scan.errors import UsageError
 
 if TYPE_CHECKING:
-    from pc2scan.bags.damage import Damage
     from collections.abc import Collection, Iterator, Sequence
     from concurrent.futures import Executor
     from pathlib import Path
+
+    from pc2scan.bags.damage import Damage
 
 
 class FakeReader:

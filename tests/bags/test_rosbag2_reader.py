@@ -226,8 +226,12 @@ def test_what_rosbags_writes_is_read(
 
 def test_metadata_that_cannot_be_understood_is_done_without(bag: Path) -> None:
     write_storage(bag / "bag_0.db3", [("/a", 3), ("/a", 4)])
-    for text in (b"rosbag2_bagfile_information: [", b"\xff\xfe", b"rosbag2_bagfile_information:\n  version: 8\n  sto"):
-        (bag / "metadata.yaml").write_bytes(text)
+    for content in (
+        b"rosbag2_bagfile_information: [",
+        b"\xff\xfe",
+        b"rosbag2_bagfile_information:\n  version: 8\n  sto",
+    ):
+        (bag / "metadata.yaml").write_bytes(content)
         with closing(Rosbag2Reader(bag)) as reader:
             assert [m.log_time_ns for m in reader.messages()] == [3, 4]
             (damage,) = reader.damage

@@ -33,8 +33,8 @@ class Damage:
         Where it begins in the file, bytes (in the unpacked file, if zstd is around the whole of it); None where it is
         about the file as a whole.
     bytes_lost
-        Bytes that could not be made sense of, as they are stored; 0 if everything was recovered, or if what is
-        lost is not in the file at all.
+        Bytes that are missing or that no record accounts for, of a chunk uncompressed; 0 if everything was
+        recovered, or if nothing tells how much is missing.
     messages_lost
         None where nothing tells how many there were.
     first_ns, last_ns

@@ -203,7 +203,7 @@ def _is_record(file: RecordFile, offset: int, end: int) -> bool:
     if offset + RECORD.size > end:
         return False
     opcode, length = RECORD.unpack(file.read(offset, RECORD.size))
-    return 0 < opcode <= _LAST_OPCODE and offset + RECORD.size + length <= end
+    return bool(0 < opcode <= _LAST_OPCODE and offset + RECORD.size + length <= end)
 
 
 def _next_record(
@@ -298,6 +298,11 @@ def payload_prefix(
         head = file.read(segment.record_offset, min(CHUNK_HEAD_SIZE, file.size - segment.record_offset))
         with suppress(DamageError):
             found = chunk_at(head, 0, segment.record_offset, file)
+            if found.offset + found.length > file.size:
+                there = file.size - found.offset
+                problem = file.damage(
+                    f"the chunk at byte {segment.record_offset} is cut off: it has {there} of {found.length} bytes"
+                )
             # A header that agrees with itself is right; another one is worth less than what was found otherwise.
             if head[0] == OP_CHUNK and found.compression in _COMPRESSIONS and found.offset + found.length <= file.size:
                 chunk = found

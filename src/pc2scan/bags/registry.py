@@ -393,7 +393,8 @@ def _one_of(option: str, value: str, allowed: Sequence[str], path: Path) -> str:
 def default_destination(sources: Sequence[Path], summaries: Sequence[Summary], mark: str = "_scan") -> Path:
     """Name a destination beside the first source, in its format: ``drive.bag`` becomes ``drive_scan.bag``.
 
-    ``mark`` is what is put behind the name. A bare ``.db3`` file becomes a rosbag2 directory. `default_storage` tells the storage that goes with it.
+    ``mark`` is what is put behind the name. A bare ``.db3`` file becomes a rosbag2 directory. `default_storage` tells
+    the storage that goes with it.
     """
     source = sources[0]
     if source.name in {"", ".."}:

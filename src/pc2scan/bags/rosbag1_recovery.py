@@ -332,11 +332,12 @@ def _find_times(file: BagFile, found: _Found, log: DamageLog) -> None:
                     connection_ids=frozenset(stamps.counts),
                 )
             )
-        elif not data:
+        elif len(data) != segment.uncompressed_size:
             log.note(
-                file.damage_error(f"of the chunk with data at byte {segment.offset} nothing can be decompressed"),
+                file.damage_error(f"in the chunk with data at byte {segment.offset} no message is whole"),
                 offset=segment.offset,
-                bytes_lost=segment.length,
+                bytes_lost=segment.uncompressed_size,
+                **times_around(segments)(segment.offset, segment.offset),
             )
     found.segments = segments
 

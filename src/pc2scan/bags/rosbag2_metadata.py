@@ -62,7 +62,7 @@ _SUFFIXES = {".db3": "sqlite3", ".mcap": "mcap"}
 _WITHOUT_METADATA = f"move {METADATA_NAME} away to have the files beside it read without it"
 
 
-class Unsupported(ValueError):
+class UnsupportedError(ValueError):
     """metadata.yaml is sound, but what it tells of cannot be read."""
 
 
@@ -117,7 +117,7 @@ def read_info(folder: Path, log: DamageLog) -> BagInfo:
         log.note(DamageError(f"is not UTF-8: {err.reason}", path=path, hint=_WITHOUT_METADATA))
     except OSError as err:
         raise RecordingError(f"cannot be read: {err.strerror}", path=Path(err.filename or path)) from err
-    except Unsupported as err:
+    except UnsupportedError as err:
         raise RecordingError(str(err), path=path, hint=_WITHOUT_METADATA) from err
     except ValueError as err:
         log.note(DamageError(str(err), path=path, hint=_WITHOUT_METADATA))
@@ -178,10 +178,10 @@ def _parsed_info(document: Any) -> BagInfo:
     root = _get(document, ROOT, dict, "the file")
     version = _get(root, "version", int, ROOT)
     if not 1 <= version <= NEWEST_VERSION:
-        raise Unsupported(f"has version {version}; 1 to {NEWEST_VERSION} are known")
+        raise UnsupportedError(f"has version {version}; 1 to {NEWEST_VERSION} are known")
     storage = _get(root, "storage_identifier", str, ROOT)
     if storage not in _SUFFIXES.values():
-        raise Unsupported(f"has storage {storage!r}; {' and '.join(sorted(_SUFFIXES.values()))} can be read")
+        raise UnsupportedError(f"has storage {storage!r}; {' and '.join(sorted(_SUFFIXES.values()))} can be read")
     files = [_file_name(path) for path in _get(root, "relative_file_paths", list, ROOT)]
     if not files:
         raise ValueError("names no files")
@@ -238,10 +238,10 @@ def _message_compression(root: Any) -> str:
     if mode in {"", "none", "storage"}:
         return "none"
     if mode not in {"file", "message"}:
-        raise Unsupported(f"has compression_mode {mode!r}, expected none, file or message")
+        raise UnsupportedError(f"has compression_mode {mode!r}, expected none, file or message")
     name = _get(root, "compression_format", str, ROOT, "").lower()
     if name != "zstd":
-        raise Unsupported(f"has compression_format {name!r}; only zstd can be read")
+        raise UnsupportedError(f"has compression_format {name!r}; only zstd can be read")
     # Compressed files are recognised by their content.
     return "zstd" if mode == "message" else "none"
 

@@ -42,7 +42,7 @@ def show_recovery(report: Report, *, limit: int = SHOWN) -> None:
     if declared is not None and declared > report.messages_read:
         found += f" of the {declared:,} that the source declares"
     stored = sum(place.bytes_lost for place in report.damage)
-    lost = f"{size(stored)} lost" if stored else "no bytes lost that are there"
+    lost = f"{size(stored)} lost" if stored else "no bytes are known to be lost"
     typer.echo(f"recovered: {found} messages; {lost}; {_spanned(report.damage)}", err=True)
 
 

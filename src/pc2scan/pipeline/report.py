@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import asdict, dataclass, field, fields
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from pc2scan.bags.damage import Damage
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.project import PointCounts
+
+if TYPE_CHECKING:
+    from pc2scan.bags.damage import Damage
 
 __all__ = ["Report", "Skipped", "TopicReport"]
 
