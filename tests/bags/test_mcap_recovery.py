@@ -107,15 +107,14 @@ def test_a_cut_loses_only_the_message_it_cuts(tmp_path: Path, case: str) -> None
 
 
 @pytest.mark.parametrize("case", CASES)
-@pytest.mark.parametrize("flip", [0x01, 0xFF])
-def test_any_byte_flipped(tmp_path: Path, case: str, flip: int) -> None:
+def test_any_byte_flipped(tmp_path: Path, case: str) -> None:
     source = library_file(tmp_path / "a.mcap", MESSAGES, extras=True, chunk_size=300, **CASES[case])
     data = source.read_bytes()
     places = stretches(data)
     path = tmp_path / "b.mcap"
     for position in range(8, len(data)):
         flipped = bytearray(data)
-        flipped[position] ^= flip
+        flipped[position] ^= 0xFF if position % 2 else 0x01
         path.write_bytes(flipped)
         rows, damage = recovered(path)
         # Damage costs no more than the chunk or message that it is in, wherever it is.

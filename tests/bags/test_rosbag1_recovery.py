@@ -103,8 +103,9 @@ def test_cut_at_every_byte(tmp_path: Path, compression: str) -> None:
         assert {data for _, stop, inner in places if stop <= size for data in inner} <= found, size
         assert len(rows) >= most, size
         most = len(rows)
-        with pytest.raises(DamageError), closing(Rosbag1Reader(path, strict=True)) as strict:
-            list(strict.messages())
+        if size % 10 == 0:
+            with pytest.raises(DamageError), closing(Rosbag1Reader(path, strict=True)) as strict:
+                list(strict.messages())
     assert most == len(ROWS)
 
 
@@ -118,13 +119,12 @@ def test_a_cut_loses_only_the_message_it_cuts(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("compression", COMPRESSIONS)
-@pytest.mark.parametrize("flip", [0x01, 0xFF])
-def test_any_byte_flipped(tmp_path: Path, compression: str, flip: int) -> None:
+def test_any_byte_flipped(tmp_path: Path, compression: str) -> None:
     data, places = contents(tmp_path / "a.bag", compression)
     path = tmp_path / "b.bag"
     for position in (*range(13, 150), *range(4100, len(data))):
         flipped = bytearray(data)
-        flipped[position] ^= flip
+        flipped[position] ^= 0xFF if position % 2 else 0x01
         path.write_bytes(flipped)
         try:
             rows, damage = recovered(path)

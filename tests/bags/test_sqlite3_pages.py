@@ -187,3 +187,17 @@ def test_no_database_at_all(tmp_path: Path) -> None:
     path.write_bytes(b"SQLite format 3\0" + b"\xff" * 20_000)
     with pytest.raises(RecordingError, match="nothing of it can be recovered"):
         Sqlite3Reader(path)
+
+
+def test_a_name_that_is_not_text_is_damage_too(tmp_path: Path) -> None:
+    """SQLite quotes it in its message, on which Python's own module fails."""
+    complete = build(tmp_path / "a.db3")
+    data = bytearray((tmp_path / "a.db3").read_bytes())
+    at = data.index(b"CREATE TABLE messages")
+    data[at : at + 6] = b"CRE\xff\xfeE"
+    at = data.rindex(b"messages", 0, at)
+    data[at : at + 8] = b"mess\xffges"
+    (tmp_path / "a.db3").write_bytes(data)
+    rows, damage = recovered(tmp_path / "a.db3")
+    assert Counter(rows) == Counter(complete)
+    assert damage

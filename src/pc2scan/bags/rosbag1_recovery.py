@@ -57,7 +57,7 @@ _MAX_HEADER = 4096
 
 # The field that says of what kind a record is; the fields in front of it are few and short.
 _OP = re.compile(rb"\x04\0\0\0op=[\x02-\x07]")
-_REACH = 192
+_REACH = 72
 
 _ANYWHERE = frozenset({MESSAGE, INDEX_DATA, CHUNK, CHUNK_INFO, CONNECTION})
 #: Records that no chunk holds.

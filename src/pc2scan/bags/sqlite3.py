@@ -184,9 +184,9 @@ class Sqlite3Reader:
                     message = self._message(known[topic_id], time_ns, message_id, data)
                     if message is not None:
                         yield message
-            except sqlite3.Error as err:
+            except (sqlite3.Error, DamageError) as err:
                 # What was handed out stays so: the rest comes from the pages, from the next row on.
-                self._recover(self._error(err))
+                self._recover(err if isinstance(err, DamageError) else self._error(err))
             else:
                 return
 
@@ -276,7 +276,11 @@ class Sqlite3Reader:
     def _query(self, sql: str, values: Sequence[Any] = ()) -> sqlite3.Cursor:
         if self._database is None:
             raise RecordingError("is closed", path=self._path)
-        return self._database.execute(sql, values)
+        try:
+            return self._database.execute(sql, values)
+        except UnicodeDecodeError as err:
+            # The message quotes a damaged name, which Python takes for text.
+            raise self._damage("SQLite cannot read it, and names what is not text") from err
 
     def _damage(self, message: str, topic: str | None = None) -> DamageError:
         return DamageError(message, path=self._path, topic=topic, hint=RECOVER)

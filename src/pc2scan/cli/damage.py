@@ -48,6 +48,8 @@ def show_recovery(report: Report, *, limit: int = SHOWN) -> None:
 
 def _lost(stored: int, messages: int | None) -> str:
     parts = [size(stored)] if stored else []
+    if messages == 0 and not stored:
+        return "nothing lost, but what was read there may be wrong"
     if messages:
         parts.append(f"{messages:,} message{'s' if messages > 1 else ''}")
     return f"{' and '.join(parts)} lost" if parts else ""
