@@ -27,6 +27,7 @@ from bags.rosbag1_files import (
     uint32,
     write,
 )
+from pc2scan.bags import rosbag1_chunks, rosbag1_recovery
 from pc2scan.bags.rosbag1_reader import Rosbag1Reader
 from pc2scan.errors import DamageError
 
@@ -34,6 +35,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pc2scan.bags.damage import Damage
+    from pc2scan.bags.rosbag1_records import BagFile
+    from pc2scan.bags.segments import Segment
 
 CONNECTIONS = [connection("/a"), connection("/b")]
 ROWS: list[Row] = [(i % 2, 1_000_000_000 + 10 * (i // 2) + (i * 7) % 13, string(f"{i:03}" * 6)) for i in range(9)]
@@ -151,6 +154,31 @@ def test_a_bag_that_was_never_closed(tmp_path: Path) -> None:
     assert damage.first_ns == max(t for _, t, _ in ROWS)
     with pytest.raises(DamageError, match="was never closed"):
         Rosbag1Reader(path, strict=True)
+
+
+@pytest.mark.parametrize("closed", [True, False])
+def test_of_a_bag_never_closed_no_chunk_is_read_twice(
+    closed: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write(tmp_path / "a.bag", CONNECTIONS, ROWS, "lz4", chunk_size=150)
+    data = bytearray((tmp_path / "a.bag").read_bytes())
+    if not closed:
+        at = data.index(b"index_pos=") + len(b"index_pos=")
+        data[at : at + 8] = bytes(8)
+        (tmp_path / "a.bag").write_bytes(data)
+    read: list[int] = []
+    original = rosbag1_chunks.payload
+
+    def counting(file: BagFile, segment: Segment) -> bytes:
+        read.append(segment.offset)
+        return original(file, segment)
+
+    monkeypatch.setattr(rosbag1_recovery, "payload", counting)
+    rows, damage = recovered(tmp_path / "a.bag")
+    assert bool(damage) is not closed
+    assert len(rows) == len(ROWS)
+    assert len(set(read)) == len(chunks_of(bytes(data)))
+    assert len(read) == len(set(read))
 
 
 def index_data(entries: list[tuple[int, int]], *, width: int) -> bytes:

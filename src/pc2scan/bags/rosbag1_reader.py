@@ -36,8 +36,8 @@ class Rosbag1Reader:
         A bag of format 2.0.
 
     strict
-        Whether damage is an error; otherwise it is read around, and told by `damage`. A bag without an index that can
-        be used is then found out by reading it, which takes longer to open.
+        Whether damage is an error; otherwise it is read around, and told by `damage`. Of a bag without an index that
+        can be used, the chunks whose own index records cannot be either are then read to open it.
 
     Raises
     ------

@@ -204,6 +204,8 @@ def recovered_contents(file: BagFile, problem: DamageError, log: DamageLog) -> C
     position = _next_after_header(file)
     loose = _Stamps()
     loose_start = position
+    # What the index records behind the last chunk say of it; None if they cannot be relied on.
+    index: _Stamps | None = None
     previous: tuple[int, _Record] | None = None
 
     def end_run(at: int) -> None:
@@ -220,6 +222,7 @@ def recovered_contents(file: BagFile, problem: DamageError, log: DamageLog) -> C
         whole = record is not None and record.stop <= file.size
         if record is None or not whole:
             end_run(position)
+            index = None
             # The record in front may have the wrong length: then it swallowed others, or is itself too short.
             if previous is not None and record is None:
                 if previous[1].kind != CHUNK:
@@ -248,7 +251,14 @@ def recovered_contents(file: BagFile, problem: DamageError, log: DamageLog) -> C
             loose.add(uint32_field(record.fields, "conn"), time_field(record.fields, "time"))
         else:
             end_run(position)
-            _note_record(file, found, position, record)
+            if record.kind == INDEX_DATA:
+                index = _with_entries(index, file, record)
+            else:
+                # Whole only if another record follows; then it spares reading the chunk to know its times.
+                _set_times(found, index)
+                _note_record(file, found, position, record)
+                noted = record.kind == CHUNK and found.segments and found.segments[-1].offset == record.start
+                index = _Stamps() if noted else None
         previous, position = (position, record), record.stop
     end_run(file.size)
     _find_times(file, found, log)
@@ -275,6 +285,29 @@ def _note_record(file: BagFile, found: _Found, position: int, record: _Record) -
             found.gaps.append((position, record.stop, str(err)))
         else:
             found.connections.setdefault(connection.id, connection)
+
+
+def _with_entries(index: _Stamps | None, file: BagFile, record: _Record) -> _Stamps | None:
+    """Add what one index record says: times and places of a connection's messages, 12 bytes each."""
+    count = uint32_field(record.fields, "count")
+    if index is None or 12 * count != record.stop - record.start or uint32_field(record.fields, "ver") != 1:
+        return None
+    connection = uint32_field(record.fields, "conn")
+    entries = file.nearby(record.start, record.stop - record.start)
+    for seconds, nanoseconds, _ in struct.iter_unpack("<III", entries):
+        index.add(connection, seconds * SECOND_NS + nanoseconds)
+    return index
+
+
+def _set_times(found: _Found, index: _Stamps | None) -> None:
+    """Let the last chunk have the times that its index records have."""
+    if index is not None and index.counts and found.segments and not found.segments[-1].end_ns:
+        found.segments[-1] = replace(
+            found.segments[-1],
+            start_ns=index.first_ns,
+            end_ns=max(index.last_ns, 1),
+            connection_ids=frozenset(index.counts),
+        )
 
 
 def _add_chunk(file: BagFile, found: _Found, position: int, stop: int) -> None:
@@ -304,10 +337,10 @@ def _set_end(found: _Found, record: _Record, stop: int) -> None:
 
 
 def _find_times(file: BagFile, found: _Found, log: DamageLog) -> None:
-    """Read every chunk for its times and for connections: the index that would have told them is gone."""
+    """Read the chunks whose times no index tells, or that may describe connections which nothing else does."""
     segments = []
     for segment in found.segments:
-        if segment.end_ns:
+        if segment.end_ns and segment.connection_ids is not None and segment.connection_ids <= found.connections.keys():
             segments.append(segment)
             continue
         data, _ = payload_prefix(file, segment)
