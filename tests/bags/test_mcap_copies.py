@@ -8,12 +8,14 @@ from contextlib import closing
 from typing import TYPE_CHECKING, Any
 
 import pytest
+import zstandard
 
 from bags.mcap_files import write
+from pc2scan.bags import segments
 from pc2scan.bags.mcap_copies import whole_by_content, whole_by_index
 from pc2scan.bags.mcap_reader import McapReader
 from pc2scan.bags.mcap_records import RecordFile
-from pc2scan.bags.model import ChunkRule, StoredChunk
+from pc2scan.bags.model import ChunkRule, RawMessage, StoredChunk
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -84,6 +86,15 @@ def test_indexes_that_cannot_be_trusted_are_not(chunk: Chunk, at: int, form: str
     struct.pack_into(form, chunk.data, chunk.indexes + (at if at >= 0 else chunk.segment.index_length + at), value)
     assert chunk.by_index() is None
     assert isinstance(chunk.by_content(), StoredChunk)
+
+
+def test_messages_that_are_packed_by_themselves_are_not_copied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(segments, "MIN_WHOLE_BYTES", 1)
+    packed = [(channel, time_ns, zstandard.compress(data)) for channel, time_ns, data in ROWS]
+    assert isinstance(Chunk(tmp_path / "packed.mcap", packed).by_content(), memoryview)
+    with closing(McapReader(tmp_path / "packed.mcap", verify=False)) as reader:
+        found = list(reader.messages_or_chunks(RULE))
+    assert [bytes(message.data) for message in found if isinstance(message, RawMessage)] == [row[2] for row in ROWS]
 
 
 def test_another_compression_cannot_be_had_without_decompressing(chunk: Chunk) -> None:

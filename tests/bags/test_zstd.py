@@ -8,7 +8,8 @@ import pytest
 import zstandard
 
 from pc2scan.bags import zstd
-from pc2scan.errors import RecordingError
+from pc2scan.bags.damage import DamageLog
+from pc2scan.errors import DamageError, RecordingError
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -32,7 +33,7 @@ def test_files_are_recognised_by_content_and_unpacked(tmp_path: Path) -> None:
     assert zstd.is_zstd(packed)
     folder = tmp_path / "unpacked"
     folder.mkdir()
-    assert zstd.unpacked_file(packed, folder) == folder / "b.mcap"
+    assert zstd.unpacked_file(packed, folder, DamageLog(strict=True)) == folder / "b.mcap"
     assert (folder / "b.mcap").read_bytes() == b"content"
 
 
@@ -44,3 +45,25 @@ def test_messages(tmp_path: Path) -> None:
     assert (caught.value.path, caught.value.topic) == (tmp_path, "/a")
     with pytest.raises(RecordingError, match="a message cannot be decompressed"):
         zstd.unpacked_message(b"nonsense", tmp_path, "/a")
+
+
+def test_of_a_damaged_file_the_front_is_kept(tmp_path: Path) -> None:
+    import random
+
+    content = random.Random(1).randbytes(400_000).hex().encode()
+    packed, folder = tmp_path / "a.db3.zstd", tmp_path / "unpacked"
+    folder.mkdir()
+    whole = zstandard.ZstdCompressor(write_checksum=True).compress(content)
+    broken = bytearray(whole)
+    broken[len(whole) // 2 : len(whole) // 2 + 200] = bytes(200)
+    for damaged, least in ((whole[: len(whole) * 3 // 4], 0.5), (bytes(broken), 0.25)):
+        packed.write_bytes(damaged)
+        log = DamageLog()
+        unpacked = zstd.unpacked_file(packed, folder, log).read_bytes()
+        assert content.startswith(unpacked[: int(len(content) * least)])
+        assert len(content) >= len(unpacked) > least * len(content)
+        (damage,) = log.found
+        assert damage.path == packed
+        assert "cannot be decompressed" in damage.what
+        with pytest.raises(DamageError):
+            zstd.unpacked_file(packed, folder, DamageLog(strict=True))

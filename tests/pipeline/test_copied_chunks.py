@@ -17,14 +17,22 @@ import pc2scan
 from bags.mcap_files import encoded, streamed
 from bags.rosbag1_files import ROS1, ROSBAG, ros1, ros1_missing, ros1_read
 from e2e.outputs import opened, physical_order
-from pc2scan.bags import mcap_chunks, mcap_reader, mcap_writer, rosbag1_reader, rosbag1_writer, segments
+from pc2scan.bags import (
+    mcap_chunks,
+    mcap_reader,
+    mcap_writer,
+    rosbag1_reader,
+    rosbag1_recovery,
+    rosbag1_writer,
+    segments,
+)
 from pc2scan.bags.mcap_reader import McapReader
 from pc2scan.bags.mcap_writer import McapWriter
 from pc2scan.bags.model import Connection, Definition
 from pc2scan.bags.rosbag1_reader import Rosbag1Reader
 from pc2scan.bags.rosbag1_writer import Rosbag1Writer
 from pc2scan.bags.rosbag2_writer import Rosbag2Writer
-from pc2scan.errors import RecordingError
+from pc2scan.errors import DamageError
 from pc2scan.messages.definitions import definition
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointField, encode_pointcloud2
 
@@ -147,7 +155,7 @@ class Counts:
         for module, name, counter in (
             (mcap_chunks, "_decompressed", "decompressed"),
             (rosbag1_reader, "decompressed", "decompressed"),
-            (rosbag1_reader, "payload", "decompressed"),
+            (rosbag1_recovery, "payload", "decompressed"),
             (mcap_reader, "_messages_in", "split"),
             (rosbag1_writer, "_compressed", "compressed"),
         ):
@@ -192,7 +200,8 @@ def test_unverified_chunks_of_mcap_are_not_even_decompressed(tmp_path: Path, mon
     expected = convert(source).read_bytes()
     counts = Counts(monkeypatch)
     assert convert(source, verify=False).read_bytes() == expected
-    assert (counts.decompressed, counts.compressed) == (ROUNDS, ROUNDS)
+    # And one of them to see whether messages are packed by themselves.
+    assert (counts.decompressed, counts.compressed) == (ROUNDS + 1, ROUNDS)
 
 
 @pytest.mark.parametrize("suffix", [".bag", ".mcap"])
@@ -295,12 +304,19 @@ def test_small_chunks_are_gathered(source: Path, monkeypatch: pytest.MonkeyPatch
 def test_damage_in_a_copied_chunk_is_found(source: Path, options: dict[str, Any]) -> None:
     if source.suffix == ".bag" and stored_chunks(source)[0][1] == "none":
         pytest.skip("an uncompressed ROS 1 bag has no checksums")
+    sound = source.with_name(f"sound{source.suffix}")
     data = bytearray(source.read_bytes())
+    sound.write_bytes(data)
     chunk = images_only(source)[1]
     data[data.index(chunk) + len(chunk) // 2] ^= 0x10
     source.write_bytes(data)
-    with pytest.raises(RecordingError):
-        convert(source, **options)
+    with pytest.raises(DamageError):
+        convert(source, strict=True, **options)
+    recovered = opened(convert(source, **options))
+    assert recovered.of("/scan") == opened(convert(sound, **options)).of("/scan")
+    report = pc2scan.convert(source, source.with_name(f"told{source.suffix}"), params=PARAMS, **options)
+    assert len(report.damage) == 1
+    assert report.exit_status == 3
 
 
 def test_added_connections_get_ids_that_the_source_does_not_use(source: Path) -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from .crc32 import crc32
-from .mcap_records import CHUNK, OP_CHUNK, RECORD, REPAIR, UINT64
+from .mcap_records import CHUNK, OP_CHUNK, RECORD, UINT64
 from .segments import Segment
 
 if TYPE_CHECKING:
@@ -40,8 +40,11 @@ class ChunkSegment(Segment):
     index_length: int = 0
 
 
-def chunk_at(data: Buffer, position: int, record_offset: int, file: RecordFile) -> ChunkSegment:
-    """Read the header of the chunk whose record begins at ``data[position]``."""
+def chunk_at(data: Buffer, position: int, record_offset: int, file: RecordFile, *, exact: bool = True) -> ChunkSegment:
+    """Read the header of the chunk whose record begins at ``data[position]``.
+
+    ``exact`` asks that its payload ends where its record does.
+    """
     malformed = f"the chunk at byte {record_offset} has a malformed header"
     try:
         _, record_length = RECORD.unpack_from(data, position)
@@ -50,14 +53,13 @@ def chunk_at(data: Buffer, position: int, record_offset: int, file: RecordFile) 
         (length,) = UINT64.unpack_from(data, name_at + min(name_size, _MAX_COMPRESSION_NAME))
         name = str(data[name_at : name_at + name_size], "utf-8")
     except (struct.error, UnicodeDecodeError) as err:
-        raise file.error(malformed, REPAIR) from err
+        raise file.damage(malformed) from err
     if name_size > _MAX_COMPRESSION_NAME:
-        raise file.error(f"{malformed}: its compression has a name of {name_size} bytes", REPAIR)
+        raise file.damage(f"{malformed}: its compression has a name of {name_size} bytes")
     head = CHUNK.size + name_size + UINT64.size
-    if head + length > record_length:
-        raise file.error(
+    if head + length != record_length and exact:
+        raise file.damage(
             f"the chunk at byte {record_offset} declares {length} bytes of records in {record_length} bytes",
-            REPAIR,
         )
     return ChunkSegment(
         offset=record_offset + RECORD.size + head,
@@ -108,7 +110,7 @@ def stored_chunk(file: RecordFile, segment: ChunkSegment, more: int = 0) -> tupl
     data = memoryview(file.read(segment.record_offset, head + segment.length + more))
     chunk = chunk_at(data, 0, segment.record_offset, file)
     if data[0] != OP_CHUNK or _storage(chunk) != _storage(segment):
-        raise file.error(f"the index and the chunk at byte {segment.record_offset} contradict each other", REPAIR)
+        raise file.damage(f"the index and the chunk at byte {segment.record_offset} contradict each other")
     return chunk, data[head:]
 
 
@@ -116,9 +118,8 @@ def unpacked_chunk(file: RecordFile, chunk: ChunkSegment, data: memoryview, *, v
     """Decompress a chunk's records, and compare them with the CRC that it has; see `payload`."""
     unpacked = memoryview(_decompressed(data, chunk, file))
     if verify and chunk.crc and (actual := crc32(unpacked)) != chunk.crc:
-        raise file.error(
+        raise file.damage(
             f"the chunk at byte {chunk.record_offset} has CRC {actual:08x}, recorded is {chunk.crc:08x}",
-            REPAIR,
         )
     return unpacked
 
@@ -134,15 +135,15 @@ def _decompressed(data: memoryview, chunk: ChunkSegment, file: RecordFile) -> Bu
     if size == 0:
         return b""
     if chunk.compression not in _DECOMPRESS:
-        raise file.error(f"{where} has compression {chunk.compression!r}, known are none, lz4 and zstd")
+        raise file.damage(f"{where} has compression {chunk.compression!r}, known are none, lz4 and zstd")
     try:
         unpacked = _DECOMPRESS[chunk.compression](data, size)
     except (MemoryError, OverflowError) as err:
-        raise file.error(f"{where} declares {size} bytes uncompressed, which do not fit into memory") from err
+        raise file.damage(f"{where} declares {size} bytes uncompressed, which do not fit into memory") from err
     except (ValueError, RuntimeError) as err:
-        raise file.error(f"{where} cannot be decompressed to the declared {size} bytes: {err}", REPAIR) from err
+        raise file.damage(f"{where} cannot be decompressed to the declared {size} bytes: {err}") from err
     if len(unpacked) != size:
-        raise file.error(f"{where} decompresses to {len(unpacked)} bytes, declared are {size}", REPAIR)
+        raise file.damage(f"{where} decompresses to {len(unpacked)} bytes, declared are {size}")
     return unpacked
 
 

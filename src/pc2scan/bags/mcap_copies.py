@@ -9,6 +9,7 @@ from .crc32 import crc32
 from .mcap_chunks import stored_chunk, unpacked_chunk
 from .mcap_records import MESSAGE, OP_MESSAGE, OP_MESSAGE_INDEX, RECORD, encoded
 from .model import StoredChunk
+from .zstd import MAGIC as FRAME
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -113,7 +114,8 @@ def _index_of(records: memoryview, segment: ChunkSegment, declarations: Collecti
         if opcode != OP_MESSAGE:
             if bytes(records[position:following]) not in declarations:
                 return None
-        elif following - position < MESSAGE.size:
+        elif following - position < MESSAGE.size or records[position + MESSAGE.size : following][:4] == FRAME:
+            # Messages that are packed one by one are unpacked, not copied.
             return None
         else:
             _, _, channel_id, _, log_time_ns, _ = MESSAGE.unpack_from(records, position)

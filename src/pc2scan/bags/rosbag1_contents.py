@@ -15,10 +15,8 @@ from .rosbag1_records import (
     CHUNK_INFO,
     COMPRESSIONS,
     CONNECTION,
-    DAMAGED,
     FIRST_LINE,
     MESSAGE,
-    REINDEX,
     Damaged,
     field_of,
     kind_of,
@@ -31,12 +29,12 @@ from .rosbag1_records import (
 from .segments import Segment
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from .model import Connection
     from .rosbag1_records import BagFile
 
-__all__ = ["Contents", "read_index"]
+__all__ = ["Contents", "chunk_segment", "read_index"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +63,7 @@ def read_index(file: BagFile) -> Contents:
         if (version := uint32_field(fields, "ver")) != 1:
             raise Damaged(f"a chunk info has version {version}, only 1 can be read")
         entries = uint32_field(fields, "count")
-        if 8 * entries > position - start:
+        if 8 * entries != position - start:
             raise Damaged(f"a chunk info of {position - start} bytes declares {entries} counts of 8 bytes")
         numbers = struct.unpack(f"<{2 * entries}I", file.body(start, start + 8 * entries))
         for identity, count in zip(numbers[::2], numbers[1::2], strict=True):
@@ -75,6 +73,9 @@ def read_index(file: BagFile) -> Contents:
             place = uint64_field(fields, "chunk_pos")
             times = (time_field(fields, "start_time"), time_field(fields, "end_time"))
             located.append((place, *times, sets.setdefault(ids, ids)))
+
+    if position < file.size:
+        _refuse_further(file, position)
 
     segments = []
     for place, start_ns, end_ns, ids in located:
@@ -90,6 +91,15 @@ def read_index(file: BagFile) -> Contents:
     )
 
 
+def _refuse_further(file: BagFile, position: int) -> None:
+    """Raise if the index goes on behind what the bag header counts."""
+    try:
+        file.record(position, CHUNK_INFO)
+    except Damaged:
+        return
+    raise Damaged(f"it goes on at byte {position}, behind what the bag header counts")
+
+
 def _read_bag_header(file: BagFile) -> tuple[int, int, int]:
     """Read where the index is, and how many connections and chunks it holds."""
     first = file.head(len(FIRST_LINE))
@@ -100,9 +110,7 @@ def _read_bag_header(file: BagFile) -> tuple[int, int, int]:
                 path=file.path,
                 hint="Rewrite it with ROS 1: rosbag fix OLD.bag NEW.bag",
             )
-        raise RecordingError(
-            f"begins with {first!r}, a ROS 1 bag begins with {FIRST_LINE!r}", path=file.path, hint=DAMAGED
-        )
+        raise RecordingError(f"begins with {first!r}, a ROS 1 bag begins with {FIRST_LINE!r}", path=file.path)
     fields, _, _ = file.record(len(FIRST_LINE), BAG_HEADER)
     if encryptor := text_of(fields.get(b"encryptor", b"")):
         raise RecordingError(
@@ -112,22 +120,24 @@ def _read_bag_header(file: BagFile) -> tuple[int, int, int]:
         )
     index_pos = uint64_field(fields, "index_pos")
     if index_pos == 0:
-        raise RecordingError("has no index: index_pos is 0", path=file.path, hint=REINDEX)
+        raise Damaged("there is none, the bag was never closed (index_pos is 0)")
     if index_pos > file.size:
         raise Damaged(f"the index should be at byte {index_pos}, the file has {file.size} bytes")
     return index_pos, uint32_field(fields, "conn_count"), uint32_field(fields, "chunk_count")
 
 
 def _segment(file: BagFile, chunk_pos: int) -> Segment:
-    """Make a segment of a chunk's record, as yet without times and connections."""
     fields, start, stop = file.record(chunk_pos, CHUNK)
+    return chunk_segment(fields, chunk_pos, start, stop)
+
+
+def chunk_segment(fields: Mapping[bytes, bytes], chunk_pos: int, start: int, stop: int) -> Segment:
+    """Make a segment of a chunk's record, as yet without times and connections."""
     compression = text_of(field_of(fields, "compression"))
     if compression not in COMPRESSIONS:
-        raise RecordingError(
+        raise Damaged(
             f"the chunk at byte {chunk_pos} is compressed with {compression!r}, a ROS 1 bag knows "
-            f"{', '.join(COMPRESSIONS)}",
-            path=file.path,
-            hint="The bag is damaged or of a later format.",
+            f"{', '.join(COMPRESSIONS)}"
         )
     size = uint32_field(fields, "size")
     return Segment(start, stop - start, compression, size, crc=0, start_ns=0, end_ns=0)

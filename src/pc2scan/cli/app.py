@@ -16,6 +16,7 @@ from .diff import diff
 from .golden import golden
 from .info import info
 from .render import error_text
+from .repair import repair
 from .tf import tf
 
 if TYPE_CHECKING:
@@ -24,7 +25,8 @@ if TYPE_CHECKING:
 __all__ = ["app"]
 
 EPILOG = (
-    "Exit status: 0 done, 1 failed and nothing written, 2 wrong usage, 3 written but with messages skipped. "
+    "Exit status: 0 done, 1 failed and nothing written, 2 wrong usage, "
+    "3 written but with messages skipped or from a damaged source. "
     "check: 0 accepted, 1 not. diff and golden: 0 the same, 1 different, 2 not comparable."
 )
 
@@ -112,5 +114,5 @@ def root(
     """Recorded 3D lidar to the 2D laser scans that SLAM and navigation need, without a ROS installation."""
 
 
-for command in (convert, check, info, tf, diff, golden):
+for command in (convert, check, info, tf, repair, diff, golden):
     app.command(cls=_Command)(command)

@@ -11,6 +11,7 @@ import typer
 from pc2scan.core.consumers import OUTCOMES
 from pc2scan.errors import stamp_text
 
+from .damage import show_damage
 from .render import printable
 
 if TYPE_CHECKING:
@@ -102,6 +103,7 @@ def check(
         typer.echo(_conclusion(result))
         for warning in result.warnings:
             typer.echo(f"warning: {printable(warning)}", err=True)
+    show_damage(result.damage)
     raise typer.Exit(result.exit_status)
 
 

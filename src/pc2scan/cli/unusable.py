@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from pc2scan.errors import Pc2ScanError
+from pc2scan.errors import DamageError, Pc2ScanError
 
 from .render import error_text
 
@@ -23,5 +23,7 @@ def exit_status_2() -> Iterator[None]:
     try:
         yield
     except Pc2ScanError as err:
+        if isinstance(err, DamageError):
+            err.hint = "pc2scan repair makes a sound recording of what is left of it"
         typer.echo(error_text(err), err=True)
         raise typer.Exit(2) from err

@@ -73,9 +73,9 @@ def open_source(path: Path) -> Source:
     Raises
     ------
     RecordingError
-        If it cannot be read.
+        If it cannot be read. While messages are read too: what is left of a damaged one is not compared.
     """
-    return open_scan_text(path) if is_scan_text(path) else open_recording(path)
+    return open_scan_text(path) if is_scan_text(path) else open_recording(path, strict=True)
 
 
 def diff_sources(

@@ -23,6 +23,7 @@ from .scan_topic import Finding, ScanTopic
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
+    from pc2scan.bags.damage import Damage
     from pc2scan.bags.model import Connection, Reader
     from pc2scan.core.consumers import Scan, Verdict
     from pc2scan.tf.buffer import TransformBuffer
@@ -103,12 +104,15 @@ class Check:
         One entry a topic, by name.
     warnings
         Transforms that cannot be used, and why.
+    damage
+        What is damaged in the recordings; a defect.
     """
 
     sources: tuple[str, ...]
     asked: tuple[str, ...]
     topics: tuple[TopicCheck, ...]
     warnings: tuple[str, ...] = ()
+    damage: tuple[Damage, ...] = ()
 
     @property
     def counting(self) -> tuple[str, ...]:
@@ -126,8 +130,9 @@ class Check:
 
     @property
     def defects(self) -> int:
-        """How many findings are defects."""
-        return sum(finding.level == "defect" for topic in self.topics for finding in topic.findings)
+        """How many findings are defects; a damaged recording is one more."""
+        found = sum(finding.level == "defect" for topic in self.topics for finding in topic.findings)
+        return found + bool(self.damage)
 
     @property
     def exit_status(self) -> int:
@@ -146,6 +151,7 @@ class Check:
             "asked": list(self.asked),
             "topics": [_plain(asdict(topic)) for topic in self.topics],
             "warnings": list(self.warnings),
+            "damage": [place.as_dict() for place in self.damage],
         }
 
 
@@ -198,9 +204,11 @@ def check(
         readers = _open(paths, stack)
         reader = MergedReader(readers) if len(readers) > 1 else readers[0]
         chosen = _chosen(reader.connections, tuple(topics))
-        buffer, warnings = read_transforms([*readers, *_open(options.tf_from, stack)], options)
+        others = _open(options.tf_from, stack)
+        buffer, warnings = read_transforms([*readers, *others], options)
         found = _read(reader, chosen, buffer, odom_frame, base_frame)
-    return Check(tuple(map(str, paths)), asked, tuple(found), tuple(warnings))
+        damage = tuple(place for each in (reader, *others) for place in each.damage)
+    return Check(tuple(map(str, paths)), asked, tuple(found), tuple(warnings), damage)
 
 
 def _open(paths: Iterable[str | PathLike[str]], stack: ExitStack) -> list[Reader]:

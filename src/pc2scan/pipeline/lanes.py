@@ -88,7 +88,7 @@ def _prepare_passing(lane: Lane, target: Destination, options: ConvertOptions, w
     """Declare a connection that passes through, re-encoded if the destination is of the other generation."""
     connection = lane.connection
     entry = lane.report
-    if connection.generation == target.generation and connection.definition.data:
+    if connection.generation == target.generation and (connection.definition.data or options.repair):
         lane.passing_handle = writer.add_connection(connection)
         return
     # Only recordings that lack definitions, or change generation, pay for loading this.
