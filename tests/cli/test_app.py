@@ -4,15 +4,23 @@ import pytest
 from typer.testing import CliRunner
 
 import pc2scan
-from pc2scan.cli.app import app
+from pc2scan.cli.app import COMMANDS, application
 from pc2scan.core import kernel
 
 
 @pytest.mark.parametrize("compiled", [True, False])
 def test_the_version_says_if_the_loops_are_not_compiled(compiled: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(kernel, "COMPILED", compiled)
-    done = CliRunner().invoke(app, ["--version"])
+    done = CliRunner().invoke(application(), ["--version"])
     assert done.exit_code == 0
     version, *rest = done.stdout.strip().split(" (")
     assert version == f"pc2scan {pc2scan.__version__}"
     assert bool(rest) != compiled
+
+
+def test_a_command_alone_is_the_same_command() -> None:
+    for name in COMMANDS:
+        alone = CliRunner().invoke(application(name), [name, "--help"])
+        assert alone.stdout == CliRunner().invoke(application(), [name, "--help"]).stdout
+    everything = CliRunner().invoke(application("no-such"), ["--help"]).stdout
+    assert all(f"  {name}" in everything for name in COMMANDS)

@@ -35,6 +35,6 @@ def test_a_signal_is_meant_for_the_whole_process(
     def ended(*_: object, **__: object) -> None:
         raise SystemExit(128 + number)
 
-    monkeypatch.setattr(app_module, "app", ended)
+    monkeypatch.setattr(app_module, "application", lambda _: ended)
     with pytest.raises(raised):
         run_command(["convert"])

@@ -34,7 +34,7 @@ from builders import (
     write_rosbag1,
 )
 from e2e.command import Finished, run
-from pc2scan.cli.app import app
+from pc2scan.cli.app import application
 from support import RECORDINGS, ROOT, needs_shared
 
 if TYPE_CHECKING:
@@ -79,7 +79,7 @@ def reference(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def run_here(*arguments: str | Path) -> Finished:
     """The command in this process: most of what a process of its own takes is its start."""
-    done = CliRunner().invoke(app, [str(argument) for argument in arguments])
+    done = CliRunner().invoke(application(), [str(argument) for argument in arguments])
     return Finished(done.exit_code, done.stdout, done.stderr)
 
 

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 import pc2scan
 from e2e.command import Finished, run
-from pc2scan.cli.app import app
+from pc2scan.cli.app import application
 from support import ROOT
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ PARAMS = "pointcloud_to_laserscan:\n  ros__parameters:\n    min_height: -0.3\n  
 
 
 def golden(*arguments: str | Path) -> Finished:
-    done = CliRunner().invoke(app, ["golden", *(str(argument) for argument in arguments)])
+    done = CliRunner().invoke(application(), ["golden", *(str(argument) for argument in arguments)])
     return Finished(done.exit_code, done.stdout, done.stderr)
 
 

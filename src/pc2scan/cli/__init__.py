@@ -7,6 +7,8 @@ __all__ = ["main"]
 
 def main() -> None:
     """Run the ``pc2scan`` command."""
-    from .app import app
+    import sys
 
-    app(prog_name="pc2scan")
+    from .app import application
+
+    application(*sys.argv[1:2])(prog_name="pc2scan")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+from importlib import import_module
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -10,19 +11,15 @@ from typer.core import TyperCommand, TyperGroup
 
 from pc2scan.errors import Pc2ScanError
 
-from .check import check
-from .convert import convert
-from .diff import diff
-from .golden import golden
-from .info import info
 from .render import error_text
-from .repair import repair
-from .tf import tf
 
 if TYPE_CHECKING:
     from types import FrameType
 
-__all__ = ["app"]
+__all__ = ["COMMANDS", "application"]
+
+#: The commands in the order of the help; each is a function in the module of its name.
+COMMANDS = ("convert", "check", "info", "tf", "repair", "diff", "golden")
 
 EPILOG = (
     "Exit status: 0 done, 1 failed and nothing written, 2 wrong usage, "
@@ -82,18 +79,6 @@ def _handle_termination() -> Any:
         return None
 
 
-app = typer.Typer(
-    cls=_Group,
-    name="pc2scan",
-    help="Recorded 3D lidar to the 2D laser scans that SLAM and navigation need, without a ROS installation.",
-    epilog=EPILOG,
-    no_args_is_help=True,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
-)
-
-
 def _show_version(value: bool) -> None:
     if value:
         from pc2scan import __version__
@@ -104,7 +89,6 @@ def _show_version(value: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
 def root(
     version: Annotated[
         bool,
@@ -114,5 +98,22 @@ def root(
     """Recorded 3D lidar to the 2D laser scans that SLAM and navigation need, without a ROS installation."""
 
 
-for command in (convert, check, info, tf, repair, diff, golden):
-    app.command(cls=_Command)(command)
+def application(command: str | None = None) -> typer.Typer:
+    """Make the application, with one of `COMMANDS` alone if that is what is going to run, else with all of them.
+
+    Loading a command, and building its options, takes some milliseconds, which others should not wait for.
+    """
+    app = typer.Typer(
+        cls=_Group,
+        name="pc2scan",
+        help="Recorded 3D lidar to the 2D laser scans that SLAM and navigation need, without a ROS installation.",
+        epilog=EPILOG,
+        no_args_is_help=True,
+        rich_markup_mode=None,
+        pretty_exceptions_enable=False,
+        context_settings={"help_option_names": ["-h", "--help"]},
+    )
+    app.callback()(root)
+    for name in (command,) if command in COMMANDS else COMMANDS:
+        app.command(cls=_Command)(getattr(import_module(f".{name}", __package__), name))
+    return app

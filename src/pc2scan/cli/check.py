@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pc2scan.core.consumers import OUTCOMES
 from pc2scan.errors import stamp_text
 
 from .damage import show_damage
@@ -147,6 +146,8 @@ def _show_consumer(consumer: ConsumerCheck, scans: int) -> None:
 
 def _conclusion(result: Check) -> str:
     """Say in one line who would not take what, the worst first."""
+    from pc2scan.core.consumers import OUTCOMES
+
     several = len(result.topics) > 1
     refusing: dict[str, dict[str, list[str]]] = {}
     for topic in result.topics:

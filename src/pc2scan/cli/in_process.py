@@ -23,13 +23,13 @@ def run_command(arguments: Sequence[str]) -> Ended:
     KeyboardInterrupt, SystemExit
         If it was interrupted or terminated: that was meant for the whole process.
     """
-    from .app import app
+    from .app import application
 
     said = StringIO()
     status = 0
     with redirect_stdout(StringIO()), redirect_stderr(said):
         try:
-            app(list(arguments), prog_name="pc2scan")
+            application(*arguments[:1])(list(arguments), prog_name="pc2scan")
         except SystemExit as err:
             status = err.code if isinstance(err.code, int) else 1
     if status == 128 + signal.SIGINT:
