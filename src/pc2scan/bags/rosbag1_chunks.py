@@ -61,7 +61,7 @@ def decompressed(data: bytes, compression: str, size: int) -> bytes:
     except (OSError, RuntimeError, EOFError, MemoryError) as err:
         raise Damaged(f"its {compression} data cannot be decompressed: {err}") from err
     if not complete and len(data) <= size:
-        raise Damaged(f"its {compression} data ends early, after {len(data)} of {size} bytes")
+        raise Damaged(f"its {compression} data ends early, {size} bytes are declared")
     return _checked(data, size)
 
 

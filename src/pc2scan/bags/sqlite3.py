@@ -183,8 +183,10 @@ class Sqlite3Reader:
             try:
                 for topic_id, time_ns, message_id, data in self._rows(list(known), start_ns, stop_ns, after):
                     after = (time_ns, message_id)
-                    message = self._message(known[topic_id], time_ns, message_id, data)
-                    if message is not None:
+                    if isinstance(data, bytes) and not self._compressed:
+                        self._bytes_read += len(data)
+                        yield RawMessage(known[topic_id], time_ns, data, time_ns)
+                    elif (message := self._unpacked(known[topic_id], time_ns, message_id, data)) is not None:
                         yield message
             except (sqlite3.Error, DamageError) as err:
                 # What was handed out stays so: the rest comes from the pages, from the next row on.
@@ -192,14 +194,14 @@ class Sqlite3Reader:
             else:
                 return
 
-    def _message(self, connection: Connection, time_ns: int, message_id: int, data: object) -> RawMessage | None:
-        """One message, if its data can be had."""
+    def _unpacked(self, connection: Connection, time_ns: int, message_id: int, data: object) -> RawMessage | None:
+        """A message that is compressed by itself; None, and a note, if its data cannot be had."""
         try:
             if not isinstance(data, bytes):
                 what = "is not in the file any more" if data is None else f"is {type(data).__name__}, not bytes"
                 raise self._damage(f"a message's data {what}", connection.topic)
             self._bytes_read += len(data)
-            unpacked = zstd.unpacked_message(data, self._path, connection.topic) if self._compressed else data
+            unpacked = zstd.unpacked_message(data, self._path, connection.topic)
         except DamageError as err:
             self._log.note(err, key=message_id, messages_lost=1, first_ns=time_ns, last_ns=time_ns)
             return None

@@ -38,12 +38,12 @@ def show_recovery(report: Report, *, limit: int = SHOWN) -> None:
         return
     show_damage(report.damage, limit=limit)
     declared = report.messages_declared
-    found = f"{report.messages_read:,}"
+    found = f"{report.messages_read:,} messages"
     if declared is not None and declared > report.messages_read:
-        found += f" of the {declared:,} that the source declares"
+        found = f"{report.messages_read:,} of the {declared:,} messages that the source declares"
     stored = sum(place.bytes_lost for place in report.damage)
     lost = f"{size(stored)} lost" if stored else "no bytes are known to be lost"
-    typer.echo(f"recovered: {found} messages; {lost}; {_spanned(report.damage)}", err=True)
+    typer.echo(f"recovered: {found}; {lost}; {_spanned(report.damage)}", err=True)
 
 
 def _lost(stored: int, messages: int | None) -> str:
