@@ -69,6 +69,8 @@ def golden(
     else:
         counted = [f"{number} {outcome.value}" for outcome, number in report.counts.items() if number]
         typer.echo(f"{', '.join(counted)} in {report.seconds:.1f} s")
+        if report.exit_status == 1:
+            typer.echo("hint: if this is meant, --update makes it the expected output")
     raise typer.Exit(report.exit_status)
 
 
