@@ -190,7 +190,7 @@ def _realigned(a: Stream, b: Stream, common: int) -> Iterator[Match]:
 
 
 def _planned(a: Stream, b: Stream, common: int) -> tuple[Sequence[int], Sequence[int]]:
-    """Read the stamps: the log time of every message of ``b``, and for each of ``a`` its partner's place or -1."""
+    """The log time of every message of ``b``, and for each of ``a`` its partner's place there, or -1."""
     times: list[int] = []
     keys: list[int] = []
     for message in b.messages():
