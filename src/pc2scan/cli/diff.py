@@ -79,9 +79,9 @@ def diff(
 ) -> None:
     """Show what differs between two recordings.
 
-    Scans and clouds are compared message by message, matched by their header's stamp: repeated stamps in order, messages
-    without a stamp by log time. Everything is compared to the bit unless a tolerance is given. Container, compression
-    and ROS generation make no difference.
+    Scans and clouds are compared message by message, matched by their header's stamp: repeated stamps in order,
+    messages without a stamp by log time. Everything is compared to the bit unless a tolerance is given. Container,
+    compression and ROS generation make no difference.
 
     Exit status: 0 the same, 1 different, 2 not comparable.
     """
