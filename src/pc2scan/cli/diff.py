@@ -77,11 +77,11 @@ def diff(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Tell by the exit status only.")] = False,
 ) -> None:
-    """Compare the scans and clouds of two recordings, message by message.
+    """Show what differs between two recordings.
 
-    Messages are matched by their header's stamp: repeated stamps in order, messages without a stamp by log time.
-    Everything is compared to the bit unless a tolerance is given. Container, compression and ROS generation make no
-    difference.
+    Scans and clouds are compared message by message, matched by their header's stamp: repeated stamps in order,
+    messages without a stamp by log time. Everything is compared to the bit unless a tolerance is given. Container,
+    compression and ROS generation make no difference.
 
     Exit status: 0 the same, 1 different, 2 not comparable.
     """

@@ -37,7 +37,7 @@ def golden(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Do not show cases that passed.")] = False,
 ) -> None:
-    """Convert the inputs of a folder of cases, and compare with what is expected.
+    """Check conversions against what they are expected to make.
 
     A case is a folder: input.bag (or input.mcap, input.db3, input/), params.yaml, and what the conversion is expected
     to make, expected.txt (or expected.bag, expected.mcap, expected/). A case.yaml may name other inputs, further
@@ -69,6 +69,8 @@ def golden(
     else:
         counted = [f"{number} {outcome.value}" for outcome, number in report.counts.items() if number]
         typer.echo(f"{', '.join(counted)} in {report.seconds:.1f} s")
+        if report.exit_status == 1:
+            typer.echo("hint: if this is meant, --update makes it the expected output")
     raise typer.Exit(report.exit_status)
 
 

@@ -7,6 +7,8 @@ from contextlib import redirect_stderr, redirect_stdout
 from io import StringIO
 from typing import TYPE_CHECKING
 
+import typer
+
 from pc2scan.golden.check import Ended
 
 if TYPE_CHECKING:
@@ -35,5 +37,6 @@ def run_command(arguments: Sequence[str]) -> Ended:
     if status == 128 + signal.SIGINT:
         raise KeyboardInterrupt
     if status > 128:
+        typer.echo(said.getvalue(), err=True, nl=False)
         raise SystemExit(status)
     return Ended(status, said.getvalue())

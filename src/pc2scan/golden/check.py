@@ -72,24 +72,27 @@ def _checked(case: Case, command: Command, *, update: bool) -> _Checked:
         if not actual.exists():
             # It failed, as it should.
             return Outcome.passed, [], None
-        if case.expected is None:
-            lines: list[str] = [f"there is no expected output: --update makes {case.new_expected().name}"]
-            difference = None
-        else:
-            try:
-                difference = diff(case.expected, actual, all_topics=case.all_topics, rules=case.rules)
-            except RecordingError as err:
-                if not update:
-                    raise
-                lines, difference = [str(err)], None
-            else:
-                if difference.same:
-                    return Outcome.passed, [], difference
-                lines = difference.text(NAMES).splitlines()
+        difference, lines = _compared(case, actual, update=update)
+        if not lines:
+            return Outcome.passed, lines, difference
         if not update:
             return Outcome.failed, lines, difference
         _write_expected(case, actual, command)
-        return Outcome.updated, lines if case.expected else [f"new: {case.new_expected().name}"], difference
+        return Outcome.updated, lines, difference
+
+
+def _compared(case: Case, actual: Path, *, update: bool) -> tuple[Difference | None, list[str]]:
+    """Compare with what is expected; no lines if there is nothing to tell."""
+    if case.expected is None:
+        name = case.new_expected().name
+        return None, [f"new: {name}" if update else f"there is no expected output: --update makes {name}"]
+    try:
+        difference = diff(case.expected, actual, all_topics=case.all_topics, rules=case.rules)
+    except RecordingError as err:
+        if not update:
+            raise
+        return None, [str(err)]
+    return difference, [] if difference.same else difference.text(NAMES).splitlines()
 
 
 def _arguments(case: Case, destination: Path, *further: str) -> list[str]:
