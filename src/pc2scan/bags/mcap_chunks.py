@@ -7,6 +7,7 @@ import zlib
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from .limits import allowed_bytes
 from .mcap_records import CHUNK, OP_CHUNK, RECORD, REPAIR, UINT64
 from .segments import Segment
 
@@ -103,6 +104,10 @@ def _decompressed(data: memoryview, chunk: ChunkSegment, file: RecordFile) -> Bu
     where = f"the chunk at byte {chunk.record_offset}"
     if size == 0:
         return b""
+    if size > (allowed := allowed_bytes(file.size)):
+        raise file.error(
+            f"{where} declares {size} bytes uncompressed, in a file of {file.size} at most {allowed} may be"
+        )
     if chunk.compression not in _DECOMPRESS:
         raise file.error(f"{where} has compression {chunk.compression!r}, known are none, lz4 and zstd")
     try:

@@ -136,7 +136,7 @@ class McapReader:
 
         if ids is None or ids:
             segments = [s for s in self._contents.segments if s.may_hold(ids, start_ns, stop_ns)]
-            yield from in_time_order(segments, load, pool=self._pool)
+            yield from in_time_order(segments, load, pool=self._pool, path=self._file.path)
 
     def read_ahead(self, pool: Executor) -> None:
         """Let the following calls of `messages` read and decompress what comes next on these threads."""

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass, replace
+from itertools import pairwise
+from operator import attrgetter
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import RecordingError
 
+from .limits import MAX_CONNECTIONS
 from .rosbag1_chunks import payload, records_in
 from .rosbag1_records import (
     BAG_HEADER,
@@ -50,6 +53,8 @@ class Contents:
 def read_index(file: BagFile) -> Contents:
     """Find out what a bag holds from its index."""
     position, connection_count, chunk_count = _read_bag_header(file)
+    if connection_count > MAX_CONNECTIONS:
+        raise Damaged(f"{connection_count} connections are declared, at most {MAX_CONNECTIONS} are believed")
     connections: dict[int, Connection] = {}
     for _ in range(connection_count):
         fields, start, position = file.record(position, CONNECTION)
@@ -77,10 +82,14 @@ def read_index(file: BagFile) -> Contents:
             located.append((place, *times, sets.setdefault(ids, ids)))
 
     segments = []
-    for place, start_ns, end_ns, ids in located:
-        segment = replace(_segment(file, place), start_ns=start_ns, end_ns=end_ns, connection_ids=ids)
+    placed = [
+        replace(_segment(file, place), start_ns=start_ns, end_ns=end_ns, connection_ids=ids)
+        for place, start_ns, end_ns, ids in located
+    ]
+    _refuse_overlaps(placed)
+    for segment in placed:
         # Times that cannot be, and zeros of a recorder that did not know, are found out by looking.
-        known = segment if start_ns <= end_ns and end_ns else _with_times(file, segment)
+        known = segment if segment.start_ns <= segment.end_ns and segment.end_ns else _with_times(file, segment)
         if known:
             segments.append(known)
     connections.update(_find_connections(file, segments, set(counts) - set(connections)))
@@ -131,6 +140,13 @@ def _segment(file: BagFile, chunk_pos: int) -> Segment:
         )
     size = uint32_field(fields, "size")
     return Segment(start, stop - start, compression, size, crc=0, start_ns=0, end_ns=0)
+
+
+def _refuse_overlaps(segments: Sequence[Segment]) -> None:
+    """Each byte belongs to one chunk: a short file could otherwise hold one chunk as often as its index likes."""
+    for chunk, following in pairwise(sorted(segments, key=attrgetter("offset"))):
+        if following.offset < chunk.offset + chunk.length or following.offset == chunk.offset:
+            raise Damaged(f"the index places two chunks on the bytes from {following.offset} on")
 
 
 def _with_times(file: BagFile, segment: Segment) -> Segment | None:

@@ -127,7 +127,7 @@ class Rosbag1Reader:
                 ) from err
 
         due = [segment for segment in self._contents.segments if segment.may_hold(ids, start_ns, stop_ns)]
-        return in_time_order(due, load, pool=self._pool)
+        return in_time_order(due, load, pool=self._pool, path=self._path)
 
     def read_ahead(self, pool: Executor) -> None:
         """Let the following calls of `messages` read and decompress what comes next on these threads."""

@@ -13,14 +13,20 @@ from dataclasses import dataclass
 from operator import attrgetter
 from typing import TYPE_CHECKING
 
+from pc2scan.errors import RecordingError
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
     from concurrent.futures import Executor, Future
+    from pathlib import Path
 
     from .model import RawMessage
 
 #: Loaded segments may take this much before the ones needed last are dropped and later read again.
-MAX_OPEN_BYTES = 128 << 20
+MAX_OPEN_BYTES = 64 << 20
+
+#: Segments may be read again until that comes to so many times the whole, and a gigabyte.
+_MAX_AGAIN = 16
 
 #: Segments are loaded ahead of their turn until they take this much together, or there are this many.
 MAX_AHEAD_BYTES = 32 << 20
@@ -86,6 +92,7 @@ def in_time_order(
     *,
     max_open_bytes: int = MAX_OPEN_BYTES,
     pool: Executor | None = None,
+    path: Path | None = None,
 ) -> Iterator[RawMessage]:
     """Merge the messages of overlapping segments.
 
@@ -101,11 +108,18 @@ def in_time_order(
     pool
         Threads on which segments are loaded ahead of their turn; ``load`` must bear that. None loads each when it is
         due. The messages are the same.
+    path
+        The file, for the error.
 
     Yields
     ------
     RawMessage
         By log time; equal log times in the order of the file.
+
+    Raises
+    ------
+    RecordingError
+        If segments that overlap would have to be read again and again.
     """
     waiting = sorted(segments, key=attrgetter("start_ns", "offset"))
 
@@ -117,7 +131,7 @@ def in_time_order(
 
     arrivals = _Ahead(waiting, loaded, pool) if pool is not None else map(loaded, waiting)
     try:
-        yield from _merged(waiting, iter(arrivals), loaded, max_open_bytes)
+        yield from _merged(waiting, iter(arrivals), loaded, max_open_bytes, path)
     finally:
         if isinstance(arrivals, _Ahead):
             arrivals.cancel()
@@ -139,9 +153,9 @@ class _Ahead:
         for segment in self._segments:
             size = segment.uncompressed_size
             while self._pending and (held + size > MAX_AHEAD_BYTES or len(self._pending) >= MAX_AHEAD):
-                first, future = self._pending.popleft()
-                held -= first.uncompressed_size
-                yield future.result()
+                held -= self._pending[0][0].uncompressed_size
+                # Bound to no name: this frame must not keep it alive meanwhile.
+                yield self._pending.popleft()[1].result()
             self._pending.append((segment, self._pool.submit(self._load, segment)))
             held += size
         while self._pending:
@@ -158,10 +172,12 @@ def _merged(
     arrivals: Iterator[list[RawMessage]],
     loaded: Callable[[Segment], list[RawMessage]],
     max_open_bytes: int,
+    path: Path | None,
 ) -> Iterator[RawMessage]:
     """Merge segments, given their messages in the same order; ``loaded`` is for those that were dropped."""
     heap: list[_Open] = []
     due = 0
+    again = _MAX_AGAIN * sum(segment.uncompressed_size for segment in waiting) + (1 << 30)
     while heap or due < len(waiting):
         while due < len(waiting) and (not heap or waiting[due].start_ns <= heap[0].key[0]):
             segment = waiting[due]
@@ -170,10 +186,16 @@ def _merged(
             if messages:
                 heapq.heappush(heap, _Open(segment, messages))
                 _evict(heap, max_open_bytes)
+            del messages
         if not heap:
             continue
         current = heapq.heappop(heap)
         if current.messages is None:
+            again -= current.segment.uncompressed_size
+            if again < 0:
+                raise RecordingError(
+                    f"its chunks overlap in time so much that each would have to be read {_MAX_AGAIN} times", path=path
+                )
             current.messages = loaded(current.segment)
         # Everything up to the next segment's turn comes from this one: no heap operation a message.
         limit = heap[0].key if heap else None
@@ -190,9 +212,8 @@ def _merged(
             current.key = (messages[position].log_time_ns, offset)
             heapq.heappush(heap, current)
             _evict(heap, max_open_bytes)
-        else:
-            # The generator's frame must not keep a spent segment alive while the next one is loaded.
-            del messages, current
+        # The generator's frame must not keep a spent or dropped segment alive while the next one is loaded.
+        del messages, current
 
 
 def _evict(heap: list[_Open], max_open_bytes: int) -> None:

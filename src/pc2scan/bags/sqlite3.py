@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import shutil
 import sqlite3
-from contextlib import closing, suppress
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -33,6 +33,7 @@ import zstandard
 from pc2scan.errors import OutputError, RecordingError
 
 from . import zstd
+from .limits import MAX_CONNECTIONS
 from .model import Connection, Definition, RawMessage, Summary
 from .qos import latches
 from .staging import sync_file
@@ -98,7 +99,8 @@ class Sqlite3Reader:
             self._database = self._open()
             self._check_tables()
             self._index = self._timestamp_index()
-            self._connections, start_ns, end_ns = self._read_connections()
+            with self._ending():
+                self._connections, start_ns, end_ns = self._read_connections()
             self._compressed = message_compression == "zstd" or self._first_is_compressed()
         except sqlite3.Error as err:
             self.close()
@@ -148,14 +150,22 @@ class Sqlite3Reader:
         """Messages by log time; equal log times in the order of writing. Memory does not grow."""
         wanted = None if connections is None else {connection.id for connection in connections}
         known = {own.id: own for own in self._connections if wanted is None or own.id in wanted}
+        expected = sum(own.message_count or 0 for own in known.values())
         try:
-            for topic_id, time_ns, data in self._rows(list(known), start_ns, stop_ns):
+            for number, (topic_id, time_ns, data) in enumerate(self._rows(list(known), start_ns, stop_ns)):
+                if topic_id not in known or not isinstance(time_ns, int):
+                    raise RecordingError(
+                        f"a message has topic_id {topic_id!r:.40} and timestamp {time_ns!r:.40}", path=self._path
+                    )
                 if not isinstance(data, bytes):
                     raise RecordingError(
                         f"a message's data is {type(data).__name__}, not bytes",
                         path=self._path,
                         topic=known[topic_id].topic,
                     )
+                # Pages of a damaged tree may lead back to themselves.
+                if number >= expected:
+                    raise RecordingError(f"has more messages than the {expected} that it counts", path=self._path)
                 self._bytes_read += len(data)
                 if self._compressed:
                     data = zstd.unpacked_message(data, self._path, known[topic_id].topic)  # noqa: PLW2901
@@ -198,7 +208,22 @@ class Sqlite3Reader:
         database = sqlite3.connect(f"{path.absolute().as_uri()}?{mode}", uri=True, check_same_thread=False)
         # One byte that is not UTF-8 in a topic's name must not make the recording unreadable.
         database.text_factory = lambda raw: raw.decode("utf-8", "replace")
+        # No value is longer than the file that it is in.
+        database.setlimit(
+            sqlite3.SQLITE_LIMIT_LENGTH, 1_000_000 + sum(side.stat().st_size for side in side_files) + self._size
+        )
         return database
+
+    @contextmanager
+    def _ending(self) -> Iterator[None]:
+        """Interrupt SQLite if it takes more steps than the rows of a file of this size can need."""
+        millions = iter(range(20 + self._size // 25_000))
+        assert self._database is not None
+        self._database.set_progress_handler(lambda: next(millions, None) is None, 1_000_000)
+        try:
+            yield
+        finally:
+            self._database.set_progress_handler(None, 0)
 
     def _query(self, sql: str, values: Sequence[Any] = ()) -> sqlite3.Cursor:
         if self._database is None:
@@ -226,6 +251,11 @@ class Sqlite3Reader:
                     f"is an SQLite database, but not one of rosbag2: table {table} lacks {', '.join(sorted(missing))}",
                     path=self._path,
                 )
+        for table in (*needed, "message_definitions"):
+            # A view, or a table that a module makes up, can have rows without end.
+            stored = "SELECT min(type = 'table' AND rootpage > 0) FROM sqlite_master WHERE lower(name) = ?"
+            if self._query(stored, (table,)).fetchone()[0] == 0:
+                raise RecordingError(f"{table} is not a plain table, as rosbag2 makes it", path=self._path)
 
     def _timestamp_index(self) -> str | None:
         """The quoted name of an index that knows the order of all messages."""
@@ -240,20 +270,28 @@ class Sqlite3Reader:
     def _read_connections(self) -> tuple[tuple[Connection, ...], int | None, int | None]:
         """The connections, and the times of the first and the last message."""
         available = self._columns("topics")
-        optional = ["offered_qos_profiles", "type_description_hash"]
-        extra = "".join(f", coalesce({name}, '')" if name in available else ", ''" for name in optional)
+        names = ["name", "type", "serialization_format", "offered_qos_profiles", "type_description_hash"]
+        columns = ", ".join(_text_of(name) if name in available else "''" for name in names)
         definitions = self._read_definitions()
         counts = {
             topic_id: numbers
             for topic_id, *numbers in self._query(
-                "SELECT topic_id, count(*), min(timestamp), max(timestamp) FROM messages GROUP BY topic_id"
+                "SELECT topic_id, count(*), min(timestamp), max(timestamp) FROM messages "
+                "WHERE topic_id IN (SELECT id FROM topics) GROUP BY topic_id"
             )
         }
-        connections, starts, ends = [], [], []
+        connections: list[Connection] = []
+        starts, ends = [], []
         for topic_id, topic, msgtype, serialization, qos, digest in self._query(
-            f"SELECT id, name, type, serialization_format{extra} FROM topics ORDER BY id"  # noqa: S608 - constants
+            f"SELECT id, {columns} FROM topics ORDER BY id"  # noqa: S608 - constants
         ):
             count, first_ns, last_ns = counts.get(topic_id, (0, None, None))
+            if len(connections) == MAX_CONNECTIONS or not isinstance(topic_id, int):
+                raise RecordingError(
+                    f"has more than {MAX_CONNECTIONS} topics, or one whose id is no number", path=self._path
+                )
+            if count and not (isinstance(first_ns, int) and isinstance(last_ns, int)):
+                raise RecordingError("has timestamps that are no numbers", path=self._path, topic=topic)
             if count:
                 starts.append(first_ns)
                 ends.append(last_ns)
@@ -278,10 +316,11 @@ class Sqlite3Reader:
         columns = self._columns("message_definitions")
         if not {"topic_type", "encoding", "encoded_message_definition"} <= columns:
             return found
-        digest = "type_description_hash" if "type_description_hash" in columns else "''"
+        digest = _text_of("type_description_hash") if "type_description_hash" in columns else "''"
         for msgtype, encoding, data, own_digest in self._query(
-            "SELECT topic_type, encoding, CAST(encoded_message_definition AS BLOB), "  # noqa: S608 - constants
-            f"{digest} FROM message_definitions ORDER BY id"
+            f"SELECT {_text_of('topic_type')}, {_text_of('encoding')}, "  # noqa: S608 - constants
+            f"CAST(encoded_message_definition AS BLOB), {digest} FROM message_definitions ORDER BY id LIMIT ?",
+            (MAX_CONNECTIONS,),
         ):
             # rosbag2 says "unknown" where it did not find the definition.
             if data and encoding not in {"", "unknown"}:
@@ -316,6 +355,11 @@ class Sqlite3Reader:
             for topic_id, time_ns, message_id in rows:
                 row = self._query("SELECT data FROM messages WHERE id = ?", (message_id,)).fetchone()
                 yield topic_id, time_ns, row and row[0]
+
+
+def _text_of(column: str) -> str:
+    """A column as text: SQLite lets any value into any column."""
+    return f"coalesce(CAST({column} AS TEXT), '')"
 
 
 def _beside(path: Path, suffix: str) -> Path:

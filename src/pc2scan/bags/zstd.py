@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 from pc2scan.errors import RecordingError
 
+from .limits import MAX_FILE_RATIO, MAX_UNPACKED, allowed_bytes
+
 if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
@@ -24,6 +26,9 @@ __all__ = [
 
 #: How every frame begins.
 MAGIC = b"\x28\xb5\x2f\xfd"
+
+#: Bytes that are decompressed at a time. Zeros shrink to a thirty-thousandth, and a piece's result is held in memory.
+_PIECE = 1 << 11
 
 #: What the names of packed files end with.
 SUFFIXES = (".zstd", ".zst")
@@ -53,10 +58,14 @@ def unpacked_file(path: Path, folder: Path) -> Path:
         with path.open("rb") as packed, target.open("wb") as out:
             complete = True
             decoder = zstandard.ZstdDecompressor().decompressobj()
-            # Small pieces: zeros shrink to a thirty-thousandth, and a piece's result is held in memory.
-            while piece := packed.read(1 << 14):
+            allowed = MAX_UNPACKED + MAX_FILE_RATIO * path.stat().st_size
+            while piece := packed.read(_PIECE):
                 while piece:
-                    out.write(decoder.decompress(piece))
+                    allowed -= out.write(decoder.decompress(piece))
+                    if allowed < 0:
+                        raise RecordingError(
+                            f"unpacks to more than {MAX_FILE_RATIO} times its size, which no recording does", path=path
+                        )
                     complete, piece = decoder.eof, decoder.unused_data
                     if complete:
                         # Another frame may follow: pzstd writes many.
@@ -84,15 +93,26 @@ def unpacked_message(data: Buffer, path: Path, topic: str) -> bytes:
     """
     import zstandard  # noqa: PLC0415  (only compressed recordings need it)
 
-    # Not `decompress`: it trusts the frame's word on the size and needs one.
-    decoder = zstandard.ZstdDecompressor().decompressobj()
+    allowed = allowed_bytes(len(data))
     try:
-        message = decoder.decompress(data)
+        declared = zstandard.frame_content_size(data)
+        if 0 < declared <= allowed:
+            return zstandard.ZstdDecompressor().decompress(data, max_output_size=declared)
+        # Not `decompress`: it needs the frame's word on the size.
+        decoder = zstandard.ZstdDecompressor().decompressobj()
+        parts, size, view = [], 0, memoryview(data)
+        while not decoder.eof and view and size <= allowed and declared <= allowed:
+            parts.append(decoder.decompress(view[:_PIECE]))
+            size, view = size + len(parts[-1]), view[_PIECE:]
     except zstandard.ZstdError as err:
         raise RecordingError(f"a message cannot be decompressed: {err}", path=path, topic=topic) from err
+    if max(size, declared) > allowed:
+        raise RecordingError(
+            f"a message of {len(data)} bytes unpacks to more than the {allowed} that may be", path=path, topic=topic
+        )
     if not decoder.eof:
         raise RecordingError("a message's zstd frame is cut off", path=path, topic=topic)
-    return message
+    return b"".join(parts)
 
 
 def without_suffix(name: str) -> str:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from itertools import chain
 from typing import TYPE_CHECKING, NamedTuple
 
+from pc2scan.bags.files import state_of
 from pc2scan.bags.merged import MergedReader
 from pc2scan.bags.registry import (
     default_destination,
@@ -20,7 +21,7 @@ from pc2scan.bags.registry import (
     plan_destination,
 )
 from pc2scan.bags.staging import staged
-from pc2scan.errors import MessageError, UsageError
+from pc2scan.errors import MessageError, RecordingError, UsageError
 
 from .frames import Frames, is_static, read_transforms
 from .lanes import Lane, carry_extras, open_lanes, write_static
@@ -97,6 +98,7 @@ def run(
     if not sources:
         raise UsageError("no source given")
     with ExitStack() as stack:
+        states = [state_of(source) for source in sources]
         readers = _open(sources, stack, verify=options.verify)
         reader = _merged(readers)
         plan = make_plan(reader.connections, options)
@@ -123,6 +125,7 @@ def run(
                 if options.frames.write_static:
                     write_static(options.frames, span.first_ns, target, writer, report)
                 _stream(reader, lanes, options, span, writer, report, progress)
+                _refuse_changed(sources, states)
                 writer.finish()
             except BaseException:
                 writer.abort()
@@ -142,6 +145,15 @@ def _open(sources: Sequence[Path], stack: ExitStack, *, verify: bool) -> list[Re
         stack.callback(reader.close)
         readers.append(reader)
     return readers
+
+
+def _refuse_changed(sources: Sequence[Path], states: Sequence[object]) -> None:
+    """What was read while it was written may be a bit of both."""
+    for source, state in zip(sources, states, strict=True):
+        if state_of(source) != state:
+            raise RecordingError(
+                "was changed while it was read", path=source, hint="wait until the recording is complete, or copy it"
+            )
 
 
 def _merged(readers: list[Reader]) -> Reader:
@@ -192,7 +204,7 @@ def _stream(
             _work,
             ((lanes[message.connection.id], message) for message in _cut(reader, lanes, span)),
             is_heavy=lambda item: item[0].convert is not None or item[0].encode is not None,
-            size=lambda item: len(item[1].data),
+            size=_KeptBytes(),
             pool=pool,
             window=options.params.queue_size or 2 * jobs,
         )
@@ -204,6 +216,21 @@ def _stream(
                 progress(reader.bytes_read, total, count)
     if progress is not None:
         progress(total, total, sum(entry.messages_in for entry in report.topics))
+
+
+class _KeptBytes:
+    """How many bytes a message keeps in memory: its chunk, unless the message before it already does."""
+
+    def __init__(self) -> None:
+        # Its address: a reference would keep it.
+        self._chunk = 0
+
+    def __call__(self, item: tuple[Lane, RawMessage]) -> int:
+        data = item[1].data
+        if not isinstance(data, memoryview):
+            return len(data)
+        known, self._chunk = self._chunk, id(data.obj)
+        return 0 if self._chunk == known else len(data.obj)  # type: ignore[arg-type]  # chunks are bytes
 
 
 def _cores() -> int:
