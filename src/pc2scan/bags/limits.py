@@ -5,7 +5,7 @@ from __future__ import annotations
 __all__ = ["MAX_CONNECTIONS", "MAX_FILE_RATIO", "MAX_UNPACKED", "allowed_bytes"]
 
 #: Any chunk or message may unpack to this many bytes, however few it is stored in.
-MAX_UNPACKED = 64 << 20
+MAX_UNPACKED = 32 << 20
 
 #: A file that is compressed as a whole may unpack to so many times its size; zeros shrink to a thirty-thousandth.
 MAX_FILE_RATIO = 1000

@@ -156,6 +156,10 @@ class _Ahead:
                 held -= self._pending[0][0].uncompressed_size
                 # Bound to no name: this frame must not keep it alive meanwhile.
                 yield self._pending.popleft()[1].result()
+            if size > MAX_AHEAD_BYTES:
+                # Too large to be held before its turn.
+                yield self._load(segment)
+                continue
             self._pending.append((segment, self._pool.submit(self._load, segment)))
             held += size
         while self._pending:
@@ -182,6 +186,8 @@ def _merged(
         while due < len(waiting) and (not heap or waiting[due].start_ns <= heap[0].key[0]):
             segment = waiting[due]
             due += 1
+            # Room is made before it is needed.
+            _evict(heap, max_open_bytes - segment.uncompressed_size)
             messages = next(arrivals)
             if messages:
                 heapq.heappush(heap, _Open(segment, messages))
@@ -196,6 +202,7 @@ def _merged(
                 raise RecordingError(
                     f"its chunks overlap in time so much that each would have to be read {_MAX_AGAIN} times", path=path
                 )
+            _evict(heap, max_open_bytes - current.segment.uncompressed_size)
             current.messages = loaded(current.segment)
         # Everything up to the next segment's turn comes from this one: no heap operation a message.
         limit = heap[0].key if heap else None
