@@ -29,7 +29,7 @@ MAX_OPEN_BYTES = 64 << 20
 _MAX_AGAIN = 16
 
 #: Segments are loaded ahead of their turn until they take this much together, or there are this many.
-MAX_AHEAD_BYTES = 32 << 20
+MAX_AHEAD_BYTES = 16 << 20
 MAX_AHEAD = 8
 
 

@@ -71,6 +71,10 @@ _BATCH_BYTES = 16 << 20
 _ZSTD_LEVEL = 1
 
 
+#: A name that is not UTF-8 in the schema makes an error message that Python cannot decode.
+_SQLITE_ERRORS = (sqlite3.Error, UnicodeDecodeError)
+
+
 class Sqlite3Reader:
     """A ``.db3`` file; satisfies `pc2scan.bags.model.Reader`.
 
@@ -102,7 +106,7 @@ class Sqlite3Reader:
             with self._ending():
                 self._connections, start_ns, end_ns = self._read_connections()
             self._compressed = message_compression == "zstd" or self._first_is_compressed()
-        except sqlite3.Error as err:
+        except _SQLITE_ERRORS as err:
             self.close()
             raise self._error(err) from err
         except OSError as err:
@@ -170,7 +174,7 @@ class Sqlite3Reader:
                 if self._compressed:
                     data = zstd.unpacked_message(data, self._path, known[topic_id].topic)  # noqa: PLW2901
                 yield RawMessage(known[topic_id], time_ns, data, time_ns)
-        except sqlite3.Error as err:
+        except _SQLITE_ERRORS as err:
             raise self._error(err) from err
 
     def read_ahead(self, pool: Executor) -> None:
@@ -230,7 +234,7 @@ class Sqlite3Reader:
             raise RecordingError("is closed", path=self._path)
         return self._database.execute(sql, values)
 
-    def _error(self, err: sqlite3.Error) -> RecordingError:
+    def _error(self, err: Exception) -> RecordingError:
         return RecordingError(
             f"SQLite cannot read it: {err}",
             path=self._path,

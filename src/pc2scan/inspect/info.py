@@ -262,7 +262,8 @@ def _cloud_info(topic: str, messages: Iterator[RawMessage], most: int) -> CloudI
         try:
             cloud = decode_pointcloud2(message.data, message.connection.serialization)
             step = -(-cloud.points // most) or 1
-            points = np.stack([_thinned(c, step).astype(np.float64) for c in cloud.xyz()])
+            with np.errstate(invalid="ignore"):  # a NaN may be one that signals
+                points = np.stack([_thinned(c, step).astype(np.float64) for c in cloud.xyz()])
         except DecodeError as err:
             problems[err.message] = None
             continue
