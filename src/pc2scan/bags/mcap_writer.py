@@ -112,6 +112,7 @@ class McapWriter:
         """
         if len(self._channels) == _MAX_CHANNELS:
             raise OutputError(f"MCAP has room for {_MAX_CHANNELS} channels, one more is needed", path=self._path)
+        connection = connection.in_utf8
         # Declared outside the chunks: readers without the index find them without decompressing anything.
         channel = records.Channel(
             id=len(self._channels) + 1,

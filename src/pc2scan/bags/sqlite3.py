@@ -71,8 +71,9 @@ _BATCH_BYTES = 16 << 20
 _ZSTD_LEVEL = 1
 
 
-#: A name that is not UTF-8 in the schema makes an error message that Python cannot decode.
-_SQLITE_ERRORS = (sqlite3.Error, UnicodeDecodeError)
+#: A name that is not UTF-8 in the schema makes an error message that Python cannot decode, and lengths that lie make
+#: SQLite ask for more memory than there is.
+_SQLITE_ERRORS = (sqlite3.Error, UnicodeDecodeError, MemoryError)
 
 
 class Sqlite3Reader:
@@ -221,7 +222,7 @@ class Sqlite3Reader:
     @contextmanager
     def _ending(self) -> Iterator[None]:
         """Interrupt SQLite if it takes more steps than the rows of a file of this size can need."""
-        millions = iter(range(20 + self._size // 25_000))
+        millions = iter(range(5 + self._size // 100_000))
         assert self._database is not None
         self._database.set_progress_handler(lambda: next(millions, None) is None, 1_000_000)
         try:
@@ -418,6 +419,7 @@ class Sqlite3Writer:
 
     def add_connection(self, connection: Connection) -> int:
         """Add a row to ``topics``, and its definition if it is the first of its type and hash."""
+        connection = connection.in_utf8
         definition = connection.definition
         identity = (connection.msgtype, connection.digest)
         if definition.encoding and identity not in self._defined:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from typing import Any
 
 __all__ = ["MAX_CHARACTERS", "dump_yaml", "load_yaml"]
@@ -10,6 +11,10 @@ __all__ = ["MAX_CHARACTERS", "dump_yaml", "load_yaml"]
 
 #: rosbag2 writes some 600 characters a topic. Each one here costs the library up to 300 bytes and 20 microseconds.
 MAX_CHARACTERS = 800_000
+
+
+#: The library looks at every open bracket again for each that follows.
+_MAX_BRACKETS = 100
 
 
 def load_yaml(text: str) -> Any:
@@ -24,6 +29,12 @@ def load_yaml(text: str) -> Any:
     """
     if len(text) > MAX_CHARACTERS:
         raise ValueError(f"has more than {MAX_CHARACTERS:,} characters, which is more than rosbag2 writes")
+    depth = deepest = 0
+    for bracket in re.findall(r"[\[\]{}]", text):
+        depth = depth + 1 if bracket in "[{" else max(depth - 1, 0)
+        deepest = max(deepest, depth)
+    if deepest > _MAX_BRACKETS:
+        raise ValueError(f"is nested more than {_MAX_BRACKETS} levels deep")
     from ruamel.yaml import YAML  # noqa: PLC0415  (only rosbag2 and its QoS profiles need it)
     from ruamel.yaml.error import YAMLError  # noqa: PLC0415
 
