@@ -67,7 +67,8 @@ def outcomes(
 def assert_sound(sound: dict[str, Any], kind: str) -> None:
     name = CASES[kind.partition("+")[0]][0]
     assert (sound["status"], sound["left"], sound["left_again"]) == (0, [name], [name])
-    assert sound["destination"] == sound["destination_again"] != sound["old"]
+    assert sound["destination"]
+    assert sound["destination"] != sound["old"]
 
 
 def assert_absent_or_complete(outcome: dict[str, Any], sound: dict[str, Any], kind: str) -> None:
@@ -86,8 +87,10 @@ def assert_absent_or_complete(outcome: dict[str, Any], sound: dict[str, Any], ki
     assert outcome["status"] in ((-9, 0) if outcome["status"] < 0 or outcome["fault"] == "timed" else (0, 1)), what
     assert complete or outcome["status"] != 0, what
     # The next run cleans up.
-    assert (outcome["again"], outcome["left_again"]) == (0, [name]), what
-    assert outcome["destination_again"] == sound["destination"], what
+    assert outcome["again"] == 0, what
+    if outcome["status"] < 0 or set(outcome["left"]) - {name}:
+        assert outcome["left_again"] == [name], what
+        assert outcome["destination_again"] == sound["destination"], what
 
 
 @pytest.mark.parametrize("kind", _KINDS)
@@ -95,13 +98,15 @@ def test_each_call_may_fail(kind: str, library: Path, source: Path, tmp_path: Pa
     faults = ["ENOSPC"] if kind.endswith("over") else ["ENOSPC", "EIO"]
     sound, others = outcomes(library, source, tmp_path, kind, faults)
     assert_sound(sound, kind)
-    assert len(others) == len(faults) * len(sound["calls"])
+    assert len(others) >= len(faults)
+    assert kind.endswith("over") or {outcome["at"] for outcome in others} == {*range(1, len(sound["calls"]) + 1)}
     for outcome in others:
         assert_absent_or_complete(outcome, sound, kind)
-        # Nothing is left but what could not be removed.
+        # Nothing is left but what could not be removed, and the old until the new is known to be on the disk.
         failed, _ = outcome["calls"][outcome["at"] - 1]
         left = set(outcome["left"]) - {CASES[kind.partition("+")[0]][0]}
-        assert not left or failed in ("unlink", "open"), (outcome["at"], failed, left)
+        kept = failed == "fsync" and all(name.endswith(".pc2scan-old") for name in left)
+        assert not left or failed in ("unlink", "open") or kept, (outcome["at"], failed, left)
     assert any(outcome["status"] == 1 for outcome in others)
 
 

@@ -21,8 +21,7 @@ _ROWS = "id, topic_id, timestamp, data"
 ENDLESS = {
     "a view without end": f"{_NO_MESSAGES} CREATE VIEW messages({_ROWS}) AS WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL "
     "SELECT i + 1 FROM n) SELECT i, 4, i, x'00' FROM n;",
-    "a view of huge values": f"{_NO_MESSAGES} CREATE VIEW messages({_ROWS}) AS "
-    "SELECT 1, 4, 1, zeroblob(900000000);",
+    "a view of huge values": f"{_NO_MESSAGES} CREATE VIEW messages({_ROWS}) AS SELECT 1, 4, 1, zeroblob(900000000);",
     "a generated column": f"{_NO_MESSAGES} CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp "
     "INTEGER, data BLOB AS (zeroblob(900000000))); INSERT INTO messages(topic_id, timestamp) VALUES (4, 1);",
     "a virtual table": f"{_NO_MESSAGES} CREATE VIRTUAL TABLE messages USING fts5({_ROWS});",

@@ -82,9 +82,7 @@ def test_tags_construct_nothing(tag: str, drive: Path, tmp_path: Path) -> None:
 LAUGHS = "a0: &a0 [ha, ha, ha, ha, ha, ha, ha, ha, ha]\n" + "".join(
     f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]\n" for n in range(1, 40)
 )
-MERGES = "m0: &m0 {ha: 1}\n" + "".join(
-    f"m{n}: &m{n} {{<<: [{', '.join([f'*m{n - 1}'] * 9)}]}}\n" for n in range(1, 40)
-)
+MERGES = "m0: &m0 {ha: 1}\n" + "".join(f"m{n}: &m{n} {{<<: [{', '.join([f'*m{n - 1}'] * 9)}]}}\n" for n in range(1, 40))
 BOMBS = {
     "laughs": LAUGHS,
     "merges": MERGES,

@@ -44,7 +44,9 @@ def evil(tmp_path: Path) -> Path:
     frames = Stream("/tf", "tf2_msgs/msg/TFMessage")
     items = (
         item(frames, T0, lambda g, s: transforms([(f"odom{EVIL}", f"base{EVIL}", T0, (0.0, 0.0, 1.0))], g, s)),
-        item(points, T0 + 1, lambda g, _: cloud(points_of(1), g, frame_id=f"lidar{EVIL}", names=("x", "y", f"z{EVIL}"))),
+        item(
+            points, T0 + 1, lambda g, _: cloud(points_of(1), g, frame_id=f"lidar{EVIL}", names=("x", "y", f"z{EVIL}"))
+        ),
         item(points, T0 + 2, lambda g, _: cloud(points_of(1), g, frame_id=f"lidar{EVIL}")),
         item(chatter, T0 + 3, lambda g, _: string(EVIL, g)),
     )
@@ -80,9 +82,9 @@ def test_json_is_escaped(command: str, evil: Path, tmp_path: Path) -> None:
     assert done.status == 0
     assert_harmless(done.stdout)
     assert done.stdout.isascii()
-    assert EVIL in json.dumps(json.loads(done.stdout), ensure_ascii=False).encode().decode("unicode_escape", "ignore") or (
-        "\\u202e" in done.stdout
-    )
+    assert EVIL in json.dumps(json.loads(done.stdout), ensure_ascii=False).encode().decode(
+        "unicode_escape", "ignore"
+    ) or ("\\u202e" in done.stdout)
 
 
 def test_the_report_is_escaped(evil: Path, tmp_path: Path) -> None:
@@ -125,9 +127,7 @@ def bytes_for_names(tmp_path: Path) -> Path:
         for number, (topic, kind) in enumerate(kinds.items())
     ]
     payload = rosbag1_files.message(5, cloud(points_of(1), 1)) + rosbag1_files.message(6, string("a", 1), 1)
-    return rosbag1_files.simple_bag(
-        tmp_path / "bytes.bag", payload, counts={0: 1, 1: 1, 2: 0}, connections=connections
-    )
+    return rosbag1_files.simple_bag(tmp_path / "bytes.bag", payload, counts={0: 1, 1: 1, 2: 0}, connections=connections)
 
 
 @pytest.mark.parametrize("kind", DESTINATIONS)

@@ -164,7 +164,8 @@ def _only_run(partial: Path, dst: Path) -> Iterator[None]:
         # Removed before it is released: who gets the lock on a removed file notices, in _locked.
         with suppress(OSError):
             lock.unlink()
-        os.close(descriptor)
+        with suppress(OSError):
+            os.close(descriptor)
 
 
 def _locked(lock: Path) -> int:
