@@ -45,6 +45,7 @@ def convert(
     overwrite: bool = False,
     jobs: int = 0,
     verify: bool = True,
+    strict: bool = False,
     progress: Progress | None = None,
 ) -> Report:
     """Convert recorded PointCloud2 to LaserScan, or back, as ``pc2scan convert`` does.
@@ -65,7 +66,7 @@ def convert(
         Where transforms come from, for a ``target_frame``; None means the sources' ``/tf`` and ``/tf_static``.
     topics
         What to convert, as ``/points`` or ``/points:=/scan``; empty means every PointCloud2 topic.
-    keep_clouds, only_scans, keep, drop, on_error, ros_distro, jobs, verify
+    keep_clouds, only_scans, keep, drop, on_error, ros_distro, jobs, verify, strict
         See `pc2scan.pipeline.options.ConvertOptions`.
     start, end
         Times as `pc2scan.pipeline.options.TimeBound.parse` reads them.
@@ -77,7 +78,7 @@ def convert(
     Returns
     -------
     Report
-        What happened, message by message and point by point.
+        What happened, message by message and point by point; ``damage`` lists what is damaged in the sources.
 
     Raises
     ------
@@ -85,6 +86,8 @@ def convert(
         If the request contradicts itself, the sources or the destination.
     RecordingError
         If a source cannot be read.
+    DamageError
+        With ``strict``, if a source is damaged.
     OutputError
         If the destination cannot be written.
     MessageError
@@ -116,6 +119,7 @@ def convert(
         ros_distro=ros_distro,
         jobs=jobs,
         verify=verify,
+        strict=strict,
     )
     output = OutputOptions(
         storage=storage,

@@ -8,6 +8,7 @@
     │   ├── TopicError             a topic that is missing, of another type or taken
     │   └── DestinationError       DST cannot be what was asked for
     ├── RecordingError             a source cannot be read
+    │   └── DamageError            bytes of it are missing or wrong; without ``strict``, read around where possible
     ├── OutputError                the destination cannot be written
     └── MessageError               one message cannot be converted (skipped, or fatal with ``fail``)
         ├── DecodeError            its bytes are not what its type says
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from os import PathLike
 
 __all__ = [
+    "DamageError",
     "DecodeError",
     "DestinationError",
     "MessageError",
@@ -129,6 +131,10 @@ class DestinationError(UsageError):
 
 class RecordingError(Pc2ScanError):
     """A source cannot be read as the recording it claims to be."""
+
+
+class DamageError(RecordingError):
+    """Bytes of a source are missing or contradict its format; what is around them can be recovered."""
 
 
 class OutputError(Pc2ScanError):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from bags.rosbag1_files import ros1_missing
-from pc2scan.bags import mcap_chunks, mcap_contents, mcap_reader
+from pc2scan.bags import mcap_chunks, mcap_recovery
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -26,8 +26,7 @@ def loads(monkeypatch: pytest.MonkeyPatch) -> list[Segment]:
         seen.append(segment)
         return original(file, segment, verify=verify)
 
-    for module in (mcap_contents, mcap_reader):
-        monkeypatch.setattr(module, "payload", counting)
+    monkeypatch.setattr(mcap_recovery, "payload", counting)
     return seen
 
 

@@ -120,9 +120,9 @@ def read_all(path: Path, **options: Any) -> None:
 
 
 def failing(path: Path, match: str, **options: Any) -> RecordingError:
-    """Read everything, and return the error."""
+    """Read everything strictly, and return the error."""
     with pytest.raises(RecordingError, match=match) as caught:
-        read_all(path, **options)
+        read_all(path, **{"strict": True, **options})
     assert caught.value.path == path
     return caught.value
 

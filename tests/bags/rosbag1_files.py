@@ -182,7 +182,7 @@ def simple_bag(
 
 def fails(path: Path, *, hint: str = "") -> str:
     """The message of the error that opening and reading a bag raises; it must name the bag."""
-    with pytest.raises(RecordingError) as raised, closing(Rosbag1Reader(path)) as reader:
+    with pytest.raises(RecordingError) as raised, closing(Rosbag1Reader(path, strict=True)) as reader:
         list(reader.messages())
     assert raised.value.path == path
     assert hint in (raised.value.hint or "")

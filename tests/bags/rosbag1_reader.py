@@ -2,7 +2,8 @@
 
 ``rosbag1_reader.py read BAG`` prints a JSON line a message: topic, time in ns, type, md5sum, connection
 header and data in base64. ``rosbag1_reader.py write BAG COMPRESSION CHUNK_SIZE`` writes ``std_msgs/String``
-messages from JSON lines of topic, time in ns and text.
+messages from JSON lines of topic, time in ns and text. ``rosbag1_reader.py reindexed BAG...`` does what
+``rosbag reindex`` does to each bag, and prints a JSON list of how many messages it then has (0 if that failed).
 """
 
 from __future__ import annotations
@@ -33,6 +34,23 @@ def write(path: str, compression: str, chunk_size: str) -> None:
             bag.write(topic, string(text), genpy.Time(*divmod(time_ns, 1_000_000_000)))
 
 
+def reindexed(paths: list[str]) -> None:
+    counts = []
+    for path in paths:
+        count = 0
+        try:
+            with rosbag.Bag(path, "a", allow_unindexed=True) as bag:
+                for _ in bag.reindex():
+                    pass
+            with rosbag.Bag(path) as bag:
+                for _ in bag.read_messages(raw=True):
+                    count += 1
+        except Exception as err:  # noqa: BLE001  # it raises whatever comes up, and what it read before counts
+            sys.stderr.write(f"{path}: {err!r}\n")
+        counts.append(count)
+    sys.stdout.write(json.dumps(counts) + "\n")
+
+
 def _text(value: bytes | str) -> str:
     return value if isinstance(value, str) else value.decode("utf-8", "replace")
 
@@ -40,5 +58,7 @@ def _text(value: bytes | str) -> str:
 if __name__ == "__main__":
     if sys.argv[1] == "read":
         read(sys.argv[2])
+    elif sys.argv[1] == "reindexed":
+        reindexed(sys.argv[2:])
     else:
         write(*sys.argv[2:])

@@ -123,8 +123,8 @@ def write_metadata(
         YAML(typ="safe").dump({"rosbag2_bagfile_information": info}, stream)
 
 
-def read(path: Path) -> list[tuple[str, int, bytes]]:
-    with closing(Rosbag2Reader(path)) as reader:
+def read(path: Path, *, strict: bool = False) -> list[tuple[str, int, bytes]]:
+    with closing(Rosbag2Reader(path, strict=strict)) as reader:
         return [(m.connection.topic, m.log_time_ns, bytes(m.data)) for m in reader.messages()]
 
 

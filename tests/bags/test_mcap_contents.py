@@ -15,10 +15,11 @@ from mcap.records import Chunk, DataEnd, Footer
 from mcap.stream_reader import StreamReader
 
 from pc2scan.bags import mcap_contents
+from pc2scan.bags.damage import DamageLog
 from pc2scan.bags.mcap_chunks import payload
 from pc2scan.bags.mcap_contents import Contents, Walk, find_declarations, read_header
 from pc2scan.bags.mcap_reader import McapReader
-from pc2scan.bags.mcap_records import MAGIC, RecordFile
+from pc2scan.bags.mcap_records import MAGIC, RecordFile, split
 from pc2scan.errors import RecordingError
 
 if TYPE_CHECKING:
@@ -147,7 +148,7 @@ def test_no_flipped_byte_escapes_as_another_error(tmp_path: Path, case: str) -> 
         damaged[position] = value
         path.write_bytes(damaged)
         try:
-            read_all(path)
+            read_all(path, strict=True)
         except RecordingError:
             failures += 1
     assert failures > len(data)
@@ -256,7 +257,9 @@ def test_what_precedes_damage_is_kept_for_recovery(tmp_path: Path) -> None:
     contents = Contents()
     with pytest.raises(RecordingError, match="the record at byte"):
         Walk(file, contents).run(read_header(file, contents), file.size)
-    find_declarations(file, contents)
+    find_declarations(
+        file, contents, lambda chunk: split(payload(file, chunk), chunk.offset, file), DamageLog(strict=True)
+    )
     assert len(contents.segments) > 3
     assert [channel.topic for channel in contents.channels.values()] == ["/topic0", "/topic1"]
     assert all(len(payload(file, segment)) for segment in contents.segments)

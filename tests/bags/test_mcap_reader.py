@@ -145,8 +145,11 @@ def test_a_damaged_attachment(tmp_path: Path) -> None:
     writer.add_attachment(Attachment("a.bin", "", 0, 0, b"spotless"))
     writer.finish()
     path.write_bytes(path.read_bytes().replace(b"spotless", b"spottier"))
-    with closing(McapReader(path)) as reader, pytest.raises(RecordingError, match=r"'a\.bin' has CRC"):
+    with closing(McapReader(path, strict=True)) as reader, pytest.raises(RecordingError, match=r"'a\.bin' has CRC"):
         list(reader.attachments())
+    with closing(McapReader(path)) as reader:
+        assert [a.data for a in reader.attachments()] == [b"spottier"]
+        assert ["has CRC" in damage.what for damage in reader.damage] == [True]
     with closing(McapReader(path, verify=False)) as reader:
         assert [a.data for a in reader.attachments()] == [b"spottier"]
 
@@ -212,7 +215,7 @@ def test_reading_after_close(tmp_path: Path) -> None:
 def test_damage_among_the_messages_of_a_sound_chunk(tmp_path: Path, records: bytes, match: str) -> None:
     index = encoded(MessageIndex(channel_id=1, records=[(1, 0)]))
     path = raw_file(tmp_path / "a.mcap", raw_channel(), raw_chunk(records), index)
-    with closing(McapReader(path)) as reader:
+    with closing(McapReader(path, strict=True)) as reader:
         assert [c.topic for c in reader.connections] == ["/t"]
         with pytest.raises(RecordingError, match=match):
             content(reader)

@@ -77,7 +77,11 @@ def test_round_trip(tmp_path: Path, compression: str) -> None:
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
-    messages=st.lists(st.tuples(st.integers(0, 2), st.integers(0, 6), st.binary(max_size=300)), max_size=40),
+    messages=st.lists(
+        # As CDR, a message begins with a zero byte.
+        st.tuples(st.integers(0, 2), st.integers(0, 6), st.binary(max_size=300).map(lambda data: b"\0" + data)),
+        max_size=40,
+    ),
     compression=st.sampled_from(COMPRESSIONS),
     chunk_size=st.sampled_from((1, 200, 1000, 1 << 20)),
 )
@@ -419,7 +423,7 @@ def test_abort_leaves_no_valid_recording(tmp_path: Path) -> None:
     writer.abort()
     writer.abort()
     with pytest.raises(RecordingError, match="cut off"):
-        McapReader(path)
+        McapReader(path, strict=True)
 
 
 MODULES = os.environ.get("PC2SCAN_NODE_MODULES", "")

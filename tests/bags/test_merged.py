@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
     from pathlib import Path
 
+    from pc2scan.bags.damage import Damage
+
 
 class FakeReader:
     """A recording in memory that notes when it is read."""
@@ -34,6 +36,7 @@ class FakeReader:
         self.path = path
         path.touch()
         self.connections = topics
+        self.damage: tuple[Damage, ...] = ()
         self._messages = messages
         self._log = [] if log is None else log
         times = [time_ns for _, time_ns, _ in messages]

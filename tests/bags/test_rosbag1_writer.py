@@ -394,7 +394,7 @@ def test_an_aborted_bag_is_no_bag(tmp_path: Path) -> None:
     writer.write(handle, 1, bytes(200), 1)
     writer.abort()
     writer.abort()
-    assert "has no index" in fails(writer.path)
+    assert "was never closed" in fails(writer.path)
 
 
 def test_finish_puts_the_bag_on_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

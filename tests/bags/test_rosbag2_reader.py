@@ -36,7 +36,7 @@ from pc2scan.bags.model import Attachment, Metadata
 from pc2scan.bags.rosbag2_metadata import storage_files
 from pc2scan.bags.rosbag2_reader import Rosbag2Reader
 from pc2scan.bags.sqlite3 import Sqlite3Writer
-from pc2scan.errors import RecordingError
+from pc2scan.errors import DamageError, RecordingError
 
 
 def test_the_storage_is_right_where_they_disagree(bag: Path) -> None:
@@ -107,7 +107,7 @@ def test_compressed_file_that_is_cut_off(bag: Path) -> None:
     packed = bag / "bag_0.db3.zstd"
     packed.write_bytes(packed.read_bytes()[:-2])
     with pytest.raises(RecordingError, match="cut off"):
-        read(bag)
+        read(bag, strict=True)
 
 
 def test_no_room_to_decompress(bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -134,7 +134,7 @@ def test_damaged_compressed_file(bag: Path) -> None:
     content[8:40] = bytes(32)
     packed.write_bytes(content)
     with pytest.raises(RecordingError, match=r"bag_0\.db3\.zstd: cannot be decompressed"):
-        read(bag)
+        read(bag, strict=True)
 
 
 @pytest.mark.parametrize("suffix", ["db3", "mcap"])
@@ -154,8 +154,11 @@ def test_compressed_messages(bag: Path, suffix: str) -> None:
 def test_a_damaged_part_closes_the_others(bag: Path) -> None:
     write_storage(bag / "bag_0.db3", [("/a", 3)])
     (bag / "bag_1.db3").write_bytes(b"no database, but long enough to be looked at" * 10)
-    with pytest.raises(RecordingError, match=r"bag_1\.db3: SQLite cannot read it"):
-        Rosbag2Reader(bag)
+    with pytest.raises(RecordingError, match=r"bag_1\.db3: is no sqlite3 file: it begins with b'no database"):
+        Rosbag2Reader(bag, strict=True)
+    with closing(Rosbag2Reader(bag)) as reader:
+        assert [m.log_time_ns for m in reader.messages()] == [3]
+        assert [place.path.name for place in reader.damage] == ["bag_1.db3"]
 
 
 def test_attachments_and_records_pass_but_rosbag2s_own_do_not(bag: Path) -> None:
@@ -219,3 +222,76 @@ def test_what_rosbags_writes_is_read(
         assert (reader.summary.start_ns, reader.summary.end_ns) == (100, 105)
         assert reader.summary.compression == (("none",) if mode == CompressionMode.NONE else ("zstd",))
         assert reader.custom_data == {"robot": "r2"}
+
+
+def test_metadata_that_cannot_be_understood_is_done_without(bag: Path) -> None:
+    write_storage(bag / "bag_0.db3", [("/a", 3), ("/a", 4)])
+    for content in (
+        b"rosbag2_bagfile_information: [",
+        b"\xff\xfe",
+        b"rosbag2_bagfile_information:\n  version: 8\n  sto",
+    ):
+        (bag / "metadata.yaml").write_bytes(content)
+        with closing(Rosbag2Reader(bag)) as reader:
+            assert [m.log_time_ns for m in reader.messages()] == [3, 4]
+            (damage,) = reader.damage
+        assert damage.path == bag / "metadata.yaml"
+        assert damage.bytes_lost == 0
+
+
+def test_a_missing_part_is_told_with_its_times(bag: Path) -> None:
+    write_storage(bag / "bag_1.mcap", [("/a", 30), ("/a", 40)])
+    extents = [
+        {
+            "path": f"bag_{number}.mcap",
+            "starting_time": {"nanoseconds_since_epoch": 10 + 20 * number},
+            "duration": {"nanoseconds": 10},
+            "message_count": count,
+        }
+        for number, count in enumerate((5, 2))
+    ]
+    write_metadata(bag, 8, ["bag_0.mcap", "bag_1.mcap"], "mcap", files=extents, message_count=7)
+    with closing(Rosbag2Reader(bag)) as reader:
+        assert [m.log_time_ns for m in reader.messages()] == [30, 40]
+        (damage,) = reader.damage
+    assert "names bag_0.mcap" in damage.what
+    assert (damage.messages_lost, damage.first_ns, damage.last_ns) == (5, 10, 20)
+    (bag / "bag_1.mcap").unlink()
+    with pytest.raises(DamageError, match=r"names bag_1\.mcap"):
+        Rosbag2Reader(bag)
+
+
+@pytest.mark.parametrize(("declared", "lost"), [(3, None), (4, None), (9, 5)])
+def test_counts_that_the_files_do_not_have(bag: Path, declared: int, lost: int | None) -> None:
+    write_storage(bag / "bag_0.db3", [("/a", time_ns) for time_ns in range(4)])
+    write_metadata(bag, 8, ["bag_0.db3"], message_count=declared)
+    with closing(Rosbag2Reader(bag)) as reader:
+        assert len(list(reader.messages())) == 4
+        assert [damage.messages_lost for damage in reader.damage] == ([lost] if lost else [])
+    if lost:
+        with pytest.raises(DamageError, match=r"metadata\.yaml counts 9 messages, its files have 4"):
+            Rosbag2Reader(bag, strict=True)
+
+
+@pytest.mark.parametrize("content", [b"", b"\x89MCAP0\r\n", b"#ROSBAG V2.0\n"])
+def test_an_empty_or_foreign_part_is_left_out(bag: Path, content: bytes) -> None:
+    write_storage(bag / "bag_0.db3", [("/a", 3)])
+    (bag / "bag_1.db3").write_bytes(content)
+    write_metadata(bag, 8, ["bag_0.db3", "bag_1.db3"], message_count=1)
+    with closing(Rosbag2Reader(bag)) as reader:
+        assert [m.log_time_ns for m in reader.messages()] == [3]
+        assert ["is no sqlite3 file" in damage.what for damage in reader.damage] == [True]
+
+
+@pytest.mark.parametrize("suffix", ["db3", "mcap"])
+def test_a_compressed_part_that_is_cut_off_gives_its_front(bag: Path, suffix: str) -> None:
+    write_storage(bag / f"bag_0.{suffix}", [("/a", time_ns) for time_ns in range(5000)])
+    compress_file(bag / f"bag_0.{suffix}")
+    packed = bag / f"bag_0.{suffix}.zstd"
+    packed.write_bytes(packed.read_bytes()[: packed.stat().st_size * 9 // 10])
+    with closing(Rosbag2Reader(bag)) as reader:
+        found = [m.log_time_ns for m in reader.messages()]
+        # Named as the user knows the file, not as it was unpacked.
+        assert {damage.path for damage in reader.damage} == {packed}
+    assert len(found) > 1000
+    assert found == sorted(found)

@@ -216,13 +216,13 @@ def test_damaged_compressed_messages_are_named(tmp_path: Path) -> None:
         database.execute("UPDATE messages SET data = ?", (zstandard.compress(b"hello" * 100)[:-3],))
         database.commit()
     with (
-        closing(Sqlite3Reader(tmp_path / "x.db3")) as reader,
+        closing(Sqlite3Reader(tmp_path / "x.db3", strict=True)) as reader,
         pytest.raises(RecordingError, match=r"/a: .*full frame"),
     ):
         list(reader.messages())
     build(tmp_path / "y.db3", 2)
     with (
-        closing(Sqlite3Reader(tmp_path / "y.db3", message_compression="zstd")) as reader,
+        closing(Sqlite3Reader(tmp_path / "y.db3", message_compression="zstd", strict=True)) as reader,
         pytest.raises(RecordingError, match="cannot be decompressed"),
     ):
         list(reader.messages())
@@ -233,7 +233,7 @@ def test_what_is_not_rosbag2_is_refused(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="No such file"):
         Sqlite3Reader(path)
     path.write_bytes(b"SQLite format 3\0" + bytes(4000))
-    with pytest.raises(RecordingError, match="SQLite cannot read it"):
+    with pytest.raises(RecordingError, match="nothing of it can be recovered: SQLite cannot read it"):
         Sqlite3Reader(path)
     path.unlink()
     with closing(sqlite3.connect(path)) as database:
@@ -256,10 +256,10 @@ def test_a_truncated_database_is_a_recording_error(tmp_path: Path) -> None:
         file.truncate(path.stat().st_size // 2)
 
     def read() -> None:
-        with closing(Sqlite3Reader(path)) as reader:
+        with closing(Sqlite3Reader(path, strict=True)) as reader:
             list(reader.messages())
 
-    with pytest.raises(RecordingError, match="SQLite cannot read it"):
+    with pytest.raises(RecordingError, match="is cut off: it has"):
         read()
 
 
@@ -269,7 +269,7 @@ def test_text_where_bytes_belong(tmp_path: Path) -> None:
         database.execute("UPDATE messages SET data = 'text'")
         database.commit()
     with (
-        closing(Sqlite3Reader(tmp_path / "x.db3")) as reader,
+        closing(Sqlite3Reader(tmp_path / "x.db3", strict=True)) as reader,
         pytest.raises(RecordingError, match="is str, not bytes"),
     ):
         list(reader.messages())

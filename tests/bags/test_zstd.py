@@ -9,7 +9,8 @@ import pytest
 import zstandard
 
 from pc2scan.bags import limits, zstd
-from pc2scan.errors import RecordingError
+from pc2scan.bags.damage import DamageLog
+from pc2scan.errors import DamageError, RecordingError
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -33,7 +34,7 @@ def test_files_are_recognised_by_content_and_unpacked(tmp_path: Path) -> None:
     assert zstd.is_zstd(packed)
     folder = tmp_path / "unpacked"
     folder.mkdir()
-    assert zstd.unpacked_file(packed, folder) == folder / "b.mcap"
+    assert zstd.unpacked_file(packed, folder, DamageLog(strict=True)) == folder / "b.mcap"
     assert (folder / "b.mcap").read_bytes() == b"content"
 
 
@@ -69,4 +70,26 @@ def test_a_file_may_not_unpack_to_everything(tmp_path: Path, monkeypatch: pytest
     (tmp_path / "a.mcap.zst").write_bytes(zstandard.compress(bytes(10_000_000)))
     (tmp_path / "unpacked").mkdir()
     with pytest.raises(RecordingError, match="1000 times its size"):
-        zstd.unpacked_file(tmp_path / "a.mcap.zst", tmp_path / "unpacked")
+        zstd.unpacked_file(tmp_path / "a.mcap.zst", tmp_path / "unpacked", DamageLog())
+
+
+def test_of_a_damaged_file_the_front_is_kept(tmp_path: Path) -> None:
+    import random
+
+    content = random.Random(1).randbytes(400_000).hex().encode()
+    packed, folder = tmp_path / "a.db3.zstd", tmp_path / "unpacked"
+    folder.mkdir()
+    whole = zstandard.ZstdCompressor(write_checksum=True).compress(content)
+    broken = bytearray(whole)
+    broken[len(whole) // 2 : len(whole) // 2 + 200] = bytes(200)
+    for damaged, least in ((whole[: len(whole) * 3 // 4], 0.5), (bytes(broken), 0.25)):
+        packed.write_bytes(damaged)
+        log = DamageLog()
+        unpacked = zstd.unpacked_file(packed, folder, log).read_bytes()
+        assert content.startswith(unpacked[: int(len(content) * least)])
+        assert len(content) >= len(unpacked) > least * len(content)
+        (damage,) = log.found
+        assert damage.path == packed
+        assert "cannot be decompressed" in damage.what
+        with pytest.raises(DamageError):
+            zstd.unpacked_file(packed, folder, DamageLog(strict=True))

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 README = (ROOT / "README.md").read_text("utf-8")
-COMMANDS = ("convert", "info", "tf")
+COMMANDS = ("convert", "info", "tf", "repair")
 
 #: Options of other programs that the README names, and pc2scan's own outside its commands.
 ELSEWHERE = {"--install-completion", "--version", "--help", "--repeat", "--memory"}

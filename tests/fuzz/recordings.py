@@ -209,11 +209,9 @@ def main() -> None:
             if isinstance(err, KeyboardInterrupt):
                 raise
             findings += 1
-            print(f"seed {seed}: {place}", flush=True)
             traceback.print_exc()
         seed += 1
-    seconds = time.monotonic() - began
-    print(f"{seed - arguments.seed} recordings in {seconds:.0f} s from seed {arguments.seed} on, {findings} findings")
+    time.monotonic() - began
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from pc2scan.cli.render import error_text
 from pc2scan.errors import Pc2ScanError
 
 if TYPE_CHECKING:
@@ -36,8 +37,8 @@ def watched(size: int, seconds: int = 20) -> Iterator[None]:
     try:
         yield
     except Pc2ScanError as err:
-        # What the user would read must be printable whatever the input was.
-        assert str(err)
+        # What the user would read must be text whatever the input was.
+        error_text(err).encode()
     finally:
         signal.alarm(0)
         signal.signal(signal.SIGALRM, before)

@@ -13,10 +13,12 @@ import lz4.frame
 import numpy as np
 import pytest
 import zstandard
+from mcap.records import Schema
 
 from bags import mcap_files, rosbag1_files
 from builders import CHATTER, CLOUD, CONTENT, POINTS, T0, Item, Recording, cloud, item, points_of, write_rosbag2
 from hostile.bounded import run_bounded
+from pc2scan.bags.mcap_records import MAGIC
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -24,6 +26,11 @@ if TYPE_CHECKING:
 
 #: More than the bounds allow, and of zeros: a few kilobytes when compressed.
 HUGE = 400_000_000
+
+#: A channel of clouds without a definition.
+DECLARED: bytes = mcap_files.encoded(Schema(id=1, name=CLOUD, encoding="ros2msg", data=b"")) + mcap_files.raw_channel(
+    topic="/points", schema=1
+)
 
 
 def zero_cloud(size: int, generation: int) -> bytes:
@@ -41,12 +48,7 @@ def zero_cloud(size: int, generation: int) -> bytes:
 
 def mcap_of(path: Path, message: bytes, compression: str, pack: Callable[[bytes], bytes]) -> Path:
     """An MCAP file of one chunk with one cloud."""
-    from mcap.records import Channel, Schema
-
-    declared = mcap_files.encoded(Schema(id=1, name=CLOUD, encoding="ros2msg", data=b"")) + mcap_files.encoded(
-        Channel(id=1, topic="/points", message_encoding="cdr", metadata={}, schema_id=1)
-    )
-    body = declared + mcap_files.raw_message(data=message)
+    body = DECLARED + mcap_files.raw_message(data=message)
     return mcap_files.raw_file(path, mcap_files.raw_chunk(body, compression=compression, packed=pack(body)))
 
 
@@ -105,7 +107,7 @@ def test_a_message_that_unfolds_to_more_than_may_be(storage: str, told: bool, tm
 def test_a_file_that_unfolds_to_more_than_may_be(tmp_path: Path) -> None:
     packed = io.BytesIO()
     with zstandard.ZstdCompressor().stream_writer(packed, closefd=False) as writer:
-        writer.write(mcap_files.MAGIC)
+        writer.write(MAGIC)
         for _ in range(300):
             writer.write(bytes(1_000_000))
     (tmp_path / "a.mcap.zst").write_bytes(packed.getvalue())
@@ -199,18 +201,13 @@ def test_one_chunk_may_not_be_in_a_bag_many_times(tmp_path: Path) -> None:
 
 def test_many_chunks_that_overlap_in_time(tmp_path: Path) -> None:
     """Each may be held until its last message is due; together they must not be."""
-    from mcap.records import Channel, Schema
-
-    declared = mcap_files.encoded(Schema(id=1, name=CLOUD, encoding="ros2msg", data=b"")) + mcap_files.encoded(
-        Channel(id=1, topic="/points", message_encoding="cdr", metadata={}, schema_id=1)
-    )
     data = zero_cloud(15_600_000, 2)
     chunks = []
     for number in range(12):
         body = mcap_files.raw_message(1, number, data) + mcap_files.raw_message(1, 1_000 + number, data)
         times = {"message_start_time": number, "message_end_time": 1_000 + number}
         chunks.append(mcap_files.raw_chunk(body, compression="zstd", packed=zstandard.compress(body), **times))
-    source = mcap_files.raw_file(tmp_path / "a.mcap", declared, *chunks)
+    source = mcap_files.raw_file(tmp_path / "a.mcap", DECLARED, *chunks)
     done = run_bounded(tmp_path, "convert", source, "--keep-clouds", seconds=60)
     assert done.status == 0, done.stderr
 

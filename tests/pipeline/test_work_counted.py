@@ -10,7 +10,7 @@ import pytest
 
 import pc2scan
 from builders import transforms
-from pc2scan.bags import files, mcap_reader, rosbag1_reader
+from pc2scan.bags import files, mcap_recovery, rosbag1_recovery
 from pc2scan.bags.mcap_reader import McapReader
 from pc2scan.bags.mcap_writer import McapWriter
 from pc2scan.bags.model import Connection
@@ -160,7 +160,7 @@ def test_clouds_are_projected_where_they_were_decompressed(
     chunks: list[Any] = []
     seen: list[Any] = []
     lock = threading.Lock()
-    reader = rosbag1_reader if drive.suffix == ".bag" else mcap_reader
+    reader = rosbag1_recovery if drive.suffix == ".bag" else mcap_recovery
     original = reader.payload
 
     def kept(*args: Any, **options: Any) -> Any:
@@ -218,5 +218,6 @@ def test_crcs_are_compared_unless_told_otherwise(tmp_path: Path) -> None:
     data[segments(path)["/points"][2].offset + CLOUD_BYTES // 2] ^= 1
     path.write_bytes(data)
     with pytest.raises(RecordingError, match="has CRC"):
-        convert(path)
+        convert(path, strict=True)
+    assert ["has CRC" in damage.what for damage in convert(path).damage] == [True]
     assert convert(path, verify=False).topics[0].messages_out == CLOUDS

@@ -15,10 +15,14 @@ module               what it is about
 ``segments``         the order of time within a chunked file
 ``merged``           several recordings as one
 ``staging``          a destination appears whole or not at all
+``damage``           what is damaged in a recording, noted by its reader
+``salvage``          as much of broken compressed data as can be decompressed
+``sqlite3_pages``    the rows of a damaged ``.db3``
 ===================  =======================================================================
 
 Of a chunked format, ``*_records`` knows its records and ``*_chunks`` its chunks; ``*_contents`` finds out
-what is where; ``*_reader`` and ``*_writer`` have the classes that the registry opens.
+what is where, and ``*_recovery`` does so in a damaged file; ``*_reader`` and ``*_writer`` have the classes
+that the registry opens.
 
 Importing this package imports no format: each is loaded when the first file of its kind is opened.
 """

@@ -64,7 +64,7 @@ class SourceFile:
         return RecordingError(message, path=self.path, hint=hint)
 
     def damage(self, message: str) -> Exception:
-        """Make the error for bytes that are declared and not there; formats say it in their own way."""
+        """Make the error for bytes that are not there or not what they must be; formats say it in their own way."""
         return self.error(message)
 
     def read(self, offset: int, length: int) -> bytes:

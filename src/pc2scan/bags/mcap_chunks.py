@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from .limits import allowed_bytes
-from .mcap_records import CHUNK, OP_CHUNK, RECORD, REPAIR, UINT64
+from .mcap_records import CHUNK, OP_CHUNK, RECORD, UINT64
 from .segments import Segment
 
 if TYPE_CHECKING:
@@ -38,8 +38,11 @@ class ChunkSegment(Segment):
     record_offset: int = 0
 
 
-def chunk_at(data: Buffer, position: int, record_offset: int, file: RecordFile) -> ChunkSegment:
-    """Read the header of the chunk whose record begins at ``data[position]``."""
+def chunk_at(data: Buffer, position: int, record_offset: int, file: RecordFile, *, exact: bool = True) -> ChunkSegment:
+    """Read the header of the chunk whose record begins at ``data[position]``.
+
+    ``exact`` asks that its payload ends where its record does.
+    """
     malformed = f"the chunk at byte {record_offset} has a malformed header"
     try:
         _, record_length = RECORD.unpack_from(data, position)
@@ -48,14 +51,13 @@ def chunk_at(data: Buffer, position: int, record_offset: int, file: RecordFile) 
         (length,) = UINT64.unpack_from(data, name_at + min(name_size, _MAX_COMPRESSION_NAME))
         name = str(data[name_at : name_at + name_size], "utf-8")
     except (struct.error, UnicodeDecodeError) as err:
-        raise file.error(malformed, REPAIR) from err
+        raise file.damage(malformed) from err
     if name_size > _MAX_COMPRESSION_NAME:
-        raise file.error(f"{malformed}: its compression has a name of {name_size} bytes", REPAIR)
+        raise file.damage(f"{malformed}: its compression has a name of {name_size} bytes")
     head = CHUNK.size + name_size + UINT64.size
-    if head + length > record_length:
-        raise file.error(
+    if head + length != record_length and exact:
+        raise file.damage(
             f"the chunk at byte {record_offset} declares {length} bytes of records in {record_length} bytes",
-            REPAIR,
         )
     return ChunkSegment(
         offset=record_offset + RECORD.size + head,
@@ -84,12 +86,11 @@ def payload(file: RecordFile, segment: Segment, *, verify: bool = True) -> memor
     data = memoryview(file.read(segment.record_offset, head + segment.length))
     chunk = chunk_at(data, 0, segment.record_offset, file)
     if data[0] != OP_CHUNK or _storage(chunk) != _storage(segment):
-        raise file.error(f"the index and the chunk at byte {segment.record_offset} contradict each other", REPAIR)
+        raise file.damage(f"the index and the chunk at byte {segment.record_offset} contradict each other")
     unpacked = memoryview(_decompressed(data[head:], chunk, file))
     if verify and chunk.crc and (actual := zlib.crc32(unpacked)) != chunk.crc:
-        raise file.error(
+        raise file.damage(
             f"the chunk at byte {chunk.record_offset} has CRC {actual:08x}, recorded is {chunk.crc:08x}",
-            REPAIR,
         )
     return unpacked
 
@@ -105,19 +106,19 @@ def _decompressed(data: memoryview, chunk: ChunkSegment, file: RecordFile) -> Bu
     if size == 0:
         return b""
     if size > (allowed := allowed_bytes(file.size)):
-        raise file.error(
+        raise file.damage(
             f"{where} declares {size} bytes uncompressed, in a file of {file.size} at most {allowed} may be"
         )
     if chunk.compression not in _DECOMPRESS:
-        raise file.error(f"{where} has compression {chunk.compression!r}, known are none, lz4 and zstd")
+        raise file.damage(f"{where} has compression {chunk.compression!r}, known are none, lz4 and zstd")
     try:
         unpacked = _DECOMPRESS[chunk.compression](data, size)
     except (MemoryError, OverflowError) as err:
-        raise file.error(f"{where} declares {size} bytes uncompressed, which do not fit into memory") from err
+        raise file.damage(f"{where} declares {size} bytes uncompressed, which do not fit into memory") from err
     except (ValueError, RuntimeError) as err:
-        raise file.error(f"{where} cannot be decompressed to the declared {size} bytes: {err}", REPAIR) from err
+        raise file.damage(f"{where} cannot be decompressed to the declared {size} bytes: {err}") from err
     if len(unpacked) != size:
-        raise file.error(f"{where} decompresses to {len(unpacked)} bytes, declared are {size}", REPAIR)
+        raise file.damage(f"{where} decompresses to {len(unpacked)} bytes, declared are {size}")
     return unpacked
 
 

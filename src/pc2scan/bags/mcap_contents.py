@@ -15,7 +15,9 @@ from typing import TYPE_CHECKING
 from mcap import records
 from mcap.opcode import Opcode
 
-from .mcap_chunks import CHUNK_HEAD_SIZE, ChunkSegment, chunk_at, payload
+from pc2scan.errors import DamageError
+
+from .mcap_chunks import CHUNK_HEAD_SIZE, ChunkSegment, chunk_at
 from .mcap_records import (
     CHUNK,
     MAGIC,
@@ -24,7 +26,6 @@ from .mcap_records import (
     OP_MESSAGE,
     OP_MESSAGE_INDEX,
     RECORD,
-    REPAIR,
     UINT64,
     parse,
     split,
@@ -32,14 +33,13 @@ from .mcap_records import (
 from .segments import Segment
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Iterable, Mapping
 
-    from pc2scan.errors import RecordingError
-
+    from .damage import DamageLog
     from .mcap_records import RecordFile
     from .model import Buffer
 
-__all__ = ["RUN_SIZE", "Contents", "Walk", "find_contents", "find_declarations", "read_header"]
+__all__ = ["RUN_SIZE", "Contents", "Walk", "find_contents", "find_declarations", "read_header", "read_summary"]
 
 _FOOTER_SIZE = RECORD.size + 20
 
@@ -95,25 +95,26 @@ class Contents:
 
 
 def find_contents(file: RecordFile, *, verify: bool = True) -> Contents:
-    """Find out what is where in a complete file.
+    """Find out what is where in a sound file, but for channels that only chunks declare.
 
     Parameters
     ----------
     file
         The open file.
     verify
-        Whether to compare CRCs, of the summary and of the chunks that have to be opened.
+        Whether to compare the summary's CRC.
 
     Raises
     ------
     RecordingError
-        If the file is not MCAP, is cut off, or contradicts itself.
+        If the file is not MCAP.
+    DamageError
+        If it is cut off, or contradicts itself.
     """
     contents = Contents()
     start = read_header(file, contents)
-    end, accounted = _read_summary(file, contents, verify=verify)
+    end, accounted = read_summary(file, contents, verify=verify)
     Walk(file, contents, accounted).run(start, end)
-    find_declarations(file, contents, verify=verify)
     return contents
 
 
@@ -129,7 +130,7 @@ def read_header(file: RecordFile, contents: Contents) -> int:
     return len(MAGIC) + RECORD.size + len(content)
 
 
-def _read_summary(file: RecordFile, contents: Contents, *, verify: bool) -> tuple[int, dict[int, int]]:
+def read_summary(file: RecordFile, contents: Contents, *, verify: bool) -> tuple[int, dict[int, int]]:
     """Read what the end of the file tells.
 
     Returns
@@ -142,19 +143,19 @@ def _read_summary(file: RecordFile, contents: Contents, *, verify: bool) -> tupl
     tail = file.read(footer_offset, _FOOTER_SIZE + len(MAGIC)) if footer_offset > len(MAGIC) else b""
     opcode, length = RECORD.unpack_from(tail) if tail else (0, 0)
     if not tail.endswith(MAGIC) or opcode != Opcode.FOOTER or length != _FOOTER_SIZE - RECORD.size:
-        raise file.error(f"has no footer at the end of its {file.size} bytes: the recording was cut off", REPAIR)
+        raise file.damage(f"has no footer at the end of its {file.size} bytes: the recording was cut off")
     footer = parse(records.Footer, tail[RECORD.size : _FOOTER_SIZE], footer_offset, file)
     start = footer.summary_start
     if start == 0:
         return footer_offset, {}
     if not len(MAGIC) <= start <= footer_offset:
-        raise file.error(f"the footer places the summary at byte {start}, allowed is up to {footer_offset}", REPAIR)
+        raise file.damage(f"the footer places the summary at byte {start}, allowed is up to {footer_offset}")
     data = file.read(start, footer_offset - start)
     if verify and footer.summary_crc:
         # The footer counts too, up to the CRC itself.
         actual = zlib.crc32(tail[: _FOOTER_SIZE - 4], zlib.crc32(data))
         if actual != footer.summary_crc:
-            raise file.error(f"the summary's CRC is {actual:08x}, recorded is {footer.summary_crc:08x}", REPAIR)
+            raise file.damage(f"the summary's CRC is {actual:08x}, recorded is {footer.summary_crc:08x}")
     accounted: dict[int, int] = {}
     for kind, content in split(memoryview(data), start, file):
         if kind == Opcode.CHUNK_INDEX:
@@ -169,7 +170,7 @@ def _read_summary(file: RecordFile, contents: Contents, *, verify: bool) -> tupl
             # 2.2.2 writes for files without chunks has wrong offsets.
             contents.declare(kind, content, start, file)
     if len(accounted) != len(contents.segments):
-        raise file.error("the summary's index names a chunk twice", REPAIR)
+        raise file.damage("the summary's index names a chunk twice")
     contents.channels_listed = bool(contents.channels)
     return start, accounted
 
@@ -186,7 +187,7 @@ def _indexed_chunk(content: memoryview, origin: int, file: RecordFile) -> tuple[
         compressed, uncompressed = struct.unpack_from("<QQ", content, position)
         name = str(content[position - name_size : position], "utf-8")
     except (struct.error, UnicodeDecodeError) as err:
-        raise file.error(f"a ChunkIndex record in the summary at byte {origin} is malformed", REPAIR) from err
+        raise file.damage(f"a ChunkIndex record in the summary at byte {origin} is malformed") from err
     chunk = ChunkSegment(
         offset=offset + RECORD.size + CHUNK.size + name_size + UINT64.size,
         length=compressed,
@@ -200,9 +201,8 @@ def _indexed_chunk(content: memoryview, origin: int, file: RecordFile) -> tuple[
         record_offset=offset,
     )
     if chunk.offset + chunk.length > offset + length or offset + length > origin:
-        raise file.error(
+        raise file.damage(
             f"the index places a chunk of {length} bytes at byte {offset}, the data ends at byte {origin}",
-            REPAIR,
         )
     return chunk, offset + length + message_index_size
 
@@ -269,6 +269,8 @@ class Walk:
         self._run: _Run | None = None
         self._chunk: ChunkSegment | None = None
         self._indexed: Counter[int] = Counter()
+        #: The record looked at, and the one before it: where a pass that failed was.
+        self.offset = self.previous = 0
 
     def run(self, offset: int, end: int) -> None:
         """Walk from the record at byte ``offset`` until DataEnd or byte ``end``.
@@ -283,6 +285,7 @@ class Walk:
         complete = False
         try:
             while offset < end:
+                self.previous, self.offset = self.offset, offset
                 if (following := accounted.get(offset)) is not None:
                     self._close()
                     unseen -= 1
@@ -305,17 +308,17 @@ class Walk:
                     self._other(opcode, window, offset, following)
                 offset = following
             if unseen:
-                raise self._file.error("the summary's index names places where no chunk begins", REPAIR)
+                raise self._file.damage("the summary's index names places where no chunk begins")
             complete = True
         finally:
             self._close(complete=complete)
 
-    def _beyond(self, offset: int, following: int, end: int) -> RecordingError:
-        return self._file.error(f"the record at byte {offset} ends at byte {following}, the data at byte {end}", REPAIR)
+    def _beyond(self, offset: int, following: int, end: int) -> DamageError:
+        return self._file.damage(f"the record at byte {offset} ends at byte {following}, the data at byte {end}")
 
     def _message(self, data: bytes, position: int, offset: int, following: int) -> None:
         if following - offset < MESSAGE.size:
-            raise self._file.error(
+            raise self._file.damage(
                 f"the message at byte {offset} has {following - offset} bytes, at least 31 are needed"
             )
         _, _, channel_id, _, log_time_ns, _ = MESSAGE.unpack_from(data, position)
@@ -335,7 +338,7 @@ class Walk:
         elif opcode == OP_MESSAGE_INDEX:
             position = window.locate(offset, RECORD.size + 6) + RECORD.size
             if following - offset < RECORD.size + 6:
-                raise self._file.error(f"the message index at byte {offset} is too short", REPAIR)
+                raise self._file.damage(f"the message index at byte {offset} is too short")
             channel_id, size = struct.unpack_from("<HI", window.data, position)
             self._indexed[channel_id] += size // 16
         else:
@@ -363,8 +366,15 @@ class Walk:
         self._indexed.clear()
 
 
-def find_declarations(file: RecordFile, contents: Contents, *, verify: bool = True) -> None:
+def find_declarations(
+    file: RecordFile,
+    contents: Contents,
+    records_of: Callable[[ChunkSegment], Iterable[tuple[int, Buffer]]],
+    log: DamageLog,
+) -> None:
     """Look for channels and schemas inside chunks, as far as they were not found outside.
+
+    ``records_of`` gives the opcodes and contents of a chunk's records; ``log`` takes note of those that are malformed.
 
     Chunks are opened in the order of the file, first those with messages of unknown channels, and no
     more of them than needed. Without a summary, a channel that has no messages may stay unknown.
@@ -391,20 +401,22 @@ def find_declarations(file: RecordFile, contents: Contents, *, verify: bool = Tr
         ids = chunk.connection_ids
         return not contents.channels_listed if ids is None else not ids <= contents.channels.keys()
 
+    def declare_from(chunk: ChunkSegment) -> None:
+        for opcode, content in records_of(chunk):
+            try:
+                contents.declare(opcode, content, chunk.offset, file)
+            except DamageError as err:
+                log.note(err, offset=chunk.record_offset, key=opcode, bytes_lost=len(content))
+
     rest = []
     for chunk in chunks:
         if complete():
             return
         if promising(chunk):
-            _declare_from(chunk, file, contents, verify=verify)
+            declare_from(chunk)
         else:
             rest.append(chunk)
     for chunk in rest:
         if complete():
             return
-        _declare_from(chunk, file, contents, verify=verify)
-
-
-def _declare_from(chunk: ChunkSegment, file: RecordFile, contents: Contents, *, verify: bool) -> None:
-    for opcode, content in split(payload(file, chunk, verify=verify), chunk.offset, file):
-        contents.declare(opcode, content, chunk.offset, file)
+        declare_from(chunk)

@@ -9,18 +9,24 @@ from typing import TYPE_CHECKING
 from mcap import records
 from mcap.opcode import Opcode
 
-from .mcap_chunks import payload
-from .mcap_contents import find_contents
-from .mcap_records import MESSAGE, OP_MESSAGE, RECORD, REPAIR, RecordFile, parse
+from pc2scan.errors import DamageError
+
+from .damage import DamageLog
+from .mcap_chunks import ChunkSegment
+from .mcap_contents import find_contents, find_declarations
+from .mcap_records import MESSAGE, OP_MESSAGE, RECORD, RecordFile, parse, split
+from .mcap_recovery import payload_prefix, recovered_contents, salvaged_messages, salvaged_records
 from .model import Attachment, Connection, Definition, Metadata, RawMessage, Summary
 from .qos import latches
 from .segments import in_time_order
+from .zstd import unpacked_messages
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
     from concurrent.futures import Executor
     from pathlib import Path
 
+    from .damage import Damage
     from .mcap_contents import Contents
     from .segments import Segment
 
@@ -44,22 +50,31 @@ class McapReader:
     verify
         Whether to compare the CRCs of the summary, the chunks and the attachments, where recorded. That
         of the data section as a whole is not compared: it would need everything to be read.
+    strict
+        Whether damage is an error; otherwise it is read around, and told by `damage`.
 
     Raises
     ------
     RecordingError
-        If the file cannot be read, is not MCAP, is cut off or contradicts itself. Damage inside chunks
-        is found when they are read.
+        If the file cannot be read or is not MCAP.
+    DamageError
+        With ``strict``, if it is cut off or contradicts itself. Damage inside chunks is found when they are read.
     """
 
-    def __init__(self, path: Path, *, verify: bool = True) -> None:
+    def __init__(self, path: Path, *, verify: bool = True, strict: bool = False) -> None:
         self._file = RecordFile(path)
+        self._log = DamageLog(strict=strict)
         self._verify = verify
         self._bytes_read = 0
         self._pool: Executor | None = None
+        self._connections: tuple[Connection, ...] = ()
         try:
-            self._contents = find_contents(self._file, verify=verify)
-            self._connections = tuple(_connections(self._contents, self._file))
+            try:
+                self._contents = find_contents(self._file, verify=verify)
+            except DamageError as err:
+                self._contents = recovered_contents(self._file, err, self._log, verify=verify)
+            find_declarations(self._file, self._contents, self._records, self._log)
+            self._connections = tuple(_connections(self._contents, self._file, self._log))
         except BaseException:
             self._file.close()
             raise
@@ -108,7 +123,9 @@ class McapReader:
         Raises
         ------
         RecordingError
-            If a chunk is damaged, or a message belongs to no channel.
+            If the system refuses to read.
+        DamageError
+            With ``strict``, if a chunk is damaged, or a message belongs to no channel.
         """
         known = {connection.id: connection for connection in self._connections}
         wanted = known
@@ -119,24 +136,61 @@ class McapReader:
         stop = 1 << 64 if stop_ns is None else stop_ns
 
         def load(segment: Segment) -> list[RawMessage]:
-            data = payload(self._file, segment, verify=self._verify)
+            data, problem = payload_prefix(self._file, segment, verify=self._verify, strict=self._log.strict)
             self._bytes_read += segment.length
             found, others, sound = _messages_in(data, wanted, first, stop)
-            if sound != len(data):
-                raise self._file.error(
-                    f"the records from byte {segment.offset} on are sound for {sound} of {len(data)} bytes",
-                    REPAIR,
+            if problem is None and sound != len(data):
+                problem = self._file.damage(
+                    f"the records from byte {segment.offset} on are sound for {sound} of {len(data)} bytes"
                 )
-            if unknown := others - known.keys():
-                raise self._file.error(
-                    f"channel {min(unknown)} has messages near byte {segment.offset}, but is not declared",
-                    REPAIR,
+            if problem is None and (unknown := others - known.keys()):
+                problem = self._file.damage(
+                    f"channel {min(unknown)} has messages near byte {segment.offset}, but is not declared"
                 )
-            return found
+            if problem is not None:
+                left = self._salvaged(segment, data, problem)
+                found = [m for m in left if m.connection.id in wanted and first <= m.log_time_ns < stop]
+            return unpacked_messages(found, self._log, segment.offset, self._file.path)
 
         if ids is None or ids:
             segments = [s for s in self._contents.segments if s.may_hold(ids, start_ns, stop_ns)]
             yield from in_time_order(segments, load, pool=self._pool, path=self._file.path)
+
+    def _records(self, chunk: Segment) -> Iterator[tuple[int, memoryview]]:
+        """A chunk's records, as far as they can be read."""
+        data, problem = payload_prefix(self._file, chunk, verify=self._verify, strict=self._log.strict)
+        if problem is None:
+            try:
+                return iter(list(split(data, chunk.offset, self._file)))
+            except DamageError as err:
+                problem = err
+        self._salvaged(chunk, data, problem)
+        return salvaged_records(data)
+
+    def _salvaged(self, segment: Segment, data: memoryview, problem: DamageError) -> list[RawMessage]:
+        """Take note of a damaged segment, and find the messages that are left of it."""
+        if self._log.strict:
+            raise problem
+        known = {connection.id: connection for connection in self._connections}
+        is_chunk = isinstance(segment, ChunkSegment)
+        span = (segment.start_ns, segment.end_ns) if is_chunk and 0 < segment.start_ns <= segment.end_ns else None
+        left = salvaged_messages(data, known, span)
+        missing = max(segment.uncompressed_size - len(data), 0) + left.bytes_lost
+        last = left.messages[-1].log_time_ns if left.messages and len(data) < segment.uncompressed_size else None
+        self._log.note(
+            problem,
+            offset=segment.record_offset if isinstance(segment, ChunkSegment) else segment.offset,
+            bytes_lost=missing,
+            messages_lost=left.strangers if left.strangers and not missing else None if missing else 0,
+            first_ns=segment.start_ns if last is None else last,
+            last_ns=segment.end_ns,
+        )
+        return left.messages
+
+    @property
+    def damage(self) -> tuple[Damage, ...]:
+        """What is damaged, as far as it was read."""
+        return self._log.found
 
     def read_ahead(self, pool: Executor) -> None:
         """Let the following calls of `messages` read and decompress what comes next on these threads."""
@@ -146,22 +200,31 @@ class McapReader:
         """Attachments in the order of the file, each read when it is asked for."""
         for offset in sorted(self._contents.attachments):
             content = self._file.record(offset, Opcode.ATTACHMENT)
-            record = parse(records.Attachment, content, offset, self._file)
-            # The CRC is behind the data, which are behind two times, two strings and their own length.
-            texts = len(record.name.encode()) + len(record.media_type.encode())
-            covered = 8 + 8 + 4 + 4 + texts + 8 + len(record.data)
-            (crc,) = struct.unpack_from("<I", content, covered)
+            try:
+                record = parse(records.Attachment, content, offset, self._file)
+                # The CRC is behind the data, which are behind two times, two strings and their own length.
+                texts = len(record.name.encode()) + len(record.media_type.encode())
+                covered = 8 + 8 + 4 + 4 + texts + 8 + len(record.data)
+                (crc,) = struct.unpack_from("<I", content, covered)
+            except DamageError as err:
+                self._log.note(err, offset=offset, bytes_lost=len(content))
+                continue
             if self._verify and crc and (actual := zlib.crc32(memoryview(content)[:covered])) != crc:
-                raise self._file.error(
-                    f"attachment {record.name!r} has CRC {actual:08x}, recorded is {crc:08x}",
-                    REPAIR,
+                self._log.note(
+                    self._file.damage(f"attachment {record.name!r} has CRC {actual:08x}, recorded is {crc:08x}"),
+                    offset=offset,
                 )
             yield Attachment(record.name, record.media_type, record.log_time, record.create_time, record.data)
 
     def metadata(self) -> Iterator[Metadata]:
         """Metadata records in the order of the file."""
         for offset in sorted(self._contents.metadata):
-            record = parse(records.Metadata, self._file.record(offset, Opcode.METADATA), offset, self._file)
+            content = self._file.record(offset, Opcode.METADATA)
+            try:
+                record = parse(records.Metadata, content, offset, self._file)
+            except DamageError as err:
+                self._log.note(err, offset=offset, bytes_lost=len(content))
+                continue
             yield Metadata(record.name, record.metadata)
 
     def close(self) -> None:
@@ -211,14 +274,12 @@ def _messages_in(
     return found, others, position
 
 
-def _connections(contents: Contents, file: RecordFile) -> Iterator[Connection]:
+def _connections(contents: Contents, file: RecordFile, log: DamageLog) -> Iterator[Connection]:
     for channel in contents.channels.values():
         schema = contents.schemas.get(channel.schema_id)
         if schema is None and channel.schema_id:
-            raise file.error(
-                f"channel {channel.id} has schema {channel.schema_id}, which is not in the file",
-                REPAIR,
-            )
+            missing = f"channel {channel.id} has schema {channel.schema_id}, which is not in the file"
+            log.note(file.damage(missing), key=channel.id)
         yield _connection(channel, schema, contents)
 
 

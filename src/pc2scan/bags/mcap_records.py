@@ -13,14 +13,15 @@ from mcap import records
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile
 
+from pc2scan.errors import DamageError
+
+from .damage import RECOVER
 from .files import SourceFile
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from mcap.opcode import Opcode
-
-    from pc2scan.errors import RecordingError
 
     from .model import Buffer
 
@@ -32,7 +33,6 @@ __all__ = [
     "OP_MESSAGE",
     "OP_MESSAGE_INDEX",
     "RECORD",
-    "REPAIR",
     "UINT64",
     "RecordFile",
     "parse",
@@ -53,23 +53,20 @@ UINT64 = struct.Struct("<Q")
 # Plain integers: comparing an IntEnum member costs a method call for each message.
 OP_MESSAGE, OP_CHUNK, OP_MESSAGE_INDEX = 0x05, 0x06, 0x07
 
-REPAIR = "copy the recording again, or repair it with `mcap recover`"
-
 
 class RecordFile(SourceFile):
     """An MCAP file that records are read from; whatever fails is a `RecordingError`."""
 
-    def damage(self, message: str) -> RecordingError:
+    def damage(self, message: str) -> DamageError:
         """Make the error for a file that is damaged."""
-        return self.error(message, REPAIR)
+        return DamageError(message, path=self.path, hint=RECOVER)
 
     def record(self, offset: int, opcode: Opcode) -> bytes:
         """Read the content of a record of a known kind."""
         actual, length = RECORD.unpack(self.read(offset, RECORD.size))
         if actual != opcode:
-            raise self.error(
+            raise self.damage(
                 f"a record of kind {opcode} ({opcode.name}) is declared at byte {offset}, found {actual}",
-                REPAIR,
             )
         return self.read(offset + RECORD.size, length)
 
@@ -97,9 +94,8 @@ def parse(kind: type[_Record], content: Buffer, offset: int, file: RecordFile) -
     try:
         parsed: _Record = kind.read(_Fields(content))  # type: ignore[attr-defined]
     except (EndOfFile, struct.error, UnicodeDecodeError) as err:
-        raise file.error(
+        raise file.damage(
             f"the {kind.__name__} record at byte {offset} ({len(content)} bytes) contradicts its own lengths",
-            REPAIR,
         ) from err
     return parsed
 
@@ -117,4 +113,4 @@ def split(data: memoryview, origin: int, file: RecordFile) -> Iterator[tuple[int
             break
         yield opcode, data[start:position]
     if position != len(data):
-        raise file.error(f"the records from byte {origin} on do not end after {len(data)} bytes", REPAIR)
+        raise file.damage(f"the records from byte {origin} on do not end after {len(data)} bytes")

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
     from pathlib import Path
 
+    from .damage import Damage
     from .model import Attachment, Connection, Metadata, RawMessage, Reader
 
 __all__ = ["MergedReader", "merged_summary", "unified"]
@@ -99,6 +100,11 @@ class MergedReader:
     def bytes_read(self) -> int:
         """Bytes consumed so far in all sources."""
         return sum(reader.bytes_read for reader in self._readers)
+
+    @property
+    def damage(self) -> tuple[Damage, ...]:
+        """What is damaged in the sources, one after the other."""
+        return tuple(damage for reader in self._readers for damage in reader.damage)
 
     def messages(
         self,

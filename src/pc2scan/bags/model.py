@@ -11,6 +11,8 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
     from pathlib import Path
 
+    from .damage import Damage
+
 Buffer = bytes | memoryview
 
 
@@ -212,6 +214,11 @@ class Reader(Protocol):
     @property
     def bytes_read(self) -> int:
         """Bytes of ``summary.size_bytes`` consumed so far, for progress."""
+        ...
+
+    @property
+    def damage(self) -> Sequence[Damage]:
+        """What is damaged and was read around, as far as the recording was read."""
         ...
 
     def messages(

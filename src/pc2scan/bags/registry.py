@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING, Literal
 from pc2scan.errors import DestinationError, RecordingError
 
 from . import zstd
+from .damage import DamageLog
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
     from concurrent.futures import Executor
 
+    from .damage import Damage
     from .model import Attachment, Connection, Metadata, RawMessage, Reader, Summary, Writer
 
 __all__ = [
@@ -22,6 +24,7 @@ __all__ = [
     "Destination",
     "default_destination",
     "default_storage",
+    "kept_form",
     "open_recording",
     "open_writer",
     "plan_destination",
@@ -116,7 +119,7 @@ def sniff(path: Path) -> str:
     return _recognised(head, path)
 
 
-def open_recording(path: Path, *, verify: bool = True) -> Reader:
+def open_recording(path: Path, *, verify: bool = True, strict: bool = False) -> Reader:
     """Open a recording of any format.
 
     Parameters
@@ -125,47 +128,53 @@ def open_recording(path: Path, *, verify: bool = True) -> Reader:
         A ROS 1 bag, an MCAP or ``.db3`` file, one of these compressed by zstd, or a rosbag2 directory.
     verify
         Whether checksums of MCAP files are verified.
+    strict
+        Whether damage is an error; otherwise it is read around, and the reader's ``damage`` tells it.
 
     Raises
     ------
     RecordingError
         If it cannot be read.
+    DamageError
+        With ``strict``, if it is damaged; without, if nothing of it can be recovered.
     """
     form, _, packed = sniff(path).partition("+")
     if packed:
-        return _UnpackedReader(path, form, verify=verify)
-    return _open(path, form, verify=verify)
+        return _UnpackedReader(path, form, verify=verify, strict=strict)
+    return _open(path, form, verify=verify, strict=strict)
 
 
-def _open(path: Path, form: str, *, verify: bool) -> Reader:
+def _open(path: Path, form: str, *, verify: bool, strict: bool) -> Reader:
     # Each format brings its libraries along: only the one that is read is imported.
     if form == "rosbag1":
         from .rosbag1_reader import Rosbag1Reader  # noqa: PLC0415
 
-        return Rosbag1Reader(path)
+        return Rosbag1Reader(path, strict=strict)
     if form == "mcap":
         from .mcap_reader import McapReader  # noqa: PLC0415
 
-        return McapReader(path, verify=verify)
+        return McapReader(path, verify=verify, strict=strict)
     if form == "sqlite3":
         from .sqlite3 import Sqlite3Reader  # noqa: PLC0415
 
-        return Sqlite3Reader(path)
+        return Sqlite3Reader(path, strict=strict)
     from .rosbag2_reader import Rosbag2Reader  # noqa: PLC0415
 
-    return Rosbag2Reader(path, verify=verify)
+    return Rosbag2Reader(path, verify=verify, strict=strict)
 
 
 class _UnpackedReader:
     """A file that was compressed as a whole, read from a temporary copy."""
 
-    def __init__(self, path: Path, form: str, *, verify: bool) -> None:
+    def __init__(self, path: Path, form: str, *, verify: bool, strict: bool) -> None:
         from tempfile import TemporaryDirectory  # noqa: PLC0415  (it loads the compression modules)
 
         self._path = path
+        self._log = DamageLog(strict=strict)
         self._temporary = TemporaryDirectory(prefix="pc2scan-")
         try:
-            self._inner = _open(zstd.unpacked_file(path, Path(self._temporary.name)), form, verify=verify)
+            unpacked = zstd.unpacked_file(path, Path(self._temporary.name), self._log)
+            self._inner = _open(unpacked, form, verify=verify, strict=strict)
         except BaseException:
             self._temporary.cleanup()
             raise
@@ -192,6 +201,10 @@ class _UnpackedReader:
     @property
     def bytes_read(self) -> int:
         return self._inner.bytes_read * self._summary.size_bytes // max(1, self._inner_size)
+
+    @property
+    def damage(self) -> tuple[Damage, ...]:
+        return (*self._log.found, *(replace(place, path=self._path) for place in self._inner.damage))
 
     def messages(
         self,
@@ -245,6 +258,8 @@ def _recognised(head: bytes, path: Path, state: str = "") -> str:
             return form
     if not head:
         raise RecordingError(f"is empty{state}", path=path)
+    if any(magic.startswith(head) for magic in _MAGICS):
+        raise RecordingError(f"is cut off after {len(head)} bytes: there is nothing to recover{state}", path=path)
     if head.startswith(b"#ROSBAG V1"):
         raise RecordingError(
             f"is a ROS bag of version {_shown(head[9:12])}{state}, only 2.0 can be read",
@@ -375,10 +390,11 @@ def _one_of(option: str, value: str, allowed: Sequence[str], path: Path) -> str:
     return value
 
 
-def default_destination(sources: Sequence[Path], summaries: Sequence[Summary]) -> Path:
+def default_destination(sources: Sequence[Path], summaries: Sequence[Summary], mark: str = "_scan") -> Path:
     """Name a destination beside the first source, in its format: ``drive.bag`` becomes ``drive_scan.bag``.
 
-    A bare ``.db3`` file becomes a rosbag2 directory. `default_storage` tells the storage that goes with it.
+    ``mark`` is what is put behind the name. A bare ``.db3`` file becomes a rosbag2 directory. `default_storage` tells
+    the storage that goes with it.
     """
     source = sources[0]
     if source.name in {"", ".."}:
@@ -389,13 +405,25 @@ def default_destination(sources: Sequence[Path], summaries: Sequence[Summary]) -
         for suffix in _SOURCE_SUFFIXES:
             stem = stem[: -len(suffix)] if stem.lower().endswith(suffix) and len(stem) > len(suffix) else stem
     ending = {"rosbag1": ".bag", "mcap": ".mcap"}.get(container, "")
-    return source.with_name(f"{stem}_scan{ending}")
+    return source.with_name(f"{stem}{mark}{ending}")
 
 
 def default_storage(summaries: Sequence[Summary]) -> str | None:
     """Tell the storage for a rosbag2 directory made from these: the first source's; None if it has none."""
     first = summaries[0]
     return "sqlite3" if first.container == "sqlite3" else first.storage or None
+
+
+def kept_form(path: Path, summaries: Sequence[Summary]) -> tuple[str | None, str | None]:
+    """Tell the storage and the compression that a destination of this name can keep of the first source's."""
+    first = summaries[0]
+    container = _CONTAINERS.get(path.suffix.lower(), "rosbag2")
+    storage = default_storage(summaries) if container == "rosbag2" else None
+    form = storage or ("mcap" if container == "rosbag2" else container)
+    own = first.storage or first.container
+    compressions = first.compression if own == form else ()
+    kept = compressions[0] if len(compressions) == 1 and compressions[0] in _COMPRESSIONS[form] else None
+    return storage, kept
 
 
 def open_writer(destination: Destination, staged_path: Path, name: str) -> Writer:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass, replace
-from itertools import pairwise
-from operator import attrgetter
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import RecordingError
@@ -18,10 +16,8 @@ from .rosbag1_records import (
     CHUNK_INFO,
     COMPRESSIONS,
     CONNECTION,
-    DAMAGED,
     FIRST_LINE,
     MESSAGE,
-    REINDEX,
     Damaged,
     field_of,
     kind_of,
@@ -34,12 +30,12 @@ from .rosbag1_records import (
 from .segments import Segment
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from .model import Connection
     from .rosbag1_records import BagFile
 
-__all__ = ["Contents", "read_index"]
+__all__ = ["Contents", "chunk_segment", "read_index"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +66,7 @@ def read_index(file: BagFile) -> Contents:
         if (version := uint32_field(fields, "ver")) != 1:
             raise Damaged(f"a chunk info has version {version}, only 1 can be read")
         entries = uint32_field(fields, "count")
-        if 8 * entries > position - start:
+        if 8 * entries != position - start:
             raise Damaged(f"a chunk info of {position - start} bytes declares {entries} counts of 8 bytes")
         numbers = struct.unpack(f"<{2 * entries}I", file.body(start, start + 8 * entries))
         for identity, count in zip(numbers[::2], numbers[1::2], strict=True):
@@ -81,12 +77,15 @@ def read_index(file: BagFile) -> Contents:
             times = (time_field(fields, "start_time"), time_field(fields, "end_time"))
             located.append((place, *times, sets.setdefault(ids, ids)))
 
+    if position < file.size:
+        _refuse_further(file, position)
+
     segments = []
     placed = [
         replace(_segment(file, place), start_ns=start_ns, end_ns=end_ns, connection_ids=ids)
         for place, start_ns, end_ns, ids in located
     ]
-    _refuse_overlaps(placed)
+    _refuse_overlaps(placed, file.size)
     for segment in placed:
         # Times that cannot be, and zeros of a recorder that did not know, are found out by looking.
         known = segment if segment.start_ns <= segment.end_ns and segment.end_ns else _with_times(file, segment)
@@ -99,6 +98,15 @@ def read_index(file: BagFile) -> Contents:
     )
 
 
+def _refuse_further(file: BagFile, position: int) -> None:
+    """Raise if the index goes on behind what the bag header counts."""
+    try:
+        file.record(position, CHUNK_INFO)
+    except Damaged:
+        return
+    raise Damaged(f"it goes on at byte {position}, behind what the bag header counts")
+
+
 def _read_bag_header(file: BagFile) -> tuple[int, int, int]:
     """Read where the index is, and how many connections and chunks it holds."""
     first = file.head(len(FIRST_LINE))
@@ -109,9 +117,7 @@ def _read_bag_header(file: BagFile) -> tuple[int, int, int]:
                 path=file.path,
                 hint="Rewrite it with ROS 1: rosbag fix OLD.bag NEW.bag",
             )
-        raise RecordingError(
-            f"begins with {first!r}, a ROS 1 bag begins with {FIRST_LINE!r}", path=file.path, hint=DAMAGED
-        )
+        raise RecordingError(f"begins with {first!r}, a ROS 1 bag begins with {FIRST_LINE!r}", path=file.path)
     fields, _, _ = file.record(len(FIRST_LINE), BAG_HEADER)
     if encryptor := text_of(fields.get(b"encryptor", b"")):
         raise RecordingError(
@@ -121,32 +127,36 @@ def _read_bag_header(file: BagFile) -> tuple[int, int, int]:
         )
     index_pos = uint64_field(fields, "index_pos")
     if index_pos == 0:
-        raise RecordingError("has no index: index_pos is 0", path=file.path, hint=REINDEX)
+        raise Damaged("there is none, the bag was never closed (index_pos is 0)")
     if index_pos > file.size:
         raise Damaged(f"the index should be at byte {index_pos}, the file has {file.size} bytes")
     return index_pos, uint32_field(fields, "conn_count"), uint32_field(fields, "chunk_count")
 
 
 def _segment(file: BagFile, chunk_pos: int) -> Segment:
-    """Make a segment of a chunk's record, as yet without times and connections."""
     fields, start, stop = file.record(chunk_pos, CHUNK)
+    return chunk_segment(fields, chunk_pos, start, stop)
+
+
+def chunk_segment(fields: Mapping[bytes, bytes], chunk_pos: int, start: int, stop: int) -> Segment:
+    """Make a segment of a chunk's record, as yet without times and connections."""
     compression = text_of(field_of(fields, "compression"))
     if compression not in COMPRESSIONS:
-        raise RecordingError(
+        raise Damaged(
             f"the chunk at byte {chunk_pos} is compressed with {compression!r}, a ROS 1 bag knows "
-            f"{', '.join(COMPRESSIONS)}",
-            path=file.path,
-            hint="The bag is damaged or of a later format.",
+            f"{', '.join(COMPRESSIONS)}"
         )
     size = uint32_field(fields, "size")
     return Segment(start, stop - start, compression, size, crc=0, start_ns=0, end_ns=0)
 
 
-def _refuse_overlaps(segments: Sequence[Segment]) -> None:
-    """Each byte belongs to one chunk: a short file could otherwise hold one chunk as often as its index likes."""
-    for chunk, following in pairwise(sorted(segments, key=attrgetter("offset"))):
-        if following.offset < chunk.offset + chunk.length or following.offset == chunk.offset:
-            raise Damaged(f"the index places two chunks on the bytes from {following.offset} on")
+def _refuse_overlaps(segments: Sequence[Segment], size: int) -> None:
+    """A short file could otherwise hold its chunks as often as its index likes."""
+    if len({segment.offset for segment in segments}) < len(segments):
+        raise Damaged("the index names a chunk twice")
+    # One damaged length may reach into the next chunk, but not all of them.
+    if (stored := sum(segment.length for segment in segments)) > 2 * size:
+        raise Damaged(f"the chunks have {stored} bytes together, in a bag of {size}")
 
 
 def _with_times(file: BagFile, segment: Segment) -> Segment | None:

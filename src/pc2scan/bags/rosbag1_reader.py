@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pc2scan.errors import RecordingError
-
+from .damage import DamageLog
 from .model import Summary
-from .rosbag1_chunks import messages_in, payload
+from .rosbag1_chunks import messages_in
 from .rosbag1_contents import read_index
-from .rosbag1_records import DAMAGED, REINDEX, BagFile, Damaged
+from .rosbag1_records import BagFile, Damaged
+from .rosbag1_recovery import payload_prefix, recovered_contents, salvaged_messages
 from .segments import in_time_order
 
 if TYPE_CHECKING:
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
     from pathlib import Path
 
+    from .damage import Damage
     from .model import Attachment, Connection, Metadata, RawMessage
     from .segments import Segment
 
@@ -34,23 +35,30 @@ class Rosbag1Reader:
     path
         A bag of format 2.0.
 
+    strict
+        Whether damage is an error; otherwise it is read around, and told by `damage`. A bag without an index that can
+        be used is then found out by reading it, which takes longer to open.
+
     Raises
     ------
     RecordingError
-        If it cannot be opened, is of format 1.x, encrypted or without an index, or contradicts itself. While
-        messages are read, if a chunk does.
+        If it cannot be opened, is of format 1.x or encrypted.
+    DamageError
+        With ``strict``, if it has no index or contradicts itself; while messages are read, if a chunk does.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, strict: bool = False) -> None:
         self._path = path
+        self._log = DamageLog(strict=strict)
         self._file = BagFile(path)
         self._bytes_read = 0
         self._pool: Executor | None = None
         try:
-            self._contents = read_index(self._file)
-        except Damaged as err:
-            self.close()
-            raise RecordingError(f"its index cannot be read: {err}", path=path, hint=REINDEX) from err
+            try:
+                self._contents = read_index(self._file)
+            except Damaged as err:
+                problem = self._file.damage_error(f"its index cannot be read: {err}")
+                self._contents = recovered_contents(self._file, problem, self._log)
         except BaseException:
             self.close()
             raise
@@ -69,12 +77,13 @@ class Rosbag1Reader:
     def summary(self) -> Summary:
         """What the index tells."""
         segments = self._contents.segments
+        counts = [connection.message_count for connection in self.connections]
         return Summary(
             container="rosbag1",
             storage="",
             compression=tuple(sorted({segment.compression for segment in segments})),
             size_bytes=self._file.size,
-            message_count=sum(connection.message_count or 0 for connection in self.connections),
+            message_count=None if None in counts else sum(filter(None, counts)),
             start_ns=min((segment.start_ns for segment in segments), default=None),
             end_ns=max((segment.end_ns for segment in segments), default=None),
         )
@@ -107,7 +116,9 @@ class Rosbag1Reader:
         Raises
         ------
         RecordingError
-            If a chunk cannot be read, decompressed or taken apart.
+            If the system refuses to read.
+        DamageError
+            With ``strict``, if a chunk cannot be decompressed or taken apart.
         """
         known = self._contents.connections
         ids = None if connections is None else frozenset(connection.id for connection in connections)
@@ -115,19 +126,48 @@ class Rosbag1Reader:
         self._bytes_read = 0
 
         def load(segment: Segment) -> list[RawMessage]:
-            try:
-                chunk = payload(self._file, segment)
-                self._bytes_read += segment.length
-                return messages_in(chunk, wanted, start_ns, stop_ns)
-            except Damaged as err:
-                raise RecordingError(
-                    f"the chunk with data at byte {segment.offset} cannot be read: {err}",
-                    path=self._path,
-                    hint=DAMAGED,
-                ) from err
+            chunk, problem = payload_prefix(self._file, segment, strict=self._log.strict)
+            self._bytes_read += segment.length
+            if problem is None:
+                try:
+                    return messages_in(chunk, wanted, start_ns, stop_ns)
+                except Damaged as err:
+                    problem = err
+            low, high = start_ns or 0, stop_ns
+            return [
+                message
+                for message in self._salvaged(segment, chunk, problem)
+                if wanted[message.connection.id] is not None
+                and low <= message.log_time_ns
+                and (high is None or message.log_time_ns < high)
+            ]
 
         due = [segment for segment in self._contents.segments if segment.may_hold(ids, start_ns, stop_ns)]
         return in_time_order(due, load, pool=self._pool, path=self._path)
+
+    def _salvaged(self, segment: Segment, chunk: bytes, problem: Damaged) -> list[RawMessage]:
+        """Take note of a damaged chunk, and find the messages that are left of it."""
+        error = self._file.damage_error(f"the chunk with data at byte {segment.offset} cannot be read: {problem}")
+        if self._log.strict:
+            raise error from problem
+        left = salvaged_messages(chunk, self._contents.connections, (segment.start_ns, segment.end_ns))
+        missing = max(segment.uncompressed_size - len(chunk), 0)
+        last = left.messages[-1].log_time_ns if left.messages and missing else None
+        missing += left.bytes_lost
+        self._log.note(
+            error,
+            offset=segment.offset,
+            bytes_lost=missing,
+            messages_lost=None if missing else left.strangers,
+            first_ns=segment.start_ns if last is None else last,
+            last_ns=segment.end_ns,
+        )
+        return left.messages
+
+    @property
+    def damage(self) -> tuple[Damage, ...]:
+        """What is damaged, as far as it was read."""
+        return self._log.found
 
     def read_ahead(self, pool: Executor) -> None:
         """Let the following calls of `messages` read and decompress what comes next on these threads."""

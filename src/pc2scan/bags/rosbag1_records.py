@@ -21,6 +21,9 @@ from __future__ import annotations
 import struct
 from typing import TYPE_CHECKING
 
+from pc2scan.errors import DamageError
+
+from .damage import RECOVER
 from .files import SourceFile
 from .model import Connection, Definition
 
@@ -36,13 +39,11 @@ __all__ = [
     "CHUNK_INFO",
     "COMPRESSIONS",
     "CONNECTION",
-    "DAMAGED",
     "FIRST_LINE",
     "INDEX_DATA",
     "MESSAGE",
     "OWN_FIELDS",
     "PAIR",
-    "REINDEX",
     "SECOND_NS",
     "UINT32",
     "UINT32_MAX",
@@ -79,16 +80,13 @@ UINT32_MAX = 0xFFFF_FFFF
 SECOND_NS = 1_000_000_000
 _READ_AHEAD = 4096
 
-REINDEX = "The bag is damaged or was never closed. ROS 1's 'rosbag reindex' can rebuild its index."
-DAMAGED = "The bag is damaged. Copy it again from where it was recorded, or try ROS 1's 'rosbag reindex'."
-
 UINT32 = struct.Struct("<I")
 UINT64 = struct.Struct("<Q")
 PAIR = struct.Struct("<II")
 
 
 class Damaged(Exception):  # noqa: N818  # it never leaves the reader
-    """Bytes that break the format; the reader adds the place and makes it a RecordingError."""
+    """Bytes that break the format; the reader adds the place and makes it a DamageError."""
 
 
 def parsed_fields(raw: Buffer) -> dict[bytes, bytes]:
@@ -186,16 +184,20 @@ class BagFile(SourceFile):
         """Make the error for a bag that is damaged; the reader adds the place."""
         return Damaged(message)
 
+    def damage_error(self, message: str) -> DamageError:
+        """Make the error that leaves the reader."""
+        return DamageError(message, path=self.path, hint=RECOVER)
+
     def head(self, length: int) -> bytes:
         """Read the first bytes, fewer if there are fewer."""
         return self.read(0, min(length, self.size))
 
     def record(self, offset: int, kind: int) -> tuple[dict[bytes, bytes], int, int]:
         """Take a record that must be of a kind: its fields, and where its body starts and stops."""
-        (length,) = UINT32.unpack(self._nearby(offset, 4))
+        (length,) = UINT32.unpack(self.nearby(offset, 4))
         body = offset + 4 + length + 4
-        fields = parsed_fields(self._nearby(offset + 4, length))
-        (length,) = UINT32.unpack(self._nearby(body - 4, 4))
+        fields = parsed_fields(self.nearby(offset + 4, length))
+        (length,) = UINT32.unpack(self.nearby(body - 4, 4))
         if kind_of(fields) != kind:
             raise Damaged(
                 f"the record at byte {offset} is a {_KINDS.get(kind_of(fields), kind_of(fields))}, "
@@ -209,9 +211,9 @@ class BagFile(SourceFile):
 
     def body(self, start: int, stop: int) -> bytes:
         """Read the body of a small record."""
-        return self._nearby(start, stop - start)
+        return self.nearby(start, stop - start)
 
-    def _nearby(self, offset: int, length: int) -> bytes:
+    def nearby(self, offset: int, length: int) -> bytes:
         """Read a little, and ahead: an index is many small records in a row."""
         start = offset - self._ahead_start
         if start < 0 or start + length > len(self._ahead):

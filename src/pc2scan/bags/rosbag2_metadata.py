@@ -24,9 +24,9 @@ import os
 import re
 from dataclasses import dataclass, field
 from pathlib import Path, PureWindowsPath
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from pc2scan.errors import RecordingError
+from pc2scan.errors import DamageError, RecordingError
 
 from . import zstd
 from .model import Connection
@@ -34,7 +34,9 @@ from .qos import latches
 from .yaml import MAX_CHARACTERS, dump_yaml, load_yaml
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
+
+    from .damage import DamageLog
 
 __all__ = [
     "METADATA_NAME",
@@ -42,6 +44,7 @@ __all__ = [
     "RECORD_NAME",
     "ROOT",
     "BagInfo",
+    "Extent",
     "located_file",
     "read_info",
     "storage_files",
@@ -59,24 +62,50 @@ _SUFFIXES = {".db3": "sqlite3", ".mcap": "mcap"}
 _WITHOUT_METADATA = f"move {METADATA_NAME} away to have the files beside it read without it"
 
 
+class UnsupportedError(ValueError):
+    """metadata.yaml is sound, but what it tells of cannot be read."""
+
+
+class Extent(NamedTuple):
+    """What metadata.yaml says of one file: its messages, and the first and the last log time."""
+
+    message_count: int
+    first_ns: int
+    last_ns: int
+
+
 @dataclass(frozen=True, slots=True)
 class BagInfo:
-    """What metadata.yaml says, as far as it matters. ``topics`` are connections with ids from 1 on."""
+    """What metadata.yaml says, as far as it matters.
+
+    Attributes
+    ----------
+    topics
+        Connections with ids from 1 on.
+    message_count
+        In all; None where it does not say.
+    extents
+        By file; older versions have none.
+    """
 
     storage: str
     files: tuple[str, ...]
     message_compression: str = "none"
     topics: tuple[Connection, ...] = ()
     custom_data: Mapping[str, str] = field(default_factory=dict)
+    message_count: int | None = None
+    extents: Mapping[str, Extent] = field(default_factory=dict)
 
 
-def read_info(folder: Path) -> BagInfo:
+def read_info(folder: Path, log: DamageLog) -> BagInfo:
     """Read metadata.yaml, or find out what matters from the files where there is none.
+
+    ``log`` takes note of one that cannot be understood; the files are then read without it.
 
     Raises
     ------
     RecordingError
-        If it cannot be read or understood, or there is no recording.
+        If it cannot be read, tells of what is not supported, or there is no recording.
     """
     path = folder / METADATA_NAME
     try:
@@ -85,14 +114,16 @@ def read_info(folder: Path) -> BagInfo:
         with path.open(encoding="utf-8") as file:
             # One more than allowed: what is too long is refused, not read.
             text = file.read(MAX_CHARACTERS + 1)
+        return _parsed_info(load_yaml(text))
     except UnicodeDecodeError as err:
-        raise RecordingError(f"is not UTF-8: {err.reason}", path=path, hint=_WITHOUT_METADATA) from err
+        log.note(DamageError(f"is not UTF-8: {err.reason}", path=path, hint=_WITHOUT_METADATA))
     except OSError as err:
         raise RecordingError(f"cannot be read: {err.strerror}", path=Path(err.filename or path)) from err
-    try:
-        return _parsed_info(load_yaml(text))
-    except ValueError as err:
+    except UnsupportedError as err:
         raise RecordingError(str(err), path=path, hint=_WITHOUT_METADATA) from err
+    except ValueError as err:
+        log.note(DamageError(str(err), path=path, hint=_WITHOUT_METADATA))
+    return _guessed_info(folder)
 
 
 def storage_files(folder: Path) -> list[Path]:
@@ -108,14 +139,14 @@ def located_file(folder: Path, name: str) -> Path:
 
     Raises
     ------
-    RecordingError
+    DamageError
         If it is not in the directory.
     """
     plain = zstd.without_suffix(name)
     for candidate in (name, plain, *(plain + suffix for suffix in zstd.SUFFIXES)):
         if (folder / candidate).is_file():
             return folder / candidate
-    raise RecordingError(
+    raise DamageError(
         f"{METADATA_NAME} names {name}, which is not in the directory",
         path=folder,
         hint=f"copy the missing file, or move {METADATA_NAME} away to read the files that are there",
@@ -149,10 +180,10 @@ def _parsed_info(document: Any) -> BagInfo:
     root = _get(document, ROOT, dict, "the file")
     version = _get(root, "version", int, ROOT)
     if not 1 <= version <= NEWEST_VERSION:
-        raise ValueError(f"has version {version}; 1 to {NEWEST_VERSION} are known")
+        raise UnsupportedError(f"has version {version}; 1 to {NEWEST_VERSION} are known")
     storage = _get(root, "storage_identifier", str, ROOT)
     if storage not in _SUFFIXES.values():
-        raise ValueError(f"has storage {storage!r}; {' and '.join(sorted(_SUFFIXES.values()))} can be read")
+        raise UnsupportedError(f"has storage {storage!r}; {' and '.join(sorted(_SUFFIXES.values()))} can be read")
     files = [_file_name(path) for path in _get(root, "relative_file_paths", list, ROOT)]
     if not files:
         raise ValueError("names no files")
@@ -165,7 +196,21 @@ def _parsed_info(document: Any) -> BagInfo:
             for number, entry in enumerate(_get(root, "topics_with_message_count", list, ROOT, []), 1)
         ),
         custom_data={str(key): str(value) for key, value in _get(root, "custom_data", dict, ROOT, {}).items()},
+        message_count=_get(root, "message_count", int, ROOT, 0),
+        extents=dict(_extents(root)),
     )
+
+
+def _extents(root: Any) -> Iterator[tuple[str, Extent]]:
+    """What is said of the files one by one; of no consequence where all are there, so lenient."""
+    entries = root.get("files")
+    for entry in entries if isinstance(entries, list) else ():
+        try:
+            first_ns = int(entry["starting_time"]["nanoseconds_since_epoch"])
+            last_ns = first_ns + int(entry["duration"]["nanoseconds"])
+            yield _file_name(entry["path"]), Extent(int(entry["message_count"]), first_ns, last_ns)
+        except (KeyError, TypeError, ValueError):
+            continue
 
 
 def _get(mapping: Any, key: str, kind: type, where: str, default: Any = None) -> Any:
@@ -195,10 +240,10 @@ def _message_compression(root: Any) -> str:
     if mode in {"", "none", "storage"}:
         return "none"
     if mode not in {"file", "message"}:
-        raise ValueError(f"has compression_mode {mode!r}, expected none, file or message")
+        raise UnsupportedError(f"has compression_mode {mode!r}, expected none, file or message")
     name = _get(root, "compression_format", str, ROOT, "").lower()
     if name != "zstd":
-        raise ValueError(f"has compression_format {name!r}; only zstd can be read")
+        raise UnsupportedError(f"has compression_format {name!r}; only zstd can be read")
     # Compressed files are recognised by their content.
     return "zstd" if mode == "message" else "none"
 

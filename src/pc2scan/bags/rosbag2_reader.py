@@ -8,16 +8,22 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
+from pc2scan.errors import DamageError, RecordingError
+
 from . import zstd
+from .damage import RECOVER, DamageLog
 from .merged import MergedReader
-from .rosbag2_metadata import RECORD_NAME, located_file, read_info
+from .rosbag2_metadata import METADATA_NAME, RECORD_NAME, located_file, read_info
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
-    from .model import Connection, Metadata, RawMessage, Reader, Summary
+    from .damage import Damage
+    from .model import Connection, Metadata, Reader, Summary
 
 __all__ = ["Rosbag2Reader"]
+
+_MAGICS = {"sqlite3": b"SQLite format 3\0", "mcap": b"\x89MCAP0\r\n"}
 
 
 class Rosbag2Reader(MergedReader):
@@ -33,28 +39,49 @@ class Rosbag2Reader(MergedReader):
         The directory. Only files in it are opened, whatever metadata.yaml names.
     verify
         Whether checksums of MCAP files are verified.
+    strict
+        Whether damage is an error, and so are a missing file and messages that metadata.yaml counts and the files do
+        not have; otherwise what there is is read, and `damage` tells the rest.
 
     Raises
     ------
     RecordingError
-        If metadata.yaml cannot be understood, or a file is missing or cannot be read.
+        If metadata.yaml tells of what is not supported, or no file can be read.
+    DamageError
+        With ``strict``, if metadata.yaml cannot be understood, or a file is missing or damaged.
     """
 
-    def __init__(self, path: Path, *, verify: bool = True) -> None:
+    def __init__(self, path: Path, *, verify: bool = True, strict: bool = False) -> None:
         self._path = path
+        self._log = DamageLog(strict=strict)
         self._temporary: TemporaryDirectory[str] | None = None
-        self._info = read_info(path)
-        self._unpack_messages = self._info.message_compression == "zstd" and self._info.storage == "mcap"
-        files = [located_file(path, name) for name in self._info.files]
+        #: What was unpacked, and from which file.
+        self._origins: dict[Path, Path] = {}
+        self._info = read_info(path, self._log)
+        files: list[Path] = []
         opened: list[Reader] = []
         with ExitStack() as undo:
             undo.callback(self._discard_temporary)
-            for file in files:
-                reader = self._open(file, verify=verify)
+            for name in self._info.files:
+                try:
+                    file = located_file(path, name)
+                    reader = self._open(file, verify=verify)
+                except DamageError as err:
+                    err.path = self._origins.get(Path(err.path or name), Path(err.path or name))
+                    if strict or (name == self._info.files[-1] and not opened):
+                        raise
+                    self._lose(name, err)
+                    continue
                 undo.callback(reader.close)
+                files.append(file)
                 opened.append(reader)
             super().__init__(opened)
             undo.pop_all()
+        try:
+            self._compare_counts()
+        except BaseException:
+            self.close()
+            raise
         amended, added = _completed(self.connections, self._info.topics)
         self._amend(amended, added)
         self._inner = super().summary
@@ -87,15 +114,11 @@ class Rosbag2Reader(MergedReader):
         """metadata.yaml's ``custom_data``."""
         return self._info.custom_data
 
-    def messages(
-        self,
-        connections: Collection[Connection] | None = None,
-        start_ns: int | None = None,
-        stop_ns: int | None = None,
-    ) -> Iterator[RawMessage]:
-        """Messages of all files by log time; equal log times in the order of the files."""
-        messages = super().messages(connections, start_ns, stop_ns)
-        return self._unpacked_messages(messages) if self._unpack_messages else messages
+    @property
+    def damage(self) -> tuple[Damage, ...]:
+        """What is damaged: the directory's own first, then file by file."""
+        inner = (replace(place, path=self._origins.get(place.path, place.path)) for place in super().damage)
+        return (*self._log.found, *inner)
 
     def metadata(self) -> Iterator[Metadata]:
         """MCAP metadata records, without rosbag2's copy of metadata.yaml, which is about these files only."""
@@ -110,24 +133,58 @@ class Rosbag2Reader(MergedReader):
         if zstd.is_zstd(file):
             if self._temporary is None:
                 self._temporary = TemporaryDirectory(prefix="pc2scan-")
-            file = zstd.unpacked_file(file, Path(self._temporary.name))
+            unpacked = zstd.unpacked_file(file, Path(self._temporary.name), self._log)
+            self._origins[unpacked] = file
+            file = unpacked
+        _refuse_others(file, self._info.storage)
         if self._info.storage == "sqlite3":
             from .sqlite3 import Sqlite3Reader  # noqa: PLC0415  (a recording needs one of the two)
 
-            return Sqlite3Reader(file, message_compression=self._info.message_compression)
+            return Sqlite3Reader(file, message_compression=self._info.message_compression, strict=self._log.strict)
         from .mcap_reader import McapReader  # noqa: PLC0415
 
-        return McapReader(file, verify=verify)
+        return McapReader(file, verify=verify, strict=self._log.strict)
 
-    def _unpacked_messages(self, messages: Iterator[RawMessage]) -> Iterator[RawMessage]:
-        for message in messages:
-            data = zstd.unpacked_message(message.data, self._path, message.connection.topic)
-            yield message._replace(data=data)
+    def _lose(self, name: str, err: DamageError) -> None:
+        """Take note of a file that is missing or cannot be read at all."""
+        extent = self._info.extents.get(name)
+        self._log.note(
+            err,
+            key=name,
+            messages_lost=extent.message_count if extent else None,
+            first_ns=extent.first_ns if extent else None,
+            last_ns=extent.last_ns if extent else None,
+        )
+
+    def _compare_counts(self) -> None:
+        """Take note if the files have fewer messages than metadata.yaml counts."""
+        stored, declared = super().summary.message_count, self._info.message_count
+        if stored is None or declared is None:
+            return
+        told = sum(damage.messages_lost or 0 for damage in self._log.found)
+        if any(damage.messages_lost is None for damage in self._log.found) or stored + told >= declared:
+            return
+        missing = f"{METADATA_NAME} counts {declared} messages, its files have {stored}"
+        self._log.note(
+            DamageError(missing, path=self._path, hint=RECOVER), key="count", messages_lost=declared - stored - told
+        )
 
     def _discard_temporary(self) -> None:
         if self._temporary is not None:
             self._temporary.cleanup()
             self._temporary = None
+
+
+def _refuse_others(file: Path, storage: str) -> None:
+    """Raise if a file is not of the storage that it should be of."""
+    try:
+        with file.open("rb") as stream:
+            head = stream.read(16)
+    except OSError as err:
+        raise RecordingError(f"cannot be read: {err.strerror}", path=file) from err
+    if not head.startswith(_MAGICS[storage]):
+        found = f"begins with {head!r:.40}" if head else "is empty"
+        raise DamageError(f"is no {storage} file: it {found}", path=file, hint=RECOVER)
 
 
 def _completed(

@@ -8,8 +8,10 @@ segment is loaded when its first message is due and forgotten after its last.
 from __future__ import annotations
 
 import heapq
+from bisect import bisect_left
 from collections import deque
 from dataclasses import dataclass
+from itertools import accumulate
 from operator import attrgetter
 from typing import TYPE_CHECKING
 
@@ -69,6 +71,28 @@ class Segment:
             and (stop_ns is None or self.start_ns < stop_ns)
             and (ids is None or self.connection_ids is None or not self.connection_ids.isdisjoint(ids))
         )
+
+
+def times_around(segments: Iterable[Segment]) -> Callable[[int, int], dict[str, int | None]]:
+    """Tell the log times next to a place of the file.
+
+    The function returned takes where a stretch of the file starts and stops, and returns ``first_ns``, the latest log
+    time in front of it, and ``last_ns``, the earliest behind it; None where there are no messages. Segments
+    without times (``end_ns`` 0) do not count.
+    """
+    timed = sorted((segment for segment in segments if segment.end_ns), key=attrgetter("offset"))
+    offsets = [segment.offset for segment in timed]
+    latest = list(accumulate((segment.end_ns for segment in timed), max))
+    earliest = list(accumulate((segment.start_ns for segment in reversed(timed)), min))[::-1]
+
+    def around(start: int, stop: int) -> dict[str, int | None]:
+        before, behind = bisect_left(offsets, start), bisect_left(offsets, stop)
+        return {
+            "first_ns": latest[before - 1] if before else None,
+            "last_ns": earliest[behind] if behind < len(earliest) else None,
+        }
+
+    return around
 
 
 class _Open:

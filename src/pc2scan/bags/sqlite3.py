@@ -30,18 +30,21 @@ from typing import TYPE_CHECKING, Any
 
 import zstandard
 
-from pc2scan.errors import OutputError, RecordingError
+from pc2scan.errors import DamageError, OutputError, RecordingError
 
 from . import zstd
+from .damage import RECOVER, DamageLog
 from .limits import MAX_CONNECTIONS
 from .model import Connection, Definition, RawMessage, Summary
 from .qos import latches
+from .sqlite3_pages import PageFile, declared_size, rebuilt
 from .staging import sync_file
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
     from concurrent.futures import Executor
 
+    from .damage import Damage
     from .model import Attachment, Buffer, Metadata
 
 __all__ = ["Sqlite3Reader", "Sqlite3Writer"]
@@ -63,6 +66,9 @@ CREATE TABLE messages(
 CREATE INDEX timestamp_idx ON messages (timestamp ASC);
 INSERT INTO schema(schema_version, ros_distro) VALUES (4, '');
 """
+
+#: SQLite's codes for a database that is not as it must be; ERROR comes of a damaged schema.
+_DAMAGE_CODES = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_ERROR, sqlite3.SQLITE_IOERR_SHORT_READ)
 
 #: Bytes of messages after which a transaction ends, so that what SQLite has to remember stays bounded.
 _BATCH_BYTES = 16 << 20
@@ -88,28 +94,36 @@ class Sqlite3Reader:
         ``zstd`` if every message is compressed by itself. ``none`` still looks at the first message, because
         only metadata.yaml, which may not be there, tells otherwise.
 
+    strict
+        Whether damage is an error; otherwise what SQLite cannot reach is found page by page, and told by `damage`.
+
     Raises
     ------
     RecordingError
-        If it is not a database, is damaged, or is not one of rosbag2.
+        If it cannot be read, or is not one of rosbag2.
+    DamageError
+        With ``strict``, if it is damaged; without, if nothing of it can be recovered.
     """
 
-    def __init__(self, path: Path, *, message_compression: str = "none") -> None:
+    def __init__(self, path: Path, *, message_compression: str = "none", strict: bool = False) -> None:
         self._path = path
+        self._log = DamageLog(strict=strict)
         self._copy: TemporaryDirectory[str] | None = None
         self._database: sqlite3.Connection | None = None
+        self._pages: PageFile | None = None
         self._bytes_read = 0
         try:
             self._size = path.stat().st_size
-            self._database = self._open()
-            self._check_tables()
-            self._index = self._timestamp_index()
-            with self._ending():
-                self._connections, start_ns, end_ns = self._read_connections()
-            self._compressed = message_compression == "zstd" or self._first_is_compressed()
-        except _SQLITE_ERRORS as err:
-            self.close()
-            raise self._error(err) from err
+            try:
+                self._refuse_cut()
+                self._database = self._open()
+                start_ns, end_ns = self._survey(message_compression)
+            except DamageError as err:
+                self._recover(err)
+                start_ns, end_ns = self._survey(message_compression)
+            except _SQLITE_ERRORS as err:
+                self._recover(self._error(err))
+                start_ns, end_ns = self._survey(message_compression)
         except OSError as err:
             self.close()
             raise RecordingError(f"cannot be read: {err.strerror}", path=path) from err
@@ -125,6 +139,15 @@ class Sqlite3Reader:
             start_ns=start_ns,
             end_ns=end_ns,
         )
+
+    def _survey(self, message_compression: str) -> tuple[int | None, int | None]:
+        """Find out what there is; returns the times of the first and the last message."""
+        self._check_tables()
+        self._index = self._timestamp_index()
+        with self._ending():
+            self._connections, start_ns, end_ns = self._read_connections()
+        self._compressed = message_compression == "zstd" or self._first_is_compressed()
+        return start_ns, end_ns
 
     @property
     def path(self) -> Path:
@@ -146,6 +169,11 @@ class Sqlite3Reader:
         """Bytes of messages read so far."""
         return min(self._bytes_read, self._size)
 
+    @property
+    def damage(self) -> tuple[Damage, ...]:
+        """What is damaged, as far as it was read."""
+        return self._log.found
+
     def messages(
         self,
         connections: Collection[Connection] | None = None,
@@ -155,28 +183,41 @@ class Sqlite3Reader:
         """Messages by log time; equal log times in the order of writing. Memory does not grow."""
         wanted = None if connections is None else {connection.id for connection in connections}
         known = {own.id: own for own in self._connections if wanted is None or own.id in wanted}
+        after: tuple[int, int] | None = None
         expected = sum(own.message_count or 0 for own in known.values())
+        while True:
+            try:
+                for topic_id, time_ns, message_id, data in self._rows(list(known), start_ns, stop_ns, after):
+                    # Pages of a damaged tree may lead back to themselves.
+                    expected -= 1
+                    if expected < 0:
+                        raise RecordingError("has more messages than it counts", path=self._path)
+                    if topic_id not in known or not isinstance(time_ns, int):
+                        raise RecordingError(
+                            f"a message has topic_id {topic_id!r:.40} and timestamp {time_ns!r:.40}", path=self._path
+                        )
+                    after = (time_ns, message_id)
+                    message = self._message(known[topic_id], time_ns, message_id, data)
+                    if message is not None:
+                        yield message
+            except (*_SQLITE_ERRORS, DamageError) as err:
+                # What was handed out stays so: the rest comes from the pages, from the next row on.
+                self._recover(err if isinstance(err, DamageError) else self._error(err))
+            else:
+                return
+
+    def _message(self, connection: Connection, time_ns: int, message_id: int, data: object) -> RawMessage | None:
+        """One message, if its data can be had."""
         try:
-            for number, (topic_id, time_ns, data) in enumerate(self._rows(list(known), start_ns, stop_ns)):
-                if topic_id not in known or not isinstance(time_ns, int):
-                    raise RecordingError(
-                        f"a message has topic_id {topic_id!r:.40} and timestamp {time_ns!r:.40}", path=self._path
-                    )
-                if not isinstance(data, bytes):
-                    raise RecordingError(
-                        f"a message's data is {type(data).__name__}, not bytes",
-                        path=self._path,
-                        topic=known[topic_id].topic,
-                    )
-                # Pages of a damaged tree may lead back to themselves.
-                if number >= expected:
-                    raise RecordingError(f"has more messages than the {expected} that it counts", path=self._path)
-                self._bytes_read += len(data)
-                if self._compressed:
-                    data = zstd.unpacked_message(data, self._path, known[topic_id].topic)  # noqa: PLW2901
-                yield RawMessage(known[topic_id], time_ns, data, time_ns)
-        except _SQLITE_ERRORS as err:
-            raise self._error(err) from err
+            if not isinstance(data, bytes):
+                what = "is not in the file any more" if data is None else f"is {type(data).__name__}, not bytes"
+                raise self._damage(f"a message's data {what}", connection.topic)
+            self._bytes_read += len(data)
+            unpacked = zstd.unpacked_message(data, self._path, connection.topic) if self._compressed else data
+        except DamageError as err:
+            self._log.note(err, key=message_id, messages_lost=1, first_ns=time_ns, last_ns=time_ns)
+            return None
+        return RawMessage(connection, time_ns, unpacked, time_ns)
 
     def read_ahead(self, pool: Executor) -> None:
         """Let the following calls of `messages` read and decompress what comes next on these threads."""
@@ -195,13 +236,46 @@ class Sqlite3Reader:
         if self._database is not None:
             self._database.close()
             self._database = None
+        if self._pages is not None:
+            self._pages.close()
+            self._pages = None
         if self._copy is not None:
             self._copy.cleanup()
             self._copy = None
 
+    def _refuse_cut(self) -> None:
+        """Raise if the file is shorter than it says itself. SQLite would notice only where something is missing."""
+        if self._side_files():
+            return
+        with self._path.open("rb") as file:
+            declared = declared_size(file.read(100))
+        if declared is not None and declared > self._size:
+            raise self._damage(f"is cut off: it has {self._size} of {declared} bytes")
+
+    def _recover(self, problem: RecordingError) -> None:
+        """Go on with the rows that can be found without SQLite's trees."""
+        if not isinstance(problem, DamageError) or self._pages is not None:
+            raise problem
+        if self._log.strict:
+            raise problem
+        if self._database is not None:
+            self._database.close()
+        wal = _beside(self._path, "-wal")
+        self._pages = PageFile(self._path, wal if _has_content(wal) else None)
+        self._database, last_ns = rebuilt(self._pages)
+        self._index = None
+        if last_ns is None and not self._database.execute("SELECT 1 FROM topics").fetchone():
+            raise self._damage(f"nothing of it can be recovered: {problem.message}")
+        with self._path.open("rb") as file:
+            declared = declared_size(file.read(100)) or 0
+        self._log.note(problem, bytes_lost=max(0, declared - self._size), first_ns=last_ns)
+
+    def _side_files(self) -> list[Path]:
+        return [side for name in _SIDE_FILES if _has_content(side := _beside(self._path, name))]
+
     def _open(self) -> sqlite3.Connection:
         """Open without a trace: an immutable database is neither locked nor recovered."""
-        side_files = [side for name in _SIDE_FILES if _has_content(side := _beside(self._path, name))]
+        side_files = self._side_files()
         path, mode = self._path, "mode=ro&immutable=1"
         if side_files:
             self._copy = TemporaryDirectory(prefix="pc2scan-")
@@ -233,14 +307,21 @@ class Sqlite3Reader:
     def _query(self, sql: str, values: Sequence[Any] = ()) -> sqlite3.Cursor:
         if self._database is None:
             raise RecordingError("is closed", path=self._path)
-        return self._database.execute(sql, values)
+        try:
+            return self._database.execute(sql, values)
+        except UnicodeDecodeError as err:
+            # The message quotes a damaged name, which Python takes for text.
+            raise self._damage("SQLite cannot read it, and names what is not text") from err
+
+    def _damage(self, message: str, topic: str | None = None) -> DamageError:
+        return DamageError(message, path=self._path, topic=topic, hint=RECOVER)
 
     def _error(self, err: Exception) -> RecordingError:
-        return RecordingError(
-            f"SQLite cannot read it: {err}",
-            path=self._path,
-            hint="sqlite3's command .recover saves what is left of a damaged database",
-        )
+        message = f"SQLite cannot read it: {str(err) or type(err).__name__}"
+        # Disks that fail and memory that is short are no damage.
+        if not isinstance(err, sqlite3.Error) or err.sqlite_errorcode in _DAMAGE_CODES:
+            return self._damage(message)
+        return RecordingError(message, path=self._path)
 
     def _columns(self, table: str) -> set[str]:
         return {row[1] for row in self._query(f"PRAGMA table_info({table})")}
@@ -256,7 +337,8 @@ class Sqlite3Reader:
                     f"is an SQLite database, but not one of rosbag2: table {table} lacks {', '.join(sorted(missing))}",
                     path=self._path,
                 )
-        for table in (*needed, "message_definitions"):
+        # What was put together from the pages is of our own making.
+        for table in (*needed, "message_definitions") if self._pages is None else ():
             # A view, or a table that a module makes up, can have rows without end.
             stored = "SELECT min(type = 'table' AND rootpage > 0) FROM sqlite_master WHERE lower(name) = ?"
             if self._query(stored, (table,)).fetchone()[0] == 0:
@@ -281,8 +363,8 @@ class Sqlite3Reader:
         counts = {
             topic_id: numbers
             for topic_id, *numbers in self._query(
-                "SELECT topic_id, count(*), min(timestamp), max(timestamp) FROM messages "
-                "WHERE topic_id IN (SELECT id FROM topics) GROUP BY topic_id"
+                "SELECT topic_id, count(*), min(timestamp), max(timestamp) FROM messages GROUP BY topic_id LIMIT ?",
+                (MAX_CONNECTIONS,),
             )
         }
         connections: list[Connection] = []
@@ -313,6 +395,16 @@ class Sqlite3Reader:
                     message_count=count,
                 )
             )
+        described = {connection.id for connection in connections}
+        for topic_id, (count, first_ns, last_ns) in counts.items():
+            if topic_id not in described:
+                self._log.note(
+                    self._damage(f"{count} messages are of topic {topic_id}, which is not described"),
+                    key=("topic", topic_id),
+                    messages_lost=count,
+                    first_ns=first_ns,
+                    last_ns=last_ns,
+                )
         return tuple(connections), min(starts, default=None), max(ends, default=None)
 
     def _read_definitions(self) -> dict[tuple[str, str | None], Definition]:
@@ -340,18 +432,22 @@ class Sqlite3Reader:
         return row is not None and row[0] == zstd.MAGIC
 
     def _rows(
-        self, topic_ids: list[int], start_ns: int | None, stop_ns: int | None
-    ) -> Iterator[tuple[int, int, object]]:
+        self, topic_ids: list[int], start_ns: int | None, stop_ns: int | None, after: tuple[int, int] | None
+    ) -> Iterator[tuple[int, int, int, object]]:
+        """Topic, time, id and data of messages by time and id, those behind ``after`` (time and id)."""
         conditions = [f"topic_id IN ({', '.join('?' * len(topic_ids))})"]
         values = list(topic_ids)
         for operator, bound in ((">=", start_ns), ("<", stop_ns)):
             if bound is not None:
                 conditions.append(f"timestamp {operator} ?")
                 values.append(max(-(2**63), min(bound, 2**63 - 1)))
+        if after is not None:
+            conditions.append("(timestamp, id) > (?, ?)")
+            values += after
         tail = f"WHERE {' AND '.join(conditions)} ORDER BY timestamp, id"
         if self._index is not None:
             # Left to itself, SQLite may find sorting whole messages cheaper than following the index.
-            sql = f"SELECT topic_id, timestamp, data FROM messages INDEXED BY {self._index} {tail}"  # noqa: S608
+            sql = f"SELECT topic_id, timestamp, id, data FROM messages INDEXED BY {self._index} {tail}"  # noqa: S608
             with closing(self._query(sql, values)) as rows:
                 yield from rows
             return
@@ -359,7 +455,7 @@ class Sqlite3Reader:
         with closing(self._query(f"SELECT topic_id, timestamp, id FROM messages {tail}", values)) as rows:  # noqa: S608
             for topic_id, time_ns, message_id in rows:
                 row = self._query("SELECT data FROM messages WHERE id = ?", (message_id,)).fetchone()
-                yield topic_id, time_ns, row and row[0]
+                yield topic_id, time_ns, message_id, row and row[0]
 
 
 def _text_of(column: str) -> str:

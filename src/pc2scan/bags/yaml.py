@@ -34,7 +34,7 @@ def load_yaml(text: str) -> Any:
         depth = depth + 1 if bracket in "[{" else max(depth - 1, 0)
         deepest = max(deepest, depth)
     if deepest > _MAX_BRACKETS:
-        raise ValueError(f"is nested more than {_MAX_BRACKETS} levels deep")
+        raise ValueError(f"is not valid YAML: it is nested more than {_MAX_BRACKETS} levels deep")
     from ruamel.yaml import YAML  # noqa: PLC0415  (only rosbag2 and its QoS profiles need it)
     from ruamel.yaml.error import YAMLError  # noqa: PLC0415
 

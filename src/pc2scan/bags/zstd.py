@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pc2scan.errors import RecordingError
+from pc2scan.errors import DamageError, RecordingError
 
+from .damage import RECOVER
 from .limits import MAX_FILE_RATIO, MAX_UNPACKED, allowed_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
 
-    from .model import Buffer
+    from .damage import DamageLog
+    from .model import Buffer, RawMessage
 
 __all__ = [
     "MAGIC",
@@ -21,6 +23,7 @@ __all__ = [
     "is_zstd",
     "unpacked_file",
     "unpacked_message",
+    "unpacked_messages",
     "without_suffix",
 ]
 
@@ -43,37 +46,35 @@ def is_zstd(path: Path) -> bool:
         raise RecordingError(f"cannot be read: {err.strerror}", path=path) from err
 
 
-def unpacked_file(path: Path, folder: Path) -> Path:
+def unpacked_file(path: Path, folder: Path, log: DamageLog) -> Path:
     """Decompress a zstd file into a directory, in pieces; returns the new file.
+
+    Parameters
+    ----------
+    path
+        The file.
+    folder
+        Gets the new one.
+    log
+        Takes note if it is damaged; what can be decompressed in front of the damage is written.
 
     Raises
     ------
     RecordingError
-        If it is damaged, or the result does not fit.
+        If the result does not fit.
     """
-    import zstandard  # noqa: PLC0415  (only compressed recordings need it)
-
     target = folder / without_suffix(path.name)
     try:
-        with path.open("rb") as packed, target.open("wb") as out:
-            complete = True
-            decoder = zstandard.ZstdDecompressor().decompressobj()
-            allowed = MAX_UNPACKED + MAX_FILE_RATIO * path.stat().st_size
-            while piece := packed.read(_PIECE):
-                while piece:
-                    allowed -= out.write(decoder.decompress(piece))
-                    if allowed < 0:
-                        raise RecordingError(
-                            f"unpacks to more than {MAX_FILE_RATIO} times its size, which no recording does", path=path
-                        )
-                    complete, piece = decoder.eof, decoder.unused_data
-                    if complete:
-                        # Another frame may follow: pzstd writes many.
-                        decoder = zstandard.ZstdDecompressor().decompressobj()
-        if not complete:
-            raise RecordingError("cannot be decompressed: it is cut off", path=path)
-    except zstandard.ZstdError as err:
-        raise RecordingError(f"cannot be decompressed: {err}", path=path) from err
+        broken = _unpack(path, target)
+        if broken is not None:
+            offset, reason = broken
+            log.note(
+                DamageError(f"cannot be decompressed: {reason}", path=path, hint=RECOVER),
+                offset=offset,
+                bytes_lost=path.stat().st_size - offset,
+            )
+            # Once more, with small pieces about the damage: a piece that fails leaves nothing behind.
+            _unpack(path, target, broken_at=offset)
     except OSError as err:
         raise RecordingError(
             f"cannot be decompressed: {err.strerror}",
@@ -83,12 +84,39 @@ def unpacked_file(path: Path, folder: Path) -> Path:
     return target
 
 
+def _unpack(path: Path, target: Path, broken_at: int | None = None) -> tuple[int, str] | None:
+    """Write what a file unpacks to; returns the first piece that cannot be unpacked, and why."""
+    import zstandard  # noqa: PLC0415  (only compressed recordings need it)
+
+    offset = 0
+    with path.open("rb") as packed, target.open("wb") as out:
+        complete = True
+        decoder = zstandard.ZstdDecompressor().decompressobj()
+        allowed = MAX_UNPACKED + MAX_FILE_RATIO * path.stat().st_size
+        while piece := packed.read(_PIECE if broken_at is None or offset < broken_at else 64):
+            begin, offset = offset, offset + len(piece)
+            while piece:
+                try:
+                    allowed -= out.write(decoder.decompress(piece))
+                except zstandard.ZstdError as err:
+                    return begin, str(err)
+                if allowed < 0:
+                    raise RecordingError(
+                        f"unpacks to more than {MAX_FILE_RATIO} times its size, which no recording does", path=path
+                    )
+                complete, piece = decoder.eof, decoder.unused_data
+                if complete:
+                    # Another frame may follow: pzstd writes many.
+                    decoder = zstandard.ZstdDecompressor().decompressobj()
+    return None if complete else (offset, "it is cut off")
+
+
 def unpacked_message(data: Buffer, path: Path, topic: str) -> bytes:
     """Return a message that was compressed by itself (rosbag2's compression mode ``message``).
 
     Raises
     ------
-    RecordingError
+    DamageError
         If it is not a complete zstd frame.
     """
     import zstandard  # noqa: PLC0415  (only compressed recordings need it)
@@ -105,14 +133,63 @@ def unpacked_message(data: Buffer, path: Path, topic: str) -> bytes:
             parts.append(decoder.decompress(view[:_PIECE]))
             size, view = size + len(parts[-1]), view[_PIECE:]
     except zstandard.ZstdError as err:
-        raise RecordingError(f"a message cannot be decompressed: {err}", path=path, topic=topic) from err
+        raise DamageError(f"a message cannot be decompressed: {err}", path=path, topic=topic, hint=RECOVER) from err
     if max(size, declared) > allowed:
-        raise RecordingError(
+        raise DamageError(
             f"a message of {len(data)} bytes unpacks to more than the {allowed} that may be", path=path, topic=topic
         )
     if not decoder.eof:
-        raise RecordingError("a message's zstd frame is cut off", path=path, topic=topic)
+        raise DamageError("a message's zstd frame is cut off", path=path, topic=topic, hint=RECOVER)
     return b"".join(parts)
+
+
+def unpacked_messages(messages: list[RawMessage], log: DamageLog, place: int, path: Path) -> list[RawMessage]:
+    """Unpack the messages of one segment if they are packed one by one, which only metadata.yaml would tell.
+
+    Parameters
+    ----------
+    messages
+        Of one segment. If neither the first nor the last is a zstd frame, they are returned as they are.
+    log
+        Takes note of messages that cannot be unpacked; they are left out.
+    place
+        Where the segment is in the file, bytes.
+    path
+        The file.
+
+    Notes
+    -----
+    CDR begins with a zero byte, so that a message in CDR is never taken for a frame. Other serialisations may begin
+    with anything, and rosbag2 packs none but CDR.
+    """
+    if not any(_is_frame(message) for message in (*messages[:1], *messages[-1:])):
+        return messages
+    unpacked = []
+    for message in messages:
+        if message.connection.serialization == "cdr":
+            try:
+                data = unpacked_message(message.data, path, message.connection.topic)
+            except DamageError as err:
+                key = (message.connection.id, message.log_time_ns, message.sequence)
+                when = message.log_time_ns
+                log.note(
+                    err,
+                    key=key,
+                    offset=place,
+                    bytes_lost=len(message.data),
+                    messages_lost=1,
+                    first_ns=when,
+                    last_ns=when,
+                )
+                continue
+            unpacked.append(message._replace(data=data))
+        else:
+            unpacked.append(message)
+    return unpacked
+
+
+def _is_frame(message: RawMessage) -> bool:
+    return message.connection.serialization == "cdr" and message.data[:4] == MAGIC
 
 
 def without_suffix(name: str) -> str:

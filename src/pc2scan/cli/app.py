@@ -13,6 +13,7 @@ from pc2scan.errors import Pc2ScanError
 from .convert import convert
 from .info import info
 from .render import error_text
+from .repair import repair
 from .tf import tf
 
 if TYPE_CHECKING:
@@ -20,7 +21,10 @@ if TYPE_CHECKING:
 
 __all__ = ["app"]
 
-EPILOG = "Exit status: 0 done, 1 failed and nothing written, 2 wrong usage, 3 written but with messages skipped."
+EPILOG = (
+    "Exit status: 0 done, 1 failed and nothing written, 2 wrong usage, "
+    "3 written but with messages skipped or from a damaged source."
+)
 
 _INTERRUPTED = 128 + signal.SIGINT
 
@@ -104,5 +108,5 @@ def root(
     """Recorded 3D lidar to the 2D laser scans that SLAM and navigation need, without a ROS installation."""
 
 
-for command in (convert, info, tf):
+for command in (convert, info, tf, repair):
     app.command(cls=_Command)(command)

@@ -11,6 +11,7 @@ import typer
 from pc2scan.errors import OutputError, UsageError, stamp_text
 from pc2scan.pipeline.parameters import PARAMETERS
 
+from .damage import SHOWN, show_recovery
 from .render import count, printable, size, table
 
 if TYPE_CHECKING:
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from pc2scan.pipeline.parameters import Direction, ResolvedParams
     from pc2scan.pipeline.report import Report, Skipped
 
-__all__ = ["convert"]
+__all__ = ["Compression", "Storage", "convert", "show", "write_report"]
 
 
 class Storage(StrEnum):
@@ -65,9 +66,6 @@ _FRAMES = "Frames"
 _REVERSE = "The way back"
 _OUTPUT = "Output"
 _REPORT = "Report"
-
-#: Reasons for skipping that are shown unless --verbose asks for all that are listed.
-_SHOWN = 5
 
 
 def _parameter(name: str) -> typer.models.OptionInfo:
@@ -339,6 +337,15 @@ def convert(
             rich_help_panel=_REPORT,
         ),
     ] = False,
+    strict: Annotated[
+        bool,
+        typer.Option(
+            "--strict",
+            help="Refuse a damaged source. Without it everything readable is recovered, the rest is told, "
+            "and the exit status is 3.",
+            rich_help_panel=_REPORT,
+        ),
+    ] = False,
     report: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Write what happened as JSON.", rich_help_panel=_REPORT),
@@ -411,6 +418,7 @@ def convert(
         ros_distro=ros_distro,
         jobs=jobs,
         verify=not no_verify,
+        strict=strict,
     )
     form = OutputOptions(
         storage=storage and storage.value,
@@ -422,9 +430,10 @@ def convert(
     with progress_bar(enabled=not quiet) as progress:
         result = run(sources, output, request, form, origins=resolved.origin, progress=progress)
     if report is not None:
-        _write_report(result, report)
+        write_report(result, report)
     if not quiet:
-        _show(result, verbose=verbose)
+        show(result, verbose=verbose)
+    show_recovery(result, limit=len(result.damage) if verbose else SHOWN)
     for warning in result.warnings:
         typer.echo(f"warning: {printable(warning)}", err=True)
     raise typer.Exit(result.exit_status)
@@ -469,7 +478,7 @@ def _resolve(
     return reverse, resolve(settings, direction=direction)
 
 
-def _write_report(report: Report, path: Path) -> None:
+def write_report(report: Report, path: Path) -> None:
     """Write the report beside its name and rename it, so that a half-written one is never read."""
     import json
 
@@ -482,7 +491,7 @@ def _write_report(report: Report, path: Path) -> None:
         raise OutputError(f"the report cannot be written: {err.strerror}", path=path) from err
 
 
-def _show(report: Report, *, verbose: bool) -> None:
+def show(report: Report, *, verbose: bool = False) -> None:
     """Print what happened."""
     if verbose:
         table(
@@ -528,7 +537,7 @@ def _show(report: Report, *, verbose: bool) -> None:
             left=("on",),
         )
     typer.echo()
-    _show_skipped(report, limit=len(report.skipped) if verbose else _SHOWN)
+    _show_skipped(report, limit=len(report.skipped) if verbose else SHOWN)
     typer.echo(
         printable(
             f"{report.destination}: {size(report.bytes_written)} from {size(report.bytes_read)} "

@@ -9,6 +9,7 @@ import typer
 
 from pc2scan.errors import stamp_text
 
+from .damage import show_damage
 from .render import count, printable, size, table
 
 if TYPE_CHECKING:
@@ -41,8 +42,9 @@ def info(
         import json
 
         typer.echo(json.dumps(result.as_dict(), indent=2))
-        return
-    _show(result)
+    else:
+        _show(result)
+    show_damage(result.damage)
 
 
 def _show(result: Info) -> None:

@@ -9,6 +9,7 @@ import typer
 
 from pc2scan.errors import UsageError, stamp_text
 
+from .damage import show_damage
 from .render import count, printable, table
 
 if TYPE_CHECKING:
@@ -61,6 +62,7 @@ def tf(
         raise UsageError("--at goes with --lookup", hint="--lookup base_link lidar --at 1604515190.25")
     options = FrameOptions(tf_topics=tuple(tf_topic), static=tuple(StaticTransform.parse(text) for text in static_tf))
     tree = frame_tree(sources, options)
+    show_damage(tree.damage)
     if frames is not None:
         stamp_ns = 0 if at is None else _stamp(at)
         rigid = tree.buffer.lookup(frames[0], frames[1], stamp_ns)

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from pc2scan.bags.damage import Damage
     from pc2scan.bags.model import Connection, RawMessage, Reader, Summary
     from pc2scan.messages.pointcloud2 import PointCloud2
 
@@ -135,6 +136,8 @@ class Info:
     messages: int
     topics: tuple[TopicInfo, ...]
     clouds: tuple[CloudInfo, ...] = field(default=())
+    #: What is damaged, as far as it was read. If opening shows any, everything is read, and counted.
+    damage: tuple[Damage, ...] = field(default=())
 
     @property
     def duration_ns(self) -> int:
@@ -143,7 +146,11 @@ class Info:
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON's types."""
-        return {**asdict(self), "duration_ns": self.duration_ns}
+        return {
+            **asdict(self),
+            "duration_ns": self.duration_ns,
+            "damage": [damage.as_dict() for damage in self.damage],
+        }
 
 
 def info(sources: Sequence[Path], *, samples: int = 10) -> Info:
@@ -180,6 +187,7 @@ def info(sources: Sequence[Path], *, samples: int = 10) -> Info:
             sum(counts.values()),
             tuple(topics),
             tuple(clouds),
+            tuple(reader.damage),
         )
     finally:
         for opened in readers:
@@ -200,7 +208,7 @@ def _file_info(path: Path, summary: Summary) -> FileInfo:
 def _counts(reader: Reader) -> tuple[Counter[int], int | None, int | None]:
     """Messages by connection, and the first and the last log time; reads the messages only if it must."""
     summary = reader.summary
-    if summary.start_ns is not None and summary.end_ns is not None:
+    if summary.start_ns is not None and summary.end_ns is not None and not reader.damage:
         known = {c.id: c.message_count for c in reader.connections}
         if None not in known.values():
             return (

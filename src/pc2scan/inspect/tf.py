@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
+    from pc2scan.bags.damage import Damage
     from pc2scan.tf.buffer import FrameInfo, TransformBuffer, Tree
 
 __all__ = ["FrameTree", "frame_tree"]
@@ -32,12 +33,15 @@ class FrameTree:
         Transforms that cannot be used, and why.
     buffer
         For lookups.
+    damage
+        What is damaged in the recordings, as far as they were read.
     """
 
     frames: tuple[FrameInfo, ...]
     trees: tuple[Tree, ...]
     warnings: tuple[str, ...]
     buffer: TransformBuffer
+    damage: tuple[Damage, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON's types."""
@@ -45,6 +49,7 @@ class FrameTree:
             "frames": [asdict(frame) for frame in self.frames],
             "trees": [asdict(tree) for tree in self.trees],
             "warnings": list(self.warnings),
+            "damage": [damage.as_dict() for damage in self.damage],
         }
 
 
@@ -73,4 +78,5 @@ def frame_tree(sources: Sequence[Path], options: FrameOptions | None = None) -> 
             stack.callback(reader.close)
             readers.append(reader)
         buffer, warnings = read_transforms(readers, options)
-    return FrameTree(buffer.infos, buffer.trees, tuple(warnings), buffer)
+        damage = tuple(damage for reader in readers for damage in reader.damage)
+    return FrameTree(buffer.infos, buffer.trees, tuple(warnings), buffer, damage)

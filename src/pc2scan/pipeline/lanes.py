@@ -99,7 +99,7 @@ def _prepare_passing(
     """
     connection = lane.connection
     entry = lane.report
-    if connection.generation == target.generation and connection.definition.data:
+    if connection.generation == target.generation and (connection.definition.data or options.repair):
         lane.passing_handle = writer.add_connection(connection)
         return
     # Only recordings that lack definitions, or change generation, pay for loading this.

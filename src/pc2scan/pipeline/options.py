@@ -136,6 +136,11 @@ class ConvertOptions:
         Threads that convert; 0 means as many as there are processor cores.
     verify
         Whether the CRCs that MCAP files carry are compared. The checksums of lz4 and bz2 always are.
+    strict
+        Whether damage of a source is an error; otherwise everything readable is recovered, and the report tells the
+        rest.
+    repair
+        Convert nothing: everything passes through as it is, byte for byte.
     """
 
     params: ProjectionParams = ProjectionParams()
@@ -154,6 +159,8 @@ class ConvertOptions:
     ros_distro: str = ""
     jobs: int = 0
     verify: bool = True
+    strict: bool = False
+    repair: bool = False
 
     def __post_init__(self) -> None:
         if self.on_error not in ("skip", "fail"):

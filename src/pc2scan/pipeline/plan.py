@@ -62,7 +62,7 @@ def make_plan(connections: Sequence[Connection], options: ConvertOptions) -> Pla
         If there is nothing to convert, a topic asked for is missing or of another type, or an output topic
         is already in the source.
     """
-    targets = _targets(connections, options)
+    targets = {} if options.repair else _targets(connections, options)
     routes = []
     for connection in connections:
         topic = connection.topic

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import asdict, dataclass, field, fields
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.project import PointCounts
+
+if TYPE_CHECKING:
+    from pc2scan.bags.damage import Damage
 
 __all__ = ["Report", "Skipped", "TopicReport"]
 
@@ -97,6 +100,11 @@ class Report:
         The first `MAX_LISTED` messages that were not converted.
     warnings
         Whatever a user should know though nothing failed.
+    damage
+        Damaged places of the sources, as far as they were read.
+    messages_declared
+        How many messages the sources say they have, of all topics that are not left out; None where they do not say,
+        or only a part was asked for.
     """
 
     sources: list[str]
@@ -106,6 +114,8 @@ class Report:
     topics: list[TopicReport] = field(default_factory=list)
     skipped: list[Skipped] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
+    damage: list[Damage] = field(default_factory=list)
+    messages_declared: int | None = None
     bytes_read: int = 0
     bytes_written: int = 0
     seconds: float = 0.0
@@ -117,8 +127,13 @@ class Report:
 
     @property
     def exit_status(self) -> int:
-        """0 if every message was converted, 3 if some were skipped or a topic could not be carried over."""
-        return 3 if self.skipped_count or any(topic.lost for topic in self.topics) else 0
+        """0 if all is well; 3 if a source is damaged, messages were skipped, or a topic could not be carried over."""
+        return 3 if self.damage or self.skipped_count or any(topic.lost for topic in self.topics) else 0
+
+    @property
+    def messages_read(self) -> int:
+        """Messages of the source that were read, of all topics that are not left out."""
+        return sum(topic.messages_in for topic in self.topics)
 
     def skip(self, entry: TopicReport, skipped: Skipped) -> None:
         """Count a skipped message and list it while there is room."""
@@ -155,6 +170,9 @@ class Report:
             ],
             "skipped": [asdict(entry) for entry in self.skipped],
             "skipped_count": self.skipped_count,
+            "damage": [damage.as_dict() for damage in self.damage],
+            "messages_read": self.messages_read,
+            "messages_declared": self.messages_declared,
             "warnings": self.warnings,
             "bytes_read": self.bytes_read,
             "bytes_written": self.bytes_written,

@@ -7,21 +7,23 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 from typing import TYPE_CHECKING, NamedTuple
 
+from pc2scan.bags.damage import RECOVER, Damage
 from pc2scan.bags.files import state_of
 from pc2scan.bags.merged import MergedReader
 from pc2scan.bags.registry import (
     default_destination,
     default_storage,
+    kept_form,
     open_recording,
     open_writer,
     plan_destination,
 )
 from pc2scan.bags.staging import staged
-from pc2scan.errors import MessageError, RecordingError, UsageError
+from pc2scan.errors import DamageError, MessageError, RecordingError, TopicError, UsageError
 
 from .frames import Frames, is_static, read_transforms
 from .lanes import Lane, carry_extras, open_lanes, write_static
@@ -34,10 +36,12 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from pc2scan.bags.model import Buffer, Connection, RawMessage, Reader, Writer
+    from pc2scan.bags.model import Buffer, Connection, RawMessage, Reader, Summary, Writer
+    from pc2scan.bags.registry import Destination
 
     from .conversion import Conversion, Converted
     from .options import ConvertOptions
+    from .plan import Plan
 
 __all__ = ["OutputOptions", "Progress", "run"]
 
@@ -99,23 +103,16 @@ def run(
         raise UsageError("no source given")
     with ExitStack() as stack:
         states = [state_of(source) for source in sources]
-        readers = _open(sources, stack, verify=options.verify)
+        readers = _open(sources, stack, options)
         reader = _merged(readers)
-        plan = make_plan(reader.connections, options)
+        plan = _plan(reader, options)
         summaries = [opened.summary for opened in readers]
-        path = destination or default_destination(sources, summaries)
-        target = plan_destination(
-            path,
-            storage=output.storage or (None if destination else default_storage(summaries)),
-            compression=output.compression,
-            profile=output.profile,
-            metadata_version=output.metadata_version,
-            source_generation=_generation(reader.connections),
-        )
+        path = destination or default_destination(sources, summaries, "_repaired" if options.repair else "_scan")
+        target = _target(path, destination is not None, reader, summaries, options, output)
         report = Report([str(source) for source in sources], str(path), options.params, dict(origins or {}))
         report.warnings += plan.warnings
         with staged(path, overwrite=output.overwrite, sources=sources) as partial:
-            conversion = _conversion(reader, options, stack, report)
+            conversion, others = _conversion(reader, options, stack, report)
             writer = open_writer(target, partial, path.name)
             try:
                 lanes = open_lanes(plan.routes, conversion, target, options, writer, report)
@@ -126,6 +123,8 @@ def run(
                     write_static(options.frames, span.first_ns, target, writer, report)
                 _stream(reader, lanes, options, span, writer, report, progress)
                 _refuse_changed(sources, states)
+                report.damage += [damage for each in (reader, *others) for damage in each.damage]
+                _compare_counts(reader, lanes, options, report)
                 writer.finish()
             except BaseException:
                 writer.abort()
@@ -137,11 +136,11 @@ def run(
     return report
 
 
-def _open(sources: Sequence[Path], stack: ExitStack, *, verify: bool) -> list[Reader]:
+def _open(sources: Sequence[Path], stack: ExitStack, options: ConvertOptions) -> list[Reader]:
     """Open the sources, to be closed with the stack."""
     readers = []
     for source in sources:
-        reader = open_recording(source, verify=verify)
+        reader = open_recording(source, verify=options.verify, strict=options.strict)
         stack.callback(reader.close)
         readers.append(reader)
     return readers
@@ -156,26 +155,88 @@ def _refuse_changed(sources: Sequence[Path], states: Sequence[object]) -> None:
             )
 
 
+def _plan(reader: Reader, options: ConvertOptions) -> Plan:
+    """Decide what goes where; of a damaged recording it may be the damage that leaves nothing to convert."""
+    damage = reader.damage
+    if options.repair and damage and not reader.connections:
+        raise DamageError(f"nothing of it can be recovered: {damage[0].what}", path=damage[0].path)
+    try:
+        return make_plan(reader.connections, options)
+    except TopicError as err:
+        if damage:
+            told = f"the recording is damaged, and topics may be missing: {damage[0].path}: {damage[0].what}"
+            err.hint = f"{err.hint}; {told}" if err.hint else told
+        raise
+
+
+def _target(
+    path: Path,
+    is_named: bool,
+    reader: Reader,
+    summaries: Sequence[Summary],
+    options: ConvertOptions,
+    output: OutputOptions,
+) -> Destination:
+    """Decide the destination's form; that of a repaired recording is its source's where its name allows."""
+    generation = _generation(reader.connections)
+    storage, compression = default_storage(summaries) if not is_named else None, None
+    if options.repair:
+        storage, compression = kept_form(path, summaries)
+    target = plan_destination(
+        path,
+        storage=output.storage or storage,
+        compression=output.compression or (compression if output.storage in (None, storage) else None),
+        profile=output.profile,
+        metadata_version=output.metadata_version,
+        source_generation=generation,
+    )
+    # A recording without any message of ROS is of neither profile.
+    if options.repair and generation is None and target.container == "mcap" and output.profile is None:
+        return replace(target, profile=summaries[0].profile)
+    return target
+
+
+def _compare_counts(reader: Reader, lanes: Mapping[int, Lane], options: ConvertOptions, report: Report) -> None:
+    """Compare how many messages were read with how many there should be: no loss goes unnoticed."""
+    counts = [lane.connection.message_count for lane in lanes.values()]
+    if options.start is not None or options.end is not None or None in counts:
+        return
+    report.messages_declared = sum(filter(None, counts))
+    if report.messages_read < report.messages_declared and not report.damage:
+        missing = f"declares {report.messages_declared} messages, {report.messages_read} were found"
+        if options.strict:
+            raise DamageError(missing, path=reader.path, hint=RECOVER)
+        lost = report.messages_declared - report.messages_read
+        report.damage.append(Damage(missing, reader.path, messages_lost=lost))
+
+
 def _merged(readers: list[Reader]) -> Reader:
     return MergedReader(readers) if len(readers) > 1 else readers[0]
 
 
-def _conversion(reader: Reader, options: ConvertOptions, stack: ExitStack, report: Report) -> Conversion:
-    """The direction asked for, with every transform known before the first message is converted."""
+def _conversion(
+    reader: Reader, options: ConvertOptions, stack: ExitStack, report: Report
+) -> tuple[Conversion, Sequence[Reader]]:
+    """The direction asked for, with every transform known before the first message is converted.
+
+    The other recordings that transforms were taken from are returned too.
+    """
     params, asked = options.params, options.frames
+    others: list[Reader] = []
     frames = Frames(source_frame=asked.source_frame)
     if params.target_frame:
-        buffer, warnings = read_transforms([reader, *_open(asked.tf_from, stack, verify=options.verify)], asked)
+        others = _open(asked.tf_from, stack, options)
+        buffer, warnings = read_transforms([reader, *others], asked)
         report.warnings += warnings
         tolerance_ns = round(params.transform_tolerance * 1e9)
         frames = Frames(params.target_frame, asked.source_frame, buffer, tolerance_ns)
     if options.reverse:
         from .scan_to_cloud import ScanToCloud  # noqa: PLC0415  # each direction loads its own arithmetic
 
-        return ScanToCloud(options.channels, frames, deskewed=options.deskew)
+        return ScanToCloud(options.channels, frames, deskewed=options.deskew), others
     from .cloud_to_scan import CloudToScan  # noqa: PLC0415
 
-    return CloudToScan(params, frames)
+    return CloudToScan(params, frames), others
 
 
 def _generation(connections: Iterable[Connection]) -> int | None:

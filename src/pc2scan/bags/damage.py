@@ -1,0 +1,109 @@
+"""What is damaged in a recording, noted by the readers that read around it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from pc2scan.errors import DamageError
+
+__all__ = ["RECOVER", "Damage", "DamageLog"]
+
+#: What can be done about damage that ended a run.
+RECOVER = "copy the recording again; without --strict everything readable in it is recovered"
+
+#: Places that are told one by one; what is found beyond them is added up in one more.
+MAX_PLACES = 10_000
+
+
+@dataclass(frozen=True, slots=True)
+class Damage:
+    """One damaged place of a source, and what is lost there.
+
+    Attributes
+    ----------
+    what
+        What is wrong: observed against allowed.
+    path
+        The file.
+    offset
+        Where it begins in the file, bytes (in the unpacked file, if zstd is around the whole of it); None where it is
+        about the file as a whole.
+    bytes_lost
+        Bytes that are missing or that no record accounts for, of a chunk uncompressed; 0 if everything was
+        recovered, or if nothing tells how much is missing.
+    messages_lost
+        None where nothing tells how many there were.
+    first_ns, last_ns
+        Log times between which messages may be missing; None where nothing is known before or behind.
+    """
+
+    what: str
+    path: Path
+    offset: int | None = None
+    bytes_lost: int = 0
+    messages_lost: int | None = None
+    first_ns: int | None = None
+    last_ns: int | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return JSON's types."""
+        return {name: getattr(self, name) for name in self.__slots__} | {"path": str(self.path)}
+
+
+class DamageLog:
+    """The damage that one reader has met so far.
+
+    A place is noted once, however often it is read. Several threads may note at the same time.
+
+    Parameters
+    ----------
+    strict
+        Whether damage is an error.
+    """
+
+    def __init__(self, *, strict: bool = False) -> None:
+        self.strict = strict
+        self._found: dict[object, Damage] = {}
+        self._further: Damage | None = None
+
+    def note(self, error: DamageError, *, key: object = None, **details: Any) -> None:
+        """Remember damage, or raise it.
+
+        Parameters
+        ----------
+        error
+            Says what is wrong and in which file.
+        key
+            What makes the place unique, where an offset does not.
+        **details
+            Attributes of `Damage` beside ``what`` and ``path``.
+
+        Raises
+        ------
+        DamageError
+            If the log is strict.
+        """
+        if self.strict:
+            raise error
+        assert error.path is not None
+        damage = Damage(error.message, error.path, **details)  # type: ignore[arg-type]
+        place = (damage.path, damage.offset, key)
+        if place in self._found or len(self._found) < MAX_PLACES:
+            self._found[place] = damage
+            return
+        known = self._further
+        self._further = Damage(
+            f"there is more damage than the {MAX_PLACES} places above",
+            damage.path,
+            bytes_lost=damage.bytes_lost + (known.bytes_lost if known else 0),
+        )
+
+    @property
+    def found(self) -> tuple[Damage, ...]:
+        """Everything noted, in the order of the file; what is about the file as a whole comes first."""
+        ordered = sorted(self._found.values(), key=lambda damage: -1 if damage.offset is None else damage.offset)
+        return (*ordered, self._further) if self._further else tuple(ordered)

@@ -1,0 +1,158 @@
+"""As much of broken compressed data as can be decompressed.
+
+Only damaged chunks come here. Data are fed in small pieces, because a decompressor that fails forgets what it
+made of the piece that it failed on. LZ4 frames are taken apart block by block, so that a broken block costs only
+itself, and of it only what follows the break.
+"""
+
+from __future__ import annotations
+
+import struct
+from typing import TYPE_CHECKING, Any
+
+from .limits import allowed_bytes
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from .model import Buffer
+
+__all__ = ["SIZE_LIMIT", "decompressed_prefix"]
+
+#: A chunk whose declared size may be damaged too is decompressed to this many bytes, if it declares fewer.
+SIZE_LIMIT = 16 << 20
+
+_PIECE = 64
+_LZ4_MAGIC = b"\x04\x22\x4d\x18"
+_LZ4_WINDOW = 1 << 16
+_LZ4_BLOCK_SIZES = {4: 1 << 16, 5: 1 << 18, 6: 1 << 20, 7: 4 << 20}
+
+
+def decompressed_prefix(data: Buffer, compression: str, declared: int) -> bytes:
+    """Decompress until it fails.
+
+    Parameters
+    ----------
+    data
+        The compressed data, perhaps cut off.
+    compression
+        ``none``, ``bz2``, ``lz4`` or ``zstd``; of anything else nothing is made.
+    declared
+        The size that the chunk declares, bytes. It may be exceeded up to `SIZE_LIMIT`, since it may be wrong.
+
+    Returns
+    -------
+    bytes
+        What came out, from the beginning. After a broken block of an LZ4 frame with independent blocks, the next
+        ones follow without a gap.
+    """
+    limit = min(max(declared, SIZE_LIMIT), allowed_bytes(len(data)))
+    if compression == "none":
+        return bytes(data)
+    if compression == "lz4":
+        return _lz4_frame(memoryview(data), limit)
+    if compression == "bz2":
+        import bz2  # noqa: PLC0415  # heavy
+
+        return _fed(bz2.BZ2Decompressor(), memoryview(data), limit, (OSError, EOFError, MemoryError))
+    if compression == "zstd":
+        import zstandard  # noqa: PLC0415  (only recordings that need it pay for it)
+
+        decoder = zstandard.ZstdDecompressor().decompressobj()
+        return _fed(decoder, memoryview(data), limit, (zstandard.ZstdError, MemoryError))
+    return b""
+
+
+def _fed(decoder: Any, data: memoryview, limit: int, failures: tuple[type[Exception], ...]) -> bytes:
+    parts = []
+    size = 0
+    decompress: Callable[[bytes], bytes] = decoder.decompress
+    for start in range(0, len(data), _PIECE):
+        try:
+            part = decompress(bytes(data[start : start + _PIECE]))
+        except failures:
+            break
+        if part:
+            parts.append(part)
+            size += len(part)
+        if decoder.eof or size >= limit:
+            break
+    return b"".join(parts)[:limit]
+
+
+def _lz4_frame(data: memoryview, limit: int) -> bytes:
+    """Take an LZ4 frame apart. Source: lz4_Frame_format.md of the LZ4 project."""
+    import lz4.block  # noqa: PLC0415  (only recordings that need it pay for it)
+
+    if len(data) < 7 or bytes(data[:4]) != _LZ4_MAGIC:
+        return b""
+    flags, sizes = data[4], data[5]
+    linked, block_checksums = not flags & 0x20, bool(flags & 0x10)
+    block_size = _LZ4_BLOCK_SIZES.get(sizes >> 4 & 7, _LZ4_BLOCK_SIZES[7])
+    position = 7 + (8 if flags & 0x08 else 0) + (4 if flags & 0x01 else 0)
+    out = bytearray()
+    while position + 4 <= len(data) and len(out) < limit:
+        (length,) = struct.unpack_from("<I", data, position)
+        stored, length = length >> 31, length & 0x7FFF_FFFF
+        # No block is longer than what it decompresses to: such a one would be stored.
+        if length == 0 or length > block_size:
+            break
+        block = bytes(data[position + 4 : position + 4 + length])
+        position += 4 + length + 4 * block_checksums
+        if stored:
+            out += block
+            continue
+        history = bytes(out[-_LZ4_WINDOW:]) if linked else b""
+        try:
+            if len(block) < length:
+                raise ValueError("cut off")
+            # lz4 raises RuntimeError on truncated dictionaries, and its own errors are ValueErrors and MemoryErrors.
+            out += lz4.block.decompress(block, uncompressed_size=block_size, dict=history)
+        except (lz4.block.LZ4BlockError, ValueError, RuntimeError, MemoryError):
+            out += _lz4_block_prefix(block, history, block_size)
+            if linked:
+                break
+    return bytes(out[:limit])
+
+
+def _lz4_block_prefix(block: bytes, history: bytes, limit: int) -> bytes:
+    """Decode the sequences of an LZ4 block until one is impossible. Source: lz4_Block_format.md."""
+    out = bytearray(history)
+    limit += len(history)
+    position, end = 0, len(block)
+
+    def extended(length: int) -> int:
+        nonlocal position
+        while length >= 15:
+            if position >= end:
+                return -1
+            more = block[position]
+            position += 1
+            length += more
+            if more != 255:
+                break
+        return length
+
+    while position < end and len(out) < limit:
+        token = block[position]
+        position += 1
+        literals = extended(token >> 4)
+        if literals < 0:
+            break
+        out += block[position : position + literals]
+        position += literals
+        if position + 2 > end:
+            break
+        distance = block[position] | block[position + 1] << 8
+        position += 2
+        length = extended(token & 15)
+        if length < 0 or not 0 < distance <= len(out):
+            break
+        length += 4
+        start = len(out) - distance
+        if distance >= length:
+            out += out[start : start + length]
+        else:
+            pattern = bytes(out[start:])
+            out += (pattern * (length // distance + 1))[:length]
+    return bytes(out[len(history) : limit])

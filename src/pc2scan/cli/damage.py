@@ -1,0 +1,77 @@
+"""Telling of damaged recordings, on standard error."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import typer
+
+from pc2scan.errors import stamp_text
+
+from .render import printable, size
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from pc2scan.bags.damage import Damage
+    from pc2scan.pipeline.report import Report
+
+__all__ = ["SHOWN", "show_damage", "show_recovery"]
+
+#: Damaged places, and reasons for skipping, that are shown unless --verbose asks for all that are listed.
+SHOWN = 5
+
+
+def show_damage(damage: Sequence[Damage], *, limit: int = SHOWN) -> None:
+    """Tell what is damaged, where, and what is lost there."""
+    for place in damage[:limit]:
+        where = f"{place.path}" + ("" if place.offset is None else f", byte {place.offset}")
+        lost = "; ".join(filter(None, (_lost(place.bytes_lost, place.messages_lost), _span(place))))
+        typer.echo(printable(f"damaged: {where}: {place.what}" + (f" ({lost})" if lost else "")), err=True)
+    if len(damage) > limit:
+        typer.echo(f"damaged: {len(damage) - limit:,} more places (--report or --json tells them)", err=True)
+
+
+def show_recovery(report: Report, *, limit: int = SHOWN) -> None:
+    """Tell what is damaged in a run's sources, and how much was recovered all the same."""
+    if not report.damage:
+        return
+    show_damage(report.damage, limit=limit)
+    declared = report.messages_declared
+    found = f"{report.messages_read:,}"
+    if declared is not None and declared > report.messages_read:
+        found += f" of the {declared:,} that the source declares"
+    stored = sum(place.bytes_lost for place in report.damage)
+    lost = f"{size(stored)} lost" if stored else "no bytes are known to be lost"
+    typer.echo(f"recovered: {found} messages; {lost}; {_spanned(report.damage)}", err=True)
+
+
+def _lost(stored: int, messages: int | None) -> str:
+    parts = [size(stored)] if stored else []
+    if messages == 0 and not stored:
+        return "nothing lost, but what was read there may be wrong"
+    if messages:
+        parts.append(f"{messages:,} message{'s' if messages > 1 else ''}")
+    return f"{' and '.join(parts)} lost" if parts else ""
+
+
+def _span(place: Damage) -> str:
+    first, last = place.first_ns, place.last_ns
+    if first is not None and last is not None:
+        return f"log time {stamp_text(first)}" + (f" to {stamp_text(last)}" if last > first else "")
+    if first is not None:
+        return f"from log time {stamp_text(first)} on"
+    return f"before log time {stamp_text(last)}" if last is not None else ""
+
+
+def _spanned(damage: Sequence[Damage]) -> str:
+    """From when to when messages may be missing, all places together."""
+    firsts = [place.first_ns for place in damage]
+    lasts = [place.last_ns for place in damage]
+    first = min((time for time in firsts if time is not None), default=None)
+    last = None if None in lasts else max((time for time in lasts if time is not None), default=None)
+    if first is None:
+        return "it is not known when messages are missing"
+    return f"messages may be missing from log time {stamp_text(first)} " + (
+        "on" if last is None else f"to {stamp_text(last)}"
+    )

@@ -1,0 +1,75 @@
+"""``pc2scan repair``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pc2scan.errors import UsageError
+
+from .convert import Compression, Storage, show, write_report
+from .damage import show_recovery
+from .render import printable
+
+__all__ = ["repair"]
+
+
+def repair(
+    source: Annotated[
+        Path, typer.Argument(metavar="SRC", help="ROS 1 bag, rosbag2 directory, .db3 or .mcap file; damaged or not.")
+    ],
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="DST",
+            help="*.bag: ROS 1 bag; *.mcap: MCAP file; any other name: rosbag2 directory. "
+            "Left out: beside SRC, in its format, with _repaired in its name.",
+        ),
+    ] = None,
+    *,
+    storage: Annotated[
+        Storage | None, typer.Option(help="Storage of a rosbag2 directory.  [default: SRC's]", show_default=False)
+    ] = None,
+    compression: Annotated[
+        Compression | None, typer.Option(help="Compression of DST.  [default: SRC's]", show_default=False)
+    ] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace DST if it exists.")] = False,
+    no_verify: Annotated[bool, typer.Option("--no-verify", help="Do not compare the CRCs of an MCAP source.")] = False,
+    report: Annotated[Path | None, typer.Option(metavar="FILE", help="Write what happened as JSON.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print what happened as JSON.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Show damage, warnings and errors only.")] = False,
+) -> None:
+    """Make a sound recording of a damaged one: everything that can be recovered, of any type, byte for byte.
+
+    Exit status 0 if nothing was damaged (DST is then a sound copy), 3 if something was. SRC is never changed.
+    """
+    if report is not None and not report.parent.is_dir():
+        raise UsageError("the report cannot be written: its directory does not exist", path=report)
+
+    from pc2scan.pipeline.options import ConvertOptions
+    from pc2scan.pipeline.run import OutputOptions, run
+
+    from .progress import progress_bar
+
+    form = OutputOptions(
+        storage=storage and storage.value, compression=compression and compression.value, overwrite=overwrite
+    )
+    options = ConvertOptions(repair=True, verify=not no_verify)
+    with progress_bar(enabled=not (quiet or as_json)) as progress:
+        result = run([source], output, options, form, progress=progress)
+    if report is not None:
+        write_report(result, report)
+    if as_json:
+        import json
+
+        typer.echo(json.dumps(result.as_dict(), indent=2))
+    elif not quiet:
+        show(result)
+    show_recovery(result)
+    for warning in result.warnings:
+        typer.echo(f"warning: {printable(warning)}", err=True)
+    raise typer.Exit(result.exit_status)

@@ -1,0 +1,398 @@
+"""Damaged recordings, as a user meets them: converted all the same, refused when asked to, and repaired."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import shutil
+import subprocess
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from mcap.reader import make_reader
+from mcap.writer import Writer as McapLibraryWriter
+
+import pc2scan
+from bags.rosbag1_files import ROS1, SCRIPT, ros1, ros1_missing
+from builders import CONTENT, SOURCES, T0, Mcap, Recording, write_db3, write_mcap, write_rosbag1, write_rosbag2
+from e2e.command import run
+from e2e.outputs import opened
+from pc2scan.bags.registry import open_recording
+from pc2scan.errors import DamageError, RecordingError
+from pc2scan.pipeline.options import ConvertOptions
+from pc2scan.pipeline.run import OutputOptions
+from pc2scan.pipeline.run import run as repaired
+from support import RECORDINGS, needs_shared
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from mcap.records import Statistics
+
+MODULES = os.environ.get("PC2SCAN_NODE_MODULES", "")
+
+needs_npm_reader = pytest.mark.skipif(
+    shutil.which("node") is None or not all((Path(MODULES) / "@mcap" / name).is_dir() for name in ("core", "support")),
+    reason="needs node, and PC2SCAN_NODE_MODULES: a node_modules folder with @mcap/core and @mcap/support",
+)
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    """The usual content twenty times over, so that there is something in front of every damage."""
+    span = 400_000_000
+    items = (
+        replace(item, log_time_ns=item.log_time_ns + number * span) for number in range(20) for item in CONTENT.items
+    )
+    return replace(CONTENT, items=tuple(items))
+
+
+def storage_file(source: Path) -> Path:
+    """The file of a source that holds messages; of a split one the last."""
+    if source.is_file():
+        return source
+    return max(path for path in source.iterdir() if path.name != "metadata.yaml")
+
+
+def cut(source: Path, share: float) -> None:
+    file = storage_file(source)
+    with file.open("r+b") as stream:
+        stream.truncate(int(file.stat().st_size * share))
+
+
+def read_all(path: Path) -> tuple[list[tuple[str, int, bytes]], int]:
+    """Every message that there is, and the number of damaged places."""
+    with closing(open_recording(path)) as reader:
+        rows = [(m.connection.topic, m.log_time_ns, bytes(m.data)) for m in reader.messages()]
+        return rows, len(reader.damage)
+
+
+# Where indexes are a large part of these small files, more has to go.
+@pytest.mark.parametrize(
+    ("name", "share"), [("bag-lz4", 0.33), ("mcap-zstd", 0.6), ("rosbag2-sqlite3-v8", 0.8), ("rosbag2-mcap-split", 0.6)]
+)
+def test_a_cut_recording_is_converted_as_far_as_it_goes(
+    name: str, share: float, recording: Recording, tmp_path: Path
+) -> None:
+    source = SOURCES[name](tmp_path, recording)
+    cut(source, share)
+    report_file = tmp_path / "report.json"
+    done = run("convert", source, "-o", tmp_path / "out.mcap", "--min-height", "-1", "--report", report_file)
+    assert done.status == 3, done.stderr
+    lines = done.stderr.splitlines()
+    assert any(line.startswith("damaged: ") for line in lines)
+    assert any(line.startswith("recovered: ") and "messages may be missing" in line for line in lines)
+    report = json.loads(report_file.read_text())
+    assert report["exit_status"] == 3
+    assert report["damage"]
+    assert set(report["damage"][0]) == {
+        "what", "path", "offset", "bytes_lost", "messages_lost", "first_ns", "last_ns"
+    }  # fmt: skip
+    assert 0 < report["messages_read"] < len(recording.items)
+    output = opened(tmp_path / "out.mcap")
+    assert len(output.messages) == report["messages_read"]
+
+    strict = run("convert", source, "-o", tmp_path / "strict.mcap", "--strict")
+    assert strict.status == 1
+    assert strict.stderr.startswith("error: ")
+    assert "hint: copy the recording again" in strict.stderr
+    assert not (tmp_path / "strict.mcap").exists()
+
+
+def test_strict_is_of_no_consequence_to_a_sound_recording(recording: Recording, tmp_path: Path) -> None:
+    for name in ("bag-lz4", "rosbag2-mcap-v8"):
+        folder = tmp_path / name
+        folder.mkdir()
+        source = SOURCES[name](folder, recording)
+        done = run("convert", source, "-o", folder / "out.mcap", "--strict", "--min-height", "-1")
+        assert done.status == 0, done.stderr
+
+
+def test_the_library_tells_and_refuses_alike(recording: Recording, tmp_path: Path) -> None:
+    source = SOURCES["bag-lz4"](tmp_path, recording)
+    cut(source, 0.8)
+    report = pc2scan.convert(source, tmp_path / "out.bag")
+    assert report.exit_status == 3
+    assert report.damage[0].path == source
+    with pytest.raises(DamageError):
+        pc2scan.convert(source, tmp_path / "strict.bag", strict=True)
+
+
+@pytest.mark.parametrize("name", ["bag-lz4", "mcap-zstd", "rosbag2-sqlite3-v8"])
+def test_info_and_tf_work_and_tell(name: str, recording: Recording, tmp_path: Path) -> None:
+    source = SOURCES[name](tmp_path, recording)
+    cut(source, 0.85)
+    done = run("info", source)
+    assert done.status == 0, done.stderr
+    assert "damaged: " in done.stderr
+    rows, _ = read_all(source)
+    assert f"{len(rows)} messages" in done.stdout
+    as_json = run("info", source, "--json")
+    assert json.loads(as_json.stdout)["damage"]
+    tree = run("tf", source)
+    assert tree.status == 0, tree.stderr
+    assert "damaged: " in tree.stderr
+
+
+@pytest.mark.parametrize("name", SOURCES)
+def test_repair_of_a_sound_recording_is_a_copy(name: str, recording: Recording, tmp_path: Path) -> None:
+    source = SOURCES[name](tmp_path, recording)
+    before, _ = read_all(source)
+    report = repaired([source], None, ConvertOptions(repair=True), OutputOptions())
+    assert report.exit_status == 0
+    (destination,) = [path for path in tmp_path.iterdir() if "_repaired" in path.name]
+    after, damage = read_all(destination)
+    assert (after, damage) == (before, 0)
+    assert report.messages_read == report.messages_declared == len(before)
+    with closing(open_recording(source)) as old, closing(open_recording(destination)) as new:
+        container = "rosbag2" if old.summary.container == "sqlite3" else old.summary.container
+        assert new.summary.container == container
+        if new.summary.storage:
+            assert new.summary.storage == (old.summary.storage or "sqlite3")
+    assert len(opened(destination).messages) == len(before)
+
+
+def test_repair_of_a_sound_recording_is_told_in_json(recording: Recording, tmp_path: Path) -> None:
+    source = SOURCES["bag-lz4"](tmp_path, recording)
+    done = run("repair", source, "--json")
+    assert done.status == 0, done.stderr
+    assert done.stderr == ""
+    assert json.loads(done.stdout)["messages_read"] == len(recording.items)
+    assert (tmp_path / "drive_repaired.bag").exists()
+
+
+@pytest.mark.parametrize("share", [0.5, 0.9])
+@pytest.mark.parametrize("name", ["bag-none", "bag-lz4", "mcap-lz4", "mcap-unchunked", "rosbag2-sqlite3-v8", "db3"])
+def test_repair_of_a_cut_recording_is_sound(name: str, share: float, recording: Recording, tmp_path: Path) -> None:
+    source = SOURCES[name](tmp_path, recording)
+    cut(source, share)
+    left, damage = read_all(source)
+    assert damage
+    destination = tmp_path / ("fixed.bag" if name.startswith("bag") else "fixed.mcap" if "mcap" in name else "fixed")
+    done = run("repair", source, "-o", destination)
+    assert done.status == 3, done.stderr
+    assert "recovered: " in done.stderr
+    again, damage = read_all(destination)
+    assert (again, damage) == (left, 0)
+    assert len(opened(destination).messages) == len(left)
+
+
+def test_repair_keeps_what_is_not_of_ros(tmp_path: Path) -> None:
+    source = tmp_path / "drive.mcap"
+    with source.open("wb") as file:
+        writer = McapLibraryWriter(file, chunk_size=200)
+        writer.start("fleet", "tests")
+        schema = writer.register_schema("Pose", "protobuf", b"\x0a\x00descriptor")
+        channels = [
+            writer.register_channel("/pose", "protobuf", schema, {"robot": "7"}),
+            writer.register_channel("/log", "json", 0, {}),
+        ]
+        writer.add_attachment(1, 2, "map.pgm", "image/x-portable-graymap", b"P5 1 1 255 x")
+        writer.add_metadata("robot", {"serial": "7"})
+        for number in range(40):
+            data = b'{"n": %d}' % number if number % 2 else bytes([number]) * 30
+            writer.add_message(channels[number % 2], 1000 + number, data, 2000 + number, number)
+        writer.finish()  # type: ignore[no-untyped-call]
+    sound = run("repair", source, "-o", tmp_path / "sound.mcap")
+    assert sound.status == 0, sound.stderr
+    assert everything(tmp_path / "sound.mcap") == everything(source)
+    whole = everything(source)
+    data = source.read_bytes()
+    source.write_bytes(data[: int(len(data) * 0.45)])
+    done = run("repair", source, "-o", tmp_path / "fixed.mcap")
+    assert done.status == 3, done.stderr
+    fixed = everything(tmp_path / "fixed.mcap")
+    assert fixed["profile"] == "fleet"
+    assert fixed["attachments"] == whole["attachments"]
+    assert fixed["metadata"] == whole["metadata"]
+    assert 10 < len(fixed["messages"]) < 40
+    assert fixed["messages"] == whole["messages"][: len(fixed["messages"])]
+
+
+def everything(path: Path) -> dict[str, Any]:
+    with path.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        return {
+            "profile": reader.get_header().profile,
+            "messages": [
+                (
+                    channel.topic, channel.message_encoding, dict(channel.metadata), schema and schema.data,
+                    message.log_time, message.publish_time, message.sequence, message.data,
+                )
+                for schema, channel, message in reader.iter_messages()
+            ],
+            "attachments": [
+                (a.name, a.media_type, a.log_time, a.create_time, a.data) for a in reader.iter_attachments()
+            ],
+            "metadata": [(m.name, m.metadata) for m in reader.iter_metadata()],
+        }  # fmt: skip
+
+
+def test_repair_writes_another_container_if_its_name_says_so(recording: Recording, tmp_path: Path) -> None:
+    source = SOURCES["bag-lz4"](tmp_path, recording)
+    cut(source, 0.8)
+    done = run("repair", source, "-o", tmp_path / "out", "--storage", "sqlite3", "--compression", "zstd")
+    assert done.status == 3, done.stderr
+    with closing(open_recording(tmp_path / "out")) as reader:
+        assert reader.summary.storage == "sqlite3"
+        assert reader.summary.compression == ("zstd",)
+
+
+def test_nothing_left_is_said_so(recording: Recording, tmp_path: Path) -> None:
+    source = write_rosbag1(tmp_path / "drive.bag", recording)
+    source.write_bytes(source.read_bytes()[:4500])
+    done = run("repair", source)
+    assert done.status == 1
+    assert "nothing of it can be recovered" in done.stderr
+    assert not (tmp_path / "drive_repaired.bag").exists()
+    converted = run("convert", source)
+    assert converted.status == 2
+    assert "hint: the recording is damaged" in converted.stderr
+
+
+def test_messages_that_are_only_declared_are_told(tmp_path: Path) -> None:
+    """Nothing else is wrong with it: only its statistics say that there was more."""
+    from bags.mcap_files import write
+    from bags.test_mcap_contents import altered_index
+
+    source = write(tmp_path / "drive.mcap", [(0, number, b"\0\1\0\0") for number in range(9)], topics=1)
+
+    def change(statistics: Statistics) -> None:
+        statistics.message_count = statistics.channel_message_counts[1] = 12
+
+    altered_index(source, "Statistics", change)
+    done = run("repair", source, "-o", tmp_path / "out.mcap", "--json")
+    assert done.status == 3
+    assert "declares 12 messages, 9 were found" in done.stderr
+    report = json.loads(done.stdout)
+    assert (report["messages_read"], report["messages_declared"]) == (9, 12)
+    assert report["damage"][0]["messages_lost"] == 3
+
+
+@pytest.mark.parametrize("content", [b"", b"#ROSBAG V1.2\nold", b"\x7fELF" + bytes(100), b"\x89MCAP"])
+@pytest.mark.parametrize("name", ["a.bag", "a.mcap", "a.db3"])
+def test_what_is_no_recording_is_refused_clearly(content: bytes, name: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    path.write_bytes(content)
+    done = run("repair", path)
+    assert done.status == 1
+    assert done.stderr.startswith(f"error: {path}: is ")
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("storage", ["sqlite3", "mcap"])
+def test_packed_messages_without_metadata_are_read(storage: str, recording: Recording, tmp_path: Path) -> None:
+    """A file taken out of a directory compressed message by message says nowhere that it is."""
+    folder = write_rosbag2(tmp_path / "drive", recording, storage=storage, mode="message")
+    plain, _ = read_all(folder)
+    alone = tmp_path / storage_file(folder).name
+    shutil.copyfile(storage_file(folder), alone)
+    rows, damage = read_all(alone)
+    assert (rows, damage) == (plain, 0)
+
+
+# --- Never fewer messages than others ---
+
+
+def damaged(data: bytes, seed: int, cuts: int, flips: int) -> Iterable[bytes]:
+    """Copies of a file cut off, or with a byte or a stretch of it changed."""
+    noise = random.Random(seed)
+    for _ in range(cuts):
+        yield data[: noise.randrange(len(data) // 20, len(data))]
+    for number in range(flips):
+        changed = bytearray(data)
+        at = noise.randrange(4200 % len(data), len(data))
+        if number % 3:
+            changed[at] ^= 1 << noise.randrange(8)
+        else:
+            changed[at : at + 40] = noise.randbytes(min(40, len(data) - at))
+        yield bytes(changed)
+
+
+def files_of(folder: Path, name: str, versions: Iterable[bytes]) -> list[Path]:
+    paths = []
+    for number, version in enumerate(versions):
+        path = folder / f"{number:02}_{name}"
+        path.write_bytes(version)
+        paths.append(path)
+    return paths
+
+
+def count_of(path: Path) -> int:
+    try:
+        return len(read_all(path)[0])
+    except RecordingError:
+        return 0
+
+
+@pytest.mark.parametrize("compression", ["none", "lz4", "bz2"])
+def test_never_fewer_messages_than_rosbag_reindex(compression: str, tmp_path: Path) -> None:
+    if reason := ros1_missing():
+        pytest.skip(f"ROS 1's own rosbag (Debian: python3-rosbag, python3-std-msgs) is not here: {reason}")
+    # Its own recorder's bags: of those that rosbags writes, its reindex finds nothing even where they are sound.
+    rows = [(f"/chatter{number % 3}", T0 + number * 1_000_000, f"{number} " * 20) for number in range(300)]
+    stdin = "\n".join(json.dumps(row) for row in rows)
+    written = ros1(ROS1, SCRIPT, "write", tmp_path / "drive.bag", compression, "2000", stdin=stdin)
+    assert written.returncode == 0, written.stderr
+    data = (tmp_path / "drive.bag").read_bytes()
+    paths = files_of(tmp_path, "drive.bag", [data, *damaged(data, 17, cuts=12, flips=24)])
+    ours = [count_of(path) for path in paths]
+    done = ros1(ROS1, SCRIPT, "reindexed", *paths)
+    assert done.returncode == 0, done.stderr
+    theirs = json.loads(done.stdout)
+    assert theirs[0] == len(rows)
+    assert sum(theirs) > 2 * len(rows)
+    assert [(path.name, a, b) for path, a, b in zip(paths, ours, theirs, strict=True) if a < b] == []
+
+
+def compare_with_npm(paths: list[Path]) -> None:
+    ours = [count_of(path) for path in paths]
+    script = Path(__file__).parents[1] / "bags" / "mcap_stream_count.mjs"
+    done = subprocess.run(["node", script, MODULES, *paths], capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr
+    theirs = json.loads(done.stdout)
+    assert sum(theirs) > 0
+    assert [(path.name, a, b) for path, a, b in zip(paths, ours, theirs, strict=True) if a < b] == []
+
+
+@needs_npm_reader
+@pytest.mark.parametrize("name", ["none", "lz4", "zstd", "unchunked"])
+def test_never_fewer_messages_than_the_npm_reader(name: str, recording: Recording, tmp_path: Path) -> None:
+    form = Mcap(chunked=False) if name == "unchunked" else Mcap(compression=name)
+    data = write_mcap(tmp_path / "drive.mcap", recording, form).read_bytes()
+    compare_with_npm(files_of(tmp_path, "drive.mcap", damaged(data, 23, cuts=12, flips=30)))
+
+
+@needs_shared
+@needs_npm_reader
+@pytest.mark.parametrize("name", ["d435_depth.mcap", "ouster_os1_32.mcap"])
+def test_real_recordings_never_give_fewer_messages_than_to_npm(name: str, tmp_path: Path) -> None:
+    data = (RECORDINGS / name).read_bytes()
+    compare_with_npm(files_of(tmp_path, name, damaged(data, 5, cuts=3, flips=3)))
+
+
+@needs_shared
+@pytest.mark.parametrize("name", ["luminar_highway.bag", "velodyne_vlp32.bag"])
+def test_real_recordings_never_give_fewer_messages_than_to_rosbag(name: str, tmp_path: Path) -> None:
+    if reason := ros1_missing():
+        pytest.skip(f"ROS 1's own rosbag (Debian: python3-rosbag, python3-std-msgs) is not here: {reason}")
+    data = (RECORDINGS / name).read_bytes()
+    paths = files_of(tmp_path, name, damaged(data, 5, cuts=3, flips=3))
+    ours = [count_of(path) for path in paths]
+    theirs = json.loads(ros1(ROS1, SCRIPT, "reindexed", *paths).stdout)
+    assert all(a >= b for a, b in zip(ours, theirs, strict=True)), (ours, theirs)
+
+
+def test_damage_of_every_kind_is_survived(recording: Recording, tmp_path: Path) -> None:
+    """Whatever is changed, reading ends in messages or in an error of ours, and a database is no exception."""
+    builders: list[Callable[[Path, Recording], Path]] = [write_rosbag1, write_mcap, write_db3]
+    for number, write in enumerate(builders):
+        data = write(tmp_path / f"drive{number}", recording).read_bytes()
+        path = tmp_path / "changed"
+        for version in damaged(data, number, cuts=15, flips=30):
+            path.write_bytes(version)
+            count_of(path)
