@@ -714,6 +714,13 @@ def test_hostile_names_are_refused_before_any_code_is_made(connection: Connectio
     assert not [source for source in executed if "f0" in source]
 
 
+@pytest.mark.parametrize("text", ['\\"' * 500_000, '"\\' * 500_000, "/* " * 300_000, '@a("\\"' * 100_000])
+def test_texts_without_an_end_take_no_time(text: str) -> None:
+    """Looking for the end of each would take the square of their number: hours."""
+    with pytest.raises(DecodeError, match="without an end|cannot be read|parentheses"):
+        transcoder(ros2(text, encoding="ros2idl"), 1)
+
+
 def test_no_name_or_constant_of_a_recording_reaches_the_interpreter(executed: list[str]) -> None:
     text = (
         "string CONSTANT_marker=value_marker'''\nfloat32 HUGE_marker=1e999\nMarked_marker field_marker\n"
