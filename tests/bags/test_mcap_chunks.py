@@ -62,11 +62,11 @@ DEEP = raw_channel() + raw_message(data=bytes(1 << 20))
         (raw_chunk(DEEP, compression="lz4", packed=lz4.frame.compress(BODY)), "decompresses to"),
         (
             raw_chunk(BODY, compression="zstd", packed=zstd(BODY, size=False), uncompressed_size=1 << 60),
-            "do not fit into memory",
+            "at most [0-9]+ may be",
         ),
         (
             raw_chunk(BODY, compression="lz4", packed=lz4.frame.compress(BODY), uncompressed_size=1 << 63),
-            "do not fit into memory",
+            "at most [0-9]+ may be",
         ),
         (record(6, bytes(10)), "malformed header|declares"),
     ],

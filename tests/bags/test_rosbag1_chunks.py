@@ -97,7 +97,8 @@ def test_a_decompression_bomb_is_not_let_off(tmp_path: Path, compression: str) -
 @pytest.mark.parametrize("size", [100, 2**32 - 1])
 def test_compressed_data_that_is_none_is_refused(tmp_path: Path, compression: str, size: int) -> None:
     path = simple_bag(tmp_path / "a.bag", b"", compression=compression, size=size, stored=b"not compressed at all")
-    assert f"its {compression} data cannot be decompressed" in fails(path)
+    expected = f"its {compression} data cannot be decompressed" if size == 100 else f"it declares {size} bytes"
+    assert expected in fails(path)
 
 
 @pytest.mark.parametrize("compression", ["bz2", "lz4"])

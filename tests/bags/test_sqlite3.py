@@ -217,7 +217,7 @@ def test_damaged_compressed_messages_are_named(tmp_path: Path) -> None:
         database.commit()
     with (
         closing(Sqlite3Reader(tmp_path / "x.db3", strict=True)) as reader,
-        pytest.raises(RecordingError, match=r"/a: .*cut off"),
+        pytest.raises(RecordingError, match=r"/a: .*full frame"),
     ):
         list(reader.messages())
     build(tmp_path / "y.db3", 2)

@@ -200,14 +200,22 @@ def test_a_failing_rename_brings_the_old_back(tmp_path: Path, monkeypatch: pytes
     assert names(tmp_path) == ["out"]
 
 
-def test_what_an_interrupted_overwrite_left_is_not_lost(tmp_path: Path) -> None:
+def test_what_an_interrupted_overwrite_left_comes_back(tmp_path: Path) -> None:
+    # Killed between moving the old away and moving the new in.
     (tmp_path / "out.pc2scan-old").mkdir()
-    with (
-        pytest.raises(DestinationError, match="left by an interrupted run"),
-        staged(tmp_path / "out", overwrite=True),
-    ):
+    (tmp_path / "out.pc2scan-old" / "metadata.yaml").write_text("old")
+    with pytest.raises(DestinationError, match="exists already"), staged(tmp_path / "out", overwrite=False):
         pytest.fail("the body must not run")
-    assert (tmp_path / "out.pc2scan-old").exists()
+    assert (tmp_path / "out" / "metadata.yaml").read_text() == "old"
+    assert names(tmp_path) == ["out"]
+
+
+def test_what_was_replaced_goes_even_if_the_run_that_did_it_died(tmp_path: Path) -> None:
+    make_directory(tmp_path / "out")
+    make_directory(tmp_path / "out.pc2scan-old")
+    with pytest.raises(DestinationError, match="exists already"), staged(tmp_path / "out", overwrite=False):
+        pytest.fail("the body must not run")
+    assert names(tmp_path) == ["out"]
 
 
 @make

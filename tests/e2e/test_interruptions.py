@@ -8,12 +8,13 @@ import shutil
 import signal
 import subprocess
 import time
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
-from builders import POINTS, T0, Recording, cloud, item, write_rosbag1
+import pc2scan
+from builders import CONTENT, POINTS, T0, Recording, cloud, item, write_rosbag1, write_rosbag2
 from e2e.command import COMMAND, run
 
 if TYPE_CHECKING:
@@ -184,3 +185,110 @@ def test_a_folder_that_may_not_be_written(name: str, large: Path, tmp_path: Path
     assert done.status == 1
     assert "not writable" in done.stderr
     assert list(folder.iterdir()) == []
+
+
+def started(large: Path, destination: Path, *options: str) -> subprocess.Popen[str]:
+    """A conversion that takes a while."""
+    command = [
+        *COMMAND,
+        "convert",
+        str(large),
+        "-o",
+        str(destination),
+        "--keep-clouds",
+        "--compression",
+        "bz2",
+        *options,
+    ]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def test_a_folder_that_vanishes(large: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    with started(large, folder / "out.bag") as process:
+        assert half_done(process, tmp_path)
+        folder.rename(tmp_path / "elsewhere")
+        _, stderr = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert "Traceback" not in stderr
+    assert stderr.startswith("error: ")
+    assert not folder.exists()
+    assert not (tmp_path / "elsewhere" / "out.bag").exists()
+
+
+@pytest.mark.parametrize("change", ["appended", "cut", "written over", "removed"])
+def test_a_source_that_changes_while_it_is_read(change: str, large: Path, tmp_path: Path) -> None:
+    source = tmp_path / "source" / "drive.bag"
+    source.parent.mkdir()
+    shutil.copy(large, source)
+    output = tmp_path / "output"
+    output.mkdir()
+    with started(source, output / "out.bag") as process:
+        assert half_done(process, output)
+        if change == "removed":
+            source.unlink()
+        else:
+            with source.open("rb+") as file:
+                if change == "appended":
+                    file.seek(0, os.SEEK_END)
+                if change == "cut":
+                    file.truncate(2_000_000)
+                else:
+                    file.write(b"more")
+        _, stderr = process.communicate(timeout=60)
+    assert process.returncode == 1, stderr
+    assert "Traceback" not in stderr
+    assert "drive.bag" in stderr
+    assert list(output.iterdir()) == []
+
+
+@pytest.mark.parametrize("jobs", [1, 4])
+@pytest.mark.parametrize("error", [RuntimeError, MemoryError, KeyboardInterrupt])
+def test_a_worker_that_fails(
+    error: type[BaseException], jobs: int, large: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A bug in a worker is not hidden, and leaves nothing."""
+    from pc2scan.pipeline.cloud_to_scan import CloudToScan
+
+    work, calls = CloudToScan.__call__, []
+
+    def fail(self: CloudToScan, *args: Any) -> Any:
+        calls.append(1)
+        if len(calls) == 5:
+            raise error
+        return work(self, *args)
+
+    monkeypatch.setattr(CloudToScan, "__call__", fail)
+    with pytest.raises(error):
+        pc2scan.convert(large, tmp_path / "out.mcap", jobs=jobs)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("kind", ["itself", "a link", "a hard link", "through a linked folder"])
+def test_a_destination_that_is_the_source(kind: str, tmp_path: Path) -> None:
+    source = write_rosbag1(
+        tmp_path / "drive.bag", Recording((POINTS,), (item(POINTS, T0, lambda g, _: cloud(np.ones((9, 3)), g)),))
+    )
+    before = source.read_bytes()
+    destination = {
+        "itself": source,
+        "a link": tmp_path / "link.bag",
+        "a hard link": tmp_path / "hard.bag",
+        "through a linked folder": tmp_path / "folder" / "drive.bag",
+    }[kind]
+    (tmp_path / "link.bag").symlink_to(source)
+    (tmp_path / "hard.bag").hardlink_to(source)
+    (tmp_path / "folder").symlink_to(tmp_path)
+    done = run("convert", source, "-o", destination, "--overwrite")
+    assert done.status == 2
+    assert "is a source" in done.stderr
+    assert source.read_bytes() == before
+
+
+def test_a_destination_inside_the_source(tmp_path: Path) -> None:
+    source = write_rosbag2(tmp_path / "drive", CONTENT)
+    done = run("convert", source, "-o", source / "out.mcap")
+    assert done.status == 2
+    assert "lies inside the source" in done.stderr
+    assert sorted(path.name for path in source.iterdir()) == ["drive_0.db3", "metadata.yaml"]

@@ -117,7 +117,10 @@ def test_lengths_that_lie(serialization: str) -> None:
     base = 4 if serialization == "cdr" else 0
     data = bytearray(encode_transforms(ROWS, serialization))
     data[base : base + 4] = b"\xff" * 4
-    with pytest.raises(DecodeError, match="transform 4 of 4294967295"):
+    with pytest.raises(DecodeError, match="declares 4294967295 transforms"):
+        decode_transforms(bytes(data), serialization)
+    data[base : base + 4] = struct.pack("<I", 4)
+    with pytest.raises(DecodeError, match="transform 4 of 4"):
         decode_transforms(bytes(data), serialization)
     data = bytearray(encode_transforms(ROWS, serialization))
     length = base + (16 if serialization == "ros1" else 12)

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pc2scan.core.rigid import Rigid, TransformRow, interpolate
-from pc2scan.errors import TransformError
+from pc2scan.errors import RecordingError, TransformError
 from pc2scan.messages.tfmessage import decode_transforms
 from pc2scan.tf.buffer import (
     MAX_NAMES,
@@ -403,7 +403,7 @@ class TestBuffer:
         assert "extrapolation" in refusal(first, "a", "b", at(1)).message
 
     def test_a_very_deep_chain_neither_recurses_nor_stops(self) -> None:
-        depth = 100_000
+        depth = 99_999
         builder = TransformBuilder()
         builder.add((row(f"f{n}", f"f{n + 1}", 0, x=1) for n in range(depth)), static=True)
         buffer = builder.build()
@@ -411,6 +411,16 @@ class TestBuffer:
         assert x_of(buffer, f"f{depth}", "f0", at(5)) == -depth
         (tree,) = buffer.trees
         assert (tree.roots, len(tree.frames)) == (("f0",), depth + 1)
+
+    def test_more_frames_than_a_robot_has_are_refused(self) -> None:
+        builder = TransformBuilder()
+        with pytest.raises(RecordingError, match="more than 100,000 frames"):
+            builder.add((row(f"f{n}", f"f{n + 1}", 0) for n in range(100_000)), static=True)
+
+    def test_more_pairs_of_frames_than_a_robot_has_are_refused(self) -> None:
+        builder = TransformBuilder()
+        with pytest.raises(RecordingError, match="200,000 pairs"):
+            builder.add((row(f"f{n % 500}", f"g{n // 500}", n) for n in range(200_001)), static=False)
 
     @given(
         stamps=st.lists(st.integers(1, 60), min_size=1, max_size=25),

@@ -14,7 +14,17 @@ if TYPE_CHECKING:
 
     from .model import Buffer
 
-__all__ = ["FreeIds", "NewFile", "SourceFile"]
+__all__ = ["FreeIds", "NewFile", "SourceFile", "state_of"]
+
+
+def state_of(path: Path) -> tuple[tuple[str, int, int, int], ...]:
+    """What tells whether a recording was changed: of each of its files the name, inode, size and time of change."""
+    try:
+        files = sorted(path.iterdir()) if path.is_dir() else [path]
+        states = [(file.name, file.stat()) for file in files]
+    except OSError:
+        return ()
+    return tuple((name, state.st_ino, state.st_size, state.st_mtime_ns) for name, state in states)
 
 
 class SourceFile:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from .crc32 import crc32
+from .limits import allowed_bytes
 from .mcap_records import CHUNK, OP_CHUNK, RECORD, UINT64
 from .segments import Segment
 
@@ -134,6 +135,10 @@ def _decompressed(data: memoryview, chunk: ChunkSegment, file: RecordFile) -> Bu
     where = f"the chunk at byte {chunk.record_offset}"
     if size == 0:
         return b""
+    if size > (allowed := allowed_bytes(file.size)):
+        raise file.damage(
+            f"{where} declares {size} bytes uncompressed, in a file of {file.size} at most {allowed} may be"
+        )
     if chunk.compression not in _DECOMPRESS:
         raise file.damage(f"{where} has compression {chunk.compression!r}, known are none, lz4 and zstd")
     try:

@@ -196,7 +196,7 @@ class McapReader:
             return unpacked_messages(found, self._log, segment.offset, self._file.path)
 
         if ids is None or ids:
-            yield from in_time_order(segments, load, alone=alone, pool=self._pool)
+            yield from in_time_order(segments, load, alone=alone, pool=self._pool, path=self._file.path)
 
     def _packs(self, segment: Segment) -> bool:
         """Whether messages are zstd frames of their own; one segment tells for all."""

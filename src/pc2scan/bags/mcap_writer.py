@@ -133,6 +133,7 @@ class McapWriter:
         channel_id = self._channel_ids.take(connection.id)
         if channel_id > _MAX_CHANNELS:
             raise OutputError(f"MCAP has room for {_MAX_CHANNELS} channels, one more is needed", path=self._path)
+        connection = connection.in_utf8
         # Declared outside the chunks: readers without the index find them without decompressing anything.
         channel = records.Channel(
             id=channel_id,

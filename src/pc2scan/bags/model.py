@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import chain
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 if TYPE_CHECKING:
@@ -60,6 +61,11 @@ class Definition:
         return self.data.decode("utf-8", "replace")
 
 
+def _in_utf8(text: str) -> str:
+    """The text, with replacement characters for the bytes that were kept as surrogates."""
+    return text.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
+
+
 @dataclass(frozen=True, slots=True)
 class Connection:
     """One publisher's stream of one topic: a ROS 1 connection, a rosbag2 topic or an MCAP channel.
@@ -110,6 +116,21 @@ class Connection:
     def ros_type(self) -> str:
         """The type in ROS 2's spelling, whatever the recording's: ``sensor_msgs/msg/PointCloud2``."""
         return normalized_type(self.msgtype)
+
+    @property
+    def in_utf8(self) -> Connection:
+        """The same for a container whose texts are UTF-8; ROS 1's may be any bytes, and are kept as surrogates."""
+        texts = (self.topic, self.msgtype, self.digest, self.callerid or "", *chain(*self.metadata.items()))
+        if all(map(str.isascii, texts)):
+            return self
+        return replace(
+            self,
+            topic=_in_utf8(self.topic),
+            msgtype=_in_utf8(self.msgtype),
+            digest=_in_utf8(self.digest),
+            callerid=None if self.callerid is None else _in_utf8(self.callerid),
+            metadata={_in_utf8(key): _in_utf8(value) for key, value in self.metadata.items()},
+        )
 
     @property
     def generation(self) -> int | None:

@@ -10,6 +10,9 @@ from .yaml import dump_yaml, load_yaml
 
 __all__ = ["latches", "parsed_qos", "respelled_qos"]
 
+#: A profile takes some 400 characters, and a topic has one a publisher. Reading more costs seconds.
+MAX_CHARACTERS = 64_000
+
 _TRANSIENT_LOCAL = re.compile(r"""\bdurability["']?[ \t]*:[ \t]*["']?(?:1|transient_local)\b""", re.IGNORECASE)
 
 # rmw/types.h: the place in the list is the value of the enumeration.
@@ -57,7 +60,9 @@ def latches(qos: str) -> bool:
 
 
 def parsed_qos(text: str) -> list[dict[str, Any]] | None:
-    """Profiles as mappings; None if the text is not a list of mappings."""
+    """Profiles as mappings; None if the text is not a list of mappings, or too long to be one."""
+    if len(text) > MAX_CHARACTERS:
+        return None
     with suppress(ValueError):
         loaded = load_yaml(text)
         if isinstance(loaded, list) and all(isinstance(profile, dict) for profile in loaded):

@@ -12,6 +12,7 @@ from itertools import permutations
 from operator import itemgetter
 from typing import TYPE_CHECKING, NamedTuple
 
+from .limits import allowed_bytes
 from .model import RawMessage
 from .rosbag1_records import (
     CONNECTION,
@@ -38,6 +39,10 @@ __all__ = ["USUAL_LAYOUT", "Places", "decompressed", "messages_in", "payload", "
 
 def payload(file: BagFile, segment: Segment) -> bytes:
     """Read and decompress a chunk."""
+    if segment.uncompressed_size > (allowed := allowed_bytes(file.size)):
+        raise Damaged(
+            f"it declares {segment.uncompressed_size} bytes, in a bag of {file.size} at most {allowed} may be"
+        )
     data = file.read(segment.offset, segment.length)
     return decompressed(data, segment.compression, segment.uncompressed_size)
 

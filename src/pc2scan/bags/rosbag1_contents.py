@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from pc2scan.errors import RecordingError
 
+from .limits import MAX_CONNECTIONS
 from .rosbag1_chunks import payload, records_in
 from .rosbag1_records import (
     BAG_HEADER,
@@ -48,6 +49,8 @@ class Contents:
 def read_index(file: BagFile) -> Contents:
     """Find out what a bag holds from its index."""
     position, connection_count, chunk_count = _read_bag_header(file)
+    if connection_count > MAX_CONNECTIONS:
+        raise Damaged(f"{connection_count} connections are declared, at most {MAX_CONNECTIONS} are believed")
     connections: dict[int, Connection] = {}
     for _ in range(connection_count):
         fields, start, position = file.record(position, CONNECTION)
@@ -78,10 +81,14 @@ def read_index(file: BagFile) -> Contents:
         _refuse_further(file, position)
 
     segments = []
-    for place, start_ns, end_ns, ids in located:
-        segment = replace(_segment(file, place), start_ns=start_ns, end_ns=end_ns, connection_ids=ids)
+    placed = [
+        replace(_segment(file, place), start_ns=start_ns, end_ns=end_ns, connection_ids=ids)
+        for place, start_ns, end_ns, ids in located
+    ]
+    _refuse_overlaps(placed, file.size)
+    for segment in placed:
         # Times that cannot be, and zeros of a recorder that did not know, are found out by looking.
-        known = segment if start_ns <= end_ns and end_ns else _with_times(file, segment)
+        known = segment if segment.start_ns <= segment.end_ns and segment.end_ns else _with_times(file, segment)
         if known:
             segments.append(known)
     connections.update(_find_connections(file, segments, set(counts) - set(connections)))
@@ -141,6 +148,15 @@ def chunk_segment(fields: Mapping[bytes, bytes], chunk_pos: int, start: int, sto
         )
     size = uint32_field(fields, "size")
     return Segment(start, stop - start, compression, size, crc=0, start_ns=0, end_ns=0)
+
+
+def _refuse_overlaps(segments: Sequence[Segment], size: int) -> None:
+    """A short file could otherwise hold its chunks as often as its index likes."""
+    if len({segment.offset for segment in segments}) < len(segments):
+        raise Damaged("the index names a chunk twice")
+    # One damaged length may reach into the next chunk, but not all of them.
+    if (stored := sum(segment.length for segment in segments)) > 2 * size:
+        raise Damaged(f"the chunks have {stored} bytes together, in a bag of {size}")
 
 
 def _with_times(file: BagFile, segment: Segment) -> Segment | None:

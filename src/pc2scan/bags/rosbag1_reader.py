@@ -177,7 +177,7 @@ class Rosbag1Reader:
                 and (high is None or message.log_time_ns < high)
             ]
 
-        return in_time_order(due, load, alone=alone, pool=self._pool)
+        return in_time_order(due, load, alone=alone, pool=self._pool, path=self._path)
 
     def _salvaged(self, segment: Segment, chunk: bytes, problem: Damaged) -> list[RawMessage]:
         """Take note of a damaged chunk, and find the messages that are left of it."""

@@ -31,7 +31,7 @@ from pc2scan.errors import DamageError, RecordingError
 from . import zstd
 from .model import Connection
 from .qos import latches
-from .yaml import dump_yaml, load_yaml
+from .yaml import MAX_CHARACTERS, dump_yaml, load_yaml
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -111,7 +111,9 @@ def read_info(folder: Path, log: DamageLog) -> BagInfo:
     try:
         if not os.path.lexists(path):
             return _guessed_info(folder)
-        text = path.read_text("utf-8")
+        with path.open(encoding="utf-8") as file:
+            # One more than allowed: what is too long is refused, not read.
+            text = file.read(MAX_CHARACTERS + 1)
         return _parsed_info(load_yaml(text))
     except UnicodeDecodeError as err:
         log.note(DamageError(f"is not UTF-8: {err.reason}", path=path, hint=_WITHOUT_METADATA))

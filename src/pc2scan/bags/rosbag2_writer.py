@@ -103,6 +103,7 @@ class Rosbag2Writer:
 
     def add_connection(self, connection: Connection) -> int:
         """Declare a topic, with type and QoS profiles as rosbag2 spells them."""
+        connection = connection.in_utf8
         qos = respelled_qos(connection.qos, by_name=self._version >= NEWEST_VERSION)
         # The MCAP writer prefers the text among the channel's metadata.
         metadata = {key: qos if key == "offered_qos_profiles" else value for key, value in connection.metadata.items()}

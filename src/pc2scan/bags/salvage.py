@@ -10,6 +10,8 @@ from __future__ import annotations
 import struct
 from typing import TYPE_CHECKING, Any
 
+from .limits import allowed_bytes
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -44,7 +46,7 @@ def decompressed_prefix(data: Buffer, compression: str, declared: int) -> bytes:
         What came out, from the beginning. After a broken block of an LZ4 frame with independent blocks, the next
         ones follow without a gap.
     """
-    limit = max(declared, SIZE_LIMIT)
+    limit = min(max(declared, SIZE_LIMIT), allowed_bytes(len(data)))
     if compression == "none":
         return bytes(data)
     if compression == "lz4":

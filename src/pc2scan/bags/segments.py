@@ -18,11 +18,14 @@ from itertools import accumulate, zip_longest
 from operator import attrgetter
 from typing import TYPE_CHECKING
 
+from pc2scan.errors import RecordingError
+
 from .model import StoredChunk
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
     from concurrent.futures import Executor, Future
+    from pathlib import Path
 
     from .model import ChunkRule, RawMessage
 
@@ -33,10 +36,13 @@ if TYPE_CHECKING:
     Load = Callable[["Segment", bool], Loaded]
 
 #: Loaded segments may take this much before the ones needed last are dropped and later read again.
-MAX_OPEN_BYTES = 128 << 20
+MAX_OPEN_BYTES = 64 << 20
+
+#: Segments may be read again until that comes to so many times the whole, and a gigabyte.
+_MAX_AGAIN = 16
 
 #: Segments are loaded ahead of their turn until they take this much together, or there are this many.
-MAX_AHEAD_BYTES = 32 << 20
+MAX_AHEAD_BYTES = 16 << 20
 MAX_AHEAD = 8
 
 #: Chunks smaller than this, uncompressed, are not worth copying: their messages are gathered in larger ones.
@@ -168,6 +174,7 @@ def in_time_order(
     alone: Collection[Segment] = frozenset(),
     max_open_bytes: int = MAX_OPEN_BYTES,
     pool: Executor | None = None,
+    path: Path | None = None,
 ) -> Iterator[RawMessage | StoredChunk]:
     """Merge the messages of overlapping segments.
 
@@ -186,11 +193,18 @@ def in_time_order(
     pool
         Threads on which segments are loaded ahead of their turn; ``load`` must bear that. None loads each when it is
         due. The messages are the same.
+    path
+        The file, for the error.
 
     Yields
     ------
     RawMessage | StoredChunk
         By log time; equal log times in the order of the file. Whole chunks only if there are any ``alone``.
+
+    Raises
+    ------
+    RecordingError
+        If segments that overlap would have to be read again and again.
     """
     waiting = sorted(segments, key=attrgetter("start_ns", "offset"))
 
@@ -203,7 +217,7 @@ def in_time_order(
 
     arrivals = _Ahead(waiting, loaded, pool) if pool is not None else map(loaded, waiting)
     try:
-        yield from _merged(waiting, iter(arrivals), partial(loaded, split=True), max_open_bytes)
+        yield from _merged(waiting, iter(arrivals), partial(loaded, split=True), max_open_bytes, path)
     finally:
         if isinstance(arrivals, _Ahead):
             arrivals.cancel()
@@ -223,9 +237,13 @@ class _Ahead:
         for segment in self._segments:
             size = segment.uncompressed_size
             while self._pending and (held + size > MAX_AHEAD_BYTES or len(self._pending) >= MAX_AHEAD):
-                first, future = self._pending.popleft()
-                held -= first.uncompressed_size
-                yield future.result()
+                held -= self._pending[0][0].uncompressed_size
+                # Bound to no name: this frame must not keep it alive meanwhile.
+                yield self._pending.popleft()[1].result()
+            if size > MAX_AHEAD_BYTES:
+                # Too large to be held before its turn.
+                yield self._load(segment)
+                continue
             self._pending.append((segment, self._pool.submit(self._load, segment)))
             held += size
         while self._pending:
@@ -242,14 +260,18 @@ def _merged(
     arrivals: Iterator[Loaded],
     split: Callable[[Segment], Loaded],
     max_open_bytes: int,
+    path: Path | None,
 ) -> Iterator[RawMessage | StoredChunk]:
     """Merge segments, loaded in the same order; ``split`` is for those whose messages are not (or no longer) there."""
     heap: list[_Open] = []
     due = 0
+    again = _MAX_AGAIN * sum(segment.uncompressed_size for segment in waiting) + (1 << 30)
     while heap or due < len(waiting):
         while due < len(waiting) and (not heap or waiting[due].start_ns <= heap[0].key[0]):
             segment = waiting[due]
             due += 1
+            # Room is made before it is needed.
+            _evict(heap, max_open_bytes - segment.uncompressed_size)
             found = next(arrivals)
             if found:
                 heapq.heappush(heap, _Open(segment, found))
@@ -269,10 +291,16 @@ def _merged(
             del current
             continue
         if current.messages is None:
-            again = split(current.segment)
-            assert not isinstance(again, StoredChunk)
-            current.messages, current.whole = again, None
-            del again
+            again -= current.segment.uncompressed_size
+            if again < 0:
+                raise RecordingError(
+                    f"its chunks overlap in time so much that each would have to be read {_MAX_AGAIN} times", path=path
+                )
+            _evict(heap, max_open_bytes - current.segment.uncompressed_size)
+            found = split(current.segment)
+            assert not isinstance(found, StoredChunk)
+            current.messages, current.whole = found, None
+            del found
         messages, position = current.messages, current.position
         while position < len(messages) and (limit is None or (messages[position].log_time_ns, offset) < limit):
             yield messages[position]
@@ -282,9 +310,8 @@ def _merged(
             current.key = (messages[position].log_time_ns, offset)
             heapq.heappush(heap, current)
             _evict(heap, max_open_bytes)
-        else:
-            # The generator's frame must not keep a spent segment alive while the next one is loaded.
-            del messages, current
+        # The generator's frame must not keep a spent or dropped segment alive while the next one is loaded.
+        del messages, current
 
 
 def _evict(heap: list[_Open], max_open_bytes: int) -> None:

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import shutil
 import sqlite3
-from contextlib import closing, suppress
+from contextlib import closing, contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -35,6 +35,7 @@ from pc2scan.errors import DamageError, OutputError, RecordingError
 
 from . import zstd
 from .damage import RECOVER, DamageLog
+from .limits import MAX_CONNECTIONS
 from .model import Connection, Definition, RawMessage, Summary
 from .qos import latches
 from .sqlite3_pages import PageFile, declared_size, rebuilt
@@ -78,6 +79,11 @@ _BATCH_BYTES = 16 << 20
 _ZSTD_LEVEL = 1
 
 
+#: A name that is not UTF-8 in the schema makes an error message that Python cannot decode, and lengths that lie make
+#: SQLite ask for more memory than there is.
+_SQLITE_ERRORS = (sqlite3.Error, UnicodeDecodeError, MemoryError)
+
+
 class Sqlite3Reader:
     """A ``.db3`` file; satisfies `pc2scan.bags.model.Reader`.
 
@@ -117,7 +123,7 @@ class Sqlite3Reader:
             except DamageError as err:
                 self._recover(err)
                 start_ns, end_ns = self._survey(message_compression)
-            except sqlite3.Error as err:
+            except _SQLITE_ERRORS as err:
                 self._recover(self._error(err))
                 start_ns, end_ns = self._survey(message_compression)
         except OSError as err:
@@ -140,7 +146,8 @@ class Sqlite3Reader:
         """Find out what there is; returns the times of the first and the last message."""
         self._check_tables()
         self._index = self._timestamp_index()
-        self._connections, start_ns, end_ns = self._read_connections()
+        with self._ending():
+            self._connections, start_ns, end_ns = self._read_connections()
         self._compressed = message_compression == "zstd" or self._first_is_compressed()
         return start_ns, end_ns
 
@@ -179,16 +186,25 @@ class Sqlite3Reader:
         wanted = None if connections is None else {connection.id for connection in connections}
         known = {own.id: own for own in self._connections if wanted is None or own.id in wanted}
         after: tuple[int, int] | None = None
+        expected = sum(own.message_count or 0 for own in known.values())
         while True:
             try:
                 for topic_id, time_ns, message_id, data in self._rows(list(known), start_ns, stop_ns, after):
+                    # Pages of a damaged tree may lead back to themselves.
+                    expected -= 1
+                    if expected < 0:
+                        raise RecordingError("has more messages than it counts", path=self._path)
+                    if topic_id not in known or not isinstance(time_ns, int):
+                        raise RecordingError(
+                            f"a message has topic_id {topic_id!r:.40} and timestamp {time_ns!r:.40}", path=self._path
+                        )
                     after = (time_ns, message_id)
                     if isinstance(data, bytes) and not self._compressed:
                         self._bytes_read += len(data)
                         yield RawMessage(known[topic_id], time_ns, data, time_ns)
                     elif (message := self._unpacked(known[topic_id], time_ns, message_id, data)) is not None:
                         yield message
-            except (sqlite3.Error, DamageError) as err:
+            except (*_SQLITE_ERRORS, DamageError) as err:
                 # What was handed out stays so: the rest comes from the pages, from the next row on.
                 self._recover(err if isinstance(err, DamageError) else self._error(err))
             else:
@@ -285,7 +301,22 @@ class Sqlite3Reader:
         database = sqlite3.connect(f"{path.absolute().as_uri()}?{mode}", uri=True, check_same_thread=False)
         # One byte that is not UTF-8 in a topic's name must not make the recording unreadable.
         database.text_factory = lambda raw: raw.decode("utf-8", "replace")
+        # No value is longer than the file that it is in.
+        database.setlimit(
+            sqlite3.SQLITE_LIMIT_LENGTH, 1_000_000 + sum(side.stat().st_size for side in side_files) + self._size
+        )
         return database
+
+    @contextmanager
+    def _ending(self) -> Iterator[None]:
+        """Interrupt SQLite if it takes more steps than the rows of a file of this size can need."""
+        millions = iter(range(5 + self._size // 100_000))
+        assert self._database is not None
+        self._database.set_progress_handler(lambda: next(millions, None) is None, 1_000_000)
+        try:
+            yield
+        finally:
+            self._database.set_progress_handler(None, 0)
 
     def _query(self, sql: str, values: Sequence[Any] = ()) -> sqlite3.Cursor:
         if self._database is None:
@@ -299,10 +330,10 @@ class Sqlite3Reader:
     def _damage(self, message: str, topic: str | None = None) -> DamageError:
         return DamageError(message, path=self._path, topic=topic, hint=RECOVER)
 
-    def _error(self, err: sqlite3.Error) -> RecordingError:
-        message = f"SQLite cannot read it: {err}"
+    def _error(self, err: Exception) -> RecordingError:
+        message = f"SQLite cannot read it: {str(err) or type(err).__name__}"
         # Disks that fail and memory that is short are no damage.
-        if err.sqlite_errorcode in _DAMAGE_CODES:
+        if not isinstance(err, sqlite3.Error) or err.sqlite_errorcode in _DAMAGE_CODES:
             return self._damage(message)
         return RecordingError(message, path=self._path)
 
@@ -320,6 +351,12 @@ class Sqlite3Reader:
                     f"is an SQLite database, but not one of rosbag2: table {table} lacks {', '.join(sorted(missing))}",
                     path=self._path,
                 )
+        # What was put together from the pages is of our own making.
+        for table in (*needed, "message_definitions") if self._pages is None else ():
+            # A view, or a table that a module makes up, can have rows without end.
+            stored = "SELECT min(type = 'table' AND rootpage > 0) FROM sqlite_master WHERE lower(name) = ?"
+            if self._query(stored, (table,)).fetchone()[0] == 0:
+                raise RecordingError(f"{table} is not a plain table, as rosbag2 makes it", path=self._path)
 
     def _timestamp_index(self) -> str | None:
         """The quoted name of an index that knows the order of all messages."""
@@ -334,20 +371,28 @@ class Sqlite3Reader:
     def _read_connections(self) -> tuple[tuple[Connection, ...], int | None, int | None]:
         """The connections, and the times of the first and the last message."""
         available = self._columns("topics")
-        optional = ["offered_qos_profiles", "type_description_hash"]
-        extra = "".join(f", coalesce({name}, '')" if name in available else ", ''" for name in optional)
+        names = ["name", "type", "serialization_format", "offered_qos_profiles", "type_description_hash"]
+        columns = ", ".join(_text_of(name) if name in available else "''" for name in names)
         definitions = self._read_definitions()
         counts = {
             topic_id: numbers
             for topic_id, *numbers in self._query(
-                "SELECT topic_id, count(*), min(timestamp), max(timestamp) FROM messages GROUP BY topic_id"
+                "SELECT topic_id, count(*), min(timestamp), max(timestamp) FROM messages GROUP BY topic_id LIMIT ?",
+                (MAX_CONNECTIONS,),
             )
         }
-        connections, starts, ends = [], [], []
+        connections: list[Connection] = []
+        starts, ends = [], []
         for topic_id, topic, msgtype, serialization, qos, digest in self._query(
-            f"SELECT id, name, type, serialization_format{extra} FROM topics ORDER BY id"  # noqa: S608 - constants
+            f"SELECT id, {columns} FROM topics ORDER BY id"  # noqa: S608 - constants
         ):
             count, first_ns, last_ns = counts.get(topic_id, (0, None, None))
+            if len(connections) == MAX_CONNECTIONS or not isinstance(topic_id, int):
+                raise RecordingError(
+                    f"has more than {MAX_CONNECTIONS} topics, or one whose id is no number", path=self._path
+                )
+            if count and not (isinstance(first_ns, int) and isinstance(last_ns, int)):
+                raise RecordingError("has timestamps that are no numbers", path=self._path, topic=topic)
             if count:
                 starts.append(first_ns)
                 ends.append(last_ns)
@@ -364,8 +409,9 @@ class Sqlite3Reader:
                     message_count=count,
                 )
             )
+        described = {connection.id for connection in connections}
         for topic_id, (count, first_ns, last_ns) in counts.items():
-            if all(connection.id != topic_id for connection in connections):
+            if topic_id not in described:
                 self._log.note(
                     self._damage(f"{count} messages are of topic {topic_id}, which is not described"),
                     key=("topic", topic_id),
@@ -381,10 +427,11 @@ class Sqlite3Reader:
         columns = self._columns("message_definitions")
         if not {"topic_type", "encoding", "encoded_message_definition"} <= columns:
             return found
-        digest = "type_description_hash" if "type_description_hash" in columns else "''"
+        digest = _text_of("type_description_hash") if "type_description_hash" in columns else "''"
         for msgtype, encoding, data, own_digest in self._query(
-            "SELECT topic_type, encoding, CAST(encoded_message_definition AS BLOB), "  # noqa: S608 - constants
-            f"{digest} FROM message_definitions ORDER BY id"
+            f"SELECT {_text_of('topic_type')}, {_text_of('encoding')}, "  # noqa: S608 - constants
+            f"CAST(encoded_message_definition AS BLOB), {digest} FROM message_definitions ORDER BY id LIMIT ?",
+            (MAX_CONNECTIONS,),
         ):
             # rosbag2 says "unknown" where it did not find the definition.
             if data and encoding not in {"", "unknown"}:
@@ -423,6 +470,11 @@ class Sqlite3Reader:
             for topic_id, time_ns, message_id in rows:
                 row = self._query("SELECT data FROM messages WHERE id = ?", (message_id,)).fetchone()
                 yield topic_id, time_ns, message_id, row and row[0]
+
+
+def _text_of(column: str) -> str:
+    """A column as text: SQLite lets any value into any column."""
+    return f"coalesce(CAST({column} AS TEXT), '')"
 
 
 def _beside(path: Path, suffix: str) -> Path:
@@ -486,6 +538,7 @@ class Sqlite3Writer:
     def add_connection(self, connection: Connection) -> int:
         """Add a row to ``topics``, and its definition if it is the first of its type and hash."""
         self._ahead.finish()
+        connection = connection.in_utf8
         definition = connection.definition
         identity = (connection.msgtype, connection.digest)
         if definition.encoding and identity not in self._defined:

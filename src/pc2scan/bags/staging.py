@@ -53,11 +53,15 @@ def staged(dst: Path, *, overwrite: bool, sources: Sequence[Path] = ()) -> Itera
     """
     _check_parent(dst)
     _check_sources(dst, sources)
-    _check_existing(dst, overwrite=overwrite)
     partial = dst.with_name(dst.name + _PARTIAL)
     with _only_run(partial, dst):
         # What is here now was left by a run that died: a living one holds the lock.
-        _remove(partial)
+        try:
+            _remove(partial)
+            _restore(dst)
+        except OSError as err:
+            raise OutputError(f"what an interrupted run left cannot be removed: {err.strerror}", path=dst) from err
+        _check_existing(dst, overwrite=overwrite)
         try:
             yield partial
             _commit(partial, dst, overwrite=overwrite)
@@ -108,14 +112,17 @@ def _check_sources(dst: Path, sources: Sequence[Path]) -> None:
             raise DestinationError(f"contains the source {source}", path=dst, hint="choose another name")
 
 
-def _check_existing(dst: Path, *, overwrite: bool) -> None:
+def _restore(dst: Path) -> None:
+    """Undo or complete the replacing of a directory, if a run died between its two steps."""
     aside = dst.with_name(dst.name + _OLD)
-    if os.path.lexists(aside):
-        raise DestinationError(
-            f"{aside} was left by an interrupted run: what {dst.name} was before",
-            path=dst,
-            hint="move it back or delete it",
-        )
+    if os.path.lexists(dst):
+        # The new one was in its place; all that was left was to remove the old.
+        _remove(aside)
+    elif os.path.lexists(aside):
+        aside.rename(dst)
+
+
+def _check_existing(dst: Path, *, overwrite: bool) -> None:
     if not os.path.lexists(dst):
         return
     if not overwrite:
@@ -157,7 +164,8 @@ def _only_run(partial: Path, dst: Path) -> Iterator[None]:
         # Removed before it is released: who gets the lock on a removed file notices, in _locked.
         with suppress(OSError):
             lock.unlink()
-        os.close(descriptor)
+        with suppress(OSError):
+            os.close(descriptor)
 
 
 def _locked(lock: Path) -> int:
@@ -249,6 +257,8 @@ def _replace(partial: Path, dst: Path) -> None:
         if not os.path.lexists(dst):
             aside.rename(dst)
         raise
+    # The new one is on the disk before the old one goes.
+    sync_directory(dst.parent)
     _remove(aside)
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from pc2scan.errors import DamageError, RecordingError
 
 from .damage import RECOVER
+from .limits import MAX_FILE_RATIO, MAX_UNPACKED, allowed_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -29,6 +30,9 @@ __all__ = [
 
 #: How every frame begins.
 MAGIC = b"\x28\xb5\x2f\xfd"
+
+#: Bytes that are decompressed at a time. Zeros shrink to a thirty-thousandth, and a piece's result is held in memory.
+_PIECE = 1 << 11
 
 #: What the names of packed files end with.
 SUFFIXES = (".zstd", ".zst")
@@ -89,14 +93,18 @@ def _unpack(path: Path, target: Path, broken_at: int | None = None) -> tuple[int
     with path.open("rb") as packed, target.open("wb") as out:
         complete = True
         decoder = zstandard.ZstdDecompressor().decompressobj()
-        # Small pieces: zeros shrink to a thirty-thousandth, and a piece's result is held in memory.
-        while piece := packed.read(1 << 14 if broken_at is None or offset < broken_at else 64):
+        allowed = MAX_UNPACKED + MAX_FILE_RATIO * path.stat().st_size
+        while piece := packed.read(_PIECE if broken_at is None or offset < broken_at else 64):
             begin, offset = offset, offset + len(piece)
             while piece:
                 try:
-                    out.write(decoder.decompress(piece))
+                    allowed -= out.write(decoder.decompress(piece))
                 except zstandard.ZstdError as err:
                     return begin, str(err)
+                if allowed < 0:
+                    raise RecordingError(
+                        f"unpacks to more than {MAX_FILE_RATIO} times its size, which no recording does", path=path
+                    )
                 complete, piece = decoder.eof, decoder.unused_data
                 if complete:
                     # Another frame may follow: pzstd writes many.
@@ -114,15 +122,26 @@ def unpacked_message(data: Buffer, path: Path, topic: str) -> bytes:
     """
     import zstandard  # noqa: PLC0415  (only compressed recordings need it)
 
-    # Not `decompress`: it trusts the frame's word on the size and needs one.
-    decoder = zstandard.ZstdDecompressor().decompressobj()
+    allowed = allowed_bytes(len(data))
     try:
-        message = decoder.decompress(data)
+        declared = zstandard.frame_content_size(data)
+        if 0 < declared <= allowed:
+            return zstandard.ZstdDecompressor().decompress(data, max_output_size=declared)
+        # Not `decompress`: it needs the frame's word on the size.
+        decoder = zstandard.ZstdDecompressor().decompressobj()
+        parts, size, view = [], 0, memoryview(data)
+        while not decoder.eof and view and size <= allowed and declared <= allowed:
+            parts.append(decoder.decompress(view[:_PIECE]))
+            size, view = size + len(parts[-1]), view[_PIECE:]
     except zstandard.ZstdError as err:
         raise DamageError(f"a message cannot be decompressed: {err}", path=path, topic=topic, hint=RECOVER) from err
+    if max(size, declared) > allowed:
+        raise DamageError(
+            f"a message of {len(data)} bytes unpacks to more than the {allowed} that may be", path=path, topic=topic
+        )
     if not decoder.eof:
         raise DamageError("a message's zstd frame is cut off", path=path, topic=topic, hint=RECOVER)
-    return message
+    return b"".join(parts)
 
 
 def unpacked_messages(messages: list[RawMessage], log: DamageLog, place: int, path: Path) -> list[RawMessage]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from typing import TYPE_CHECKING
 
 import typer
@@ -14,13 +15,37 @@ if TYPE_CHECKING:
 __all__ = ["count", "error_text", "printable", "size", "table"]
 
 
+#: Characters of a text, and of a cell of a table. ROS's own names have at most 255.
+_MAX_TEXT = 4_000
+_MAX_CELL = 255
+
+
 def printable(text: str) -> str:
     r"""Escape what a terminal would act upon; names come from recordings, and recordings from strangers.
 
-    >>> printable("/scan\x1b[2J")
-    '/scan\\x1b[2J'
+    What no line of a screen could show is cut.
+
+    >>> printable("/scan\x1b[2J"), printable("a" * 5000)[-20:]
+    ('/scan\\x1b[2J', 'aaaa... (5000 chars)')
     """
-    return "".join(c if c.isprintable() else c.encode("unicode_escape", "backslashreplace").decode() for c in text)
+    more = f"... ({len(text)} chars)" if len(text) > _MAX_TEXT else ""
+    text = text[:_MAX_TEXT] if more else text
+    ascii_only = _ascii_only()
+    shown = (
+        c if c.isprintable() and (c.isascii() or not ascii_only) else c.encode("unicode_escape").decode() for c in text
+    )
+    return "".join(shown) + more
+
+
+def _ascii_only() -> bool:
+    """Whether the text may go to a file or terminal that cannot show everything."""
+    encodings = (getattr(stream, "encoding", None) or "ascii" for stream in (sys.stdout, sys.stderr))
+    return any(not encoding.lower().startswith("utf") for encoding in encodings)
+
+
+def _cut(cell: str) -> str:
+    """Shorten a cell; one long name would otherwise make every line of its table as long."""
+    return cell if len(cell) <= _MAX_CELL else f"{cell[:_MAX_CELL]}... ({len(cell)} chars)"
 
 
 def error_text(err: Pc2ScanError) -> str:
@@ -59,7 +84,7 @@ def table(columns: Sequence[str], rows: Sequence[Sequence[str]], *, left: Sequen
     left
         The headings of columns aligned to the left; the others are numbers.
     """
-    cells = [list(columns), *([printable(cell) for cell in row] for row in rows)]
+    cells = [list(columns), *([printable(_cut(cell)) for cell in row] for row in rows)]
     widths = [max(len(line[i]) for line in cells) for i in range(len(columns))]
     for number, line in enumerate(cells):
         aligned = (

@@ -28,6 +28,9 @@ __all__ = ["CloudInfo", "FileInfo", "Info", "Spread", "TopicInfo", "info"]
 #: Bars of the histogram of heights.
 _BINS = 12
 
+#: Points that are looked at in all clouds of a topic together; of larger clouds every second, third, ... is.
+_MAX_POINTS = 2_000_000
+
 
 @dataclass(frozen=True, slots=True)
 class FileInfo:
@@ -175,7 +178,8 @@ def info(sources: Sequence[Path], *, samples: int = 10) -> Info:
         for topic in topics:
             if topic.msgtype == POINTCLOUD2 and topic.messages:
                 connections = [c for c in reader.connections if c.topic == topic.topic and c.ros_type == POINTCLOUD2]
-                clouds.append(_cloud_info(topic.topic, _sample(reader, connections, samples, start_ns, end_ns)))
+                sample = _sample(reader, connections, samples, start_ns, end_ns)
+                clouds.append(_cloud_info(topic.topic, sample, _MAX_POINTS // samples + 1))
         return Info(
             tuple(_file_info(r.path, r.summary) for r in readers),
             start_ns,
@@ -254,7 +258,8 @@ def _sample(
         yield message
 
 
-def _cloud_info(topic: str, messages: Iterator[RawMessage]) -> CloudInfo:
+def _cloud_info(topic: str, messages: Iterator[RawMessage], most: int) -> CloudInfo:
+    """Describe a topic's clouds, by at most so many points of each."""
     result = CloudInfo(topic)
     parts: list[NDArray[np.float64]] = []
     frames: dict[str, None] = {}
@@ -264,7 +269,9 @@ def _cloud_info(topic: str, messages: Iterator[RawMessage]) -> CloudInfo:
         result.sampled += 1
         try:
             cloud = decode_pointcloud2(message.data, message.connection.serialization)
-            points = np.stack([c.astype(np.float64).ravel() for c in cloud.xyz()])
+            step = -(-cloud.points // most) or 1
+            with np.errstate(invalid="ignore"):  # a NaN may be one that signals
+                points = np.stack([_thinned(c, step).astype(np.float64) for c in cloud.xyz()])
         except DecodeError as err:
             problems[err.message] = None
             continue
@@ -278,6 +285,11 @@ def _cloud_info(topic: str, messages: Iterator[RawMessage]) -> CloudInfo:
         result.points_min, result.points_max = min(sizes), max(sizes)
         _measure(result, np.concatenate(parts, axis=1))
     return result
+
+
+def _thinned(column: NDArray[Any], step: int) -> NDArray[Any]:
+    """Every ``step``-th point. Rows with gaps between them cannot be seen as one, so their columns are thinned."""
+    return column[::step] if column.ndim == 1 else column[:, ::step].ravel()
 
 
 def _describe(result: CloudInfo, cloud: PointCloud2) -> None:

@@ -58,8 +58,9 @@ ROS2_ONLY = frozenset({"wstring", "wchar", "float128"})
 
 MAX_BYTES = 1 << 20
 MAX_DEPTH = 64
-#: Declared fields; each element of a fixed array of strings or messages counts, as rosbags unrolls them.
-MAX_FIELDS = 10_000
+#: Declared fields, each of which takes rosbags up to a millisecond and 45 kB to compile; each element of a fixed
+#: array of strings or messages counts, as rosbags unrolls them.
+MAX_FIELDS = 2_000
 #: Fields of one message when everything nested is written out, the elements of sequences once.
 MAX_LEAVES = 100_000
 
@@ -288,7 +289,8 @@ def _without_sequence_number(name: str, struct: Struct) -> Struct:
 
 _IDL_STRING = r'"(?:\\.|[^"\\])*"'
 _IDL_TOKENS = re.compile(
-    rf'(?P<string>{_IDL_STRING})|/\*.*?\*/|//[^\n]*|@(?P<annotation>\w+)(?:\s*\((?:{_IDL_STRING}|[^()"])*\))?',
+    rf'(?P<string>{_IDL_STRING})|/\*.*?\*/|//[^\n]*|(?P<open>"|/\*)|'
+    rf'@(?P<annotation>\w+)(?:\s*\((?:{_IDL_STRING}|[^()"])*\))?',
     re.DOTALL,
 )
 
@@ -323,6 +325,11 @@ def _plain_idl(text: str, name: str) -> str:
     def keep(match: re.Match[str]) -> str:
         if match["annotation"] == "optional":
             raise DecodeError(f"{name}: its IDL has an optional member")
+        if match["open"]:
+            # The first is enough: looking for the end of each would take the square of the text's length.
+            raise DecodeError(
+                f"{name}: its IDL has a {'string' if match['open'] == chr(34) else 'comment'} without an end"
+            )
         return match["string"] or " "
 
     text = re.sub(r"^[ \t]*#.*$", "", text, flags=re.MULTILINE)
@@ -431,7 +438,7 @@ def closure(root: str, lookup: Callable[[str], Struct | None]) -> Schema:
     Raises
     ------
     DecodeError
-        If a type is missing or contains itself; if a name is not an identifier; beyond 64 levels, 10,000
+        If a type is missing or contains itself; if a name is not an identifier; beyond 64 levels, 2,000
         fields or 100,000 fields with everything nested written out; for what only one generation can carry
         (wstring, an array of length 0).
     """
@@ -466,8 +473,8 @@ def closure(root: str, lookup: Callable[[str], Struct | None]) -> Schema:
             if field.shape == "sequence" and field.type not in PRIMITIVES and _empty(schema, field.type):
                 raise DecodeError(f"{name}: {field.name} is a sequence of messages without fields")
             total += _width(field) * nested
-        if total > MAX_LEAVES:
-            raise DecodeError(f"{root}: more than {MAX_LEAVES} fields when written out")
+            if total > MAX_LEAVES:
+                raise DecodeError(f"{root}: more than {MAX_LEAVES} fields when written out")
         for constant in struct.constants:
             _check_constant(name, constant)
         leaves[name] = total

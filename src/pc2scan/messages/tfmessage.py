@@ -25,6 +25,9 @@ __all__ = ["TF_TYPES", "decode_transforms", "encode_transforms"]
 #: The types that are decoded here, in ROS 2's spelling (`pc2scan.bags.model.normalized_type`).
 TF_TYPES = frozenset({"tf/msg/tfMessage", "tf2_msgs/msg/TFMessage"})
 
+#: A message with more transforms than this is damaged: each takes half a kilobyte once decoded.
+MAX_TRANSFORMS = 100_000
+
 # Sequence number, seconds, nanoseconds, length of frame_id.
 _ROS1_HEAD = struct.Struct("<4I")
 _ROS1_LENGTH = struct.Struct("<I")
@@ -54,10 +57,12 @@ def decode_transforms(data: Buffer, serialization: str) -> list[TransformRow]:
     Raises
     ------
     DecodeError
-        If the message ends too early or its encapsulation is unknown.
+        If the message ends too early, declares more transforms than can be, or its encapsulation is unknown.
     """
     cursor = Cursor(data, serialization)
     count = cursor.uint32()
+    if count > MAX_TRANSFORMS:
+        raise DecodeError(f"TFMessage declares {count} transforms, at most {MAX_TRANSFORMS} are believed")
     # Positions count from behind the encapsulation, where CDR's alignment starts.
     body = bytes(cursor.data[cursor.base :])
     position = cursor.position - cursor.base

@@ -68,11 +68,14 @@ class Transcoding:
         the type says. May be called from several threads.
     notes
         For the report: what a reader of the destination should know.
+    fields
+        How many the type and all that it is made of declare.
     """
 
     connection: Connection
     encode: Callable[[Buffer], Buffer]
     notes: tuple[str, ...] = ()
+    fields: int = 0
 
 
 def transcoder(
@@ -129,11 +132,10 @@ def transcoder(
             f"{connection.msgtype} is serialised as {connection.serialization!r}, expected 'ros1' or 'cdr'",
             topic=connection.topic,
         )
-    try:
-        plan = _plan(connection.msgtype, _definition(connection, definitions or {}), source, distro)
-    except DecodeError as err:
-        raise DecodeError(err.message, topic=connection.topic, hint=err.hint) from err
-    return Transcoding(_declared(connection, plan), _Encoder(plan, source, connection.topic), plan.notes)
+    plan = _plan(connection.msgtype, _definition(connection, definitions or {}), source, distro)
+    if isinstance(plan, DecodeError):
+        raise DecodeError(plan.message, topic=connection.topic, hint=plan.hint)
+    return Transcoding(_declared(connection, plan), _Encoder(plan, source, connection.topic), plan.notes, plan.fields)
 
 
 def defined(connection: Connection, distro: str = DEFAULT_DISTRO) -> Connection:
@@ -205,10 +207,19 @@ class _Plan:
     root: str
     lock: Lock
     notes: tuple[str, ...]
+    fields: int
 
 
 @lru_cache(maxsize=256)
-def _plan(msgtype: str, definition: Definition, source: int, distro: str) -> _Plan:
+def _plan(msgtype: str, definition: Definition, source: int, distro: str) -> _Plan | DecodeError:
+    """Plan once for all connections of a type; so is what cannot be planned remembered."""
+    try:
+        return _planned(msgtype, definition, source, distro)
+    except DecodeError as err:
+        return err.with_traceback(None)
+
+
+def _planned(msgtype: str, definition: Definition, source: int, distro: str) -> _Plan:
     """Settle the destination's type and compile the conversion."""
     target = 3 - source
     root = schemas.canonical(msgtype)
@@ -230,7 +241,8 @@ def _plan(msgtype: str, definition: Definition, source: int, distro: str) -> _Pl
         text = Definition(f"ros{target}msg", schemas.render(schema, target).encode())
         digest = schemas.md5sum(schema) if target == 1 else schemas.rihs01(schema)
     store, names = _compile(schema)
-    return _Plan(ros1_type(root) if target == 1 else root, text, digest, store, names[root], Lock(), notes)
+    fields = sum(len(struct.fields) for struct in schema.values())
+    return _Plan(ros1_type(root) if target == 1 else root, text, digest, store, names[root], Lock(), notes, fields)
 
 
 def _store(generation: int, distro: str) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from pc2scan.errors import DecodeError, ParameterError, Pc2ScanError, UsageError
+from pc2scan.errors import DecodeError, ParameterError, Pc2ScanError, RecordingError, UsageError
 from pc2scan.messages.tfmessage import TF_TYPES, decode_transforms
 
 if TYPE_CHECKING:
@@ -240,7 +240,11 @@ def read_transforms(readers: Iterable[Reader], options: FrameOptions) -> tuple[T
                 continue
             if overridden:
                 rows = [row for row in rows if row[1].removeprefix("/") not in overridden]
-            builder.add(rows, static=is_static(connection.topic))
+            try:
+                builder.add(rows, static=is_static(connection.topic))
+            except RecordingError as err:
+                err.path, err.topic = reader.path, connection.topic
+                raise
     buffer = builder.build()
     told = [f"{text} ({count} times)" if count > 1 else text for text, count in warnings.items()]
     told += [

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from pc2scan.bags.model import LATCHED_QOS, NEW_ID, ChunkRule, Connection
-from pc2scan.errors import MessageError
+from pc2scan.errors import MessageError, RecordingError
 from pc2scan.messages.definitions import definition
 from pc2scan.messages.tfmessage import encode_transforms
 
@@ -15,7 +15,7 @@ from .report import TopicReport
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
-    from pc2scan.bags.model import Buffer, Reader, Writer
+    from pc2scan.bags.model import Buffer, Definition, Reader, Writer
     from pc2scan.bags.registry import Destination
 
     from .conversion import Conversion, Converted
@@ -25,6 +25,9 @@ if TYPE_CHECKING:
     from .report import Report
 
 __all__ = ["Lane", "carry_extras", "chunk_rule", "open_lanes", "write_static"]
+
+#: A field takes about a millisecond and 7 kB. Large robots have some thousand.
+_MAX_COMPILED_FIELDS = 20_000
 
 
 @dataclass(slots=True)
@@ -54,6 +57,7 @@ def open_lanes(
 ) -> dict[int, Lane]:
     """Declare every connection of the destination and prepare the work on each of the source's."""
     lanes: dict[int, Lane] = {}
+    compiled: dict[tuple[str, Definition], int] = {}
     entries: dict[tuple[str, str, str | None], TopicReport] = {}
     for route in routes:
         connection = route.connection
@@ -72,7 +76,7 @@ def open_lanes(
             continue
         lane = Lane(connection, entry)
         if route.passes:
-            _prepare_passing(lane, target, options, writer)
+            _prepare_passing(lane, target, options, writer, compiled)
         if route.target:
             lane.convert = _converter(conversion, connection, target)
             lane.converted_handle = writer.add_connection(
@@ -84,8 +88,17 @@ def open_lanes(
     return lanes
 
 
-def _prepare_passing(lane: Lane, target: Destination, options: ConvertOptions, writer: Writer) -> None:
-    """Declare a connection that passes through, re-encoded if the destination is of the other generation."""
+def _prepare_passing(
+    lane: Lane,
+    target: Destination,
+    options: ConvertOptions,
+    writer: Writer,
+    compiled: dict[tuple[str, Definition], int],
+) -> None:
+    """Declare a connection that passes through, re-encoded if the destination is of the other generation.
+
+    ``compiled`` collects the fields of the types that were compiled for re-encoding, and bounds them.
+    """
     connection = lane.connection
     entry = lane.report
     if connection.generation == target.generation and (connection.definition.data or options.repair):
@@ -109,6 +122,12 @@ def _prepare_passing(lane: Lane, target: Destination, options: ConvertOptions, w
         except MessageError as err:
             error = err
         else:
+            compiled[connection.msgtype, connection.definition] = transcoding.fields
+            if sum(compiled.values()) > _MAX_COMPILED_FIELDS:
+                raise RecordingError(
+                    f"its types have more than {_MAX_COMPILED_FIELDS} fields in all, too many to re-encode",
+                    hint="--drop or --keep chooses among the topics",
+                )
             lane.encode = transcoding.encode
             lane.passing_handle = writer.add_connection(transcoding.connection)
             if entry.action == "passed":

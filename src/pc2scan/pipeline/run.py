@@ -12,6 +12,7 @@ from itertools import chain
 from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.bags.damage import RECOVER, Damage
+from pc2scan.bags.files import state_of
 from pc2scan.bags.merged import MergedReader
 from pc2scan.bags.model import StoredChunk
 from pc2scan.bags.registry import (
@@ -23,7 +24,7 @@ from pc2scan.bags.registry import (
     plan_destination,
 )
 from pc2scan.bags.staging import staged
-from pc2scan.errors import DamageError, MessageError, ParameterError, TopicError, UsageError
+from pc2scan.errors import DamageError, MessageError, ParameterError, RecordingError, TopicError, UsageError
 from pc2scan.messages.laserscan import LASERSCAN
 
 from .acceptance import refusal
@@ -105,6 +106,7 @@ def run(
     if not sources:
         raise UsageError("no source given")
     with ExitStack() as stack:
+        states = [state_of(source) for source in sources]
         readers = _open(sources, stack, options)
         reader = _merged(readers)
         plan = _plan(reader, options)
@@ -134,6 +136,7 @@ def run(
                 _stream(reader, lanes, options, span, rule, pool, writer, report, progress)
                 if conversion.target_type == LASERSCAN:
                     report.warnings += _refusals(lanes.values(), "ros1" if target.generation == 1 else "cdr")
+                _refuse_changed(sources, states)
                 report.damage += [damage for each in (reader, *others) for damage in each.damage]
                 _compare_counts(reader, lanes, options, report)
                 writer.finish()
@@ -155,6 +158,15 @@ def _open(sources: Sequence[Path], stack: ExitStack, options: ConvertOptions) ->
         stack.callback(reader.close)
         readers.append(reader)
     return readers
+
+
+def _refuse_changed(sources: Sequence[Path], states: Sequence[object]) -> None:
+    """What was read while it was written may be a bit of both."""
+    for source, state in zip(sources, states, strict=True):
+        if state_of(source) != state:
+            raise RecordingError(
+                "was changed while it was read", path=source, hint="wait until the recording is complete, or copy it"
+            )
 
 
 def _plan(reader: Reader, options: ConvertOptions) -> Plan:
@@ -284,7 +296,7 @@ def _stream(
             for item in _cut(reader, lanes, span, rule)
         ),
         is_heavy=_is_heavy,
-        size=_held_bytes,
+        size=_KeptBytes(),
         pool=pool,
         window=options.params.queue_size or 2 * (options.jobs or _cores()),
     )
@@ -302,6 +314,21 @@ def _stream(
                 told = done
     if progress is not None:
         progress(total, total, sum(entry.messages_in for entry in report.topics))
+
+
+class _KeptBytes:
+    """How many bytes an item keeps in memory: its chunk, unless the message before it already does."""
+
+    def __init__(self) -> None:
+        # Its address: a reference would keep it.
+        self._chunk = 0
+
+    def __call__(self, item: _Item) -> int:
+        data = item.stored if isinstance(item, StoredChunk) else item[1].data
+        if not isinstance(data, memoryview):
+            return len(data)
+        known, self._chunk = self._chunk, id(data.obj)
+        return 0 if self._chunk == known else len(data.obj)  # type: ignore[arg-type]  # chunks are bytes
 
 
 def _cores() -> int:
@@ -351,10 +378,6 @@ _Item = tuple[Lane, "RawMessage"] | StoredChunk
 
 def _is_heavy(item: _Item) -> bool:
     return not isinstance(item, StoredChunk) and (item[0].convert is not None or item[0].encode is not None)
-
-
-def _held_bytes(item: _Item) -> int:
-    return len(item.stored if isinstance(item, StoredChunk) else item[1].data)
 
 
 def _work(item: _Item) -> _Outcome | StoredChunk:

@@ -43,7 +43,7 @@ from pc2scan.core.rigid import (
     inverse_pose,
     unit_quaternions,
 )
-from pc2scan.errors import TransformError
+from pc2scan.errors import RecordingError, TransformError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -66,6 +66,10 @@ MAX_REJECTIONS = 100
 
 #: Frames that an error message names.
 MAX_NAMES = 20
+
+#: Frames, and pairs of a child and a parent, that are believed; each takes about a kilobyte. Robots have hundreds.
+MAX_FRAMES = 100_000
+MAX_PAIRS = 200_000
 
 #: tf2 refuses quaternions whose squared norm differs from 1 by this or more.
 TF2_NORM_TOLERANCE = 10e-3
@@ -629,6 +633,11 @@ class TransformBuilder:
             and numbers may be anything; `build` sets aside what is unusable.
         static
             Whether they came on a static topic (``/tf_static``) or hold at any time by the user's word.
+
+        Raises
+        ------
+        RecordingError
+            If there are more frames than `MAX_FRAMES`, or more pairs than `MAX_PAIRS`.
         """
         pairs, pack = self._pairs, self._RECORD.pack
         for parent, child, stamp_ns, *pose in rows:
@@ -647,7 +656,13 @@ class TransformBuilder:
             reason = _NO_PARENT
         elif parent == child:
             reason = _SELF
-        numbers = (self._names.setdefault(name, len(self._names)) for name in (parent, child))
+        numbers = [self._names.setdefault(name, len(self._names)) for name in (parent, child)]
+        if len(self._names) > MAX_FRAMES or len(self._pairs) > MAX_PAIRS:
+            raise RecordingError(
+                f"the transforms have more than {MAX_FRAMES:,} frames or {MAX_PAIRS:,} pairs of frames, "
+                "which no robot has",
+                hint="--tf-topic names the topics whose transforms count",
+            )
         self._pair_table.extend((*numbers, reason))
         return pair
 

@@ -1,0 +1,117 @@
+"""SQLite databases whose tables are not what they seem."""
+
+from __future__ import annotations
+
+import sqlite3
+import struct
+from contextlib import closing
+from typing import TYPE_CHECKING
+
+import pytest
+
+from builders import CONTENT, write_db3
+from hostile.bounded import run_bounded
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+_NO_MESSAGES = "ALTER TABLE messages RENAME TO kept;"
+_ROWS = "id, topic_id, timestamp, data"
+
+ENDLESS = {
+    "a view without end": f"{_NO_MESSAGES} CREATE VIEW messages({_ROWS}) AS WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL "
+    "SELECT i + 1 FROM n) SELECT i, 4, i, x'00' FROM n;",
+    "a view of huge values": f"{_NO_MESSAGES} CREATE VIEW messages({_ROWS}) AS SELECT 1, 4, 1, zeroblob(900000000);",
+    "a generated column": f"{_NO_MESSAGES} CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp "
+    "INTEGER, data BLOB AS (zeroblob(900000000))); INSERT INTO messages(topic_id, timestamp) VALUES (4, 1);",
+    "a virtual table": f"{_NO_MESSAGES} CREATE VIRTUAL TABLE messages USING fts5({_ROWS});",
+    "topics from a view": "ALTER TABLE topics RENAME TO old; CREATE VIEW topics AS SELECT * FROM old;",
+}
+
+
+def changed(folder: Path, script: str) -> Path:
+    source = write_db3(folder / "drive.db3", CONTENT)
+    with closing(sqlite3.connect(source)) as database:
+        database.executescript(script)
+    return source
+
+
+@pytest.mark.parametrize("name", ENDLESS)
+def test_tables_that_are_made_up(name: str, tmp_path: Path) -> None:
+    done = run_bounded(tmp_path, "convert", changed(tmp_path, ENDLESS[name]))
+    assert done.status == 1, done.stdout
+    assert "drive.db3" in done.stderr
+
+
+OTHER_KINDS = [
+    "UPDATE topics SET name = x'ff00ff'",
+    "UPDATE topics SET name = NULL",
+    "UPDATE topics SET type = 7",
+    "UPDATE topics SET serialization_format = 1.5",
+    "UPDATE topics SET offered_qos_profiles = x'80'",
+    "UPDATE messages SET timestamp = 'tomorrow'",
+    "UPDATE messages SET timestamp = 1.5 WHERE id = 4",
+    "UPDATE messages SET timestamp = x'00' WHERE id = 4",
+    "UPDATE messages SET timestamp = -9223372036854775808 WHERE id = 4",
+    "UPDATE messages SET timestamp = 9223372036854775807 WHERE id = 4",
+    "UPDATE messages SET topic_id = 'x'",
+    "UPDATE messages SET topic_id = 1.5",
+    "UPDATE messages SET data = 7",
+    "UPDATE messages SET data = x''",
+    "UPDATE messages SET data = 'text'",
+    "UPDATE message_definitions SET encoded_message_definition = 7",
+    "UPDATE message_definitions SET encoding = x'ff'",
+    "UPDATE message_definitions SET topic_type = NULL",
+    "DELETE FROM topics",
+]
+
+
+@pytest.mark.parametrize("statement", OTHER_KINDS)
+@pytest.mark.parametrize("destination", ["out.bag", "out.mcap", "out"])
+def test_values_of_other_kinds(statement: str, destination: str, tmp_path: Path) -> None:
+    loose = "".join(
+        f"ALTER TABLE {table} RENAME TO old; CREATE TABLE {table} AS SELECT * FROM old; DROP TABLE old;"
+        for table in ("topics", "messages", "message_definitions")
+    )
+    # Tables made of a query constrain nothing.
+    source = changed(tmp_path, f"{loose} {statement};")
+    done = run_bounded(tmp_path, "convert", source, "-o", tmp_path / destination, "--keep-clouds")
+    assert done.status in (0, 1, 2, 3)
+    assert (tmp_path / destination).exists() == (done.status in (0, 3))
+
+
+def test_a_tree_of_pages_that_leads_back_to_itself(tmp_path: Path) -> None:
+    """Every inner page's children are that page: SQLite would go down twenty levels, and never be done."""
+    source = changed(
+        tmp_path,
+        "INSERT INTO messages(topic_id, timestamp, data) WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 "
+        "FROM n WHERE i < 3000) SELECT 4, i, randomblob(900) FROM n; DROP INDEX timestamp_idx;",
+    )
+    with closing(sqlite3.connect(source)) as database:
+        (root,) = database.execute("SELECT rootpage FROM sqlite_master WHERE name = 'messages'").fetchone()
+        (size,) = database.execute("PRAGMA page_size").fetchone()
+    data = bytearray(source.read_bytes())
+    page = (root - 1) * size
+    assert data[page] == 5, "the root is an inner page of a table"
+    (cells,) = struct.unpack_from(">H", data, page + 3)
+    leaf = struct.unpack_from(">I", data, page + 8)[0]
+    inner = bytearray(data[page : page + size])
+    for number in range(cells):
+        (cell,) = struct.unpack_from(">H", inner, 12 + 2 * number)
+        struct.pack_into(">I", inner, cell, leaf)
+    # Twenty inner pages, each of whose children are the next; the last one's are one leaf.
+    count = len(data) // size
+    pages = [bytearray(inner) for _ in range(15)]
+    for number, copy in enumerate(pages):
+        child = count + number + 2 if number + 1 < len(pages) else leaf
+        for place in (8, *(struct.unpack_from(">H", inner, 12 + 2 * n)[0] for n in range(cells))):
+            struct.pack_into(">I", copy, place, child)
+    top = bytearray(inner)
+    for place in (8, *(struct.unpack_from(">H", inner, 12 + 2 * n)[0] for n in range(cells))):
+        struct.pack_into(">I", top, place, count + 1)
+    data[page : page + size] = top
+    data += b"".join(pages)
+    struct.pack_into(">I", data, 28, len(data) // size)
+    source.write_bytes(data)
+    done = run_bounded(tmp_path, "convert", source, seconds=60)
+    assert done.status in (1, 3)

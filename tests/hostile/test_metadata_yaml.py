@@ -1,0 +1,153 @@
+"""metadata.yaml from a stranger: paths out of the directory, tags, aliases, depth and length."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from typing import TYPE_CHECKING
+
+import pytest
+
+from builders import CONTENT, POINTS, Recording, write_mcap, write_rosbag2
+from hostile.bounded import run_bounded
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+@pytest.fixture
+def drive(tmp_path: Path) -> Path:
+    return write_rosbag2(tmp_path / "drive", CONTENT)
+
+
+def with_text(drive: Path, old: str, new: str) -> None:
+    path = drive / "metadata.yaml"
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+
+
+@pytest.mark.parametrize("name", ["../secret.db3", "/{outside}/secret.db3", "..\\secret.db3", "a/../../secret.db3"])
+def test_a_path_that_leads_out_of_the_directory(name: str, drive: Path, tmp_path: Path) -> None:
+    shutil.copy(drive / "drive_0.db3", tmp_path / "secret.db3")
+    with_text(drive, "- drive_0.db3", f"- {name.format(outside=tmp_path)}")
+    done = run_bounded(tmp_path, "convert", drive)
+    assert done.status == 1
+    assert "names secret.db3, which is not in the directory" in done.stderr
+
+
+@pytest.mark.parametrize("target", ["/dev/zero", "folder", "fifo", "missing"])
+def test_a_link_to_what_is_no_file_is_not_followed(target: str, drive: Path, tmp_path: Path) -> None:
+    """A link to a file is that file: data sets are kept so. Anything else would have no end, or none to wait for."""
+    (tmp_path / "folder").mkdir()
+    os.mkfifo(tmp_path / "fifo")
+    (drive / "drive_0.db3").unlink()
+    (drive / "drive_0.db3").symlink_to(tmp_path / target)
+    done = run_bounded(tmp_path, "info", drive)
+    assert done.status == 1
+    assert "drive_0.db3" in done.stderr
+
+
+@pytest.mark.parametrize("metadata", [True, False])
+def test_a_link_within_the_directory_is_a_file_like_others(metadata: bool, drive: Path, tmp_path: Path) -> None:
+    (drive / "drive_0.db3").rename(drive / "real.bin")
+    (drive / "drive_0.db3").symlink_to("real.bin")
+    if not metadata:
+        (drive / "metadata.yaml").unlink()
+    assert run_bounded(tmp_path, "info", drive).status == 0
+
+
+PLANTED = "touched-by-a-tag"
+TAGS = {
+    "apply": "!!python/object/apply:os.system ['touch {place}']",
+    "new": "!!python/object/new:os.system ['touch {place}']",
+    "module": "!!python/module:os",
+    "name": "!!python/name:os.system",
+    "eval": "!!python/object/apply:eval [\"open('{place}', 'w')\"]",
+    "own": "!evil",
+}
+
+
+@pytest.mark.parametrize("tag", TAGS)
+def test_tags_construct_nothing(tag: str, drive: Path, tmp_path: Path) -> None:
+    place = tmp_path / PLANTED
+    with_text(drive, "custom_data: ~", f"custom_data: {TAGS[tag].format(place=place)}")
+    done = run_bounded(tmp_path, "convert", drive)
+    assert done.status == 1
+    assert "is not valid YAML" in done.stderr
+    assert not place.exists()
+
+
+LAUGHS = "a0: &a0 [ha, ha, ha, ha, ha, ha, ha, ha, ha]\n" + "".join(
+    f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]\n" for n in range(1, 40)
+)
+MERGES = "m0: &m0 {ha: 1}\n" + "".join(f"m{n}: &m{n} {{<<: [{', '.join([f'*m{n - 1}'] * 9)}]}}\n" for n in range(1, 40))
+BOMBS = {
+    "laughs": LAUGHS,
+    "merges": MERGES,
+    "itself": "a: &a [*a]\n",
+    "brackets": "a: " + "[" * 100_000 + "\n",
+    "braces": "a: " + "{" * 100_000 + "\n",
+    "dashes": "a:\n " + "- " * 100_000 + "\n",
+    "digits": "a: " + "9" * 100_000 + "\n",
+    "length": "# a comment\n" * 100_000,
+    "values": "".join(f"a{n}: v\n" for n in range(30_000)),
+    "nul": "a: \x00\n",
+}
+
+
+@pytest.mark.parametrize("bomb", BOMBS)
+def test_yaml_that_unfolds(bomb: str, drive: Path, tmp_path: Path) -> None:
+    path = drive / "metadata.yaml"
+    path.write_text(path.read_text() + BOMBS[bomb])
+    done = run_bounded(tmp_path, "info", drive)
+    assert done.status in (0, 1), done.stderr
+
+
+def test_aliases_that_unfold_in_what_is_made_text(drive: Path, tmp_path: Path) -> None:
+    """``custom_data`` and QoS profiles are written out again, with every alias in its full length."""
+    aliases = LAUGHS.replace("\n", "\n    ")
+    with_text(drive, "  custom_data: ~", f"  custom_data:\n    {aliases}".rstrip())
+    done = run_bounded(tmp_path, "convert", drive)
+    assert done.status == 1
+    assert "its aliases multiply" in done.stderr
+
+
+@pytest.mark.parametrize(
+    "qos", ["- durability: " + "[" * 50_000, LAUGHS, "- depth: 1\n" * 5_900, "- a: !!python/name:os.system"]
+)
+def test_profiles_that_are_none_pass_as_they_are(qos: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("builders.qos_text", lambda *_, **__: qos)
+    recording = Recording((POINTS,), tuple(CONTENT.of("/points")))
+    source = write_mcap(tmp_path / "a.mcap", recording)
+    for storage in ("mcap", "sqlite3"):
+        done = run_bounded(tmp_path, "convert", source, "-o", tmp_path / storage, "--storage", storage)
+        assert done.status == 0, done.stderr
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("version: 8", "version: 99999999999999999999"),
+        ("version: 8", "version: .nan"),
+        ("storage_identifier: sqlite3", "storage_identifier: [sqlite3]"),
+        ("storage_identifier: sqlite3", "storage_identifier: ../../../lib/evil"),
+        ("- drive_0.db3", "- .."),
+        ("- drive_0.db3", "- ~"),
+        ("- drive_0.db3", "- {a: b}"),
+        ("- drive_0.db3", '- "drive_0.db3\\0.txt"'),
+        ("- drive_0.db3", "- metadata.yaml"),
+        ("name: /points", "name: [1]"),
+        ('compression_mode: ""', "compression_mode: {}"),
+    ],
+)
+def test_values_of_other_kinds(old: str, new: str, drive: Path, tmp_path: Path) -> None:
+    with_text(drive, old, new)
+    assert run_bounded(tmp_path, "info", drive).status == 1
+
+
+def test_a_topic_that_only_metadata_knows_is_a_topic(drive: Path, tmp_path: Path) -> None:
+    with_text(drive, "name: /chatter", 'name: "/chat\\e[2Jter"')
+    done = run_bounded(tmp_path, "info", drive, "--json")
+    assert "/chat\x1b[2Jter" in {topic["topic"] for topic in json.loads(done.stdout)["topics"]}

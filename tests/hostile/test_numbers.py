@@ -1,0 +1,157 @@
+"""Stamps and values that cannot be, and frame trees that no robot has."""
+
+from __future__ import annotations
+
+import struct
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from builders import (
+    MOUNT,
+    POINTS,
+    T0,
+    Item,
+    Mcap,
+    Recording,
+    Stream,
+    cloud,
+    item,
+    points_of,
+    scan,
+    write_mcap,
+    write_rosbag1,
+)
+from e2e.outputs import opened
+from hostile.bounded import run_bounded
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+
+def links(count: int, *, loop: bool = False) -> Iterator[bytes]:
+    """ROS 1's TFMessages of a thousand transforms each: a chain of so many frames, closed for a loop."""
+    for begin in range(0, count, 1_000):
+        rows = []
+        for number in range(begin, begin + 1_000):
+            parent, child = b"f%d" % number, b"f%d" % ((number + 1) % count if loop else number + 1)
+            head = struct.pack("<4I", 0, 5, 0, len(parent)) + parent + struct.pack("<I", len(child)) + child
+            rows.append(head + struct.pack("<7d", 1, 0, 0, 0, 0, 0, 1))
+        yield struct.pack("<I", 1_000) + b"".join(rows)
+
+
+def tree(path: Path, count: int, *, loop: bool = False) -> Path:
+    items = [Item(MOUNT, T0 + n, {1: data}) for n, data in enumerate(links(count, loop=loop))]
+    last = cloud(points_of(1), 1, frame_id=f"f{count // 2 if loop else count}")
+    return write_rosbag1(path, Recording((MOUNT, POINTS), (*items, Item(POINTS, T0 + len(items), {1: last}))), "bz2")
+
+
+@pytest.mark.parametrize("command", [("tf",), ("convert", "--target-frame", "f0")])
+def test_a_frame_tree_of_a_million_nodes(command: tuple[str, ...], tmp_path: Path) -> None:
+    source = tree(tmp_path / "a.bag", 1_000_000)
+    done = run_bounded(tmp_path, command[0], source, *command[1:])
+    assert done.status == 1
+    assert "more than 100,000 frames" in done.stderr
+
+
+def test_a_chain_of_fifty_thousand_frames(tmp_path: Path) -> None:
+    source = tree(tmp_path / "a.bag", 50_000)
+    done = run_bounded(tmp_path, "tf", source, "--lookup", "f0", "f50000")
+    assert done.status == 0
+    assert "x 50000.000000" in done.stdout
+
+
+def test_frames_that_form_a_loop(tmp_path: Path) -> None:
+    source = tree(tmp_path / "a.bag", 20_000, loop=True)
+    done = run_bounded(tmp_path, "convert", source, "--target-frame", "f3")
+    assert done.status == 3
+    assert "contains a loop" in done.stderr
+    assert run_bounded(tmp_path, "tf", source).status == 0
+
+
+STAMPS = {
+    "negative": (-(2**31), 0),
+    "last": (2**31 - 1, 2**32 - 1),
+    "nanoseconds beyond a second": (0, 2**32 - 1),
+    "zero": (0, 0),
+}
+
+
+@pytest.mark.parametrize("stamp", STAMPS)
+@pytest.mark.parametrize("destination", ["out.bag", "out.mcap", "out"])
+def test_stamps_that_cannot_be(stamp: str, destination: str, tmp_path: Path) -> None:
+    data = bytearray(cloud(points_of(1), 2))
+    struct.pack_into("<iI", data, 4, *STAMPS[stamp])
+    source = write_mcap(tmp_path / "a.mcap", Recording((POINTS,), (Item(POINTS, T0, {2: bytes(data)}),)))
+    done = run_bounded(tmp_path, "convert", source, "-o", tmp_path / destination)
+    # ROS 1 has no negative stamps.
+    assert done.status == (3 if (stamp, destination) == ("negative", "out.bag") else 0), done.stderr
+    assert len(opened(tmp_path / destination).scans()) == (1 if done.status == 0 else 0)
+
+
+@pytest.mark.parametrize("log_time_ns", [0, 2**63 - 1, 2**63, 2**64 - 1])
+@pytest.mark.parametrize("destination", ["out.bag", "out.mcap", "out", "sqlite3"])
+def test_log_times_that_cannot_be(log_time_ns: int, destination: str, tmp_path: Path) -> None:
+    data = cloud(points_of(1), 2)
+    late = Item(POINTS, max(log_time_ns, 1_001), {2: data})
+    source = write_mcap(tmp_path / "a.mcap", Recording((POINTS,), (late, Item(POINTS, T0, {2: data}))), Mcap())
+    storage = ("--storage", "sqlite3") if destination == "sqlite3" else ()
+    done = run_bounded(tmp_path, "convert", source, "-o", tmp_path / destination, *storage)
+    assert done.status in (0, 1, 3), done.stderr
+    assert (tmp_path / destination).exists() == (done.status != 1)
+    assert run_bounded(tmp_path, "info", source).status in (0, 1)
+
+
+VALUES = (np.nan, np.inf, -np.inf, 3.4e38, -3.4e38, 1e-45, 0.0)
+
+
+def test_clouds_of_values_that_are_no_places(tmp_path: Path) -> None:
+    grid = np.array([(x, y, z) for x in VALUES for y in VALUES for z in VALUES], np.float32)
+    items = [item(POINTS, T0, lambda g, _: cloud(grid, g)), item(POINTS, T0 + 1, lambda g, _: cloud(grid[::-1], g))]
+    source = write_mcap(tmp_path / "a.mcap", Recording((POINTS,), tuple(items)))
+    done = run_bounded(tmp_path, "convert", source, "-o", tmp_path / "out.mcap", "--min-height=-inf")
+    assert done.status == 0, done.stderr
+    first, second = (found.ranges for found in opened(tmp_path / "out.mcap").scans())
+    assert not np.isnan(first).any()
+    np.testing.assert_array_equal(first, second)
+    assert run_bounded(tmp_path, "info", source).status == 0
+
+
+def test_scans_of_values_that_are_no_distances(tmp_path: Path) -> None:
+    laser = Stream("/laser", "sensor_msgs/msg/LaserScan")
+    made = item(laser, T0, lambda g, _: scan(np.array(VALUES, np.float32), g))
+    data = bytearray(made.data[2])
+    # Angles and times too: all seven.
+    struct.pack_into("<7f", data, 4 + 20, *VALUES)
+    recording = Recording((laser,), (made, Item(laser, T0 + 1, {2: bytes(data)})))
+    source = write_mcap(tmp_path / "a.mcap", recording)
+    done = run_bounded(tmp_path, "convert", source, "--reverse")
+    assert done.status in (0, 3), done.stderr
+
+
+def test_transforms_of_values_that_are_no_places(tmp_path: Path) -> None:
+    rows = b"".join(
+        struct.pack("<4I", 0, 5 + n, 0, 4) + b"base" + struct.pack("<I", 5) + b"lidar" + struct.pack("<7d", *pose)
+        for n, pose in enumerate([(value,) * 7 for value in VALUES] + [(0, 0, 1, 0, 0, 0, value) for value in VALUES])
+    )
+    transforms = Item(MOUNT, T0, {1: struct.pack("<I", 2 * len(VALUES)) + rows})
+    points = Item(POINTS, T0 + 1, {1: cloud(points_of(1), 1, stamp_ns=12 * 10**9)})
+    source = write_rosbag1(tmp_path / "a.bag", Recording((MOUNT, POINTS), (transforms, points)))
+    done = run_bounded(tmp_path, "convert", source, "--target-frame", "base")
+    assert done.status in (0, 3), done.stderr
+    assert "TF_NAN_INPUT" in done.stderr
+    assert run_bounded(tmp_path, "tf", source).status == 0
+
+
+@pytest.mark.parametrize(
+    "parameter",
+    ["angle_increment:=.nan", "angle_increment:=1e-300", "range_max:=.nan", "angle_max:=.inf", "scan_time:=-.inf"],
+)
+def test_parameters_that_cannot_be(parameter: str, tmp_path: Path) -> None:
+    source = write_mcap(
+        tmp_path / "a.mcap", Recording((POINTS,), (item(POINTS, T0, lambda g, _: cloud(points_of(1), g)),))
+    )
+    done = run_bounded(tmp_path, "convert", source, "--param", parameter)
+    assert done.status in (0, 2), done.stderr

@@ -1,0 +1,227 @@
+"""Lengths and counts that promise more than there is, and compressed data that unfold to more than anybody has."""
+
+from __future__ import annotations
+
+import bz2
+import io
+import sqlite3
+import struct
+from contextlib import closing
+from typing import TYPE_CHECKING
+
+import lz4.frame
+import numpy as np
+import pytest
+import zstandard
+from mcap.records import Schema
+
+from bags import mcap_files, rosbag1_files
+from builders import CHATTER, CLOUD, CONTENT, POINTS, T0, Item, Recording, cloud, item, points_of, write_rosbag2
+from hostile.bounded import run_bounded
+from pc2scan.bags.mcap_records import MAGIC
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+#: More than the bounds allow, and of zeros: a few kilobytes when compressed.
+HUGE = 400_000_000
+
+#: A channel of clouds without a definition.
+DECLARED: bytes = mcap_files.encoded(Schema(id=1, name=CLOUD, encoding="ros2msg", data=b"")) + mcap_files.raw_channel(
+    topic="/points", schema=1
+)
+
+
+def zero_cloud(size: int, generation: int) -> bytes:
+    """A cloud whose points are ``size`` bytes of zeros."""
+    empty = cloud(np.empty((0, 3), np.float32), generation)
+    # Width, row_step and the length of the data are the numbers of points; is_dense is the last byte.
+    head, tail = bytearray(empty[:-1]), empty[-1:]
+    head[-4:] = struct.pack("<I", size)
+    head[-8:-4] = struct.pack("<I", size)
+    # ROS 1: seq, stamp, length and text. CDR: stamp, length, text and NUL, counted from behind its own header.
+    at = 16 + 5 if generation == 1 else 4 + (12 + 6 + 2)
+    struct.pack_into("<II", head, at, 1, size // 12)
+    return bytes(head) + bytes(size) + tail
+
+
+def mcap_of(path: Path, message: bytes, compression: str, pack: Callable[[bytes], bytes]) -> Path:
+    """An MCAP file of one chunk with one cloud."""
+    body = DECLARED + mcap_files.raw_message(data=message)
+    return mcap_files.raw_file(path, mcap_files.raw_chunk(body, compression=compression, packed=pack(body)))
+
+
+def bag_of(path: Path, message: bytes, compression: str, pack: Callable[[bytes], bytes]) -> Path:
+    """A ROS 1 bag of one chunk with one cloud."""
+    payload = rosbag1_files.message(5, message)
+    connection = rosbag1_files.connection_record(type=b"sensor_msgs/PointCloud2")
+    return rosbag1_files.simple_bag(
+        path, payload, compression=compression, stored=pack(payload), connections=(connection,)
+    )
+
+
+BOMBS = {
+    "mcap-zstd": ("a.mcap", 2, lambda path, data: mcap_of(path, data, "zstd", zstandard.compress)),
+    "mcap-lz4": ("a.mcap", 2, lambda path, data: mcap_of(path, data, "lz4", lz4.frame.compress)),
+    "bag-lz4": ("a.bag", 1, lambda path, data: bag_of(path, data, "lz4", lz4.frame.compress)),
+    "bag-bz2": ("a.bag", 1, lambda path, data: bag_of(path, data, "bz2", bz2.compress)),
+}
+
+
+@pytest.mark.parametrize("command", ["info", "convert"])
+@pytest.mark.parametrize("kind", BOMBS)
+def test_a_chunk_that_unfolds_to_more_than_may_be(kind: str, command: str, tmp_path: Path) -> None:
+    name, generation, make = BOMBS[kind]
+    source = make(tmp_path / name, zero_cloud(HUGE, generation))
+    assert source.stat().st_size < 5_000_000
+    done = run_bounded(tmp_path, command, source)
+    assert done.status == 1
+    assert "may be" in done.stderr
+
+
+@pytest.mark.parametrize("kind", ["mcap-zstd", "mcap-lz4", "bag-lz4"])
+@pytest.mark.parametrize("command", [("info",), ("convert", "--keep-clouds", "--overwrite")])
+def test_a_chunk_as_large_as_may_be(kind: str, command: tuple[str, ...], tmp_path: Path) -> None:
+    name, generation, make = BOMBS[kind]
+    source = make(tmp_path / name, zero_cloud(31_200_000, generation))
+    first, *options = command
+    done = run_bounded(tmp_path, first, source, *options)
+    assert done.status == 0, done.stderr
+    assert "2,600,000" in done.stdout
+
+
+@pytest.mark.parametrize("storage", ["sqlite3", "mcap"])
+@pytest.mark.parametrize("told", [True, False])
+def test_a_message_that_unfolds_to_more_than_may_be(storage: str, told: bool, tmp_path: Path) -> None:
+    bomb = zstandard.ZstdCompressor(write_content_size=told).compress(zero_cloud(HUGE, 2))
+    stored = Recording((POINTS,), (Item(POINTS, T0, {2: bomb}),))
+    source = write_rosbag2(tmp_path / "drive", stored, storage=storage, version=5)
+    text = (source / "metadata.yaml").read_text().replace('mode: ""', "mode: MESSAGE")
+    (source / "metadata.yaml").write_text(text.replace('format: ""', "format: zstd"))
+    done = run_bounded(tmp_path, "convert", source)
+    assert done.status in (1, 3)
+    assert "unpacks to more than" in done.stderr
+
+
+def test_a_file_that_unfolds_to_more_than_may_be(tmp_path: Path) -> None:
+    packed = io.BytesIO()
+    with zstandard.ZstdCompressor().stream_writer(packed, closefd=False) as writer:
+        writer.write(MAGIC)
+        for _ in range(300):
+            writer.write(bytes(1_000_000))
+    (tmp_path / "a.mcap.zst").write_bytes(packed.getvalue())
+    done = run_bounded(tmp_path, "convert", tmp_path / "a.mcap.zst")
+    assert done.status == 1
+    assert "1000 times its size" in done.stderr
+
+
+def lied(data: bytes, place: int, value: int) -> bytes:
+    return data[:place] + struct.pack("<I", value) + data[place + 4 :]
+
+
+@pytest.mark.parametrize("generation", [1, 2])
+def test_every_number_of_a_cloud_may_be_the_largest_there_is(generation: int, tmp_path: Path) -> None:
+    """Frame's length, height, width, fields, their names, offsets and counts, point_step, row_step, data's length."""
+    sound = cloud(points_of(0), generation)
+    head = len(sound) - 12 * 60 - 1
+    places = range(4 if generation == 2 else 0, head - 3)
+    payloads = [lied(sound, place, value) for place in places for value in (0, 1 << 31, 0xFFFF_FFFF)]
+    items = [Item(POINTS, T0 + step, {generation: data}) for step, data in enumerate(payloads)]
+    recording = Recording((POINTS,), tuple(items))
+    if generation == 1:
+        from builders import write_rosbag1
+
+        source = write_rosbag1(tmp_path / "a.bag", recording)
+    else:
+        from builders import write_mcap
+
+        source = write_mcap(tmp_path / "a.mcap", recording)
+    for command in (("info", "--samples", "400"), ("convert", "--min-height", "-9")):
+        done = run_bounded(tmp_path, command[0], source, *command[1:])
+        assert done.status in (0, 3), done.stderr
+
+
+def test_fields_without_number(tmp_path: Path) -> None:
+    """As many fields as fit into 20 MB, and all of them there."""
+    from builders import write_mcap
+
+    base = cloud(points_of(0), 2)
+    # Frame "lidar": the number of fields follows height and width.
+    at = 4 + 12 + len(b"lidar\0") + 2 + 8
+    (count,) = struct.unpack_from("<I", base, at)
+    assert count == 3
+    field = struct.pack("<I2sxxIBxxxI", 2, b"x\0", 0, 7, 1)
+    data = base[:at] + struct.pack("<I", 1_000_000) + field * 1_000_000 + base[at + 4 + 3 * len(field) :]
+    source = write_mcap(tmp_path / "a.mcap", Recording((POINTS,), (Item(POINTS, T0, {2: data}),)))
+    done = run_bounded(tmp_path, "convert", source)
+    assert done.status == 3
+    assert "declares 1000000 fields" in done.stderr
+
+
+def test_connections_without_number_in_a_bag(tmp_path: Path) -> None:
+    records = [rosbag1_files.connection_record(number) for number in range(1_000)]
+    head = rosbag1_files.bag_header(len(rosbag1_files.bag_header(0, 0, 0)), 1_000_000, 0)
+    (tmp_path / "a.bag").write_bytes(head + b"".join(records) * 200)
+    done = run_bounded(tmp_path, "info", tmp_path / "a.bag")
+    assert done.status in (1, 3), done.stdout
+
+
+def test_connections_without_number_in_a_database(tmp_path: Path) -> None:
+    source = write_rosbag2(tmp_path / "drive", CONTENT, metadata=False)
+    (database,) = source.glob("*.db3")
+    with closing(sqlite3.connect(database)) as opened, opened:
+        opened.execute(
+            "INSERT INTO topics WITH RECURSIVE n(i) AS (SELECT 100 UNION ALL SELECT i + 1 FROM n WHERE i < 500000) "
+            "SELECT i, '', '', '', '', '' FROM n"
+        )
+    done = run_bounded(tmp_path, "convert", source)
+    assert done.status == 1
+    assert "more than 100000 topics" in done.stderr
+
+
+def test_all_the_channels_that_mcap_has_numbers_for(tmp_path: Path) -> None:
+    channels = b"".join(mcap_files.raw_channel(number, f"/{number}") for number in range(1, 65_536))
+    source = mcap_files.raw_file(tmp_path / "a.mcap", channels + mcap_files.raw_message(7))
+    done = run_bounded(tmp_path, "info", source)
+    assert done.status == 0
+    assert done.stdout.count("\n") > 65_000
+
+
+def test_one_chunk_may_not_be_in_a_bag_many_times(tmp_path: Path) -> None:
+    payload = b"".join(rosbag1_files.message(5, bytes(1_000)) for _ in range(20_000))
+    body = rosbag1_files.chunk(payload, "bz2")
+    info = rosbag1_files.chunk_info(rosbag1_files.FIRST_CHUNK, 1, 9, {0: 20_000})
+    head = rosbag1_files.bag_header(rosbag1_files.FIRST_CHUNK + len(body), 1, 10_000)
+    connection = rosbag1_files.connection_record(type=b"sensor_msgs/PointCloud2")
+    (tmp_path / "a.bag").write_bytes(head + body + connection + info * 10_000)
+    done = run_bounded(tmp_path, "info", tmp_path / "a.bag")
+    assert done.status in (0, 1, 3)
+
+
+def test_many_chunks_that_overlap_in_time(tmp_path: Path) -> None:
+    """Each may be held until its last message is due; together they must not be."""
+    data = zero_cloud(15_600_000, 2)
+    chunks = []
+    for number in range(12):
+        body = mcap_files.raw_message(1, number, data) + mcap_files.raw_message(1, 1_000 + number, data)
+        times = {"message_start_time": number, "message_end_time": 1_000 + number}
+        chunks.append(mcap_files.raw_chunk(body, compression="zstd", packed=zstandard.compress(body), **times))
+    source = mcap_files.raw_file(tmp_path / "a.mcap", DECLARED, *chunks)
+    done = run_bounded(tmp_path, "convert", source, "--keep-clouds", seconds=60)
+    assert done.status == 0, done.stderr
+
+
+def test_strings_that_go_on_for_ever(tmp_path: Path) -> None:
+    """A name of a megabyte is cut on the screen, or each line of its table would be as long."""
+    from builders import Stream, write_mcap
+
+    long = Stream("/" + "a" * 1_000_000, POINTS.msgtype)
+    others = [Stream(f"/b{number}", CHATTER.msgtype) for number in range(100)]
+    made = item(long, T0, lambda g, _: cloud(points_of(0), g, frame_id="f" * 1_000_000))
+    source = write_mcap(tmp_path / "a.mcap", Recording((long, *others), (made,)))
+    for command in ("info", "convert"):
+        done = run_bounded(tmp_path, command, source)
+        assert done.status == 0, done.stderr
+        assert len(done.stdout) < 100_000
+        assert "(1000001 chars)" in done.stdout
