@@ -218,7 +218,7 @@ def decode(name: str, data: bytes) -> None:
 
 def main() -> None:
     """Let atheris look for inputs that reach new code."""
-    import atheris  # type: ignore[import-not-found, unused-ignore]
+    import atheris
 
     name, *rest = sys.argv[1:]
     atheris.instrument_all()

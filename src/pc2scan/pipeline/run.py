@@ -23,7 +23,7 @@ from pc2scan.bags.registry import (
     plan_destination,
 )
 from pc2scan.bags.staging import staged
-from pc2scan.errors import DamageError, MessageError, RecordingError, TopicError, UsageError
+from pc2scan.errors import DamageError, MessageError, OutputError, RecordingError, TopicError, UsageError
 
 from .frames import Frames, is_static, read_transforms
 from .lanes import Lane, carry_extras, open_lanes, write_static
@@ -371,6 +371,9 @@ def _write(outcome: _Outcome, writer: Writer, report: Report, on_error: str) -> 
 
 def _size(path: Path) -> int:
     """Bytes of a file, or of the files in a folder."""
-    if path.is_dir():
-        return sum(file.stat().st_size for file in path.iterdir())
-    return path.stat().st_size
+    try:
+        if path.is_dir():
+            return sum(file.stat().st_size for file in path.iterdir())
+        return path.stat().st_size
+    except OSError as err:
+        raise OutputError(f"is gone: {err.strerror}", path=path) from err
