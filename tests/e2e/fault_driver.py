@@ -9,6 +9,7 @@ from __future__ import annotations
 import ctypes
 import errno
 import hashlib
+import json
 import os
 import random
 import shutil
@@ -137,19 +138,26 @@ def chosen(calls: list[list[str]], fault: str, case: str) -> list[int]:
     return [n for n, (call, _) in enumerate(calls, 1) if n >= first and (fault != "EIO" or call != "write")]
 
 
+def tell(fault: str, outcome: dict[str, Any]) -> None:
+    """Print an outcome on a line."""
+    sys.stdout.write(json.dumps({"fault": fault, **outcome}) + "\n")
+    sys.stdout.flush()
+
+
 def main() -> None:
     """Print an outcome a line."""
     library, source, folder, case, *faults = sys.argv[1:]
     runs = Runs(ctypes.CDLL(library), Path(source), Path(folder), case)
     sound = runs.run()
+    tell("", sound)
     for name in faults:
         if name in _FAULTS:
-            for _at in chosen(sound["calls"], name, case):
-                pass
+            for at in chosen(sound["calls"], name, case):
+                tell(name, runs.run(at, _FAULTS[name]))
         else:
             rng = random.Random(case)
             for _ in range(int(name)):
-                rng.uniform(0, 1.1 * sound["seconds"])
+                tell("timed", runs.run(kill_after=rng.uniform(0, 1.1 * sound["seconds"])))
 
 
 if __name__ == "__main__":

@@ -268,7 +268,8 @@ def test_a_worker_that_fails(
 @pytest.mark.parametrize("kind", ["itself", "a link", "a hard link", "through a linked folder"])
 def test_a_destination_that_is_the_source(kind: str, tmp_path: Path) -> None:
     source = write_rosbag1(
-        tmp_path / "drive.bag", Recording((POINTS,), (item(POINTS, T0, lambda g, _: cloud(np.ones((9, 3)), g)),))
+        tmp_path / "drive.bag",
+        Recording((POINTS,), (item(POINTS, T0, lambda g, _: cloud(np.ones((9, 3), np.float32), g)),)),
     )
     before = source.read_bytes()
     destination = {

@@ -13,6 +13,7 @@ import argparse
 import random
 import shutil
 import struct
+import sys
 import tempfile
 import time
 import traceback
@@ -209,9 +210,11 @@ def main() -> None:
             if isinstance(err, KeyboardInterrupt):
                 raise
             findings += 1
-            traceback.print_exc()
+            sys.stdout.write(f"seed {seed}: {place}\n{traceback.format_exc()}")
+            sys.stdout.flush()
         seed += 1
-    time.monotonic() - began
+    seconds, count = time.monotonic() - began, seed - arguments.seed
+    sys.stdout.write(f"{count} recordings in {seconds:.0f} s from seed {arguments.seed} on, {findings} findings\n")
 
 
 if __name__ == "__main__":

@@ -717,7 +717,7 @@ def test_hostile_names_are_refused_before_any_code_is_made(connection: Connectio
 @pytest.mark.parametrize("text", ['\\"' * 500_000, '"\\' * 500_000, "/* " * 300_000, '@a("\\"' * 100_000])
 def test_texts_without_an_end_take_no_time(text: str) -> None:
     """Looking for the end of each would take the square of their number: hours."""
-    with pytest.raises(DecodeError, match="without an end|cannot be read|parentheses"):
+    with pytest.raises(DecodeError, match=r"without an end|cannot be read|parentheses"):
         transcoder(ros2(text, encoding="ros2idl"), 1)
 
 

@@ -24,7 +24,15 @@ from pc2scan.bags.registry import (
     plan_destination,
 )
 from pc2scan.bags.staging import staged
-from pc2scan.errors import DamageError, MessageError, ParameterError, RecordingError, TopicError, UsageError
+from pc2scan.errors import (
+    DamageError,
+    MessageError,
+    OutputError,
+    ParameterError,
+    RecordingError,
+    TopicError,
+    UsageError,
+)
 from pc2scan.messages.laserscan import LASERSCAN
 
 from .acceptance import refusal
@@ -441,6 +449,9 @@ def _refusals(lanes: Iterable[Lane], serialization: str) -> list[str]:
 
 def _size(path: Path) -> int:
     """Bytes of a file, or of the files in a folder."""
-    if path.is_dir():
-        return sum(file.stat().st_size for file in path.iterdir())
-    return path.stat().st_size
+    try:
+        if path.is_dir():
+            return sum(file.stat().st_size for file in path.iterdir())
+        return path.stat().st_size
+    except OSError as err:
+        raise OutputError(f"is gone: {err.strerror}", path=path) from err
