@@ -132,19 +132,42 @@ def test_transformed_points_are_summed_in_one_order(dtype: Any, monkeypatch: pyt
     assert scan.counts == compiled.counts
 
 
+@pytest.mark.parametrize("order", "<>")
+@pytest.mark.parametrize("moves", [False, True])
+def test_every_datatype_of_a_field_is_read(order: str, moves: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(11)
+    moved = (np.linalg.qr(rng.normal(size=(3, 3)))[0], np.array([0.1, 0.2, 0.3])) if moves else None
+    projector = Projector(ProjectionParams(min_height=-1e9, max_height=1e9, angle_increment=1e-3))
+    types = ["i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8"]
+    cloud = np.zeros(3000, np.dtype([(name, order + name) for name in types]))
+    for name in types:
+        bits = rng.integers(0, 256, cloud[name].nbytes, dtype=np.uint8)
+        cloud[name] = bits.view(name) if name[0] != "f" else rng.normal(scale=50, size=cloud.size)
+    for first, name in enumerate(types):
+        xyz = [cloud[types[(first + step) % len(types)]] for step in range(3)]
+        for x, y, z in (xyz, [cloud[name]] * 3):
+            compiled = projector(x, y, z, moved)
+            with monkeypatch.context() as patch:
+                patch.setattr(kernel, "project", plain.project)
+                scan = projector(x, y, z, moved)
+            np.testing.assert_array_equal(scan.ranges, compiled.ranges)
+            assert scan.counts == compiled.counts
+            assert scan.counts.used
+
+
 def test_arrays_that_do_not_fit_together_are_refused() -> None:
     rule, ranges = np.zeros(12), np.zeros(4, np.float32)
     one, two, double = np.zeros(1, np.float32), np.zeros(2, np.float32), np.zeros(1)
-    cube, small = np.zeros((1, 1, 1), np.float32), np.zeros(1, np.float16)
+    cube, small, long = np.zeros((1, 1, 1), np.float32), np.zeros(1, np.float16), np.zeros(1, np.int64)
     fixed = ranges.copy()
     fixed.setflags(write=False)
     slots, numbers = np.zeros(1, np.int32), np.zeros(1, np.int64)
     triples: list[tuple[Any, Any, Any]] = [
         (one, one, two),
-        (one, double, one),
         (one, one, one[None]),
         (cube, cube, cube),
         (small, small, small),
+        (one, long, one),
     ]
     for xyz in triples:
         with pytest.raises(ValueError, match="coordinates"):

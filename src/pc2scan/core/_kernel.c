@@ -124,10 +124,12 @@ WIDEST static void project_block(Scan *scan) {
     scan->gathered = to;
 }
 
-/* One coordinate of a cloud: rows of columns, strided and unaligned. */
+/* One coordinate of a cloud: rows of columns, strided and unaligned, of any of PointField's datatypes. */
 typedef struct {
     const char *data;
     Py_ssize_t row_step, step;
+    char kind; /* NumPy's: i, u or f */
+    int size, swapped;
 } Axis;
 
 static inline double read_double(const char *from) {
@@ -142,7 +144,30 @@ static inline float read_float(const char *from) {
     return value;
 }
 
-static inline double read_either(const char *from, int doubles) { return doubles ? read_double(from) : read_float(from); }
+/* Any value; float64 holds them all. */
+static double read_any(const char *from, const Axis *axis) {
+    char turned[8];
+    if (axis->swapped) {
+        for (int i = 0; i < axis->size; i++) turned[i] = from[axis->size - 1 - i];
+        from = turned;
+    }
+    if (axis->kind == 'f') return axis->size == 8 ? read_double(from) : read_float(from);
+    uint8_t u8;
+    uint16_t u16;
+    uint32_t u32;
+    switch (axis->size) {
+        case 1: memcpy(&u8, from, 1); return axis->kind == 'i' ? (int8_t)u8 : u8;
+        case 2: memcpy(&u16, from, 2); return axis->kind == 'i' ? (int16_t)u16 : u16;
+        default: memcpy(&u32, from, 4); return axis->kind == 'i' ? (double)(int32_t)u32 : (double)u32;
+    }
+}
+
+/* What the three axes have in common. */
+enum { FLOATS, DOUBLES, MIXED };
+
+static inline double read_as(const char *from, const Axis *axis, const int common) {
+    return common == FLOATS ? read_float(from) : common == DOUBLES ? read_double(from) : read_any(from, axis);
+}
 
 /* Drop points that are NaN or too high or low: from so many of them on, in place. */
 WIDEST static void drop_by_height(Scan *scan, const int from, const int count) {
@@ -172,9 +197,9 @@ WIDEST static void drop_by_height(Scan *scan, const int from, const int count) {
     }
 }
 
-/* Take points of one row. Inlined, so that compilers know of each call whether it has doubles and has to move. */
+/* Take points of one row. Inlined, so that compilers know of each call what it reads and whether it has to move. */
 static inline void load(Scan *scan, const char *x, const char *y, const char *z, const Axis axis[3], int64_t number,
-                        Py_ssize_t count, const int doubles, const double *move) {
+                        Py_ssize_t count, const int common, const double *move) {
     const Py_ssize_t dx = axis[0].step, dy = axis[1].step, dz = axis[2].step;
     while (count > 0) {
         const int filled = scan->filled;
@@ -182,14 +207,14 @@ static inline void load(Scan *scan, const char *x, const char *y, const char *z,
         float *restrict to_x = scan->x + filled, *restrict to_y = scan->y + filled, *restrict to_z = scan->z + filled;
         for (int i = 0; i < take; i++) {
             if (move) {
-                double sx = read_either(x, doubles), sy = read_either(y, doubles), sz = read_either(z, doubles);
+                double sx = read_as(x, &axis[0], common), sy = read_as(y, &axis[1], common), sz = read_as(z, &axis[2], common);
                 to_x[i] = (float)(sx * move[0] + sy * move[1] + sz * move[2] + move[9]);
                 to_y[i] = (float)(sx * move[3] + sy * move[4] + sz * move[5] + move[10]);
                 to_z[i] = (float)(sx * move[6] + sy * move[7] + sz * move[8] + move[11]);
             } else {
-                to_x[i] = (float)read_either(x, doubles);
-                to_y[i] = (float)read_either(y, doubles);
-                to_z[i] = (float)read_either(z, doubles);
+                to_x[i] = (float)read_as(x, &axis[0], common);
+                to_y[i] = (float)read_as(y, &axis[1], common);
+                to_z[i] = (float)read_as(z, &axis[2], common);
             }
             x += dx, y += dy, z += dz;
         }
@@ -202,16 +227,27 @@ static inline void load(Scan *scan, const char *x, const char *y, const char *z,
     }
 }
 
-static void load_rows(Scan *scan, const Axis axis[3], Py_ssize_t rows, Py_ssize_t columns, int doubles, const double *move) {
+static int in_common(const Axis axis[3]) {
+    int floats = 1, doubles = 1;
+    for (int i = 0; i < 3; i++) {
+        floats &= axis[i].kind == 'f' && axis[i].size == 4 && !axis[i].swapped;
+        doubles &= axis[i].kind == 'f' && axis[i].size == 8 && !axis[i].swapped;
+    }
+    return floats ? FLOATS : doubles ? DOUBLES : MIXED;
+}
+
+static void load_rows(Scan *scan, const Axis axis[3], Py_ssize_t rows, Py_ssize_t columns, const double *move) {
+    const int common = in_common(axis);
     for (Py_ssize_t row = 0; row < rows; row++) {
         const char *x = axis[0].data + row * axis[0].row_step;
         const char *y = axis[1].data + row * axis[1].row_step;
         const char *z = axis[2].data + row * axis[2].row_step;
         int64_t number = (int64_t)row * columns;
-        if (doubles && move) load(scan, x, y, z, axis, number, columns, 1, move);
-        else if (doubles) load(scan, x, y, z, axis, number, columns, 1, NULL);
-        else if (move) load(scan, x, y, z, axis, number, columns, 0, move);
-        else load(scan, x, y, z, axis, number, columns, 0, NULL);
+        if (common == FLOATS && move) load(scan, x, y, z, axis, number, columns, FLOATS, move);
+        else if (common == FLOATS) load(scan, x, y, z, axis, number, columns, FLOATS, NULL);
+        else if (common == DOUBLES && move) load(scan, x, y, z, axis, number, columns, DOUBLES, move);
+        else if (common == DOUBLES) load(scan, x, y, z, axis, number, columns, DOUBLES, NULL);
+        else load(scan, x, y, z, axis, number, columns, MIXED, move);
     }
     if (scan->filled) project_block(scan);
 }
@@ -239,20 +275,44 @@ static void release(Cloud *cloud) {
     if (cloud->moves) PyBuffer_Release(&cloud->move);
 }
 
+/* The type of an array's values, from its dtype. */
+static int find_type(PyObject *array, Axis *axis, Py_ssize_t item) {
+    PyObject *dtype = PyObject_GetAttrString(array, "dtype");
+    if (!dtype) return -1;
+    PyObject *text = PyObject_GetAttrString(dtype, "str");
+    Py_DECREF(dtype);
+    if (!text) return -1;
+    const char *type = PyUnicode_AsUTF8AndSize(text, NULL);
+    int known = type && type[0] && type[1] && strchr("iuf", type[1]) && type[2] && !type[3];
+    if (known) {
+        axis->kind = type[1];
+        axis->size = type[2] - '0';
+        known = axis->size == item && (axis->kind == 'f' ? item == 4 || item == 8 : item == 1 || item == 2 || item == 4);
+        axis->swapped = type[0] == (PY_BIG_ENDIAN ? '<' : '>');
+    }
+    Py_DECREF(text);
+    if (type && !known) PyErr_SetString(PyExc_ValueError, "coordinates are of a type that no PointField has");
+    return known ? 0 : -1;
+}
+
 static int take(Cloud *cloud, PyObject *xyz[3], PyObject *rule, PyObject *move) {
     memset(cloud, 0, sizeof *cloud);
     const Py_buffer *like = &cloud->coordinates[0];
     for (; cloud->held < 3; cloud->held++) {
         Py_buffer *view = &cloud->coordinates[cloud->held];
         if (PyObject_GetBuffer(xyz[cloud->held], view, PyBUF_STRIDES) < 0) goto failed;
-        int same = view->ndim == like->ndim && view->itemsize == like->itemsize;
+        Axis *axis = &cloud->axis[cloud->held];
+        int same = view->ndim == like->ndim;
         for (int i = 0; same && i < view->ndim; i++) same = view->shape[i] == like->shape[i];
-        if (!same || view->ndim < 1 || view->ndim > 2 || (view->itemsize != 4 && view->itemsize != 8)) {
+        if (!same || view->ndim < 1 || view->ndim > 2) {
             PyBuffer_Release(view);
-            PyErr_SetString(PyExc_ValueError, "coordinates are not three arrays of one shape and type");
+            PyErr_SetString(PyExc_ValueError, "coordinates are not three arrays of one shape");
             goto failed;
         }
-        Axis *axis = &cloud->axis[cloud->held];
+        if (find_type(xyz[cloud->held], axis, view->itemsize) < 0) {
+            PyBuffer_Release(view);
+            goto failed;
+        }
         axis->data = view->buf;
         axis->step = view->strides[view->ndim - 1];
         axis->row_step = view->ndim == 2 ? view->strides[0] : 0;
@@ -287,8 +347,7 @@ static Scan *new_scan(const Cloud *cloud, int32_t beams, size_t doubles) {
 }
 
 static void run(Scan *scan, const Cloud *cloud) {
-    load_rows(scan, cloud->axis, cloud->rows, cloud->columns, cloud->coordinates[0].itemsize == 8,
-              cloud->moves ? cloud->move.buf : NULL);
+    load_rows(scan, cloud->axis, cloud->rows, cloud->columns, cloud->moves ? cloud->move.buf : NULL);
 }
 
 static PyObject *fates(const Scan *scan) {

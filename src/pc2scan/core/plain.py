@@ -35,7 +35,7 @@ def project(
     Parameters
     ----------
     x, y, z
-        Coordinates in metres, of one shape, (M,) or (H, W), all float32 or all float64.
+        Coordinates in metres, of one shape, (M,) or (H, W), of any of PointField's datatypes.
     rule
         (12,), of `rule_of`.
     moved

@@ -34,6 +34,10 @@ __all__ = ["PointCounts", "ProjectedScan", "Projector", "project"]
 Transform: TypeAlias = "tuple[NDArray[np.float64], NDArray[np.float64]]"
 
 
+#: sensor_msgs/PointField's datatypes, in either byte order; what else NumPy has is converted first.
+_READ_AS_IS = {"i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8"}
+
+
 @dataclass(frozen=True, slots=True)
 class PointCounts:
     """Where the points of a cloud went. Everything but ``total`` sums to ``total``.
@@ -154,9 +158,9 @@ class Projector:
             )
         if intensities is not None and intensities.shape != x.shape:
             raise ValueError(f"intensities have the shape {intensities.shape}, expected that of x, {x.shape}")
-        # What is rounded to float32 first, and what only after the transform, decides about the last bit.
-        wanted = np.dtype(np.float32 if target_from_source is None else np.float64)
-        if not x.dtype == y.dtype == z.dtype or x.dtype not in {np.dtype(np.float32), np.dtype(np.float64)}:
+        if not all(array.dtype.str[1:] in _READ_AS_IS for array in (x, y, z)):
+            # What is rounded to float32 first, and what only after the transform, decides about the last bit.
+            wanted = np.float32 if target_from_source is None else np.float64
             with np.errstate(over="ignore"):
                 x, y, z = (array.astype(wanted) for array in (x, y, z))
         moved = None
