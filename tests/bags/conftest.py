@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from bags.rosbag1_files import ros1_missing
-from pc2scan.bags import mcap_chunks, mcap_recovery
+from pc2scan.bags import mcap_chunks, mcap_reader
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -26,7 +26,7 @@ def loads(monkeypatch: pytest.MonkeyPatch) -> list[Segment]:
         seen.append(segment)
         return original(file, segment, verify=verify)
 
-    monkeypatch.setattr(mcap_recovery, "payload", counting)
+    monkeypatch.setattr(mcap_reader, "payload", counting)
     return seen
 
 

@@ -13,7 +13,7 @@ from ruamel.yaml import YAML
 from pc2scan.bags.mcap_writer import McapWriter
 from pc2scan.bags.model import Connection, Definition
 from pc2scan.bags.rosbag2_reader import Rosbag2Reader
-from pc2scan.bags.sqlite3 import Sqlite3Writer
+from pc2scan.bags.sqlite3_writer import Sqlite3Writer
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -27,7 +27,7 @@ from bags.rosbag1_files import (
     uint32,
     write,
 )
-from pc2scan.bags import rosbag1_chunks, rosbag1_recovery
+from pc2scan.bags import rosbag1_chunks, rosbag1_reader, rosbag1_recovery
 from pc2scan.bags.rosbag1_reader import Rosbag1Reader
 from pc2scan.errors import DamageError
 
@@ -173,7 +173,8 @@ def test_of_a_bag_never_closed_no_chunk_is_read_twice(
         read.append(segment.offset)
         return original(file, segment)
 
-    monkeypatch.setattr(rosbag1_recovery, "payload", counting)
+    for module in (rosbag1_reader, rosbag1_recovery):
+        monkeypatch.setattr(module, "payload", counting)
     rows, damage = recovered(tmp_path / "a.bag")
     assert bool(damage) is not closed
     assert len(rows) == len(ROWS)

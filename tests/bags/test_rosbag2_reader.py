@@ -35,7 +35,7 @@ from pc2scan.bags.mcap_writer import McapWriter
 from pc2scan.bags.model import Attachment, Metadata
 from pc2scan.bags.rosbag2_metadata import storage_files
 from pc2scan.bags.rosbag2_reader import Rosbag2Reader
-from pc2scan.bags.sqlite3 import Sqlite3Writer
+from pc2scan.bags.sqlite3_writer import Sqlite3Writer
 from pc2scan.errors import DamageError, RecordingError
 
 

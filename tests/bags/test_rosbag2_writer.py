@@ -20,7 +20,7 @@ from pc2scan.bags.model import Attachment, Metadata
 from pc2scan.bags.qos import parsed_qos, respelled_qos
 from pc2scan.bags.rosbag2_reader import Rosbag2Reader
 from pc2scan.bags.rosbag2_writer import Rosbag2Writer
-from pc2scan.bags.sqlite3 import Sqlite3Reader
+from pc2scan.bags.sqlite3_reader import Sqlite3Reader
 from pc2scan.errors import OutputError
 
 if TYPE_CHECKING:

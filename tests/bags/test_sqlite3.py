@@ -11,7 +11,8 @@ import pytest
 import zstandard
 
 from pc2scan.bags.model import Connection, Definition
-from pc2scan.bags.sqlite3 import Sqlite3Reader, Sqlite3Writer
+from pc2scan.bags.sqlite3_reader import Sqlite3Reader
+from pc2scan.bags.sqlite3_writer import Sqlite3Writer
 from pc2scan.errors import OutputError, RecordingError
 
 QOS = "- history: 3\n  depth: 0\n  reliability: 1\n  durability: 1"
@@ -336,7 +337,7 @@ def test_the_same_messages_give_the_same_bytes(tmp_path: Path) -> None:
 
 
 def test_long_recordings_are_written_in_batches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pc2scan.bags.sqlite3._BATCH_BYTES", 1000)
+    monkeypatch.setattr("pc2scan.bags.sqlite3_writer._BATCH_BYTES", 1000)
     writer = Sqlite3Writer(tmp_path / "x.db3")
     handle = writer.add_connection(CLOUD)
     for number in range(10):

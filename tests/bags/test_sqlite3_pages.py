@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING
 import pytest
 
 from bags.rosbag2_files import topic
-from pc2scan.bags.sqlite3 import Sqlite3Reader, Sqlite3Writer
 from pc2scan.bags.sqlite3_pages import PageFile, declared_size
+from pc2scan.bags.sqlite3_reader import Sqlite3Reader
+from pc2scan.bags.sqlite3_writer import Sqlite3Writer
 from pc2scan.errors import DamageError, RecordingError
 
 if TYPE_CHECKING:

@@ -22,7 +22,6 @@ from pc2scan.bags import (
     mcap_reader,
     mcap_writer,
     rosbag1_reader,
-    rosbag1_recovery,
     rosbag1_writer,
     segments,
 )
@@ -155,7 +154,7 @@ class Counts:
         for module, name, counter in (
             (mcap_chunks, "_decompressed", "decompressed"),
             (rosbag1_reader, "decompressed", "decompressed"),
-            (rosbag1_recovery, "payload", "decompressed"),
+            (rosbag1_reader, "payload", "decompressed"),
             (mcap_reader, "_messages_in", "split"),
             (rosbag1_writer, "_compressed", "compressed"),
         ):

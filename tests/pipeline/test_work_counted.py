@@ -10,7 +10,7 @@ import pytest
 
 import pc2scan
 from builders import transforms
-from pc2scan.bags import files, mcap_recovery, rosbag1_recovery
+from pc2scan.bags import files, mcap_reader, rosbag1_reader
 from pc2scan.bags.mcap_reader import McapReader
 from pc2scan.bags.mcap_writer import McapWriter
 from pc2scan.bags.model import Connection
@@ -20,7 +20,7 @@ from pc2scan.core.project import Projector
 from pc2scan.errors import RecordingError
 from pc2scan.messages.definitions import definition
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointField, encode_pointcloud2
-from pc2scan.pipeline import cloud_to_scan, run
+from pc2scan.pipeline import cloud_to_scan, stream
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -160,7 +160,7 @@ def test_clouds_are_projected_where_they_were_decompressed(
     chunks: list[Any] = []
     seen: list[Any] = []
     lock = threading.Lock()
-    reader = rosbag1_recovery if drive.suffix == ".bag" else mcap_recovery
+    reader = rosbag1_reader if drive.suffix == ".bag" else mcap_reader
     original = reader.payload
 
     def kept(*args: Any, **options: Any) -> Any:
@@ -189,7 +189,7 @@ def test_clouds_are_projected_where_they_were_decompressed(
 @pytest.mark.parametrize("queue_size", [1, 3])
 def test_messages_in_flight_are_bounded(drive: Path, queue_size: int, monkeypatch: pytest.MonkeyPatch) -> None:
     read = written = worst = 0
-    cut, write = run._cut, run._write
+    cut, write = stream._cut, stream._write
 
     def reading(*args: Any) -> Iterator[Any]:
         nonlocal read
@@ -203,8 +203,8 @@ def test_messages_in_flight_are_bounded(drive: Path, queue_size: int, monkeypatc
         write(*args)
         written += 1
 
-    monkeypatch.setattr(run, "_cut", reading)
-    monkeypatch.setattr(run, "_write", writing)
+    monkeypatch.setattr(stream, "_cut", reading)
+    monkeypatch.setattr(stream, "_write", writing)
     params = pc2scan.ProjectionParams(min_height=-2, max_height=2, queue_size=queue_size)
     convert(drive, jobs=2, params=params)
     assert read == written == CLOUDS

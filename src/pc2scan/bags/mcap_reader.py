@@ -13,11 +13,10 @@ from pc2scan.errors import DamageError
 
 from .crc32 import crc32
 from .damage import DamageLog
-from .mcap_chunks import ChunkSegment
+from .mcap_chunks import ChunkSegment, payload
 from .mcap_contents import find_contents, find_declarations
 from .mcap_copies import agreed, whole_by_content, whole_by_index
 from .mcap_records import MESSAGE, OP_MESSAGE, RECORD, RecordFile, parse, split
-from .mcap_recovery import payload_prefix, recovered_contents, salvaged_messages, salvaged_records
 from .model import Attachment, Connection, Definition, Metadata, RawMessage, StoredChunk, Summary
 from .qos import latches
 from .segments import in_time_order, standing_alone
@@ -75,6 +74,8 @@ class McapReader:
             try:
                 self._contents = find_contents(self._file, verify=verify)
             except DamageError as err:
+                from .mcap_recovery import recovered_contents  # noqa: PLC0415  # only damaged files pay for it
+
                 self._contents = recovered_contents(self._file, err, self._log, verify=verify)
             find_declarations(self._file, self._contents, self._records, self._log)
             self._connections = tuple(_connections(self._contents, self._file, self._log))
@@ -178,7 +179,7 @@ class McapReader:
             if isinstance(seen, StoredChunk):
                 return seen
             if seen is None:
-                data, problem = payload_prefix(self._file, segment, verify=self._verify, strict=self._log.strict)
+                data, problem = self._prefix(segment)
             else:
                 data = seen
             found, others, sound = _messages_in(data, wanted, first, stop)
@@ -198,20 +199,33 @@ class McapReader:
         if ids is None or ids:
             yield from in_time_order(segments, load, alone=alone, pool=self._pool, path=self._file.path)
 
+    def _prefix(self, segment: Segment) -> tuple[memoryview, DamageError | None]:
+        """A segment's records as far as they can be decompressed, and why that is not all."""
+        try:
+            return payload(self._file, segment, verify=self._verify), None
+        except DamageError as err:
+            if self._log.strict:
+                raise
+            from .mcap_recovery import payload_prefix  # noqa: PLC0415
+
+            return payload_prefix(self._file, segment, err)
+
     def _packs(self, segment: Segment) -> bool:
         """Whether messages are zstd frames of their own; one segment tells for all."""
-        data, _ = payload_prefix(self._file, segment, verify=False, strict=self._log.strict)
+        data, _ = self._prefix(segment)
         known = {connection.id: connection for connection in self._connections}
         return any(map(is_frame, _messages_in(data, known, 0, 1 << 64)[0]))
 
     def _records(self, chunk: Segment) -> Iterator[tuple[int, memoryview]]:
         """A chunk's records, as far as they can be read."""
-        data, problem = payload_prefix(self._file, chunk, verify=self._verify, strict=self._log.strict)
+        data, problem = self._prefix(chunk)
         if problem is None:
             try:
                 return iter(list(split(data, chunk.offset, self._file)))
             except DamageError as err:
                 problem = err
+        from .mcap_recovery import salvaged_records  # noqa: PLC0415
+
         self._salvaged(chunk, data, problem)
         return salvaged_records(data)
 
@@ -219,6 +233,8 @@ class McapReader:
         """Take note of a damaged segment, and find the messages that are left of it."""
         if self._log.strict:
             raise problem
+        from .mcap_recovery import salvaged_messages  # noqa: PLC0415
+
         known = {connection.id: connection for connection in self._connections}
         is_chunk = isinstance(segment, ChunkSegment)
         span = (segment.start_ns, segment.end_ns) if is_chunk and 0 < segment.start_ns <= segment.end_ns else None

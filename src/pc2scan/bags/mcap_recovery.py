@@ -18,7 +18,7 @@ from mcap.opcode import Opcode
 
 from pc2scan.errors import DamageError
 
-from .mcap_chunks import CHUNK_HEAD_SIZE, ChunkSegment, chunk_at, payload
+from .mcap_chunks import CHUNK_HEAD_SIZE, ChunkSegment, chunk_at
 from .mcap_contents import Contents, Walk, read_header, read_summary
 from .mcap_records import MAGIC, MESSAGE, OP_CHUNK, OP_MESSAGE, OP_MESSAGE_INDEX, RECORD, parse
 from .model import RawMessage
@@ -280,19 +280,8 @@ def _adopt(contents: Contents, indexed: Iterable[Segment], gaps: list[_Gap]) -> 
 # --- Inside chunks ---
 
 
-def payload_prefix(
-    file: RecordFile, segment: Segment, *, verify: bool, strict: bool = False
-) -> tuple[memoryview, DamageError | None]:
-    """Read a segment's records as far as they can be decompressed, and tell why that is not all.
-
-    ``strict`` saves the trouble: damage is raised.
-    """
-    try:
-        return payload(file, segment, verify=verify), None
-    except DamageError as err:
-        if strict:
-            raise
-        problem = err
+def payload_prefix(file: RecordFile, segment: Segment, problem: DamageError) -> tuple[memoryview, DamageError]:
+    """Read the records of a damaged segment as far as they can be decompressed, and tell better what the problem is."""
     chunk: Segment = segment
     if isinstance(segment, ChunkSegment):
         head = file.read(segment.record_offset, min(CHUNK_HEAD_SIZE, file.size - segment.record_offset))

@@ -30,7 +30,12 @@ if TYPE_CHECKING:
     from .damage import Damage
     from .model import Attachment, ChunkRule, Connection, Metadata, RawMessage, Reader
 
-__all__ = ["MergedReader", "merged_summary", "unified"]
+__all__ = ["MergedReader", "as_one", "merged_summary", "unified"]
+
+
+def as_one(readers: Sequence[Reader]) -> Reader:
+    """Several recordings as one; one remains itself."""
+    return readers[0] if len(readers) == 1 else MergedReader(readers)
 
 
 class MergedReader:

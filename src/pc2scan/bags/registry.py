@@ -13,8 +13,9 @@ from . import zstd
 from .damage import DamageLog
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Sequence
+    from collections.abc import Collection, Iterable, Iterator, Sequence
     from concurrent.futures import Executor
+    from contextlib import ExitStack
 
     from .damage import Damage
     from .model import Attachment, ChunkRule, Connection, Metadata, RawMessage, Reader, StoredChunk, Summary, Writer
@@ -26,6 +27,7 @@ __all__ = [
     "default_storage",
     "kept_form",
     "open_recording",
+    "open_recordings",
     "open_writer",
     "plan_destination",
     "sniff",
@@ -144,6 +146,18 @@ def open_recording(path: Path, *, verify: bool = True, strict: bool = False) -> 
     return _open(path, form, verify=verify, strict=strict)
 
 
+def open_recordings(
+    paths: Iterable[Path], stack: ExitStack, *, verify: bool = True, strict: bool = False
+) -> list[Reader]:
+    """Open several, each as `open_recording` does, to be closed with the stack."""
+    readers = []
+    for path in paths:
+        reader = open_recording(path, verify=verify, strict=strict)
+        stack.callback(reader.close)
+        readers.append(reader)
+    return readers
+
+
 def _open(path: Path, form: str, *, verify: bool, strict: bool) -> Reader:
     # Each format brings its libraries along: only the one that is read is imported.
     if form == "rosbag1":
@@ -155,7 +169,7 @@ def _open(path: Path, form: str, *, verify: bool, strict: bool) -> Reader:
 
         return McapReader(path, verify=verify, strict=strict)
     if form == "sqlite3":
-        from .sqlite3 import Sqlite3Reader  # noqa: PLC0415
+        from .sqlite3_reader import Sqlite3Reader  # noqa: PLC0415
 
         return Sqlite3Reader(path, strict=strict)
     from .rosbag2_reader import Rosbag2Reader  # noqa: PLC0415
@@ -335,6 +349,11 @@ class Destination:
     def generation(self) -> int:
         """The ROS generation whose messages it holds: 1 or 2."""
         return 1 if self.container == "rosbag1" or self.profile == "ros1" else 2
+
+    @property
+    def serialization(self) -> str:
+        """How those are serialised: ``ros1`` or ``cdr``."""
+        return "ros1" if self.generation == 1 else "cdr"
 
 
 def plan_destination(

@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING, cast
 
 from .damage import DamageLog
 from .model import Summary
-from .rosbag1_chunks import Places, decompressed, messages_in
+from .rosbag1_chunks import Places, decompressed, messages_in, payload
 from .rosbag1_contents import read_index
 from .rosbag1_copies import first_uses, whole
 from .rosbag1_records import BagFile, Damaged
-from .rosbag1_recovery import payload_prefix, recovered_contents, salvaged_messages
 from .segments import in_time_order, standing_alone
 
 if TYPE_CHECKING:
@@ -60,6 +59,8 @@ class Rosbag1Reader:
                 self._contents = read_index(self._file)
             except Damaged as err:
                 problem = self._file.damage_error(f"its index cannot be read: {err}")
+                from .rosbag1_recovery import recovered_contents  # noqa: PLC0415  # only damaged bags pay for it
+
                 self._contents = recovered_contents(self._file, problem, self._log)
         except BaseException:
             self.close()
@@ -162,12 +163,12 @@ class Rosbag1Reader:
                 # What is damaged is not copied.
                 with suppress(Damaged):
                     return load_whole(segment, rule)
-            chunk, problem = payload_prefix(self._file, segment, strict=self._log.strict)
-            if problem is None:
-                try:
-                    return messages_in(chunk, wanted, start_ns, stop_ns)
-                except Damaged as err:
-                    problem = err
+            chunk = None
+            try:
+                chunk = payload(self._file, segment)
+                return messages_in(chunk, wanted, start_ns, stop_ns)
+            except Damaged as err:
+                problem = err
             low, high = start_ns or 0, stop_ns
             return [
                 message
@@ -179,11 +180,15 @@ class Rosbag1Reader:
 
         return in_time_order(due, load, alone=alone, pool=self._pool, path=self._path)
 
-    def _salvaged(self, segment: Segment, chunk: bytes, problem: Damaged) -> list[RawMessage]:
-        """Take note of a damaged chunk, and find the messages that are left of it."""
+    def _salvaged(self, segment: Segment, chunk: bytes | None, problem: Damaged) -> list[RawMessage]:
+        """Take note of a damaged chunk, and find the messages that are left of it; None: it cannot be decompressed."""
         error = self._file.damage_error(f"the chunk with data at byte {segment.offset} cannot be read: {problem}")
         if self._log.strict:
             raise error from problem
+        from .rosbag1_recovery import payload_prefix, salvaged_messages  # noqa: PLC0415
+
+        if chunk is None:
+            chunk = payload_prefix(self._file, segment)
         left = salvaged_messages(chunk, self._contents.connections, (segment.start_ns, segment.end_ns))
         missing = max(segment.uncompressed_size - len(chunk), 0)
         last = left.messages[-1].log_time_ns if left.messages and missing else None

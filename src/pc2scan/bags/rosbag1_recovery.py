@@ -343,7 +343,7 @@ def _find_times(file: BagFile, found: _Found, log: DamageLog) -> None:
         if segment.end_ns and segment.connection_ids is not None and segment.connection_ids <= found.connections.keys():
             segments.append(segment)
             continue
-        data, _ = payload_prefix(file, segment)
+        data = payload_prefix(file, segment)
         stamps = _Stamps()
         for fields, start, stop, sound in framed(data):
             if not sound:
@@ -386,18 +386,13 @@ def _note(file: BagFile, found: _Found, problem: DamageError, log: DamageLog) ->
 # --- Inside chunks ---
 
 
-def payload_prefix(file: BagFile, segment: Segment, *, strict: bool = False) -> tuple[bytes, Damaged | None]:
-    """Read a chunk's records as far as they can be decompressed, and tell why that is not all.
-
-    ``strict`` saves the trouble: of a damaged chunk nothing is returned.
-    """
+def payload_prefix(file: BagFile, segment: Segment) -> bytes:
+    """Read a chunk's records as far as they can be decompressed."""
     try:
-        return payload(file, segment), None
-    except Damaged as err:
-        if strict:
-            return b"", err
+        return payload(file, segment)
+    except Damaged:
         data = file.read(segment.offset, min(segment.length, file.size - segment.offset))
-        return decompressed_prefix(data, segment.compression, segment.uncompressed_size), err
+        return decompressed_prefix(data, segment.compression, segment.uncompressed_size)
 
 
 class Salvaged(NamedTuple):

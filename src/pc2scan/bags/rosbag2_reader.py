@@ -138,7 +138,7 @@ class Rosbag2Reader(MergedReader):
             file = unpacked
         _refuse_others(file, self._info.storage)
         if self._info.storage == "sqlite3":
-            from .sqlite3 import Sqlite3Reader  # noqa: PLC0415  (a recording needs one of the two)
+            from .sqlite3_reader import Sqlite3Reader  # noqa: PLC0415  (a recording needs one of the two)
 
             return Sqlite3Reader(file, message_compression=self._info.message_compression, strict=self._log.strict)
         from .mcap_reader import McapReader  # noqa: PLC0415

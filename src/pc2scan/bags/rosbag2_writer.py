@@ -81,7 +81,7 @@ class Rosbag2Writer:
         self._keep_info: Callable[[str], None]
         file = path / self._file_name
         if storage == "sqlite3":
-            from .sqlite3 import Sqlite3Writer  # noqa: PLC0415  (a recording needs one of the two)
+            from .sqlite3_writer import Sqlite3Writer  # noqa: PLC0415  (a recording needs one of the two)
 
             database = Sqlite3Writer(file, compression=compression)
             self._keep_info = lambda text: database.add_bag_metadata(metadata_version, text)

@@ -9,8 +9,8 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pc2scan.bags.merged import MergedReader
-from pc2scan.bags.registry import open_recording
+from pc2scan.bags.merged import as_one
+from pc2scan.bags.registry import open_recordings
 from pc2scan.core.consumers import CONSUMERS, Outcome
 from pc2scan.errors import DecodeError, TopicError, UsageError
 from pc2scan.messages.laserscan import LASERSCAN, decode_laserscan
@@ -201,23 +201,14 @@ def check(
         raise UsageError("no source given")
     options = frames or FrameOptions()
     with ExitStack() as stack:
-        readers = _open(paths, stack)
-        reader = MergedReader(readers) if len(readers) > 1 else readers[0]
+        readers = open_recordings(map(Path, paths), stack)
+        reader = as_one(readers)
         chosen = _chosen(reader.connections, tuple(topics))
-        others = _open(options.tf_from, stack)
+        others = open_recordings(options.tf_from, stack)
         buffer, warnings = read_transforms([*readers, *others], options)
         found = _read(reader, chosen, buffer, odom_frame, base_frame)
         damage = tuple(place for each in (reader, *others) for place in each.damage)
     return Check(tuple(map(str, paths)), asked, tuple(found), tuple(warnings), damage)
-
-
-def _open(paths: Iterable[str | PathLike[str]], stack: ExitStack) -> list[Reader]:
-    readers = []
-    for path in paths:
-        reader = open_recording(Path(path))
-        stack.callback(reader.close)
-        readers.append(reader)
-    return readers
 
 
 def _chosen(connections: Sequence[Connection], topics: tuple[str, ...]) -> dict[str, list[Connection]]:

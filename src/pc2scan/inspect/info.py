@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pc2scan.bags.merged import MergedReader
-from pc2scan.bags.registry import open_recording
+from pc2scan.bags.merged import as_one
+from pc2scan.bags.registry import open_recordings
 from pc2scan.errors import DecodeError
 from pc2scan.messages.pointcloud2 import DATATYPES, POINTCLOUD2, decode_pointcloud2
 
@@ -168,10 +169,9 @@ def info(sources: Sequence[Path], *, samples: int = 10) -> Info:
     RecordingError
         If a source cannot be read.
     """
-    readers: list[Reader] = []
-    try:
-        readers += (open_recording(source) for source in sources)
-        reader = MergedReader(readers) if len(readers) > 1 else readers[0]
+    with ExitStack() as stack:
+        readers = open_recordings(sources, stack)
+        reader = as_one(readers)
         counts, start_ns, end_ns = _counts(reader)
         topics = _topics(reader.connections, counts, start_ns, end_ns)
         clouds = []
@@ -189,9 +189,6 @@ def info(sources: Sequence[Path], *, samples: int = 10) -> Info:
             tuple(clouds),
             tuple(reader.damage),
         )
-    finally:
-        for opened in readers:
-            opened.close()
 
 
 def _file_info(path: Path, summary: Summary) -> FileInfo:

@@ -6,7 +6,7 @@ from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
-from pc2scan.bags.registry import open_recording
+from pc2scan.bags.registry import open_recordings
 from pc2scan.pipeline.frames import FrameOptions, read_transforms
 
 if TYPE_CHECKING:
@@ -72,11 +72,7 @@ def frame_tree(sources: Sequence[Path], options: FrameOptions | None = None) -> 
     """
     options = options or FrameOptions()
     with ExitStack() as stack:
-        readers = []
-        for source in (*sources, *options.tf_from):
-            reader = open_recording(source)
-            stack.callback(reader.close)
-            readers.append(reader)
+        readers = open_recordings((*sources, *options.tf_from), stack)
         buffer, warnings = read_transforms(readers, options)
         damage = tuple(damage for reader in readers for damage in reader.damage)
     return FrameTree(buffer.infos, buffer.trees, tuple(warnings), buffer, damage)

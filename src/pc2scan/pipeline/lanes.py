@@ -143,7 +143,7 @@ def _prepare_passing(
 
 
 def _converter(conversion: Conversion, connection: Connection, target: Destination) -> Callable[[Buffer], Converted]:
-    serialization = "ros1" if target.generation == 1 else "cdr"
+    serialization = target.serialization
     convert = conversion.for_topic(connection.topic)
     return lambda data: convert(data, connection.serialization, serialization)
 
@@ -156,7 +156,7 @@ def _converted_connection(source: Connection, topic: str, msgtype: str, target: 
         id=NEW_ID,
         topic=topic,
         msgtype=msgtype,
-        serialization="ros1" if target.generation == 1 else "cdr",
+        serialization=target.serialization,
         definition=text,
         digest=digest,
         callerid=source.callerid if target.generation == 1 else None,
@@ -202,7 +202,7 @@ def write_static(frames: FrameOptions, log_time_ns: int, target: Destination, wr
     """Write the added transforms as one more latched publisher of /tf_static."""
     msgtype = "tf2_msgs/msg/TFMessage"
     text, digest = definition(msgtype, target.generation)
-    serialization = "ros1" if target.generation == 1 else "cdr"
+    serialization = target.serialization
     handle = writer.add_connection(
         Connection(
             id=NEW_ID,

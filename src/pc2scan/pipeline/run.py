@@ -2,31 +2,26 @@
 
 from __future__ import annotations
 
-import os
 import time
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, closing
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from itertools import chain
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from pc2scan.bags.damage import RECOVER, Damage
 from pc2scan.bags.files import state_of
-from pc2scan.bags.merged import MergedReader
-from pc2scan.bags.model import StoredChunk
+from pc2scan.bags.merged import as_one
 from pc2scan.bags.registry import (
     default_destination,
     default_storage,
     kept_form,
-    open_recording,
+    open_recordings,
     open_writer,
     plan_destination,
 )
 from pc2scan.bags.staging import staged
 from pc2scan.errors import (
     DamageError,
-    MessageError,
     OutputError,
     ParameterError,
     RecordingError,
@@ -36,31 +31,25 @@ from pc2scan.errors import (
 from pc2scan.messages.laserscan import LASERSCAN
 
 from .acceptance import refusal
-from .frames import Frames, is_static, read_transforms
+from .frames import Frames, read_transforms
 from .lanes import Lane, carry_extras, chunk_rule, open_lanes, write_static
 from .memory import keep_freed_memory
-from .ordered import map_in_order
 from .plan import make_plan
-from .report import Report, Skipped
+from .report import Report
+from .stream import Progress, Span, cores, stream
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
-    from pc2scan.bags.model import Buffer, ChunkRule, Connection, RawMessage, Reader, Summary, Writer
+    from pc2scan.bags.model import Connection, Reader, Summary
     from pc2scan.bags.registry import Destination
 
-    from .conversion import Conversion, Converted
+    from .conversion import Conversion
     from .options import ConvertOptions
     from .plan import Plan
 
 __all__ = ["OutputOptions", "Progress", "run"]
-
-#: Called now and then with bytes read so far, bytes in all, and messages read so far.
-Progress = Callable[[int, int, int], None]
-
-#: Messages between two calls of the progress function.
-_PROGRESS_EVERY = 64
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,16 +78,6 @@ class OutputOptions:
     overwrite: bool = False
 
 
-class _Outcome(NamedTuple):
-    """What became of a message; an error takes the place of what could not be made."""
-
-    lane: Lane
-    message: RawMessage
-    converted: Converted | None
-    passing: Buffer | None
-    error: MessageError | None
-
-
 def run(
     sources: Sequence[Path],
     destination: Path | None,
@@ -115,8 +94,8 @@ def run(
         raise UsageError("no source given")
     with ExitStack() as stack:
         states = [state_of(source) for source in sources]
-        readers = _open(sources, stack, options)
-        reader = _merged(readers)
+        readers = open_recordings(sources, stack, verify=options.verify, strict=options.strict)
+        reader = as_one(readers)
         plan = _plan(reader, options)
         summaries = [opened.summary for opened in readers]
         path = destination or default_destination(sources, summaries, "_repaired" if options.repair else "_scan")
@@ -141,9 +120,9 @@ def run(
                     reader.read_ahead(pool)
                     writer.compress_ahead(pool)
                 rule = chunk_rule(lanes, target, writer) if copying else None
-                _stream(reader, lanes, options, span, rule, pool, writer, report, progress)
+                stream(reader, lanes, options, span, rule, pool, writer, report, progress)
                 if conversion.target_type == LASERSCAN:
-                    report.warnings += _refusals(lanes.values(), "ros1" if target.generation == 1 else "cdr")
+                    report.warnings += _refusals(lanes.values(), target.serialization)
                 _refuse_changed(sources, states)
                 report.damage += [damage for each in (reader, *others) for damage in each.damage]
                 _compare_counts(reader, lanes, options, report)
@@ -156,16 +135,6 @@ def run(
     report.conclude()
     report.seconds = time.monotonic() - began
     return report
-
-
-def _open(sources: Sequence[Path], stack: ExitStack, options: ConvertOptions) -> list[Reader]:
-    """Open the sources, to be closed with the stack."""
-    readers = []
-    for source in sources:
-        reader = open_recording(source, verify=options.verify, strict=options.strict)
-        stack.callback(reader.close)
-        readers.append(reader)
-    return readers
 
 
 def _refuse_changed(sources: Sequence[Path], states: Sequence[object]) -> None:
@@ -232,12 +201,8 @@ def _compare_counts(reader: Reader, lanes: Mapping[int, Lane], options: ConvertO
         report.damage.append(Damage(missing, reader.path, messages_lost=lost))
 
 
-def _merged(readers: list[Reader]) -> Reader:
-    return MergedReader(readers) if len(readers) > 1 else readers[0]
-
-
 def _conversion(
-    reader: Reader, plan: Plan, options: ConvertOptions, span: _Span, stack: ExitStack, report: Report
+    reader: Reader, plan: Plan, options: ConvertOptions, span: Span, stack: ExitStack, report: Report
 ) -> tuple[Conversion, Sequence[Reader]]:
     """The direction asked for, with all that has to be known before the first message is converted.
 
@@ -247,7 +212,7 @@ def _conversion(
     others: list[Reader] = []
     frames = Frames(source_frame=asked.source_frame)
     if params.target_frame:
-        others = _open(asked.tf_from, stack, options)
+        others = open_recordings(asked.tf_from, stack, verify=options.verify, strict=options.strict)
         buffer, warnings = read_transforms([reader, *others], asked)
         report.warnings += warnings
         tolerance_ns = round(params.transform_tolerance * 1e9)
@@ -280,79 +245,11 @@ def _generation(connections: Iterable[Connection]) -> int | None:
 
 def _threads(options: ConvertOptions, stack: ExitStack) -> ThreadPoolExecutor | None:
     """The threads that read, decompress, convert and compress, until the stack is left; None for one job."""
-    jobs = options.jobs or _cores()
+    jobs = options.jobs or cores()
     return stack.enter_context(ThreadPoolExecutor(jobs, thread_name_prefix="pc2scan")) if jobs > 1 else None
 
 
-def _stream(
-    reader: Reader,
-    lanes: Mapping[int, Lane],
-    options: ConvertOptions,
-    span: _Span,
-    rule: ChunkRule | None,
-    pool: ThreadPoolExecutor | None,
-    writer: Writer,
-    report: Report,
-    progress: Progress | None,
-) -> None:
-    """Read, work on several threads, and write in the order of reading."""
-    total = reader.summary.size_bytes
-    outcomes = map_in_order(
-        _work,
-        (
-            item if isinstance(item, StoredChunk) else (lanes[item.connection.id], item)
-            for item in _cut(reader, lanes, span, rule)
-        ),
-        is_heavy=_is_heavy,
-        size=_KeptBytes(),
-        pool=pool,
-        window=options.params.queue_size or 2 * (options.jobs or _cores()),
-    )
-    done = told = 0
-    # Closed before the pool is waited for, so that an error gives up what has not begun.
-    with closing(outcomes):
-        for outcome in outcomes:
-            if isinstance(outcome, StoredChunk):
-                done += _write_chunk(outcome, lanes, writer)
-            else:
-                _write(outcome, writer, report, options.on_error)
-                done += 1
-            if progress is not None and done - told >= _PROGRESS_EVERY:
-                progress(reader.bytes_read, total, done)
-                told = done
-    if progress is not None:
-        progress(total, total, sum(entry.messages_in for entry in report.topics))
-
-
-class _KeptBytes:
-    """How many bytes an item keeps in memory: its chunk, unless the message before it already does."""
-
-    def __init__(self) -> None:
-        # Its address: a reference would keep it.
-        self._chunk = 0
-
-    def __call__(self, item: _Item) -> int:
-        data = item.stored if isinstance(item, StoredChunk) else item[1].data
-        if not isinstance(data, memoryview):
-            return len(data)
-        known, self._chunk = self._chunk, id(data.obj)
-        return 0 if self._chunk == known else len(data.obj)  # type: ignore[arg-type]  # chunks are bytes
-
-
-def _cores() -> int:
-    """Processor cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-class _Span(NamedTuple):
-    """The cut in log times: ``start_ns <= t < stop_ns`` (None: no limit), and the first time that matters."""
-
-    start_ns: int | None
-    stop_ns: int | None
-    first_ns: int
-
-
-def _span(reader: Reader, options: ConvertOptions) -> _Span:
+def _span(reader: Reader, options: ConvertOptions) -> Span:
     """Resolve the cut against the recording's beginning."""
     beginning = reader.summary.start_ns
     if beginning is None:
@@ -362,80 +259,7 @@ def _span(reader: Reader, options: ConvertOptions) -> _Span:
     stop = None if options.end is None else options.end.resolve(beginning)
     if start is not None and stop is not None and start >= stop:
         raise UsageError("the cut is empty: start is not before end")
-    return _Span(start, stop, beginning if start is None else max(start, beginning))
-
-
-def _cut(
-    reader: Reader, lanes: Mapping[int, Lane], span: _Span, rule: ChunkRule | None
-) -> Iterator[RawMessage | StoredChunk]:
-    """The wanted messages of the cut, after the latched ones from before it; in whole chunks where ``rule`` allows."""
-    wanted = [lane.connection for lane in lanes.values()]
-    start, stop = span.start_ns, span.stop_ns
-    items: Iterator[RawMessage | StoredChunk] = (
-        reader.messages(wanted, start, stop) if rule is None else reader.messages_or_chunks(rule, wanted, start, stop)
-    )
-    lasting = [c for c in wanted if c.latching or is_static(c.topic)]
-    if start is None or not lasting:
-        return items
-    return chain(reader.messages(lasting, None, start), items)
-
-
-#: A message with its lane, or a chunk to be copied.
-_Item = tuple[Lane, "RawMessage"] | StoredChunk
-
-
-def _is_heavy(item: _Item) -> bool:
-    return not isinstance(item, StoredChunk) and (item[0].convert is not None or item[0].encode is not None)
-
-
-def _work(item: _Item) -> _Outcome | StoredChunk:
-    """All the work on one message, and none on a chunk; runs on any thread."""
-    if isinstance(item, StoredChunk):
-        return item
-    lane, message = item
-    converted = passing = error = None
-    try:
-        if lane.passing_handle >= 0:
-            passing = message.data if lane.encode is None else lane.encode(message.data)
-        if lane.convert is not None:
-            converted = lane.convert(message.data)
-    except MessageError as err:
-        error = err
-    return _Outcome(lane, message, converted, passing, error)
-
-
-def _write_chunk(chunk: StoredChunk, lanes: Mapping[int, Lane], writer: Writer) -> int:
-    """Copy a chunk and account for its messages; returns how many they are."""
-    writer.write_chunk(chunk)
-    for connection_id, entries in chunk.index.items():
-        lanes[connection_id].report.messages_in += len(entries)
-        lanes[connection_id].report.messages_out += len(entries)
-    return sum(map(len, chunk.index.values()))
-
-
-def _write(outcome: _Outcome, writer: Writer, report: Report, on_error: str) -> None:
-    """Write what a message became, and account for it."""
-    lane, message, converted, passing, error = outcome
-    entry = lane.report
-    entry.messages_in += 1
-    when = (message.log_time_ns, message.publish_time_ns, message.sequence)
-    if passing is not None:
-        writer.write(lane.passing_handle, when[0], passing, when[1], when[2])
-    if converted is not None:
-        writer.write(lane.converted_handle, when[0], converted.data, when[1], when[2])
-        lane.sample = lane.sample or converted.data
-        entry.points += converted.counts
-        entry.empty_scans += converted.empty
-    if error is not None:
-        error.topic = lane.connection.topic
-        if on_error == "fail":
-            raise error
-        report.skip(
-            entry,
-            Skipped(lane.connection.topic, message.log_time_ns, error.stamp_ns, error.message, error.hint or ""),
-        )
-    else:
-        entry.messages_out += 1
+    return Span(start, stop, beginning if start is None else max(start, beginning))
 
 
 def _refusals(lanes: Iterable[Lane], serialization: str) -> list[str]:

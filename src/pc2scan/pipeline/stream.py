@@ -1,0 +1,185 @@
+"""The stream of a conversion: messages are read, worked on by several threads, and written in the order of reading."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from contextlib import closing
+from itertools import chain
+from typing import TYPE_CHECKING, NamedTuple
+
+from pc2scan.bags.model import StoredChunk
+from pc2scan.errors import MessageError
+
+from .frames import is_static
+from .lanes import Lane
+from .ordered import map_in_order
+from .report import Report, Skipped
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+    from concurrent.futures import ThreadPoolExecutor
+
+    from pc2scan.bags.model import Buffer, ChunkRule, RawMessage, Reader, Writer
+
+    from .conversion import Converted
+    from .options import ConvertOptions
+
+__all__ = ["Progress", "Span", "cores", "stream"]
+
+#: Called now and then with bytes read so far, bytes in all, and messages read so far.
+Progress = Callable[[int, int, int], None]
+
+#: Messages between two calls of the progress function.
+_PROGRESS_EVERY = 64
+
+
+class _Outcome(NamedTuple):
+    """What became of a message; an error takes the place of what could not be made."""
+
+    lane: Lane
+    message: RawMessage
+    converted: Converted | None
+    passing: Buffer | None
+    error: MessageError | None
+
+
+class Span(NamedTuple):
+    """The cut in log times: ``start_ns <= t < stop_ns`` (None: no limit), and the first time that matters."""
+
+    start_ns: int | None
+    stop_ns: int | None
+    first_ns: int
+
+
+def stream(
+    reader: Reader,
+    lanes: Mapping[int, Lane],
+    options: ConvertOptions,
+    span: Span,
+    rule: ChunkRule | None,
+    pool: ThreadPoolExecutor | None,
+    writer: Writer,
+    report: Report,
+    progress: Progress | None,
+) -> None:
+    """Read, work on several threads, and write in the order of reading."""
+    total = reader.summary.size_bytes
+    outcomes = map_in_order(
+        _work,
+        (
+            item if isinstance(item, StoredChunk) else (lanes[item.connection.id], item)
+            for item in _cut(reader, lanes, span, rule)
+        ),
+        is_heavy=_is_heavy,
+        size=_KeptBytes(),
+        pool=pool,
+        window=options.params.queue_size or 2 * (options.jobs or cores()),
+    )
+    done = told = 0
+    # Closed before the pool is waited for, so that an error gives up what has not begun.
+    with closing(outcomes):
+        for outcome in outcomes:
+            if isinstance(outcome, StoredChunk):
+                done += _write_chunk(outcome, lanes, writer)
+            else:
+                _write(outcome, writer, report, options.on_error)
+                done += 1
+            if progress is not None and done - told >= _PROGRESS_EVERY:
+                progress(reader.bytes_read, total, done)
+                told = done
+    if progress is not None:
+        progress(total, total, sum(entry.messages_in for entry in report.topics))
+
+
+class _KeptBytes:
+    """How many bytes an item keeps in memory: its chunk, unless the message before it already does."""
+
+    def __init__(self) -> None:
+        # Its address: a reference would keep it.
+        self._chunk = 0
+
+    def __call__(self, item: _Item) -> int:
+        data = item.stored if isinstance(item, StoredChunk) else item[1].data
+        if not isinstance(data, memoryview):
+            return len(data)
+        known, self._chunk = self._chunk, id(data.obj)
+        return 0 if self._chunk == known else len(data.obj)  # type: ignore[arg-type]  # chunks are bytes
+
+
+def cores() -> int:
+    """Processor cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _cut(
+    reader: Reader, lanes: Mapping[int, Lane], span: Span, rule: ChunkRule | None
+) -> Iterator[RawMessage | StoredChunk]:
+    """The wanted messages of the cut, after the latched ones from before it; in whole chunks where ``rule`` allows."""
+    wanted = [lane.connection for lane in lanes.values()]
+    start, stop = span.start_ns, span.stop_ns
+    items: Iterator[RawMessage | StoredChunk] = (
+        reader.messages(wanted, start, stop) if rule is None else reader.messages_or_chunks(rule, wanted, start, stop)
+    )
+    lasting = [c for c in wanted if c.latching or is_static(c.topic)]
+    if start is None or not lasting:
+        return items
+    return chain(reader.messages(lasting, None, start), items)
+
+
+#: A message with its lane, or a chunk to be copied.
+_Item = tuple[Lane, "RawMessage"] | StoredChunk
+
+
+def _is_heavy(item: _Item) -> bool:
+    return not isinstance(item, StoredChunk) and (item[0].convert is not None or item[0].encode is not None)
+
+
+def _work(item: _Item) -> _Outcome | StoredChunk:
+    """All the work on one message, and none on a chunk; runs on any thread."""
+    if isinstance(item, StoredChunk):
+        return item
+    lane, message = item
+    converted = passing = error = None
+    try:
+        if lane.passing_handle >= 0:
+            passing = message.data if lane.encode is None else lane.encode(message.data)
+        if lane.convert is not None:
+            converted = lane.convert(message.data)
+    except MessageError as err:
+        error = err
+    return _Outcome(lane, message, converted, passing, error)
+
+
+def _write_chunk(chunk: StoredChunk, lanes: Mapping[int, Lane], writer: Writer) -> int:
+    """Copy a chunk and account for its messages; returns how many they are."""
+    writer.write_chunk(chunk)
+    for connection_id, entries in chunk.index.items():
+        lanes[connection_id].report.messages_in += len(entries)
+        lanes[connection_id].report.messages_out += len(entries)
+    return sum(map(len, chunk.index.values()))
+
+
+def _write(outcome: _Outcome, writer: Writer, report: Report, on_error: str) -> None:
+    """Write what a message became, and account for it."""
+    lane, message, converted, passing, error = outcome
+    entry = lane.report
+    entry.messages_in += 1
+    when = (message.log_time_ns, message.publish_time_ns, message.sequence)
+    if passing is not None:
+        writer.write(lane.passing_handle, when[0], passing, when[1], when[2])
+    if converted is not None:
+        writer.write(lane.converted_handle, when[0], converted.data, when[1], when[2])
+        lane.sample = lane.sample or converted.data
+        entry.points += converted.counts
+        entry.empty_scans += converted.empty
+    if error is not None:
+        error.topic = lane.connection.topic
+        if on_error == "fail":
+            raise error
+        report.skip(
+            entry,
+            Skipped(lane.connection.topic, message.log_time_ns, error.stamp_ns, error.message, error.hint or ""),
+        )
+    else:
+        entry.messages_out += 1
