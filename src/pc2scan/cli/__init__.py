@@ -7,8 +7,11 @@ __all__ = ["main"]
 
 def main() -> None:
     """Run the ``pc2scan`` command."""
+    import os
     import sys
 
+    # NumPy's linear algebra would start threads, which takes longer than many a conversion, and nothing here uses them.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from .app import application
 
     application(*sys.argv[1:2])(prog_name="pc2scan")
