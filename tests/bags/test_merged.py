@@ -15,11 +15,11 @@ from pc2scan.errors import UsageError
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
-    from concurrent.futures import Executor
     from pathlib import Path
 
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.model import ChunkRule, StoredChunk
+    from pc2scan.bags.threads import Threads
 
 
 class FakeReader:
@@ -81,7 +81,7 @@ class FakeReader:
     def metadata(self) -> Iterator[Metadata]:
         yield Metadata(self.path.name, {})
 
-    def read_ahead(self, pool: Executor) -> None:
+    def read_ahead(self, pool: Threads) -> None:
         """Nothing to prepare."""
 
     def close(self) -> None:

@@ -2,12 +2,11 @@ from __future__ import annotations
 
 import threading
 import time
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
 import pytest
 
-from pc2scan.bags import write_ahead
+from pc2scan.bags.threads import Threads
 from pc2scan.bags.write_ahead import WriteAhead
 
 
@@ -19,7 +18,7 @@ def test_everything_is_written_in_the_order_in_which_it_was_put_in() -> None:
         return item
 
     ahead = WriteAhead()
-    with ThreadPoolExecutor(4) as pool:
+    with Threads(4) as pool:
         ahead.use(pool)
         for item in range(40):
             if item % 4:
@@ -39,7 +38,7 @@ def test_without_threads_nothing_waits() -> None:
     assert written == [1, 2]
 
 
-@pytest.mark.parametrize(("size", "most"), [(1, write_ahead.MAX_WAITING), (write_ahead.MAX_WAITING_BYTES // 3, 3)])
+@pytest.mark.parametrize(("size", "most"), [(1, 8), ((2 << 23) // 3, 3)])
 def test_what_waits_is_bounded(size: int, most: int) -> None:
     lock = threading.Lock()
     put = written = worst = 0
@@ -55,7 +54,7 @@ def test_what_waits_is_bounded(size: int, most: int) -> None:
         written += 1
 
     ahead = WriteAhead()
-    with ThreadPoolExecutor(2) as pool:
+    with Threads(2) as pool:
         ahead.use(pool)
         for _ in range(50):
             with lock:
@@ -73,7 +72,7 @@ def test_an_error_is_raised_when_its_turn_comes() -> None:
 
     written: list[int] = []
     ahead = WriteAhead()
-    with ThreadPoolExecutor(2) as pool:
+    with Threads(2) as pool:
         ahead.use(pool)
         ahead.put(lambda: 1, written.append, 1)
         ahead.put(fail, lambda _: written.append(2), 1)
@@ -93,7 +92,7 @@ def test_what_is_given_up_is_not_written() -> None:
         return 0
 
     ahead = WriteAhead()
-    with ThreadPoolExecutor(1) as pool:
+    with Threads(1) as pool:
         ahead.use(pool)
         ahead.put(hold, written.append, 1)
         ahead.put(lambda: 1, written.append, 1)

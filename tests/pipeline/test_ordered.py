@@ -2,11 +2,11 @@ from __future__ import annotations
 
 import threading
 import time
-from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING
 
 import pytest
 
+from pc2scan.bags.threads import Threads
 from pc2scan.pipeline.ordered import map_in_order
 
 if TYPE_CHECKING:
@@ -14,15 +14,15 @@ if TYPE_CHECKING:
 
 
 @pytest.fixture(params=[None, 2, 5])
-def pool(request: pytest.FixtureRequest) -> Iterator[ThreadPoolExecutor | None]:
+def pool(request: pytest.FixtureRequest) -> Iterator[Threads | None]:
     if request.param is None:
         yield None
     else:
-        with ThreadPoolExecutor(request.param) as threads:
+        with Threads(request.param) as threads:
             yield threads
 
 
-def test_results_come_in_the_order_of_the_input(pool: ThreadPoolExecutor | None) -> None:
+def test_results_come_in_the_order_of_the_input(pool: Threads | None) -> None:
     def work(item: int) -> int:
         time.sleep(0.002 * (item % 3))
         return item * item
@@ -51,14 +51,14 @@ def test_no_more_than_the_window_is_in_flight(window: int) -> None:
             done += 1
         return item
 
-    with ThreadPoolExecutor(4) as pool:
+    with Threads(4) as pool:
         results = list(map_in_order(work, items(), is_heavy=lambda _: True, pool=pool, window=window))
     assert results == list(range(40))
     # The item that waits for its place has been read too.
     assert worst <= window + 1
 
 
-def test_an_error_is_raised_in_its_turn(pool: ThreadPoolExecutor | None) -> None:
+def test_an_error_is_raised_in_its_turn(pool: Threads | None) -> None:
     def work(item: int) -> int:
         if item == 5:
             raise ValueError("five")
@@ -78,7 +78,7 @@ def test_leaving_early_gives_up_what_has_not_begun() -> None:
         time.sleep(0.01)
         return item
 
-    with ThreadPoolExecutor(1) as pool:
+    with Threads(1) as pool:
         results = map_in_order(work, range(100), is_heavy=lambda _: True, pool=pool, window=20)
         assert next(results) == 0
         results.close()
@@ -100,13 +100,13 @@ def test_what_queues_behind_a_slow_item_is_bounded_in_bytes() -> None:
             assert release.wait(30)
         return item
 
-    with ThreadPoolExecutor(1) as pool:
+    with Threads(1) as pool:
         results = map_in_order(
             work, items(), is_heavy=lambda item: item == 0, pool=pool, window=4, size=lambda _: 4 << 20
         )
         timer = threading.Timer(0.2, release.set)
         timer.start()
         assert next(results) == 0
-        # 32 MiB, and the one that exceeds them.
-        assert read == 9
+        # 8 MiB for one thread, and the one that exceeds them.
+        assert read == 3
         assert list(results) == list(range(1, 200))

@@ -24,13 +24,13 @@ from .zstd import is_frame, unpacked_messages
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-    from concurrent.futures import Executor
     from pathlib import Path
 
     from .damage import Damage
     from .mcap_contents import Contents
     from .model import ChunkRule
     from .segments import Segment
+    from .threads import Threads
 
 __all__ = ["McapReader"]
 
@@ -68,7 +68,7 @@ class McapReader:
         self._log = DamageLog(strict=strict)
         self._verify = verify
         self._bytes_read = 0
-        self._pool: Executor | None = None
+        self._pool: Threads | None = None
         self._connections: tuple[Connection, ...] = ()
         try:
             try:
@@ -256,7 +256,7 @@ class McapReader:
         """What is damaged, as far as it was read."""
         return self._log.found
 
-    def read_ahead(self, pool: Executor) -> None:
+    def read_ahead(self, pool: Threads) -> None:
         """Let the following calls of `messages` read and decompress what comes next on these threads."""
         self._pool = pool
 

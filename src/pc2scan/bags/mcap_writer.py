@@ -22,10 +22,10 @@ from .write_ahead import WriteAhead
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable
-    from concurrent.futures import Executor
     from pathlib import Path
 
     from .model import Attachment, Buffer, Connection, Metadata
+    from .threads import Threads
 
 __all__ = ["McapWriter"]
 
@@ -115,7 +115,7 @@ class McapWriter:
         self._channel_ids.keep([connection.id for connection in connections])
         self._schema_ids.keep([connection.schema_id for connection in connections])
 
-    def compress_ahead(self, pool: Executor) -> None:
+    def compress_ahead(self, pool: Threads) -> None:
         """Compress chunks on these threads from now on; the file stays the same."""
         self._ahead.use(pool)
 

@@ -24,11 +24,11 @@ if TYPE_CHECKING:
         Mapping,
         Sequence,
     )
-    from concurrent.futures import Executor
     from pathlib import Path
 
     from .damage import Damage
     from .model import Attachment, ChunkRule, Connection, Metadata, RawMessage, Reader
+    from .threads import Threads
 
 __all__ = ["MergedReader", "as_one", "merged_summary", "unified"]
 
@@ -176,7 +176,7 @@ class MergedReader:
             for other in self._readers
         )
 
-    def read_ahead(self, pool: Executor) -> None:
+    def read_ahead(self, pool: Threads) -> None:
         """Let the following calls of `messages` read and decompress what comes next on these threads."""
         for reader in self._readers:
             reader.read_ahead(pool)

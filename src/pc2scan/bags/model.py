@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping, Sequence
-    from concurrent.futures import Executor
     from pathlib import Path
 
     from .damage import Damage
+    from .threads import Threads
 
 Buffer = bytes | memoryview
 
@@ -317,7 +317,7 @@ class Reader(Protocol):
         """
         ...
 
-    def read_ahead(self, pool: Executor) -> None:
+    def read_ahead(self, pool: Threads) -> None:
         """Let the following calls of `messages` read and decompress what comes next on these threads."""
         ...
 
@@ -349,7 +349,7 @@ class Writer(Protocol):
         """What a chunk may repeat of the connections declared so far; see `ChunkRule`."""
         ...
 
-    def compress_ahead(self, pool: Executor) -> None:
+    def compress_ahead(self, pool: Threads) -> None:
         """Compress on these threads, which outlive the writer's work; what is written stays the same."""
         ...
 

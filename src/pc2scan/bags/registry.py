@@ -14,11 +14,11 @@ from .damage import DamageLog
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Sequence
-    from concurrent.futures import Executor
     from contextlib import ExitStack
 
     from .damage import Damage
     from .model import Attachment, ChunkRule, Connection, Metadata, RawMessage, Reader, StoredChunk, Summary, Writer
+    from .threads import Threads
 
 __all__ = [
     "Container",
@@ -237,7 +237,7 @@ class _UnpackedReader:
     ) -> Iterator[RawMessage | StoredChunk]:
         return self._inner.messages_or_chunks(rule, connections, start_ns, stop_ns)
 
-    def read_ahead(self, pool: Executor) -> None:
+    def read_ahead(self, pool: Threads) -> None:
         """Let the following calls of `messages` read and decompress what comes next on these threads."""
         self._inner.read_ahead(pool)
 

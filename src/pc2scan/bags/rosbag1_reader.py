@@ -15,12 +15,12 @@ from .segments import in_time_order, standing_alone
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
-    from concurrent.futures import Executor
     from pathlib import Path
 
     from .damage import Damage
     from .model import Attachment, ChunkRule, Connection, Metadata, RawMessage, StoredChunk
     from .segments import Segment
+    from .threads import Threads
 
 __all__ = ["Rosbag1Reader"]
 
@@ -53,7 +53,7 @@ class Rosbag1Reader:
         self._log = DamageLog(strict=strict)
         self._file = BagFile(path)
         self._bytes_read = 0
-        self._pool: Executor | None = None
+        self._pool: Threads | None = None
         try:
             try:
                 self._contents = read_index(self._file)
@@ -208,7 +208,7 @@ class Rosbag1Reader:
         """What is damaged, as far as it was read."""
         return self._log.found
 
-    def read_ahead(self, pool: Executor) -> None:
+    def read_ahead(self, pool: Threads) -> None:
         """Let the following calls of `messages` read and decompress what comes next on these threads."""
         self._pool = pool
 

@@ -32,10 +32,10 @@ from .write_ahead import WriteAhead
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
-    from concurrent.futures import Executor
     from pathlib import Path
 
     from .model import Attachment, Buffer, Connection, Metadata
+    from .threads import Threads
 
 __all__ = ["Rosbag1Writer"]
 
@@ -95,7 +95,7 @@ class Rosbag1Writer:
         """Let these keep their ids when they are declared, and no other one have them."""
         self._ids.keep([connection.id for connection in connections])
 
-    def compress_ahead(self, pool: Executor) -> None:
+    def compress_ahead(self, pool: Threads) -> None:
         """Compress chunks on these threads from now on; the file stays the same."""
         self._ahead.use(pool)
 

@@ -15,10 +15,10 @@ from .yaml import dump_yaml
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping
-    from concurrent.futures import Executor
     from pathlib import Path
 
     from .model import Attachment, Buffer, StoredChunk, Writer
+    from .threads import Threads
 
 __all__ = ["Rosbag2Writer"]
 
@@ -97,7 +97,7 @@ class Rosbag2Writer:
         """Let these keep their ids when they are declared, and no other one have them."""
         self._storage.keep_ids(connections)
 
-    def compress_ahead(self, pool: Executor) -> None:
+    def compress_ahead(self, pool: Threads) -> None:
         """Compress on these threads from now on; what is written stays the same."""
         self._storage.compress_ahead(pool)
 

@@ -24,10 +24,11 @@ from .model import StoredChunk
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-    from concurrent.futures import Executor, Future
+    from concurrent.futures import Future
     from pathlib import Path
 
     from .model import ChunkRule, RawMessage
+    from .threads import Threads
 
     #: What a segment is loaded as: its messages, or the chunk as a whole.
     Loaded = list[RawMessage] | StoredChunk
@@ -40,10 +41,6 @@ MAX_OPEN_BYTES = 64 << 20
 
 #: Segments may be read again until that comes to so many times the whole, and a gigabyte.
 _MAX_AGAIN = 16
-
-#: Segments are loaded ahead of their turn until they take this much together, or there are this many.
-MAX_AHEAD_BYTES = 16 << 20
-MAX_AHEAD = 8
 
 #: Chunks smaller than this, uncompressed, are not worth copying: their messages are gathered in larger ones.
 MIN_WHOLE_BYTES = 256 << 10
@@ -173,7 +170,7 @@ def in_time_order(
     *,
     alone: Collection[Segment] = frozenset(),
     max_open_bytes: int = MAX_OPEN_BYTES,
-    pool: Executor | None = None,
+    pool: Threads | None = None,
     path: Path | None = None,
 ) -> Iterator[RawMessage | StoredChunk]:
     """Merge the messages of overlapping segments.
@@ -224,9 +221,9 @@ def in_time_order(
 
 
 class _Ahead:
-    """Segments loaded on other threads before their turn, in the order given, within the bounds above."""
+    """Segments loaded on other threads before their turn, in the order given, within the bounds of the pool."""
 
-    def __init__(self, segments: Sequence[Segment], load: Callable[[Segment], Loaded], pool: Executor) -> None:
+    def __init__(self, segments: Sequence[Segment], load: Callable[[Segment], Loaded], pool: Threads) -> None:
         self._segments = segments
         self._load = load
         self._pool = pool
@@ -236,11 +233,11 @@ class _Ahead:
         held = 0
         for segment in self._segments:
             size = segment.uncompressed_size
-            while self._pending and (held + size > MAX_AHEAD_BYTES or len(self._pending) >= MAX_AHEAD):
+            while self._pending and (held + size > self._pool.ahead_bytes or len(self._pending) >= self._pool.ahead):
                 held -= self._pending[0][0].uncompressed_size
                 # Bound to no name: this frame must not keep it alive meanwhile.
                 yield self._pending.popleft()[1].result()
-            if size > MAX_AHEAD_BYTES:
+            if size > self._pool.ahead_bytes:
                 # Too large to be held before its turn.
                 yield self._load(segment)
                 continue

@@ -36,10 +36,10 @@ from .sqlite3_pages import PageFile, declared_size, rebuilt
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
-    from concurrent.futures import Executor
 
     from .damage import Damage
     from .model import Attachment, ChunkRule, Metadata, StoredChunk
+    from .threads import Threads
 
 __all__ = ["Sqlite3Reader"]
 
@@ -203,7 +203,7 @@ class Sqlite3Reader:
         """The same: the storage has no chunks."""
         return self.messages(connections, start_ns, stop_ns)
 
-    def read_ahead(self, pool: Executor) -> None:
+    def read_ahead(self, pool: Threads) -> None:
         """Let the following calls of `messages` read and decompress what comes next on these threads."""
         # A database is read in order, by the thread that opened it.
 

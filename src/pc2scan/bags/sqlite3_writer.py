@@ -22,10 +22,10 @@ from .write_ahead import WriteAhead
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
-    from concurrent.futures import Executor
     from pathlib import Path
 
     from .model import Attachment, Buffer, Connection, Metadata, StoredChunk
+    from .threads import Threads
 
 __all__ = ["Sqlite3Writer"]
 
@@ -97,7 +97,7 @@ class Sqlite3Writer:
     def keep_ids(self, connections: Collection[Connection]) -> None:
         """Do nothing: there are no chunks that would carry ids."""
 
-    def compress_ahead(self, pool: Executor) -> None:
+    def compress_ahead(self, pool: Threads) -> None:
         """Compress messages on these threads from now on; the file stays the same."""
         self._ahead.use(pool)
 

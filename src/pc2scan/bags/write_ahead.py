@@ -7,15 +7,13 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from concurrent.futures import Executor, Future
+    from concurrent.futures import Future
+
+    from .threads import Threads
 
 __all__ = ["WriteAhead"]
 
 Prepared = TypeVar("Prepared")
-
-#: Chunks wait for their turn until they take this much together, or there are this many.
-MAX_WAITING_BYTES = 32 << 20
-MAX_WAITING = 8
 
 
 class WriteAhead:
@@ -26,12 +24,12 @@ class WriteAhead:
     """
 
     def __init__(self) -> None:
-        self._pool: Executor | None = None
+        self._pool: Threads | None = None
         # The work (None: there is none), what writes its result, and the bytes held meanwhile.
         self._waiting: deque[tuple[Future[Any] | None, Callable[[], None], int]] = deque()
         self._held = 0
 
-    def use(self, pool: Executor) -> None:
+    def use(self, pool: Threads) -> None:
         """Work on what is put in from now on on these threads."""
         self._pool = pool
 
@@ -76,10 +74,11 @@ class WriteAhead:
 
     def _make_room(self, size: int) -> None:
         """Write what is ready, and of the rest as much as there is too much with ``size`` bytes more."""
-        while self._waiting:
+        pool = self._pool
+        while self._waiting and pool is not None:
             future = self._waiting[0][0]
-            ready = future is None or future.done()
-            if not ready and len(self._waiting) < MAX_WAITING and self._held + size <= MAX_WAITING_BYTES:
+            room = len(self._waiting) < pool.ahead and self._held + size <= pool.ahead_bytes
+            if room and future is not None and not future.done():
                 return
             self._write_first()
 

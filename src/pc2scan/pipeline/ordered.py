@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, TypeVar
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable
-    from concurrent.futures import Executor
+
+    from pc2scan.bags.threads import Threads
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 #: Items that need no thread may queue behind one that does, up to so many and so many bytes.
 _MAX_QUEUED = 1024
-_MAX_QUEUED_BYTES = 32 << 20
 
 
 def map_in_order(
@@ -23,7 +23,7 @@ def map_in_order(
     items: Iterable[Item],
     *,
     is_heavy: Callable[[Item], bool],
-    pool: Executor | None,
+    pool: Threads | None,
     window: int,
     size: Callable[[Item], int] = lambda _: 0,
 ) -> Generator[Result, None, None]:
@@ -70,7 +70,7 @@ def map_in_order(
             queued_bytes += kept
             # What this frame still refers to would stay in memory while the consumer works.
             del item, future
-            while queue and (queue[0][0].done() or len(queue) > _MAX_QUEUED or queued_bytes > _MAX_QUEUED_BYTES):
+            while queue and (queue[0][0].done() or len(queue) > _MAX_QUEUED or queued_bytes > pool.ahead_bytes):
                 first, kept = queue.popleft()
                 queued_bytes -= kept
                 yield first.result()

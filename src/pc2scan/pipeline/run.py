@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -20,6 +19,7 @@ from pc2scan.bags.registry import (
     plan_destination,
 )
 from pc2scan.bags.staging import staged
+from pc2scan.bags.threads import Threads
 from pc2scan.errors import (
     DamageError,
     OutputError,
@@ -243,10 +243,10 @@ def _generation(connections: Iterable[Connection]) -> int | None:
     return next((c.generation for c in connections if c.generation is not None), None)
 
 
-def _threads(options: ConvertOptions, stack: ExitStack) -> ThreadPoolExecutor | None:
+def _threads(options: ConvertOptions, stack: ExitStack) -> Threads | None:
     """The threads that read, decompress, convert and compress, until the stack is left; None for one job."""
     jobs = options.jobs or cores()
-    return stack.enter_context(ThreadPoolExecutor(jobs, thread_name_prefix="pc2scan")) if jobs > 1 else None
+    return stack.enter_context(Threads(jobs)) if jobs > 1 else None
 
 
 def _span(reader: Reader, options: ConvertOptions) -> Span:

@@ -18,9 +18,9 @@ from .report import Report, Skipped
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
-    from concurrent.futures import ThreadPoolExecutor
 
     from pc2scan.bags.model import Buffer, ChunkRule, RawMessage, Reader, Writer
+    from pc2scan.bags.threads import Threads
 
     from .conversion import Converted
     from .options import ConvertOptions
@@ -58,7 +58,7 @@ def stream(
     options: ConvertOptions,
     span: Span,
     rule: ChunkRule | None,
-    pool: ThreadPoolExecutor | None,
+    pool: Threads | None,
     writer: Writer,
     report: Report,
     progress: Progress | None,
