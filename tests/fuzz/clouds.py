@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from contextlib import contextmanager
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -42,10 +42,10 @@ _TRANSFORM = (np.array([[0.0, -0.8, 0.6], [1.0, 0.0, 0.0], [0.0, 0.6, 0.8]]), np
 def _projector(asked: int, reduction: int, few: int) -> Projector:
     reduce = _REDUCTIONS[reduction % len(_REDUCTIONS)]
     kth = {"kth": 1 + few % 3} if reduce == "kth" else {}
-    changes = {"min_height": -9.0, "min_points": 1 + few % 3, "reduce": reduce, **kth}
+    changes: dict[str, Any] = {"min_height": -9.0, "min_points": 1 + few % 3, "reduce": reduce, **kth}
     asked %= len(_GRIDS) + len(PRESETS)
     if asked < len(_GRIDS):
-        return Projector(ProjectionParams(**{**_GRIDS[asked], **changes}))  # type: ignore[arg-type]
+        return Projector(ProjectionParams(**{**_GRIDS[asked], **changes}))
     return Projector(ProjectionParams.preset(sorted(PRESETS)[asked - len(_GRIDS)], **changes))
 
 
