@@ -76,6 +76,7 @@ def inputs() -> Iterator[tuple[str, str, bytes]]:
             yield "mcap", kind, made.read_bytes().removeprefix(MAGIC)
         drive = write_rosbag2(place / "drive", CONTENT, version=9)
         yield "metadata", "version-9", (drive / "metadata.yaml").read_bytes()
+    yield "metadata", "key-of-mappings", b"rosbag2_bagfile_information:\n  version: 5\n  ? [a, {b: c}]\n  : d\n"
     text = b"some text that repeats, some text that repeats"
     yield "salvage", "bz2", b"\0" + bz2.compress(text)[3:]
     yield "salvage", "lz4", b"\1" + lz4.frame.compress(text)[4:]
