@@ -41,7 +41,20 @@ if TYPE_CHECKING:
 __all__ = ["attempt", "make_seeds", "mutated"]
 
 #: Values that lengths, counts, times and places go wrong at.
-_NUMBERS = (0, 1, 0x7F, 0xFF, 0x7FFF_FFFF, 0x8000_0000, 0xFFFF_FFFF, 1 << 40, (1 << 63) - 1, 1 << 63, (1 << 64) - 1)
+_NUMBERS = (
+    0,
+    1,
+    0x7F,
+    0xFF,
+    0x7FA0_0000,
+    0x7FFF_FFFF,
+    0x8000_0000,
+    0xFFFF_FFFF,
+    1 << 40,
+    (1 << 63) - 1,
+    1 << 63,
+    (1 << 64) - 1,
+)
 
 #: Shares of attempts, messages and times.
 _SOUND_CONTAINER, _WITH_METADATA, _MUTATED_SHARE, _TIMELY_SHARE = 0.4, 0.15, 0.4, 0.95
