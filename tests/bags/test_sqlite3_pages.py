@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 import shutil
 import sqlite3
+import struct
 from collections import Counter
 from contextlib import closing
 from typing import TYPE_CHECKING
@@ -12,7 +13,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from bags.rosbag2_files import topic
-from pc2scan.bags.sqlite3_pages import PageFile, declared_size
+from fuzz.watch import watched
+from pc2scan.bags.sqlite3_pages import PageFile, declared_size, rebuilt
 from pc2scan.bags.sqlite3_reader import Sqlite3Reader
 from pc2scan.bags.sqlite3_writer import Sqlite3Writer
 from pc2scan.errors import DamageError, RecordingError
@@ -181,6 +183,51 @@ def test_a_cut_log_keeps_what_was_committed(tmp_path: Path, size: int) -> None:
     rows, _ = recovered(path)
     assert set(rows) <= set(complete)
     assert len(rows) >= 20
+
+
+def test_a_log_may_name_any_page(tmp_path: Path) -> None:
+    path, complete = hot_log(tmp_path)
+    log = path.with_name("a.db3-wal")
+    data = bytearray(log.read_bytes())
+    data[32:36] = b"\xff" * 4
+    log.write_bytes(data)
+    with closing(PageFile(path, log)) as pages:
+        found = {cell.values[2] for cell in pages.cells() if cell.is_message}
+    assert {time_ns for _, time_ns, _ in complete} <= found | {2_000_000}
+
+
+def varint(value: int) -> bytes:
+    parts = [value & 0x7F]
+    while value := value >> 7:
+        parts.append(value & 0x7F | 0x80)
+    return bytes(reversed(parts))
+
+
+@pytest.mark.parametrize("rowid", [1, (1 << 64) - 5])
+def test_a_chain_of_pages_that_leads_back_to_itself_ends(rowid: int, tmp_path: Path) -> None:
+    # A message of a terabyte whose second page is followed by itself; 39 bytes of it are in the first one.
+    blob = 508 * (1 << 31) + 495
+    types = b"\0\1\1" + varint(2 * blob + 12)
+    record = bytes([1 + len(types)]) + types + b"\1\5"
+    size = len(record) + blob
+    assert (size - 39) % 508 > 438
+    cell = varint(size) + varint(rowid & (1 << 56) - 1)
+    if rowid > 1 << 63:
+        cell = varint(size) + b"\xff" * 8 + bytes([rowid & 0xFF])
+    cell += record.ljust(39, b"d") + struct.pack(">I", 2)
+    head = b"SQLite format 3\0" + struct.pack(">H", 512)
+    leaf = head.ljust(100, b"\0") + struct.pack(">BHHHBH", 0x0D, 0, 1, 200, 0, 200)
+    path = tmp_path / "a.db3"
+    path.write_bytes((leaf.ljust(200, b"\0") + cell).ljust(512, b"\0") + struct.pack(">I", 2).ljust(512, b"d"))
+    with watched(path.stat().st_size, 5), closing(PageFile(path)) as pages:
+        (found,) = pages.cells()
+        assert found.is_message
+        assert found.rowid == (rowid if rowid == 1 else -5)
+        assert pages.payload(found.page, found.offset) is None
+        database, last_ns = rebuilt(pages)
+        with closing(database):
+            assert list(database.execute("SELECT id, data FROM messages")) == [(found.rowid, None)]
+        assert last_ns == 5
 
 
 def test_no_database_at_all(tmp_path: Path) -> None:

@@ -18,3 +18,11 @@ def test_block_style_in_the_order_given() -> None:
 def test_what_is_no_yaml(text: str, place: str) -> None:
     with pytest.raises(ValueError, match=f"is not valid YAML.*{place}"):
         load_yaml(text)
+
+
+@pytest.mark.parametrize(
+    "text", ["? [a, {b: c}]\n: d\n", "a: 2001-99-99", "a: -0x_", "a: !!int ''", "a: !!float x", "a: !!bool x", "a: ="]
+)
+def test_values_that_cannot_be_made(text: str) -> None:
+    with pytest.raises(ValueError, match="is not valid YAML"):
+        load_yaml(text)

@@ -152,6 +152,55 @@ def test_damage_is_named_with_its_line(old: str, new: str, blamed: str, tmp_path
     assert "--update" in (caught.value.hint or "")
 
 
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('frame_id "lidar"', "frame_id 5"),
+        ('frame_id "lidar"', "frame_id " + "[" * 100_000),
+        ('message "/scan"', 'message ["/scan"]'),
+        ('topic "/scan"', "topic 5"),
+        ("log_time 1", "log_time 99999999999991"),
+        ("height 1", "height 99999999999"),
+        ("point_step 12", "point_step 99999999999"),
+        ("point_step 12", "point_step 8"),
+        ("0 float32 1", "0 float32 99999999999"),
+        ("0 float32 1", "-4 float32 1"),
+        ("points 2", "points 0"),
+        ("points 2", "points 99999999999"),
+        ("0: 2.5 ", "0: 1e300 "),
+    ],
+)
+def test_numbers_and_names_that_cannot_be(old: str, new: str, tmp_path: Path) -> None:
+    path = tmp_path / "expected.txt"
+    points = np.full((2, 3), 2.5, np.float32)
+    text = render([message(cloud(points, 2), POINTCLOUD2)])
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+    with pytest.raises(RecordingError, match=r"line \d+ is not what was written"):
+        open_scan_text(path)
+
+
+def test_points_without_fields_are_refused() -> None:
+    bare = replace(deserialized(cloud(points_of(1, 4), 2), CLOUD, 2), fields=[])
+    with pytest.raises(UsageError, match="points would be lost"):
+        render([message(serialized(typestore(2), bare, CLOUD, 2), POINTCLOUD2)])
+
+
+def test_a_field_of_no_points_may_have_any_number_of_elements(tmp_path: Path) -> None:
+    data = encode_pointcloud2(
+        serialization="cdr",
+        sequence=0,
+        stamp_ns=5,
+        frame_id="a",
+        fields=[PointField("x", 0, 7, 1 << 29)],
+        point_step=1 << 31,
+        data=b"",
+        height=0,
+    )
+    (again,) = reread(tmp_path, message(data, POINTCLOUD2))
+    assert again.data == data
+
+
 def test_a_cut_is_by_log_time(tmp_path: Path) -> None:
     path = tmp_path / "expected.txt"
     path.write_text(render([message(scan(np.array([1], np.float32), 2))._replace(log_time_ns=t) for t in (5, 6, 7)]))

@@ -144,3 +144,10 @@ def test_tolerances_that_cannot_be(value: float) -> None:
         Tolerance(atol=value)
     with pytest.raises(UsageError, match="rtol"):
         Tolerance(rtol=value)
+
+
+def test_a_nan_that_signals_is_a_nan_like_any_other() -> None:
+    signalling = np.array([0x7FA0_0000, 0x3F80_0000], np.uint32).view(np.float32)
+    found = compare_arrays(signalling, f32(math.nan, 2.0), Tolerance(rtol=1e-3), limits=ALL)
+    assert (found.changed, found.worst and found.worst.index) == (1, 1)
+    assert compare_arrays(f32(1.0, 1.0), signalling, EXACT, limits=ALL).changed == 1

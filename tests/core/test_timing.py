@@ -147,3 +147,8 @@ def test_half_a_turn_in_a_whole_scan() -> None:
     assert first + 90 * step == pytest.approx(0.0, abs=1e-6)
     assert first + 270 * step == pytest.approx(-0.05, abs=1e-6)
     assert beam_times(sweep, centered_layout(2.0, 4.0, 1.0, 100)) is None
+
+
+def test_times_that_are_all_but_equal_are_no_turn() -> None:
+    times = np.repeat([0.0, 5e-324], 100)
+    assert fit_sweep(np.linspace(-3, 3, times.size), times) is None

@@ -2,27 +2,38 @@
 
 Guided by coverage, by hand (``pip install atheris``), one decoder at a time::
 
-    PYTHONPATH=src:tests python tests/fuzz/decoders.py schema tests/fuzz/corpus/schema -max_total_time=300
+    PYTHONPATH=src:tests python tests/fuzz/decoders.py schema -max_total_time=300
 
-The small corpus is gone through by the tests, without atheris.
+It begins with the small corpus and leaves that as it is; a folder that is named gets what was found to reach new code.
+The tests go through the corpus without atheris.
 """
 
 from __future__ import annotations
 
+import gc
+import pkgutil
 import sqlite3
 import sys
 import tempfile
 from contextlib import closing
+from dataclasses import replace
 from functools import cache
+from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from types import FunctionType
+from typing import TYPE_CHECKING, Any, cast
 
-from pc2scan.bags.model import Connection, Definition
+import pc2scan
+from bags import mcap_files
+from fuzz.clouds import project_cloud
+from pc2scan.bags.model import ChunkRule, Connection, Definition, StoredChunk
 from pc2scan.bags.rosbag1_records import Damaged, parsed_connection, parsed_fields
 from pc2scan.errors import Pc2ScanError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from pc2scan.bags.mcap_chunks import ChunkSegment
 
 __all__ = ["CORPUS", "DECODERS", "decode"]
 
@@ -139,11 +150,111 @@ def _mcap(data: bytes) -> None:
 
 
 def _salvage(data: bytes) -> None:
+    """Of what is sound, all comes out."""
+    import bz2
+
+    import lz4.frame
+    import zstandard
+
     from pc2scan.bags.salvage import decompressed_prefix
 
-    kinds = {"lz4": b"\x04\x22\x4d\x18", "bz2": b"BZh", "zstd": b"\x28\xb5\x2f\xfd"}
+    kinds: dict[str, tuple[bytes, Callable[[], Any]]] = {
+        "bz2": (b"BZh", bz2.BZ2Decompressor),
+        "lz4": (b"\x04\x22\x4d\x18", lz4.frame.LZ4FrameDecompressor),
+        "zstd": (b"\x28\xb5\x2f\xfd", zstandard.ZstdDecompressor().decompressobj),
+    }
     kind = sorted(kinds)[data[0] % 3] if data else "lz4"
-    decompressed_prefix(kinds[kind] + data[1:], kind, 1_000)
+    magic, make = kinds[kind]
+    found = decompressed_prefix(magic + data[1:], kind, 1_000)
+    decoder = make()
+    try:
+        whole = decoder.decompress(magic + data[1:])
+    except (OSError, EOFError, RuntimeError, MemoryError, zstandard.ZstdError):
+        return
+    if decoder.eof:
+        assert found == whole[: 16 << 20]
+
+
+def _ros1_frames(data: bytes) -> None:
+    """Whatever is packed can be read by ROS 1."""
+    import lz4.frame
+
+    from pc2scan.bags.rosbag1_lz4 import packed, ros1_reads
+
+    ros1_reads(b"\x04\x22\x4d\x18" + data)
+    frame = packed(data)
+    assert ros1_reads(frame)
+    assert lz4.frame.decompress(frame) == data
+
+
+@cache
+def _chunk() -> tuple[bytes, ChunkSegment]:
+    """Build an MCAP file up to the end of its chunk, and where that is."""
+    from pc2scan.bags.mcap_reader import McapReader
+
+    with tempfile.TemporaryDirectory(prefix="pc2scan-fuzz-") as folder:
+        path = Path(folder, "a.mcap")
+        mcap_files.write(path, [(i % 2, 1000 + 10 * i, bytes([i]) * 9) for i in range(4)], compression="zstd")
+        with closing(McapReader(path)) as reader:
+            (segment,) = cast("Any", reader)._contents.segments
+        return path.read_bytes()[: segment.offset + segment.length], segment
+
+
+def _copies(data: bytes) -> None:
+    """Message indexes behind a chunk, or the records in one."""
+    from pc2scan.bags.mcap_copies import whole_by_content, whole_by_index
+    from pc2scan.bags.mcap_records import CHUNK, OP_CHUNK, RECORD, RecordFile
+
+    front, segment = _chunk()
+    rule = ChunkRule("mcap", frozenset({"zstd", "none"}), frozenset({1, 2}))
+    by_index, data = data[:1] < b"\x80", data[1:]
+    if by_index:
+        file_bytes, segment = front + data, replace(segment, index_length=len(data))
+    else:
+        head = CHUNK.pack(segment.start_ns, segment.end_ns, len(data), 0, 0) + len(data).to_bytes(8, "little")
+        place = segment.record_offset
+        record = RECORD.pack(OP_CHUNK, len(head) + len(data)) + head
+        file_bytes = front[:place] + record + data
+        segment = replace(
+            segment, offset=place + len(record), length=len(data), compression="none", uncompressed_size=len(data)
+        )
+
+    def read(path: Path) -> None:
+        with closing(RecordFile(path)) as file:
+            found = (
+                whole_by_index(file, segment, rule) if by_index else whole_by_content(file, segment, rule, verify=False)
+            )
+        if isinstance(found, StoredChunk):
+            entries = [entry for channel in found.index.values() for entry in channel]
+            assert found.index.keys() <= rule.connection_ids
+            assert all(segment.start_ns <= time_ns <= segment.end_ns for time_ns, _ in entries)
+            assert all(0 <= at < found.size for _, at in entries)
+
+    _file("a.mcap", file_bytes, read)
+
+
+def _pages(data: bytes) -> None:
+    """A database, and as its last bytes its log: as many as the first two bytes say."""
+    from pc2scan.bags.sqlite3_pages import PageFile, rebuilt
+
+    split = len(data) - min(int.from_bytes(data[:2], "little"), max(0, len(data) - 2))
+
+    def read(path: Path) -> None:
+        log = path.with_name("a.db3-wal")
+        log.write_bytes(data[split:])
+        with closing(PageFile(path, log)) as pages:
+            database, _ = rebuilt(pages)
+            with closing(database):
+                for (found,) in database.execute("SELECT data FROM messages"):
+                    assert found is None or len(found) <= len(data)
+
+    _file("a.db3", data[2:split], read)
+
+
+def _scan_text(data: bytes) -> None:
+    from pc2scan.compare.scan_text import open_scan_text, render
+
+    _file("a.txt", data, lambda path: _ignored(render(open_scan_text(path).messages())))
 
 
 def _rows(data: bytes) -> None:
@@ -192,6 +303,7 @@ def _ignored(_: object) -> None:
 
 DECODERS: dict[str, Callable[[bytes], None]] = {
     "cloud": _cloud,
+    "clouds": project_cloud,
     "scan": _scan,
     "transforms": _transforms,
     "wire": _wire,
@@ -201,10 +313,14 @@ DECODERS: dict[str, Callable[[bytes], None]] = {
     "bag": _bag,
     "mcap": _mcap,
     "salvage": _salvage,
+    "ros1-frames": _ros1_frames,
+    "copies": _copies,
+    "pages": _pages,
     "rows": _rows,
     "metadata": _metadata,
     "qos": _qos,
     "parameters": _parameters,
+    "scan-text": _scan_text,
 }
 
 
@@ -216,17 +332,34 @@ def decode(name: str, data: bytes) -> None:
         err.args  # noqa: B018  # an error like any other
 
 
+#: Whose code is counted; the last is what rosbags names the code that it makes of definitions.
+_COUNTED = {"pc2scan", "mcap", "rosbags", "tmpmod"}
+
+
+def _instrument(name: str, instrument: Callable[[FunctionType], object]) -> None:
+    """Have everything counted that a decoder may reach: also what is imported only where there is damage."""
+    for file in sorted((CORPUS / name).iterdir()):
+        decode(name, file.read_bytes())
+    for module in pkgutil.walk_packages(pc2scan.__path__, "pc2scan."):
+        if not module.name.endswith("__main__"):
+            import_module(module.name)
+    for found in gc.get_objects():
+        if isinstance(found, FunctionType) and (found.__module__ or "").split(".")[0] in _COUNTED:
+            instrument(found)
+
+
 def main() -> None:
     """Let atheris look for inputs that reach new code."""
     import atheris
 
     name, *rest = sys.argv[1:]
-    # What a decoder imports when it is first used is what is to be covered.
-    for file in sorted((CORPUS / name).iterdir()):
-        decode(name, file.read_bytes())
-    atheris.instrument_all()
-    atheris.Setup([sys.argv[0], *rest], lambda data: decode(name, data))
-    atheris.Fuzz()
+    _instrument(name, atheris.instrument_func)
+    with tempfile.TemporaryDirectory(prefix="pc2scan-fuzz-") as folder:
+        # What is found goes to the first folder.
+        folders = [argument for argument in rest if not argument.startswith("-")] or [folder]
+        options = [argument for argument in rest if argument.startswith("-")]
+        atheris.Setup([sys.argv[0], *folders, str(CORPUS / name), *options], lambda data: decode(name, data))
+        atheris.Fuzz()
 
 
 if __name__ == "__main__":

@@ -6,19 +6,40 @@
 from __future__ import annotations
 
 import bz2
+import sqlite3
 import struct
 import tempfile
+from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
 import lz4.frame
+import numpy as np
 import zstandard
 
 from bags import mcap_files, rosbag1_files
-from builders import BATTERY, CONTENT, IDL, POINTS, T0, cloud, definition, points_of, qos_text, scan, write_rosbag2
+from builders import (
+    BATTERY,
+    CLOUD,
+    CONTENT,
+    IDL,
+    POINTS,
+    T0,
+    cloud,
+    definition,
+    points_of,
+    qos_text,
+    scan,
+    write_rosbag2,
+)
+from fuzz import clouds
 from fuzz.decoders import CORPUS
 from pc2scan import ProjectionParams
+from pc2scan.bags.mcap_reader import McapReader
 from pc2scan.bags.mcap_records import MAGIC
+from pc2scan.bags.model import Connection, RawMessage
+from pc2scan.compare.scan_text import render
+from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.pipeline.params_file import render_params_file
 
 if TYPE_CHECKING:
@@ -55,14 +76,80 @@ def inputs() -> Iterator[tuple[str, str, bytes]]:
             yield "mcap", kind, made.read_bytes().removeprefix(MAGIC)
         drive = write_rosbag2(place / "drive", CONTENT, version=9)
         yield "metadata", "version-9", (drive / "metadata.yaml").read_bytes()
+    yield "metadata", "key-of-mappings", b"rosbag2_bagfile_information:\n  version: 5\n  ? [a, {b: c}]\n  : d\n"
     text = b"some text that repeats, some text that repeats"
     yield "salvage", "bz2", b"\0" + bz2.compress(text)[3:]
     yield "salvage", "lz4", b"\1" + lz4.frame.compress(text)[4:]
     yield "salvage", "zstd", b"\2" + zstandard.compress(text)[4:]
+    yield (
+        "ros1-frames",
+        "text",
+        lz4.frame.compress(text, block_linked=False, store_size=False, content_checksum=True)[4:],
+    )
+    yield from _copies()
+    yield from _pages()
+    yield from _clouds()
+    yield "scan-text", "messages", _scan_text().encode()
     yield "rows", "sound", b"\xfe".join((b"\1/t", b"\1p/msg/T", b"\1", b"\2" + bytes(T0 % 50), b"\0data"))
     yield "qos", "profile", qos_text((POINTS,)).encode()
     yield "parameters", "ros2", render_params_file(ProjectionParams()).encode()
     yield "parameters", "ros1", b"min_height: -0.5\nangle_min: rad(-pi/2)\nuse_inf: 1\n"
+
+
+def _copies() -> Iterator[tuple[str, str, bytes]]:
+    """The records of a chunk and the indexes behind it."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "a.mcap")
+        mcap_files.write(path, [(i % 2, 1000 + 10 * i, bytes([i]) * 9) for i in range(4)], compression="zstd")
+        with closing(McapReader(path)) as reader:
+            (segment,) = cast("Any", reader)._contents.segments
+        data = path.read_bytes()
+    behind = segment.offset + segment.length
+    yield "copies", "indexes", b"\0" + data[behind : behind + segment.index_length]
+    yield "copies", "records", b"\xff" + zstandard.decompress(data[segment.offset : behind])
+
+
+def _pages() -> Iterator[tuple[str, str, bytes]]:
+    """A database of small pages, and one most of which is in its log."""
+    for journal in ("delete", "wal"):
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder, "a.db3")
+            with closing(sqlite3.connect(path)) as database:
+                database.executescript(f"PRAGMA page_size = 512; PRAGMA journal_mode = {journal};")
+                database.executescript(
+                    "CREATE TABLE topics(id INTEGER PRIMARY KEY, name, type, serialization_format, qos);"
+                    "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB);"
+                )
+                database.execute("INSERT INTO topics VALUES (1, '/t', 'p/msg/T', 'cdr', '')")
+                rows = [(1, T0, b"short"), (1, T0 + 1, b"long" * 300), (1, T0 + 2, b"last")]
+                database.executemany("INSERT INTO messages VALUES (NULL, ?, ?, ?)", rows)
+                database.commit()
+                log = path.with_name("a.db3-wal")
+                logged = log.read_bytes() if log.exists() else b""
+                yield "pages", journal, len(logged).to_bytes(2, "little") + path.read_bytes() + logged
+
+
+def _clouds() -> Iterator[tuple[str, str, bytes]]:
+    """Points packed, strided, in rows with a gap, and of other datatypes."""
+    points = points_of(1, 12)
+    floats = ((0, 7), (4, 7), (8, 7), (8, 7))
+    yield "clouds", "floats", clouds.written(floats, points.tobytes(), step=12)
+    padded = np.zeros((12, 16), np.uint8)
+    padded[:, :12] = points.view(np.uint8).reshape(12, 12)
+    yield "clouds", "rows", clouds.written(floats, padded.tobytes(), step=12, height=4, row_step=48, flags=4)
+    doubles = ((0, 8), (8, 8), (16, 8), (16, 8))
+    yield "clouds", "doubles", clouds.written(doubles, points.astype(">f8").tobytes(), step=24, flags=3)
+    mixed = ((0, 3), (2, 6), (6, 1), (7, 2))
+    yield "clouds", "mixed", clouds.written(mixed, bytes(range(96)), step=8, flags=6)
+
+
+def _scan_text() -> str:
+    points = points_of(1, 3)
+    messages = []
+    for number, (kind, data) in enumerate(((LASERSCAN, scan(points[:, 0], 1)), (CLOUD, cloud(points, 2)))):
+        connection = Connection(number, f"/t{number}", kind, ("ros1", "cdr")[number])
+        messages.append(RawMessage(connection, T0, data, T0))
+    return render(messages)
 
 
 def main() -> None:

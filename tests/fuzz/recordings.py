@@ -1,4 +1,4 @@
-"""Mutated recordings in every container, through ``info``, ``tf`` and ``convert``.
+"""Mutated recordings in every container, through ``info``, ``tf``, ``convert``, ``repair``, ``check`` and ``diff``.
 
 By hand, for as long as it takes::
 
@@ -21,16 +21,19 @@ import warnings
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import pc2scan
 from builders import CONTENT, SOURCES, Recording
 from fuzz.watch import watched
 from hostile.bounded import size_of
 from pc2scan.bags.registry import open_recording
+from pc2scan.inspect.check import check
 from pc2scan.inspect.info import info
 from pc2scan.inspect.tf import frame_tree
 from pc2scan.pipeline.frames import FrameOptions
+from pc2scan.pipeline.options import ConvertOptions
+from pc2scan.pipeline.run import OutputOptions, run
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -38,7 +41,20 @@ if TYPE_CHECKING:
 __all__ = ["attempt", "make_seeds", "mutated"]
 
 #: Values that lengths, counts, times and places go wrong at.
-_NUMBERS = (0, 1, 0x7F, 0xFF, 0x7FFF_FFFF, 0x8000_0000, 0xFFFF_FFFF, 1 << 40, (1 << 63) - 1, 1 << 63, (1 << 64) - 1)
+_NUMBERS = (
+    0,
+    1,
+    0x7F,
+    0xFF,
+    0x7FA0_0000,
+    0x7FFF_FFFF,
+    0x8000_0000,
+    0xFFFF_FFFF,
+    1 << 40,
+    (1 << 63) - 1,
+    1 << 63,
+    (1 << 64) - 1,
+)
 
 #: Shares of attempts, messages and times.
 _SOUND_CONTAINER, _WITH_METADATA, _MUTATED_SHARE, _TIMELY_SHARE = 0.4, 0.15, 0.4, 0.95
@@ -116,7 +132,7 @@ _MUTATIONS: tuple[Callable[[bytearray, random.Random], None], ...] = (
 
 
 def attempt(seed: int, seeds: dict[str, Path], folder: Path) -> Path:
-    """Mutate a recording as the seed says, look into it and convert it; returns it.
+    """Mutate a recording as the seed says, look into it, convert it and repair it; returns it.
 
     Raises
     ------
@@ -146,6 +162,11 @@ def attempt(seed: int, seeds: dict[str, Path], folder: Path) -> Path:
     with watched(size):
         frame_tree([source], FrameOptions()).as_dict()
     _convert(rng, source, folder, size)
+    _repair(rng, source, folder, size)
+    with watched(size):
+        check([source], base_frame=rng.choice(("", "base_link"))).as_dict()
+    with watched(size + size_of(seeds[kind])):
+        pc2scan.diff(seeds[kind], source, all_topics=rng.random() < 0.5, rtol=rng.choice((0.0, 1e-5))).as_dict()
     return source
 
 
@@ -162,32 +183,52 @@ def _with_mutated_messages(rng: random.Random) -> Recording:
 
 
 def _convert(rng: random.Random, source: Path, folder: Path, size: int) -> None:
-    name = rng.choice(_DESTINATIONS)
-    options: dict[str, Any] = {"storage": "sqlite3"} if name == "out-sqlite3" else {}
-    target = rng.choice(("", "", "base_link", "odom"))
+    name, options = _form(rng)
+    reduce = rng.choice(("min", "min", "max", "mean", "median"))
+    params = pc2scan.ProjectionParams(
+        target_frame=rng.choice(("", "", "base_link", "odom")),
+        min_height=-9.0,
+        reduce=cast("Any", reduce),
+        intensity_field=rng.choice(("", "", "x", "intensity")),
+        scan_time=rng.choice(("auto", 0.1)),
+    )
     if rng.random() < 0.3:
         options["keep_clouds"] = True
     if rng.random() < 0.2:
         options["start"] = "0.05"
-    output = folder / "output"
-    output.mkdir()
-    destination = output / name
+    jobs, verify = rng.choice((1, 2)), rng.random() < 0.5
+    destination = folder / "output" / name
+    destination.parent.mkdir()
     with watched(size):
-        pc2scan.convert(
-            source,
-            destination,
-            params=pc2scan.ProjectionParams(target_frame=target, min_height=-9.0),
-            jobs=rng.choice((1, 2)),
-            verify=rng.random() < 0.5,
-            **options,
-        )
-    left = [path.name for path in output.iterdir()]
-    assert left in ([], [name]), left
+        pc2scan.convert(source, destination, params=params, jobs=jobs, verify=verify, **options)
+    if _whole(destination):
+        with watched(size_of(destination)):
+            check([destination]).as_dict()
+
+
+def _repair(rng: random.Random, source: Path, folder: Path, size: int) -> None:
+    name, form = _form(rng)
+    destination = folder / "repaired" / name
+    destination.parent.mkdir()
+    with watched(size):
+        run([source], destination, ConvertOptions(repair=True, verify=rng.random() < 0.5), OutputOptions(**form))
+    _whole(destination)
+
+
+def _form(rng: random.Random) -> tuple[str, dict[str, Any]]:
+    name = rng.choice(_DESTINATIONS)
+    return name, {"storage": "sqlite3"} if name == "out-sqlite3" else {}
+
+
+def _whole(destination: Path) -> bool:
+    """See that what was written is whole, every message of it, and alone; tell whether it was written."""
+    left = [path.name for path in destination.parent.iterdir()]
+    assert left in ([], [destination.name]), left
     if left:
-        # What was written is whole: every message of it can be read.
-        with closing(open_recording(destination)) as reader:
+        with closing(open_recording(destination, strict=True)) as reader:
             for message in reader.messages():
                 bytes(message.data)
+    return bool(left)
 
 
 def main() -> None:

@@ -19,6 +19,7 @@ from bags import mcap_files, rosbag1_files
 from builders import CHATTER, CLOUD, CONTENT, POINTS, T0, Item, Recording, cloud, item, points_of, write_rosbag2
 from hostile.bounded import run_bounded
 from pc2scan.bags.mcap_records import MAGIC
+from pc2scan.messages.pointcloud2 import PointField, encode_pointcloud2
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -141,6 +142,24 @@ def test_every_number_of_a_cloud_may_be_the_largest_there_is(generation: int, tm
     for command in (("info", "--samples", "400"), ("convert", "--min-height", "-9")):
         done = run_bounded(tmp_path, command[0], source, *command[1:])
         assert done.status in (0, 3), done.stderr
+
+
+def test_more_tiny_points_than_can_be(tmp_path: Path) -> None:
+    """One byte is x, y and z: what is computed of it takes thirty times as much."""
+    names = [PointField(name, 0, 2) for name in "xyz"]
+    data = encode_pointcloud2(
+        serialization="cdr",
+        sequence=0,
+        stamp_ns=T0,
+        frame_id="lidar",
+        fields=names,
+        point_step=1,
+        data=b"\1" * 16_000_000,
+    )
+    source = mcap_of(tmp_path / "a.mcap", data, "zstd", zstandard.compress)
+    done = run_bounded(tmp_path, "convert", source, "--reduce", "median", "--min-height", "-9")
+    assert done.status == 3
+    assert "16,000,000 points of 1 bytes" in done.stderr + done.stdout
 
 
 def test_fields_without_number(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import pickle
+import struct
 from bisect import bisect_right
 from dataclasses import FrozenInstanceError
 
@@ -304,6 +305,12 @@ class TestRejections:
         assert buffer.rejected == 2
         assert buffer.frames == ("odom", "base")
         assert x_of(buffer, "odom", "base", at(0)) == 1
+
+    def test_a_nan_that_signals_is_a_nan_like_any_other(self) -> None:
+        (signalling,) = struct.unpack("<d", bytes.fromhex("010000000000f47f"))
+        entry = (*row("a", "b", 7)[:-1], signalling)
+        (rejection,) = built([self.GOOD, entry]).rejections
+        assert rejection.reason.startswith("TF_NAN_INPUT: ")
 
     @pytest.mark.parametrize("norm", [2.0, 1e-200, 1e200, 1.001, -1.0])
     def test_unnormalised_quaternions_are_normalised(self, norm: float) -> None:

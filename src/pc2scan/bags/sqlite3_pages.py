@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import sqlite3
 import struct
+from itertools import chain
 from typing import TYPE_CHECKING, NamedTuple
 
 from .files import SourceFile
@@ -116,7 +117,9 @@ class PageFile(SourceFile):
         if wal is not None:
             self._log = SourceFile(wal)
             self._logged = _committed(self._log, self._page_size)
-        self._count = max(-(-self.size // self._page_size), *self._logged, 0)
+        self._stored = range(1, -(-self.size // self._page_size) + 1)
+        # A log may name any page; only those that are somewhere are looked at.
+        self._only_logged = sorted(number for number in self._logged if number not in self._stored)
         self._latest = (0, b"")
 
     def close(self) -> None:
@@ -127,7 +130,7 @@ class PageFile(SourceFile):
 
     def cells(self) -> Iterator[Cell]:
         """All rows that can be made out, in the order of the pages."""
-        for number in range(1, self._count + 1):
+        for number in chain(self._stored, self._only_logged):
             page = self._page(number)
             base = _HEADER_SIZE if number == 1 else 0
             if len(page) < base + 8 or page[base] != _LEAF:
@@ -191,7 +194,8 @@ class PageFile(SourceFile):
             if values[-1] is None and kind:
                 return None
             position += width
-        return Cell(number, offset, rowid[0], tuple(values))
+        # SQLite's integers are signed.
+        return Cell(number, offset, rowid[0] - (rowid[0] >> 63 << 64), tuple(values))
 
     def _record(self, page: bytes, start: int, size: int, wanted: int) -> bytes:
         """A row's bytes, at least ``wanted`` of them as far as they are there: first those in the page itself."""
@@ -206,7 +210,9 @@ class PageFile(SourceFile):
         if local == size or wanted <= local or found < local or start + local + 4 > len(page):
             return parts[0]
         (following,) = struct.unpack_from(">I", page, start + local)
-        while found < wanted and following:
+        for _ in range(len(self._stored) + len(self._only_logged)):  # a chain that leads back to itself has no end
+            if found >= wanted or not following:
+                break
             overflow = self._page(following)
             if len(overflow) < 4:
                 break

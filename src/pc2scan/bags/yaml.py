@@ -47,13 +47,21 @@ def load_yaml(text: str) -> Any:
             return None
         if _unfolded(node, {}) > len(text):
             raise ValueError("is not valid YAML: its aliases multiply to more values than it has characters")
-        return yaml.constructor.construct_document(node)
+        return _constructed(yaml, node)
     except OverflowError as err:
         raise ValueError(f"is not valid YAML: {err}") from err
     except (YAMLError, RecursionError) as err:
         mark = getattr(err, "problem_mark", None)
         place = f" in line {mark.line + 1}" if mark is not None else ""
         raise ValueError(f"is not valid YAML{place}: {getattr(err, 'problem', None) or err}") from err
+
+
+def _constructed(yaml: Any, node: Any) -> Any:
+    try:
+        return yaml.constructor.construct_document(node)
+    except (ValueError, ArithmeticError, LookupError, TypeError, AttributeError) as err:
+        # What the library's constructors do not expect: a key that holds a mapping, a tagged value of another kind.
+        raise ValueError(f"is not valid YAML: {err}") from err
 
 
 def _unfolded(node: Any, sizes: dict[int, int]) -> int:

@@ -7,11 +7,13 @@ as its bits. `open_scan_text` reads what `render` writes; it then is a recording
 from __future__ import annotations
 
 import json
+import struct
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pc2scan.bags.limits import allowed_bytes
 from pc2scan.bags.model import Connection, RawMessage
 from pc2scan.errors import DecodeError, RecordingError, UsageError, stamp_text
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan, encode_laserscan
@@ -38,6 +40,8 @@ _EXPLAINED = (
 )
 _VALUES_A_LINE = 10
 _NAMES = {number: np.dtype(kind).name for number, kind in DATATYPES.items()}
+#: What values that `render` does not write end as.
+_WRONG = (ValueError, LookupError, ArithmeticError, TypeError, RecursionError, struct.error, DecodeError)
 _NUMBERS = {name: number for number, name in _NAMES.items()}
 
 
@@ -152,7 +156,8 @@ def _cloud_lines(cloud: PointCloud2) -> Iterator[str]:
         name = json.dumps(point_field.name)
         yield f"  field {point_field.offset} {_NAMES[point_field.datatype]} {point_field.count} {name}"
         elements = field_elements(cloud, point_field)
-        columns += [_texts(column) for column in elements.T]
+        # Of no points, a field may have any number of elements.
+        columns += [_texts(column) for column in elements.T] if cloud.points else []
     yield f"  points {cloud.points}"
     for number, row in enumerate(zip(*columns, strict=True)):
         yield f"  {number:6}: {' '.join(row)}"
@@ -175,7 +180,9 @@ def _numbers(texts: Sequence[str], dtype: np.dtype[Any]) -> NDArray[Any]:
     """Invert `_texts`."""
     if dtype.kind != "f":
         return np.array([int(text) for text in texts], dtype)
-    numbers = np.array([0.0 if text.startswith("bits:") else float(text) for text in texts], np.float64).astype(dtype)
+    with np.errstate(over="raise"):
+        exact = np.array([0.0 if text.startswith("bits:") else float(text) for text in texts], np.float64)
+        numbers = exact.astype(dtype)
     bits = numbers.view(np.dtype(f"u{dtype.itemsize}"))
     for index, text in enumerate(texts):
         if text.startswith("bits:"):
@@ -186,10 +193,16 @@ def _numbers(texts: Sequence[str], dtype: np.dtype[Any]) -> NDArray[Any]:
 def _check(message: RawMessage, lines: Sequence[str]) -> None:
     """See that the text means the message: nothing may be lost on the way to a reference."""
     connection = message.connection
-    again = _parse_message(iter(lines[1:]), connection)
-    if difference := compare_messages(message, again, Rules()).changes:
+    try:
+        again = _parse_message(iter(lines[1:]), connection, len(message.data))
+        difference = compare_messages(message, again, Rules()).changes
+        lost = difference[0].name if difference else ""
+    except _WRONG:
+        # Points without fields have no text.
+        lost = "points"
+    if lost:
         raise UsageError(
-            f"cannot be written as text: its {difference[0].name} would be lost",
+            f"cannot be written as text: its {lost} would be lost",
             topic=connection.topic,
             hint="keep the expected output as a recording",
         )
@@ -212,12 +225,14 @@ def open_scan_text(path: Path) -> ScanText:
         raise RecordingError(f"cannot be read: {err}", path=path) from err
     reading = _Lines(text)
     result = ScanText(path)
+    left = allowed_bytes(len(text))
     by_topic: dict[str, Connection] = {}
     try:
         for line in reading:
             word, _, rest = line.partition(" ")
             if word == "topic":
                 topic, end = json.JSONDecoder().raw_decode(rest)
+                topic = _string(topic)
                 msgtype, serialization = rest[end:].split()
                 if msgtype not in DECODED or serialization not in ("ros1", "cdr"):
                     raise ValueError(f"a topic of {msgtype} in {serialization}")
@@ -225,10 +240,12 @@ def open_scan_text(path: Path) -> ScanText:
                 by_topic[topic] = connection
                 result.connections.append(connection)
             elif word == "message":
-                result.content.append(_parse_message(reading, by_topic[json.loads(rest)]))
+                message = _parse_message(reading, by_topic[_string(json.loads(rest))], left)
+                left -= len(message.data)
+                result.content.append(message)
             else:
                 raise ValueError(f"{word!r}")
-    except (ValueError, LookupError, OverflowError, TypeError, DecodeError) as err:
+    except _WRONG as err:
         raise RecordingError(
             f"line {reading.number} is not what was written: {str(err) or type(err).__name__}",
             path=path,
@@ -256,10 +273,11 @@ class _Lines:
         raise StopIteration
 
 
-def _parse_message(lines: Iterator[str], connection: Connection) -> RawMessage:
+def _parse_message(lines: Iterator[str], connection: Connection, most: int) -> RawMessage:
+    """Read a message whose points may take so many bytes."""
     log_time_ns, stamp_ns = (_nanoseconds(_value(lines, name)) for name in ("log_time", "stamp"))
     sequence = int(_value(lines, "seq")) if connection.serialization == "ros1" else 0
-    frame_id = json.loads(_value(lines, "frame_id"))
+    frame_id = _string(json.loads(_value(lines, "frame_id")))
     if connection.ros_type == LASERSCAN:
         numbers = _numbers([_value(lines, name) for name in GEOMETRY], np.dtype(np.float32))
         values: dict[str, Any] = dict(zip(GEOMETRY, numbers.tolist(), strict=True))
@@ -268,7 +286,9 @@ def _parse_message(lines: Iterator[str], connection: Connection) -> RawMessage:
         data = encode_laserscan(scan, connection.serialization)
     else:
         height, is_dense, step = (int(_value(lines, name)) for name in ("height", "is_dense", "point_step"))
-        fields, points = _parse_fields(lines)
+        fields, points = _parse_fields(lines, step)
+        if points * step > most:
+            raise ValueError(f"{points} points of {step} bytes are more than the text is for")
         data = encode_pointcloud2(
             serialization=connection.serialization,
             sequence=sequence,
@@ -290,12 +310,21 @@ def _value(lines: Iterator[str], name: str) -> str:
     return rest.split("  # ")[0] if name == "ranges" else rest
 
 
+def _string(value: object) -> str:
+    if not isinstance(value, str):
+        raise TypeError(f"{value!r} where text belongs")
+    return value
+
+
 def _nanoseconds(text: str) -> int:
     seconds, _, fraction = text.partition(".")
     if len(fraction) != 9:
         raise ValueError(f"{text!r} is not a time in nanoseconds")
     sign = -1 if text.startswith("-") else 1
-    return sign * (abs(int(seconds)) * 1_000_000_000 + int(fraction))
+    nanoseconds = sign * (abs(int(seconds)) * 1_000_000_000 + int(fraction))
+    if not -(1 << 63) <= nanoseconds < 1 << 63:
+        raise ValueError(f"{text!r} is not a time in 64 bits")
+    return nanoseconds
 
 
 def _row(line: str, number: int) -> list[str]:
@@ -315,7 +344,7 @@ def _parse_values(lines: Iterator[str], name: str) -> NDArray[np.float32]:
     return _numbers(texts, np.dtype(np.float32))
 
 
-def _parse_fields(lines: Iterator[str]) -> tuple[list[PointField], int]:
+def _parse_fields(lines: Iterator[str], step: int) -> tuple[list[PointField], int]:
     fields: list[PointField] = []
     for line in lines:
         word, _, rest = line.strip().partition(" ")
@@ -324,11 +353,16 @@ def _parse_fields(lines: Iterator[str]) -> tuple[list[PointField], int]:
         if word != "field":
             raise ValueError(f"{word!r} where a field belongs")
         offset, kind, count, name = rest.split(" ", 3)
-        fields.append(PointField(json.loads(name), int(offset), _NUMBERS[kind], int(count)))
+        made = PointField(_string(json.loads(name)), int(offset), _NUMBERS[kind], int(count))
+        if not 0 <= made.offset <= step - max(made.count, 1) * np.dtype(kind).itemsize:
+            raise ValueError(f"field {made.name!r} is outside of the {step} bytes of a point")
+        fields.append(made)
     raise ValueError("the points are missing")
 
 
 def _parse_points(lines: Iterator[str], fields: Sequence[PointField], points: int, step: int) -> bytes:
+    if points == 0:
+        return b""
     rows = [_row(next(lines, ""), number) for number in range(points)]
     data = np.zeros((points, step), np.uint8)
     place = 0

@@ -105,6 +105,7 @@ class ArrayDifference:
         return self.changed + self.shifted
 
 
+@np.errstate(invalid="ignore", over="ignore")  # a NaN may be one that signals
 def compare_arrays(
     reference: NDArray[Any],
     value: NDArray[Any],
@@ -160,9 +161,8 @@ def _same(a: NDArray[Any], b: NDArray[Any], tolerance: Tolerance) -> NDArray[np.
         return result
     wide_a, wide_b = a.astype(np.float64), b.astype(np.float64)
     finite = np.isfinite(wide_a) & np.isfinite(wide_b)
-    with np.errstate(invalid="ignore", over="ignore"):
-        near = np.abs(wide_b - wide_a) <= tolerance.atol + tolerance.rtol * np.abs(wide_a)
-        equal = (wide_a == wide_b) | (np.isnan(wide_a) & np.isnan(wide_b))
+    near = np.abs(wide_b - wide_a) <= tolerance.atol + tolerance.rtol * np.abs(wide_a)
+    equal = (wide_a == wide_b) | (np.isnan(wide_a) & np.isnan(wide_b))
     result = result | equal | (finite & near)
     return result
 
@@ -195,9 +195,8 @@ def _whole_shift(a: NDArray[Any], b: NDArray[Any], tolerance: Tolerance, limits:
 def _worst(a: NDArray[Any], b: NDArray[Any], differs: NDArray[np.bool_]) -> Worst:
     places = np.flatnonzero(differs)
     flat_a, flat_b = a.ravel()[places], b.ravel()[places]
-    with np.errstate(invalid="ignore", over="ignore"):
-        distance = np.abs(flat_b.astype(np.float64) - flat_a.astype(np.float64))
-        alike = (flat_a == flat_b) | (np.isnan(flat_a) & np.isnan(flat_b))
+    distance = np.abs(flat_b.astype(np.float64) - flat_a.astype(np.float64))
+    alike = (flat_a == flat_b) | (np.isnan(flat_a) & np.isnan(flat_b))
     # NaN against a number is as far as it gets; bits that mean one value are no distance at all.
     distance[np.isnan(distance)] = np.inf
     distance[alike] = 0.0

@@ -30,8 +30,8 @@ _UNITS = ((2.0, 1.0), (2e3, 1e-3), (2e6, 1e-6), (math.inf, 1e-9))
 #: Seconds from here on are not since the cloud's beginning but since 1970, or since the sensor was switched on.
 _ABSOLUTE = 1000.0
 
-#: No cloud takes so many seconds.
-_LONGEST = 60.0
+#: No cloud takes so few, or so many seconds.
+_SHORTEST, _LONGEST = 1e-9, 60.0
 
 #: Equal parts of a cloud's time whose mean directions a sweep is fitted to.
 _SLICES = 64
@@ -126,7 +126,7 @@ def fit_sweep(angles: NDArray[Any], times: NDArray[np.float64]) -> Sweep | None:
     if times.size < _SLICES:
         return None
     begin, end = float(times.min()), float(times.max())
-    if not 0 < end - begin < _LONGEST:
+    if not _SHORTEST < end - begin < _LONGEST:
         return None
     slices = np.minimum(((times - begin) * (_SLICES / (end - begin))).astype(np.intp), _SLICES - 1)
     points = np.bincount(slices, minlength=_SLICES)

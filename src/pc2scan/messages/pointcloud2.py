@@ -36,6 +36,11 @@ DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "
 #: A cloud with more fields than this is damaged: real sensors have up to some twenty.
 MAX_FIELDS = 4096
 
+#: What is computed of a point takes far more memory than it does itself if it is smaller than three float32: a cloud
+#: with more of them than this asks for memory. Real messages have some 100,000 points.
+MAX_SMALL_POINTS = 2_000_000
+_SMALL = 12
+
 
 @dataclass(frozen=True, slots=True)
 class PointField:
@@ -146,7 +151,18 @@ class PointCloud2:
         return view
 
     def xyz(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
-        """The coordinates: `field` of ``x``, ``y`` and ``z``, metres in ``frame_id``."""
+        """The coordinates: `field` of ``x``, ``y`` and ``z``, metres in ``frame_id``.
+
+        Raises
+        ------
+        DecodeError
+            As `field` does, and if there are more tiny points than can be.
+        """
+        if self.point_step < _SMALL and self.points > MAX_SMALL_POINTS:
+            raise self._error(
+                f"the cloud declares {self.points:,} points of {self.point_step} bytes, "
+                f"at most {MAX_SMALL_POINTS:,} of fewer than {_SMALL} bytes are believed"
+            )
         return self.field("x"), self.field("y"), self.field("z")
 
     def _error(self, message: str) -> DecodeError:

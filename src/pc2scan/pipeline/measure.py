@@ -98,6 +98,7 @@ class _FirstClouds:
         self._timed: dict[str, None] = {}
         self._sweeps: list[Sweep] = []
 
+    @np.errstate(all="ignore")  # coordinates and times may be anything: NaNs that signal, the largest numbers
     def add(self, cloud: PointCloud2) -> None:
         """Take a cloud."""
         self._stamps.append(cloud.stamp_ns)

@@ -727,7 +727,8 @@ def _refused_by_tf2(quaternions: NDArray[np.float64]) -> NDArray[np.bool_]:
 def _normalize(poses: NDArray[np.float64], reasons: NDArray[np.int32]) -> NDArray[np.int32]:
     """Normalise the quaternions in place; return why each transform is unusable, or `_ACCEPTED`."""
     finite = np.isfinite(poses).all(axis=1)
-    zero = ~poses[:, 3:].any(axis=1)
+    with np.errstate(invalid="ignore"):  # a NaN may be one that signals
+        zero = ~poses[:, 3:].any(axis=1)
     poses[:, 3:] = unit_quaternions(poses[:, 3:])
     return np.select([reasons != _ACCEPTED, ~finite, zero], [reasons, _NOT_FINITE, _ZERO], _ACCEPTED).astype(np.int32)
 

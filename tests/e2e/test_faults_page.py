@@ -1,0 +1,61 @@
+"""docs/faults.md names tests for every fault: they are there, under these names."""
+
+from __future__ import annotations
+
+import re
+from itertools import groupby
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+TESTS = ROOT / "tests"
+
+#: Where the files of a section's tests are, if they are not told from `tests/` on.
+FOLDERS = {"Damaged recordings": "bags", "Hostile recordings": "hostile", "Output under faults": "e2e"}
+
+
+def rows() -> list[tuple[str, str, str]]:
+    """Folder, fault and tests of every row of the tables."""
+    found = []
+    folder = ""
+    for line in (ROOT / "docs" / "faults.md").read_text("utf-8").splitlines():
+        if line.startswith("## "):
+            folder = FOLDERS[line.removeprefix("## ")]
+        elif line.startswith("| ") and not line.startswith("| fault "):
+            fault, _, tests = (cell.strip() for cell in line.strip("|").split(" | "))
+            found.append((folder, fault, tests))
+    return found
+
+
+ROWS = rows()
+
+
+def path_of(name: str, folder: str) -> Path:
+    places = [path for path in (TESTS / name, TESTS / folder / name) if path.is_file()]
+    assert places, f"{name} is not there"
+    return places[0]
+
+
+def names_in(path: Path) -> set[str]:
+    return set(re.findall(r"^\s*def (test_\w+)", path.read_text("utf-8"), re.MULTILINE))
+
+
+@pytest.mark.parametrize(("folder", "fault", "tests"), ROWS, ids=[fault for _, fault, _ in ROWS])
+def test_the_tests_of_a_fault_are_there(folder: str, fault: str, tests: str) -> None:
+    words = re.findall(r"`([^`]+)`", tests)
+    assert words, f"no test for: {fault}"
+    assert words[0].endswith(".py"), f"tests of no file: {words[0]}"
+    files: list[Path] = []
+    # Files, then the tests that each of them has.
+    for are_files, group in groupby(words, key=lambda word: word.endswith(".py")):
+        if are_files:
+            files = [path_of(word, folder) for word in group]
+            continue
+        for name in group:
+            for file in files:
+                assert name in names_in(file), f"{file.name} has no {name}"
+
+
+def test_every_section_is_read() -> None:
+    assert {folder for folder, _, _ in ROWS} == set(FOLDERS.values())
