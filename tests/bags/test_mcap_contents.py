@@ -140,7 +140,7 @@ def test_every_truncation_is_an_error(tmp_path: Path, case: str) -> None:
 
 @pytest.mark.parametrize("case", ["default", "unchunked", "no summary", "lz4", "uncompressed"])
 def test_no_flipped_byte_escapes_as_another_error(tmp_path: Path, case: str) -> None:
-    data = library_file(tmp_path / "a.mcap", SAMPLE[:8], extras=True, **LIBRARY_OPTIONS[case]).read_bytes()
+    data = library_file(tmp_path / "a.mcap", SAMPLE[:3], extras=True, **LIBRARY_OPTIONS[case]).read_bytes()
     path = tmp_path / "b.mcap"
     failures = 0
     for position, value in itertools.product(range(len(data)), (0x00, 0x7F, 0xFF)):

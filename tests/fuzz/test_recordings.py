@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 #: Seeds of each test, from the number on; the whole takes a few seconds.
-_EACH = 30
+_EACH = 12
 
 
 @pytest.fixture(scope="module")
