@@ -480,7 +480,6 @@ def _resolve(
     """
     from pc2scan.pipeline.param_assignment import parse_param
     from pc2scan.pipeline.parameters import Setting, preset_settings, resolve
-    from pc2scan.pipeline.params_file import load_params_file
     from pc2scan.pipeline.ros_scalars import plain_scalar
 
     settings = []
@@ -491,6 +490,8 @@ def _resolve(
         settings.append(Setting(name, plain_scalar(str(value)) if number else value, parameter.option))
     settings += [parse_param(text) for text in reversed(param)]
     if params_file is not None:
+        from pc2scan.pipeline.params_file import load_params_file
+
         file = load_params_file(params_file, node=node)
         settings += file.settings
         if reverse and file.direction == "pointcloud_to_laserscan":
