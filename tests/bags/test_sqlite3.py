@@ -61,6 +61,15 @@ def build(path: Path, version: int, *, index: bool = True) -> None:
         database.commit()
 
 
+def test_a_file_of_more_than_2_gib_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "x.db3"
+    build(path, 4)
+    with path.open("r+b") as file:
+        file.truncate((2 << 30) + 4096)  # a hole, which takes no room
+    with closing(Sqlite3Reader(path)) as reader:
+        assert len(list(reader.messages())) == len(MESSAGES)
+
+
 @pytest.mark.parametrize("index", [True, False])
 @pytest.mark.parametrize("version", [1, 2, 3, 4])
 def test_every_schema_version_is_read(tmp_path: Path, version: int, index: bool) -> None:

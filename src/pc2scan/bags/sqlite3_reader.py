@@ -271,10 +271,9 @@ class Sqlite3Reader:
         database = sqlite3.connect(f"{path.absolute().as_uri()}?{mode}", uri=True, check_same_thread=False)
         # One byte that is not UTF-8 in a topic's name must not make the recording unreadable.
         database.text_factory = lambda raw: raw.decode("utf-8", "replace")
-        # No value is longer than the file that it is in.
-        database.setlimit(
-            sqlite3.SQLITE_LIMIT_LENGTH, 1_000_000 + sum(side.stat().st_size for side in side_files) + self._size
-        )
+        # No value is longer than the file that it is in, nor than SQLite has numbers for.
+        longest = 1_000_000 + sum(side.stat().st_size for side in side_files) + self._size
+        database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, min(longest, 2**31 - 1))
         return database
 
     @contextmanager
