@@ -37,6 +37,8 @@ Transform: TypeAlias = "tuple[NDArray[np.float64], NDArray[np.float64]]"
 #: sensor_msgs/PointField's datatypes, in either byte order; what else NumPy has is converted first.
 _READ_AS_IS = {"i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8"}
 
+_FLOAT32 = np.dtype(np.float32)
+
 
 @dataclass(frozen=True, slots=True)
 class PointCounts:
@@ -112,13 +114,15 @@ class Projector:
         The projection's parameters; ``target_frame`` is the caller's business.
     """
 
-    __slots__ = ("_limit", "_rule", "params")
+    __slots__ = ("_beams", "_empty", "_limit", "_rule", "params")
 
     def __init__(self, params: ProjectionParams) -> None:
         self.params = params
         self._rule = rule_of(params)
+        self._beams = params.length
+        self._empty = params.empty_range
         # Upstream's beams begin with what they read without a return, and a return has to be below that.
-        self._limit = params.empty_range if params.no_return in {"", "inf", "range-max-plus"} else math.inf
+        self._limit = self._empty if params.no_return in {"", "inf", "range-max-plus"} else math.inf
 
     def __call__(
         self,
@@ -158,7 +162,8 @@ class Projector:
             )
         if intensities is not None and intensities.shape != x.shape:
             raise ValueError(f"intensities have the shape {intensities.shape}, expected that of x, {x.shape}")
-        if not all(array.dtype.str[1:] in _READ_AS_IS for array in (x, y, z)):
+        usual = x.dtype == y.dtype == z.dtype == _FLOAT32
+        if not usual and not all(array.dtype.str[1:] in _READ_AS_IS for array in (x, y, z)):
             # What is rounded to float32 first, and what only after the transform, decides about the last bit.
             wanted = np.float32 if target_from_source is None else np.float64
             with np.errstate(over="ignore"):
@@ -167,10 +172,10 @@ class Projector:
         if target_from_source is not None:
             moved = np.concatenate([part.ravel() for part in target_from_source], dtype=np.float64)
         params = self.params
-        beams = params.length
+        beams = self._beams
         if params.reduce == "min" and params.min_points == 1 and intensities is None:
             ranges = np.empty(beams, np.float32)
-            fates = kernel.project(x, y, z, self._rule, moved, ranges, self._limit, params.empty_range)
+            fates = kernel.project(x, y, z, self._rule, moved, ranges, self._limit, self._empty)
             return ProjectedScan(ranges, _counts(x.size, fates))
         slots, returns, numbers = np.empty(x.size, np.int32), np.empty(x.size, np.float32), np.empty(x.size, np.int64)
         fates = kernel.gather(x, y, z, self._rule, moved, beams, slots, returns, numbers)
@@ -185,8 +190,8 @@ class Projector:
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Ranges and intensities (none without ``values``) of the beams, by the returns in the order of the cloud."""
         params = self.params
-        counts = np.bincount(slots, minlength=params.length)
-        found = np.full(counts.size, params.empty_range, np.float32)
+        counts = np.bincount(slots, minlength=self._beams)
+        found = np.full(counts.size, self._empty, np.float32)
         lit = np.zeros(0 if values is None else counts.size, np.float32)
         seen = counts >= max(params.min_points, params.kth)
         if params.reduce == "mean":
