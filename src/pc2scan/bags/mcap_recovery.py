@@ -22,7 +22,7 @@ from .mcap_chunks import CHUNK_HEAD_SIZE, ChunkSegment, chunk_at
 from .mcap_contents import Contents, Walk, read_header, read_summary
 from .mcap_records import MAGIC, MESSAGE, OP_CHUNK, OP_MESSAGE, OP_MESSAGE_INDEX, RECORD, parse
 from .model import RawMessage
-from .salvage import decompressed_prefix
+from .salvage import Salvaged, decompressed_prefix
 from .segments import times_around
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from .model import Connection
     from .segments import Segment
 
-__all__ = ["Salvaged", "payload_prefix", "recovered_contents", "salvaged_messages", "salvaged_records"]
+__all__ = ["payload_prefix", "recovered_contents", "salvaged_messages", "salvaged_records"]
 
 #: Bytes that are searched at a time.
 _WINDOW = 1 << 20
@@ -297,24 +297,6 @@ def payload_prefix(file: RecordFile, segment: Segment, problem: DamageError) -> 
                 chunk = found
     data = file.read(chunk.offset, min(chunk.length, file.size - chunk.offset))
     return memoryview(decompressed_prefix(data, chunk.compression, chunk.uncompressed_size)), problem
-
-
-class Salvaged(NamedTuple):
-    """What is left of a chunk.
-
-    Attributes
-    ----------
-    messages
-        In the order of the chunk.
-    bytes_lost
-        Uncompressed bytes that no record accounts for.
-    strangers
-        Messages of channels that nothing describes.
-    """
-
-    messages: list[RawMessage]
-    bytes_lost: int
-    strangers: int
 
 
 def salvaged_messages(data: memoryview, known: Mapping[int, Connection], span: tuple[int, int] | None) -> Salvaged:

@@ -32,7 +32,7 @@ from .rosbag1_records import (
     time_field,
     uint32_field,
 )
-from .salvage import decompressed_prefix
+from .salvage import Salvaged, decompressed_prefix
 from .segments import Segment, times_around
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from .model import Connection
     from .rosbag1_records import BagFile
 
-__all__ = ["Salvaged", "payload_prefix", "recovered_contents", "salvaged_messages"]
+__all__ = ["payload_prefix", "recovered_contents", "salvaged_messages"]
 
 #: Bytes that are searched at a time.
 _WINDOW = 1 << 20
@@ -343,7 +343,10 @@ def _find_times(file: BagFile, found: _Found, log: DamageLog) -> None:
         if segment.end_ns and segment.connection_ids is not None and segment.connection_ids <= found.connections.keys():
             segments.append(segment)
             continue
-        data = payload_prefix(file, segment)
+        try:
+            data = payload(file, segment)
+        except Damaged:
+            data = payload_prefix(file, segment)
         stamps = _Stamps()
         for fields, start, stop, sound in framed(data):
             if not sound:
@@ -387,20 +390,9 @@ def _note(file: BagFile, found: _Found, problem: DamageError, log: DamageLog) ->
 
 
 def payload_prefix(file: BagFile, segment: Segment) -> bytes:
-    """Read a chunk's records as far as they can be decompressed."""
-    try:
-        return payload(file, segment)
-    except Damaged:
-        data = file.read(segment.offset, min(segment.length, file.size - segment.offset))
-        return decompressed_prefix(data, segment.compression, segment.uncompressed_size)
-
-
-class Salvaged(NamedTuple):
-    """What is left of a chunk: messages in its order, bytes without a record, and messages of unknown connections."""
-
-    messages: list[RawMessage]
-    bytes_lost: int
-    strangers: int
+    """Read the records of a damaged chunk as far as they can be decompressed."""
+    data = file.read(segment.offset, min(segment.length, file.size - segment.offset))
+    return decompressed_prefix(data, segment.compression, segment.uncompressed_size)
 
 
 def salvaged_messages(chunk: bytes, known: Mapping[int, Connection], span: tuple[int, int]) -> Salvaged:

@@ -8,16 +8,16 @@ itself, and of it only what follows the break.
 from __future__ import annotations
 
 import struct
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from .limits import allowed_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from .model import Buffer
+    from .model import Buffer, RawMessage
 
-__all__ = ["SIZE_LIMIT", "decompressed_prefix"]
+__all__ = ["SIZE_LIMIT", "Salvaged", "decompressed_prefix"]
 
 #: A chunk whose declared size may be damaged too is decompressed to this many bytes, if it declares fewer.
 SIZE_LIMIT = 16 << 20
@@ -26,6 +26,24 @@ _PIECE = 64
 _LZ4_MAGIC = b"\x04\x22\x4d\x18"
 _LZ4_WINDOW = 1 << 16
 _LZ4_BLOCK_SIZES = {4: 1 << 16, 5: 1 << 18, 6: 1 << 20, 7: 4 << 20}
+
+
+class Salvaged(NamedTuple):
+    """What is left of a chunk.
+
+    Attributes
+    ----------
+    messages
+        In the order of the chunk.
+    bytes_lost
+        Uncompressed bytes that no record accounts for.
+    strangers
+        Messages of channels (connections) that nothing describes.
+    """
+
+    messages: list[RawMessage]
+    bytes_lost: int
+    strangers: int
 
 
 def decompressed_prefix(data: Buffer, compression: str, declared: int) -> bytes:
