@@ -232,7 +232,7 @@ def test_real_recordings(name: str, tmp_path: Path) -> None:
         writer = McapWriter(copy, profile=reader.summary.profile)
         handles = {c.id: writer.add_connection(c) for c in reader.connections}
         for message in reader.messages():
-            writer.write(handles[message.connection.id], *message[1:])
+            writer.write(handles[message.connection.id], *message[1:5])
         writer.finish()
         with closing(McapReader(copy)) as again:
             assert again.connections == reader.connections

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from pc2scan.bags.merged import MergedReader, merged_summary, unified
 from pc2scan.bags.model import Attachment, Connection, Definition, Metadata, RawMessage, Summary
+from pc2scan.bags.threads import Threads
 from pc2scan.errors import UsageError
 
 if TYPE_CHECKING:
@@ -18,8 +19,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pc2scan.bags.damage import Damage
-    from pc2scan.bags.model import ChunkRule, StoredChunk
-    from pc2scan.bags.threads import Threads
+    from pc2scan.bags.model import ChunkRule, StoredChunk, Work
 
 
 class FakeReader:
@@ -81,8 +81,10 @@ class FakeReader:
     def metadata(self) -> Iterator[Metadata]:
         yield Metadata(self.path.name, {})
 
-    def read_ahead(self, pool: Threads) -> None:
+    def read_ahead(self, pool: Threads, work: Work | None = None) -> None:
         """Nothing to prepare."""
+        del pool
+        self.work = work
 
     def close(self) -> None:
         self.closed = True
@@ -119,6 +121,18 @@ def test_messages_are_merged_and_renumbered(tmp_path: Path) -> None:
     reader.close()
     assert first.closed
     assert second.closed
+
+
+def test_work_is_given_messages_under_the_unified_connections(tmp_path: Path) -> None:
+    sources = [FakeReader(tmp_path / "1", [connection(5)], []), FakeReader(tmp_path / "2", [connection(1, "/b")], [])]
+    reader = MergedReader(sources)
+    own = RawMessage(sources[1].connections[0], 1, b"data", 2, 3)
+    with Threads(1) as pool:
+        reader.read_ahead(pool, lambda message: message._replace(data=b"", result=message.connection))
+        assert sources[1].work is not None
+        assert sources[1].work(own) == own._replace(data=b"", result=reader.connections[1])
+        reader.read_ahead(pool)
+        assert sources[1].work is None
 
 
 def test_a_single_source_passes_through(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from threading import get_ident
 from typing import TYPE_CHECKING
 
 import pytest
@@ -9,6 +10,7 @@ from hypothesis import strategies as st
 
 from pc2scan.bags.model import ChunkRule, Connection, RawMessage, StoredChunk
 from pc2scan.bags.segments import MIN_WHOLE_BYTES, Segment, in_time_order, standing_alone
+from pc2scan.bags.threads import Threads
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -90,6 +92,27 @@ def test_the_order_is_that_without_whole_chunks(chunks: list[list[int]], lies: l
     plain = list(in_time_order(segments, load))
     assert not any(isinstance(item, StoredChunk) for item in plain)
     assert [p for item in whole for p in places_of(item)] == [p for item in plain for p in places_of(item)]
+
+
+def test_work_is_done_by_the_thread_that_loaded() -> None:
+    segments = [segment(n, 10 * n, 10 * n, uncompressed_size=n << 20) for n in range(12)]
+    loaders: dict[int, int] = {}
+
+    def load(loaded: Segment, _: bool) -> list[RawMessage]:
+        loaders[loaded.start_ns] = get_ident()
+        return [RawMessage(TOPIC, loaded.start_ns, b"data", 0)]
+
+    def work(message: RawMessage) -> RawMessage:
+        return message._replace(result=get_ident())
+
+    with Threads(1) as pool:
+        found = list(in_time_order(segments, load, pool=pool, work=work))
+    messages = [item for item in found if isinstance(item, RawMessage)]
+    assert [m.log_time_ns for m in messages] == [10 * n for n in range(12)]
+    # What is too large to be loaded ahead is loaded by the caller, who has better things to do.
+    large = pool.ahead_bytes >> 20
+    assert [m.result is not None for m in messages] == [n <= large for n in range(12)]
+    assert all(m.result == loaders[m.log_time_ns] != get_ident() for m in messages[: large + 1])
 
 
 def test_a_chunk_alone_is_handed_on_whole() -> None:

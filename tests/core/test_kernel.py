@@ -1,6 +1,9 @@
 from __future__ import annotations
 
+import ctypes
 import math
+import mmap
+import sys
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -153,6 +156,46 @@ def test_every_datatype_of_a_field_is_read(order: str, moves: bool, monkeypatch:
             np.testing.assert_array_equal(scan.ranges, compiled.ranges)
             assert scan.counts == compiled.counts
             assert scan.counts.used
+
+
+def test_points_one_behind_the_other_are_taken_as_any_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever is between them and behind the last, in rows or not, and where none or all of them are dropped."""
+    rng = np.random.default_rng(12)
+    projector = Projector(ProjectionParams(min_height=-1.0, max_height=1.0, range_max=30.0, angle_increment=0.01))
+    shapes = [(count,) for count in range(42)] + [(2500,), (1, 30), (7, 5), (3, 1000)]
+    for step in (12, 13, 16, 22, 32, 48):
+        for shape in shapes:
+            size = math.prod(shape) * step
+            memory = rng.integers(0, 256, size, dtype=np.uint8)
+            x, y, z = (np.ndarray(shape, "<f4", memory, at, (*(shape[-1] * step,) * (len(shape) - 1), step))
+                       for at in (0, 4, 8)) if size else (np.empty(shape, "<f4"),) * 3  # fmt: skip
+            if size:
+                x[...], y[...], z[...] = rng.normal(scale=(8, 8, 1), size=(*shape, 3)).T.reshape(3, *shape)
+                for axis in (x, y, z):
+                    axis[rng.random(shape) < 0.1] = rng.choice([np.nan, np.inf, -np.inf, 0.0])
+            for lift in (0.0, 5.0):
+                z += np.float32(lift)
+                compiled = projector(x, y, z)
+                with monkeypatch.context() as patch:
+                    patch.setattr(kernel, "project", plain.project)
+                    scan = projector(x, y, z)
+                np.testing.assert_array_equal(scan.ranges, compiled.ranges)
+                assert scan.counts == compiled.counts
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="protects memory as Linux does")
+@pytest.mark.parametrize("step", [12, 16, 32])
+def test_nothing_behind_the_last_point_is_read(step: int) -> None:
+    """A process that reads the page behind the cloud dies."""
+    page = mmap.PAGESIZE
+    memory = mmap.mmap(-1, 2 * page)
+    start = np.frombuffer(memory, np.uint8).ctypes.data
+    libc = ctypes.CDLL(None)
+    assert libc.mprotect(ctypes.c_void_p(start + page), ctypes.c_size_t(page), 0) == 0
+    for count in range(1, page // step):
+        first = page - count * step + step - 12
+        x, y, z = (np.ndarray((count,), "<f4", memory, first + at, (step,)) for at in (0, 4, 8))
+        assert Projector(ProjectionParams(min_height=-1.0))(x, y, z).counts.total == count
 
 
 def test_arrays_that_do_not_fit_together_are_refused() -> None:

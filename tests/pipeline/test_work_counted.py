@@ -36,8 +36,8 @@ TF = "tf2_msgs/msg/TFMessage"
 PARAMS = pc2scan.ProjectionParams(min_height=-2, max_height=2)
 
 
-def cloud(serialization: str, number: int) -> bytes:
-    points = np.random.default_rng(number).uniform(-8, 8, CLOUD_BYTES // 4).astype("<f4")
+def cloud(serialization: str, number: int, size: int = CLOUD_BYTES) -> bytes:
+    points = np.random.default_rng(number).uniform(-8, 8, size // 4).astype("<f4")
     fields = [PointField(name, offset, 7) for name, offset in (("x", 0), ("y", 4), ("z", 8))]
     return encode_pointcloud2(
         serialization=serialization,
@@ -50,7 +50,7 @@ def cloud(serialization: str, number: int) -> bytes:
     )
 
 
-def record(folder: Path, suffix: str, compression: str) -> Path:
+def record(folder: Path, suffix: str, compression: str, size: int = CLOUD_BYTES) -> Path:
     """Three kinds of chunks: the converted clouds, other clouds, and transforms in a chunk of their own."""
     path = folder / f"drive{suffix}"
     serialization, generation = ("ros1", 1) if suffix == ".bag" else ("cdr", 2)
@@ -65,7 +65,7 @@ def record(folder: Path, suffix: str, compression: str) -> Path:
         handles.append(writer.add_connection(Connection(0, topic, msgtype, serialization, text, digest)))
     for number in range(CLOUDS):
         for place, handle in enumerate(handles[:2]):
-            writer.write(handle, T0 + 1000 * number + place, cloud(serialization, 10 * number + place), 0)
+            writer.write(handle, T0 + 1000 * number + place, cloud(serialization, 10 * number + place, size), 0)
         moved = transforms([("base_link", "lidar", number, (0.0, 0.0, 1.0))], generation, number)
         writer.write(handles[2], T0 + 1000 * number + 2, moved, 0)
     writer.finish()
@@ -184,6 +184,39 @@ def test_clouds_are_projected_where_they_were_decompressed(
     assert len(seen) == len(chunks) == CLOUDS
     for coordinates in seen:
         assert all(any(np.may_share_memory(part, chunk) for chunk in chunks) for part in coordinates)
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_large_clouds_are_projected_by_the_thread_that_decompressed_them(
+    form: tuple[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drive = record(tmp_path, *form, size=stream._LARGE)
+    chunks: dict[int, Any] = {}
+    reader = rosbag1_reader if drive.suffix == ".bag" else mcap_reader
+    original = reader.payload
+    there: list[bool] = []
+
+    def kept(*args: Any, **options: Any) -> Any:
+        chunks[threading.get_ident()] = chunk = original(*args, **options)
+        return chunk
+
+    class Spy:
+        def __init__(self, params: pc2scan.ProjectionParams) -> None:
+            self._project = Projector(params)
+
+        def __call__(self, x: Any, *more: Any) -> Any:
+            chunk = np.frombuffer(chunks[threading.get_ident()], np.uint8)
+            there.append(threading.current_thread() is not threading.main_thread() and np.may_share_memory(x, chunk))
+            return self._project(x, *more)
+
+    alone = convert(drive, jobs=1)
+    expected = drive.with_name(f"scans{drive.suffix}").read_bytes()
+    monkeypatch.setattr(reader, "payload", kept)
+    monkeypatch.setattr(cloud_to_scan, "Projector", Spy)
+    together = convert(drive, jobs=2)
+    assert there == [True] * CLOUDS
+    assert together.topics == alone.topics
+    assert drive.with_name(f"scans{drive.suffix}").read_bytes() == expected
 
 
 @pytest.mark.parametrize("queue_size", [1, 3])

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from .damage import Damage
     from .mcap_contents import Contents
-    from .model import ChunkRule
+    from .model import ChunkRule, Work
     from .segments import Segment
     from .threads import Threads
 
@@ -69,6 +69,7 @@ class McapReader:
         self._verify = verify
         self._bytes_read = 0
         self._pool: Threads | None = None
+        self._work: Work | None = None
         self._connections: tuple[Connection, ...] = ()
         try:
             try:
@@ -197,7 +198,9 @@ class McapReader:
             return unpacked_messages(found, self._log, segment.offset, self._file.path)
 
         if ids is None or ids:
-            yield from in_time_order(segments, load, alone=alone, pool=self._pool, path=self._file.path)
+            yield from in_time_order(
+                segments, load, alone=alone, pool=self._pool, work=self._work, path=self._file.path
+            )
 
     def _prefix(self, segment: Segment) -> tuple[memoryview, DamageError | None]:
         """A segment's records as far as they can be decompressed, and why that is not all."""
@@ -256,9 +259,9 @@ class McapReader:
         """What is damaged, as far as it was read."""
         return self._log.found
 
-    def read_ahead(self, pool: Threads) -> None:
-        """Let the following calls of `messages` read and decompress what comes next on these threads."""
-        self._pool = pool
+    def read_ahead(self, pool: Threads, work: Work | None = None) -> None:
+        """Read and decompress on these threads, and do this there; see `pc2scan.bags.model.Reader`."""
+        self._pool, self._work = pool, work
 
     def attachments(self) -> Iterator[Attachment]:
         """Attachments in the order of the file, each read when it is asked for."""
@@ -327,7 +330,7 @@ def _messages_in(
                 others.add(channel_id)
             elif start_ns <= log_time_ns < stop_ns:
                 data_view = data[position + 31 : following]
-                append(new(RawMessage, (connection, log_time_ns, data_view, publish_time_ns, sequence)))
+                append(new(RawMessage, (connection, log_time_ns, data_view, publish_time_ns, sequence, None)))
         position = following
     # What is left is too short for a message, but may be another record.
     while position + 9 <= size and data[position] != OP_MESSAGE:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import heapq
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, cast
 
 from pc2scan.errors import UsageError
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from .damage import Damage
-    from .model import Attachment, ChunkRule, Connection, Metadata, RawMessage, Reader
+    from .model import Attachment, ChunkRule, Connection, Metadata, RawMessage, Reader, Work
     from .threads import Threads
 
 __all__ = ["MergedReader", "as_one", "merged_summary", "unified"]
@@ -176,10 +177,10 @@ class MergedReader:
             for other in self._readers
         )
 
-    def read_ahead(self, pool: Threads) -> None:
-        """Let the following calls of `messages` read and decompress what comes next on these threads."""
-        for reader in self._readers:
-            reader.read_ahead(pool)
+    def read_ahead(self, pool: Threads, work: Work | None = None) -> None:
+        """Read and decompress on these threads, and do this there with the messages under the unified connections."""
+        for reader, known in zip(self._readers, self._maps, strict=True):
+            reader.read_ahead(pool, None if work is None else partial(_adopted_first, known, work))
 
     def attachments(self) -> Iterator[Attachment]:
         """MCAP attachments, source by source."""
@@ -219,6 +220,11 @@ class _Source:
 
     def __lt__(self, other: _Source) -> bool:
         return self.key < other.key
+
+
+def _adopted_first(known: Mapping[int, Connection], work: Work, message: RawMessage) -> RawMessage:
+    done = work(message._replace(connection=known[message.connection.id]))
+    return done._replace(connection=message.connection)
 
 
 def _adopted(

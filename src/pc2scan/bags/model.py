@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from itertools import chain
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeAlias
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from .damage import Damage
@@ -143,6 +143,7 @@ class RawMessage(NamedTuple):
 
     ``log_time_ns`` is the time of recording, ``publish_time_ns`` (equal to it where the container has
     only one) the time of publishing, both in integer nanoseconds. ``data`` may be a view into a larger buffer.
+    ``result`` is what the work given to `Reader.read_ahead` made of it; there may be no data any more then.
     """
 
     connection: Connection
@@ -150,6 +151,11 @@ class RawMessage(NamedTuple):
     data: Buffer
     publish_time_ns: int
     sequence: int = 0
+    result: object = None
+
+
+#: What is done with a message where it is read; see `Reader.read_ahead`.
+Work: TypeAlias = "Callable[[RawMessage], RawMessage]"
 
 
 @dataclass(frozen=True, slots=True)
@@ -317,8 +323,17 @@ class Reader(Protocol):
         """
         ...
 
-    def read_ahead(self, pool: Threads) -> None:
-        """Let the following calls of `messages` read and decompress what comes next on these threads."""
+    def read_ahead(self, pool: Threads, work: Work | None = None) -> None:
+        """Let the following calls of `messages` read and decompress what comes next on these threads.
+
+        Parameters
+        ----------
+        pool
+            The threads.
+        work
+            Done with a message where it was decompressed, while it is still in that core's cache: what it returns
+            takes the message's place. It may be done again, or not at all. None: messages stay as they are.
+        """
         ...
 
     def attachments(self) -> Iterator[Attachment]:

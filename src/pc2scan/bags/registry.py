@@ -17,7 +17,18 @@ if TYPE_CHECKING:
     from contextlib import ExitStack
 
     from .damage import Damage
-    from .model import Attachment, ChunkRule, Connection, Metadata, RawMessage, Reader, StoredChunk, Summary, Writer
+    from .model import (
+        Attachment,
+        ChunkRule,
+        Connection,
+        Metadata,
+        RawMessage,
+        Reader,
+        StoredChunk,
+        Summary,
+        Work,
+        Writer,
+    )
     from .threads import Threads
 
 __all__ = [
@@ -237,9 +248,8 @@ class _UnpackedReader:
     ) -> Iterator[RawMessage | StoredChunk]:
         return self._inner.messages_or_chunks(rule, connections, start_ns, stop_ns)
 
-    def read_ahead(self, pool: Threads) -> None:
-        """Let the following calls of `messages` read and decompress what comes next on these threads."""
-        self._inner.read_ahead(pool)
+    def read_ahead(self, pool: Threads, work: Work | None = None) -> None:
+        self._inner.read_ahead(pool, work)
 
     def attachments(self) -> Iterator[Attachment]:
         return self._inner.attachments()

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from .damage import Damage
-    from .model import Attachment, ChunkRule, Connection, Metadata, RawMessage, StoredChunk
+    from .model import Attachment, ChunkRule, Connection, Metadata, RawMessage, StoredChunk, Work
     from .segments import Segment
     from .threads import Threads
 
@@ -54,6 +54,7 @@ class Rosbag1Reader:
         self._file = BagFile(path)
         self._bytes_read = 0
         self._pool: Threads | None = None
+        self._work: Work | None = None
         try:
             try:
                 self._contents = read_index(self._file)
@@ -178,7 +179,7 @@ class Rosbag1Reader:
                 and (high is None or message.log_time_ns < high)
             ]
 
-        return in_time_order(due, load, alone=alone, pool=self._pool, path=self._path)
+        return in_time_order(due, load, alone=alone, pool=self._pool, work=self._work, path=self._path)
 
     def _salvaged(self, segment: Segment, chunk: bytes | None, problem: Damaged) -> list[RawMessage]:
         """Take note of a damaged chunk, and find the messages that are left of it; None: it cannot be decompressed."""
@@ -208,9 +209,9 @@ class Rosbag1Reader:
         """What is damaged, as far as it was read."""
         return self._log.found
 
-    def read_ahead(self, pool: Threads) -> None:
-        """Let the following calls of `messages` read and decompress what comes next on these threads."""
-        self._pool = pool
+    def read_ahead(self, pool: Threads, work: Work | None = None) -> None:
+        """Read and decompress on these threads, and do this there; see `pc2scan.bags.model.Reader`."""
+        self._pool, self._work = pool, work
 
     def attachments(self) -> Iterator[Attachment]:
         """None: a ROS 1 bag has no attachments."""

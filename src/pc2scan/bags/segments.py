@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from concurrent.futures import Future
     from pathlib import Path
 
-    from .model import ChunkRule, RawMessage
+    from .model import ChunkRule, RawMessage, Work
     from .threads import Threads
 
     #: What a segment is loaded as: its messages, or the chunk as a whole.
@@ -171,6 +171,7 @@ def in_time_order(
     alone: Collection[Segment] = frozenset(),
     max_open_bytes: int = MAX_OPEN_BYTES,
     pool: Threads | None = None,
+    work: Work | None = None,
     path: Path | None = None,
 ) -> Iterator[RawMessage | StoredChunk]:
     """Merge the messages of overlapping segments.
@@ -190,6 +191,9 @@ def in_time_order(
     pool
         Threads on which segments are loaded ahead of their turn; ``load`` must bear that. None loads each when it is
         due. The messages are the same.
+    work
+        What takes the place of a message that was loaded by one of these threads; it may do nothing, and is not done
+        with segments too large to be loaded ahead.
     path
         The file, for the error.
 
@@ -212,7 +216,11 @@ def in_time_order(
             found.sort(key=attrgetter("log_time_ns"))
         return found
 
-    arrivals = _Ahead(waiting, loaded, pool) if pool is not None else map(loaded, waiting)
+    def worked(segment: Segment) -> Loaded:
+        found = loaded(segment)
+        return found if work is None or isinstance(found, StoredChunk) else [work(message) for message in found]
+
+    arrivals = _Ahead(waiting, worked, loaded, pool) if pool is not None else map(loaded, waiting)
     try:
         yield from _merged(waiting, iter(arrivals), partial(loaded, split=True), max_open_bytes, path)
     finally:
@@ -223,8 +231,15 @@ def in_time_order(
 class _Ahead:
     """Segments loaded on other threads before their turn, in the order given, within the bounds of the pool."""
 
-    def __init__(self, segments: Sequence[Segment], load: Callable[[Segment], Loaded], pool: Threads) -> None:
+    def __init__(
+        self,
+        segments: Sequence[Segment],
+        ahead: Callable[[Segment], Loaded],
+        load: Callable[[Segment], Loaded],
+        pool: Threads,
+    ) -> None:
         self._segments = segments
+        self._ahead = ahead
         self._load = load
         self._pool = pool
         self._pending: deque[tuple[Segment, Future[Loaded]]] = deque()
@@ -241,7 +256,7 @@ class _Ahead:
                 # Too large to be held before its turn.
                 yield self._load(segment)
                 continue
-            self._pending.append((segment, self._pool.submit(self._load, segment)))
+            self._pending.append((segment, self._pool.submit(self._ahead, segment)))
             held += size
         while self._pending:
             yield self._pending.popleft()[1].result()

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
 
     from .damage import Damage
-    from .model import Attachment, ChunkRule, Metadata, StoredChunk
+    from .model import Attachment, ChunkRule, Metadata, StoredChunk, Work
     from .threads import Threads
 
 __all__ = ["Sqlite3Reader"]
@@ -203,9 +203,8 @@ class Sqlite3Reader:
         """The same: the storage has no chunks."""
         return self.messages(connections, start_ns, stop_ns)
 
-    def read_ahead(self, pool: Threads) -> None:
-        """Let the following calls of `messages` read and decompress what comes next on these threads."""
-        # A database is read in order, by the thread that opened it.
+    def read_ahead(self, pool: Threads, work: Work | None = None) -> None:
+        """Nothing changes: a database is read in order, by the thread that opened it."""
 
     def attachments(self) -> Iterator[Attachment]:
         """None: the storage has no attachments."""

@@ -18,7 +18,14 @@
 #define WIDEST
 #endif
 
-enum { BLOCK = 512 };
+enum { BLOCK = 256 };
+
+#if defined(__GNUC__)
+/* A cloud is larger than the caches near a core, and their own prefetching ends at each page. */
+#define PREFETCH(from) __builtin_prefetch((const void *)((uintptr_t)(from) + 2048))
+#else
+#define PREFETCH(from)
+#endif
 
 /* atan(t) / t in powers of t * t, for t from 0 to 1: Chebyshev interpolation at 15 nodes. Its relative error is below
    2.9e-13; with some roundings of 1.1e-16 the angle's stays below this. */
@@ -197,6 +204,59 @@ WIDEST static void drop_by_height(Scan *scan, const int from, const int count) {
     }
 }
 
+#if defined(__x86_64__) && defined(__GNUC__)
+#include <immintrin.h>
+#define EIGHT
+
+/* For each set of eight lanes: where its members go when they move together. */
+static uint64_t together[256];
+static int eight_at_once;
+
+static void prepare_eight(void) {
+    for (int set = 0; set < 256; set++)
+        for (int lane = 0, to = 0; lane < 8; lane++)
+            if (set >> lane & 1) together[set] |= (uint64_t)lane << 8 * to++;
+    eight_at_once = __builtin_cpu_supports("avx2") && __builtin_cpu_supports("popcnt");
+}
+
+/* Take points of one row, eight at a time, as long as what is read of them stays in front of the last one: x, y and z
+   are float32 that follow each other, with four bytes behind them. Returns how many were taken. */
+__attribute__((target("avx2,popcnt"))) static Py_ssize_t load_eight(Scan *scan, const char *from, Py_ssize_t step,
+                                                                    Py_ssize_t count) {
+    const __m256 lowest = _mm256_set1_ps((float)scan->rule.lowest), highest = _mm256_set1_ps((float)scan->rule.highest);
+    Py_ssize_t taken = 0;
+    int64_t nans = 0, kept = 0;
+    for (; taken + 8 < count; taken += 8, from += 8 * step) {
+        __m256 pair[4];
+        for (int i = 0; i < 4; i++) {
+            const char *one = from + i * step, *other = from + (i + 4) * step;
+            PREFETCH(one);
+            PREFETCH(other);
+            pair[i] = _mm256_insertf128_ps(_mm256_castps128_ps256(_mm_loadu_ps((const float *)one)),
+                                           _mm_loadu_ps((const float *)other), 1);
+        }
+        const __m256 xy = _mm256_unpacklo_ps(pair[0], pair[1]), yx = _mm256_unpacklo_ps(pair[2], pair[3]);
+        const __m256 x = _mm256_shuffle_ps(xy, yx, 0x44), y = _mm256_shuffle_ps(xy, yx, 0xee);
+        const __m256 z = _mm256_shuffle_ps(_mm256_unpackhi_ps(pair[0], pair[1]), _mm256_unpackhi_ps(pair[2], pair[3]), 0x44);
+        const __m256 nan = _mm256_or_ps(_mm256_cmp_ps(x, y, _CMP_UNORD_Q), _mm256_cmp_ps(z, z, _CMP_UNORD_Q));
+        const __m256 inside = _mm256_and_ps(_mm256_cmp_ps(z, lowest, _CMP_GE_OQ), _mm256_cmp_ps(z, highest, _CMP_LE_OQ));
+        const int keep = _mm256_movemask_ps(_mm256_andnot_ps(nan, inside));
+        nans += __builtin_popcount((unsigned)_mm256_movemask_ps(nan));
+        if (!keep) continue;
+        if (scan->filled > BLOCK - 8) project_block(scan);
+        const __m256i to = _mm256_cvtepu8_epi32(_mm_cvtsi64_si128((long long)together[keep]));
+        _mm256_storeu_ps(scan->x + scan->filled, _mm256_permutevar8x32_ps(x, to));
+        _mm256_storeu_ps(scan->y + scan->filled, _mm256_permutevar8x32_ps(y, to));
+        const int more = __builtin_popcount((unsigned)keep);
+        scan->filled += more;
+        kept += more;
+    }
+    scan->nan += nans;
+    scan->height += taken - nans - kept;
+    return taken;
+}
+#endif
+
 /* Take points of one row. Inlined, so that compilers know of each call what it reads and whether it has to move. */
 static inline void load(Scan *scan, const char *x, const char *y, const char *z, const Axis axis[3], int64_t number,
                         Py_ssize_t count, const int common, const double *move) {
@@ -206,6 +266,7 @@ static inline void load(Scan *scan, const char *x, const char *y, const char *z,
         const int take = count < BLOCK - filled ? (int)count : BLOCK - filled;
         float *restrict to_x = scan->x + filled, *restrict to_y = scan->y + filled, *restrict to_z = scan->z + filled;
         for (int i = 0; i < take; i++) {
+            PREFETCH(x);
             if (move) {
                 double sx = read_as(x, &axis[0], common), sy = read_as(y, &axis[1], common), sz = read_as(z, &axis[2], common);
                 to_x[i] = (float)(sx * move[0] + sy * move[1] + sz * move[2] + move[9]);
@@ -243,11 +304,21 @@ static void load_rows(Scan *scan, const Axis axis[3], Py_ssize_t rows, Py_ssize_
         const char *y = axis[1].data + row * axis[1].row_step;
         const char *z = axis[2].data + row * axis[2].row_step;
         int64_t number = (int64_t)row * columns;
-        if (common == FLOATS && move) load(scan, x, y, z, axis, number, columns, FLOATS, move);
-        else if (common == FLOATS) load(scan, x, y, z, axis, number, columns, FLOATS, NULL);
-        else if (common == DOUBLES && move) load(scan, x, y, z, axis, number, columns, DOUBLES, move);
-        else if (common == DOUBLES) load(scan, x, y, z, axis, number, columns, DOUBLES, NULL);
-        else load(scan, x, y, z, axis, number, columns, MIXED, move);
+        Py_ssize_t taken = 0;
+#ifdef EIGHT
+        /* Points of twelve bytes have the next one behind them. */
+        if (eight_at_once && common == FLOATS && !move && scan->smallest && y - x == 4 && z - x == 8 &&
+            axis[0].step >= 12 && axis[1].step == axis[0].step && axis[2].step == axis[0].step)
+            taken = load_eight(scan, x, axis[0].step, columns);
+        x += taken * axis[0].step, y += taken * axis[1].step, z += taken * axis[2].step;
+        number += taken;
+#endif
+        const Py_ssize_t left = columns - taken;
+        if (common == FLOATS && move) load(scan, x, y, z, axis, number, left, FLOATS, move);
+        else if (common == FLOATS) load(scan, x, y, z, axis, number, left, FLOATS, NULL);
+        else if (common == DOUBLES && move) load(scan, x, y, z, axis, number, left, DOUBLES, move);
+        else if (common == DOUBLES) load(scan, x, y, z, axis, number, left, DOUBLES, NULL);
+        else load(scan, x, y, z, axis, number, left, MIXED, move);
     }
     if (scan->filled) project_block(scan);
 }
@@ -456,7 +527,15 @@ static PyMethodDef methods[] = {
     {NULL, NULL, 0, NULL},
 };
 
-static PyModuleDef_Slot slots[] = {{0, NULL}};
+static int prepare(PyObject *self) {
+    (void)self;
+#ifdef EIGHT
+    prepare_eight();
+#endif
+    return 0;
+}
+
+static PyModuleDef_Slot slots[] = {{Py_mod_exec, prepare}, {0, NULL}};
 
 static struct PyModuleDef module = {PyModuleDef_HEAD_INIT, "_kernel", NULL, 0, methods, slots, NULL, NULL, NULL};
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -18,6 +19,8 @@ __all__ = ["LASERSCAN", "LaserScan", "decode_laserscan", "encode_laserscan"]
 
 #: The type in ROS 2's spelling.
 LASERSCAN = "sensor_msgs/msg/LaserScan"
+
+_FLOAT32 = np.dtype("<f4")
 
 
 def _no_values() -> NDArray[np.float32]:
@@ -115,23 +118,25 @@ def encode_laserscan(scan: LaserScan, serialization: str) -> bytes:
     serialization
         ``ros1`` or ``cdr``.
     """
-    with np.errstate(over="ignore"):
-        geometry = np.array(
-            [
-                scan.angle_min,
-                scan.angle_max,
-                scan.angle_increment,
-                scan.time_increment,
-                scan.scan_time,
-                scan.range_min,
-                scan.range_max,
-            ]
-        ).astype("<f4")
+    geometry = (
+        scan.angle_min,
+        scan.angle_max,
+        scan.angle_increment,
+        scan.time_increment,
+        scan.scan_time,
+        scan.range_min,
+        scan.range_max,
+    )
+    try:
+        packed = struct.pack("<7f", *geometry)
+    except OverflowError:
+        with np.errstate(over="ignore"):
+            packed = np.array(geometry).astype("<f4").tobytes()
     packer = Packer(serialization)
     packer.header(scan.sequence, scan.stamp_ns, scan.frame_id)
     packer.align(4)
-    packer.raw(geometry.tobytes())
+    packer.raw(packed)
     for values in (scan.ranges, scan.intensities):
         packer.write("I", len(values))
-        packer.raw(np.ascontiguousarray(values, "<f4").tobytes())
+        packer.raw(values.astype(_FLOAT32, copy=False).tobytes())
     return packer.finish()

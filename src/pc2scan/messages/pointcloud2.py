@@ -42,6 +42,10 @@ MAX_SMALL_POINTS = 2_000_000
 _SMALL = 12
 
 
+#: Clouds are decoded between two chunks, with nothing of this in a cache: what is prepared here need not be fetched.
+_DTYPES = {order: {code: np.dtype(order + name) for code, name in DATATYPES.items()} for order in "<>"}
+
+
 @dataclass(frozen=True, slots=True)
 class PointField:
     """sensor_msgs/PointField: where in a point a value is, and what it is.
@@ -120,7 +124,7 @@ class PointCloud2:
             raise self._error(f"no field {name!r}; the cloud's fields are: {names}")
         if field.datatype not in DATATYPES:
             raise self._error(f"field {name!r} has datatype {field.datatype}, known are 1 to 8")
-        dtype = np.dtype((">" if self.is_bigendian else "<") + DATATYPES[field.datatype])
+        dtype = _DTYPES[">" if self.is_bigendian else "<"][field.datatype]
         if not self.points:
             return np.empty(0, dtype)
         if field.offset + dtype.itemsize > self.point_step:
@@ -193,9 +197,7 @@ def decode_pointcloud2(data: Buffer, serialization: str) -> PointCloud2:
         fields = []
         for _ in range(count):
             name = cursor.string()
-            offset = cursor.uint32()
-            datatype = cursor.uint8()
-            fields.append(PointField(name, offset, datatype, cursor.uint32()))
+            fields.append(PointField(name, *cursor.read("IBI" if cursor.ros1 else "IB3xI")))
         is_bigendian = bool(cursor.uint8())
         point_step, row_step, size = cursor.read("III")
         points = cursor.take(size)

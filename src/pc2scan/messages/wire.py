@@ -10,6 +10,7 @@ Sources: http://wiki.ros.org/ROS/Technical%20Overview (message serialization), O
 from __future__ import annotations
 
 import struct
+from functools import cache
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import DecodeError
@@ -18,6 +19,12 @@ if TYPE_CHECKING:
     from pc2scan.bags.model import Buffer
 
 __all__ = ["Cursor", "Packer"]
+
+
+@cache
+def _layout(code: str) -> tuple[struct.Struct, int]:
+    """Compile codes; returns what their last one is aligned to, too."""
+    return struct.Struct(code), struct.calcsize(code[-1])
 
 
 class Cursor:
@@ -70,8 +77,8 @@ class Cursor:
 
     def read(self, code: str) -> tuple[int, ...]:
         """Read primitives that need no padding between them: `struct` codes, aligned to the first."""
-        layout = struct.Struct(self._order + code)
-        self.align(struct.calcsize(code[-1]))
+        layout, alignment = _layout(self._order + code)
+        self.align(alignment)
         end = self.position + layout.size
         if end > len(self.data):
             raise DecodeError(f"message ends after {len(self.data)} bytes, {end} are needed")

@@ -49,6 +49,7 @@ class CloudToScan:
         self._timings = timings or {}
         self._layout = params.layout
         self._project = Projector(params)
+        self._no_returns = np.full(params.length, params.empty_range, np.float32).tobytes()
 
     def __call__(self, data: Buffer, source: str, target: str) -> Converted:
         """Convert one message; see `Conversion`."""
@@ -85,8 +86,7 @@ class CloudToScan:
             scan.ranges,
             scan.intensities,
         )
-        empty = np.array_equal(scan.ranges, np.full_like(scan.ranges, params.empty_range), equal_nan=True)
-        return Converted(encode_laserscan(message, target), scan.counts, empty)
+        return Converted(encode_laserscan(message, target), scan.counts, scan.ranges.tobytes() == self._no_returns)
 
     def _projected(self, cloud: PointCloud2, place: Place) -> ProjectedScan:
         moved = place.target_from_source

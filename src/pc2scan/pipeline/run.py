@@ -117,7 +117,6 @@ def run(
                     write_static(options.frames, span.first_ns, target, writer, report)
                 pool = _threads(options, stack)
                 if pool is not None:
-                    reader.read_ahead(pool)
                     writer.compress_ahead(pool)
                 rule = chunk_rule(lanes, target, writer) if copying else None
                 stream(reader, lanes, options, span, rule, pool, writer, report, progress)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from contextlib import closing
+from functools import partial
 from itertools import chain
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, cast
 
 from pc2scan.bags.model import StoredChunk
 from pc2scan.errors import MessageError
@@ -34,11 +35,19 @@ Progress = Callable[[int, int, int], None]
 _PROGRESS_EVERY = 64
 
 
+#: A message from this size on is worked on where it was read: larger ones are out of that core's cache by the time
+#: that another one has them. What is made of smaller ones might take more memory than they do.
+_LARGE = 1 << 18
+
+
 class _Outcome(NamedTuple):
-    """What became of a message; an error takes the place of what could not be made."""
+    """What became of a message; an error takes the place of what could not be made.
+
+    ``times`` are those of recording and of publishing (ns), and the sequence number.
+    """
 
     lane: Lane
-    message: RawMessage
+    times: tuple[int, int, int]
     converted: Converted | None
     passing: Buffer | None
     error: MessageError | None
@@ -64,6 +73,8 @@ def stream(
     progress: Progress | None,
 ) -> None:
     """Read, work on several threads, and write in the order of reading."""
+    if pool is not None:
+        reader.read_ahead(pool, partial(_large_at_once, lanes))
     total = reader.summary.size_bytes
     outcomes = map_in_order(
         _work,
@@ -132,7 +143,9 @@ _Item = tuple[Lane, "RawMessage"] | StoredChunk
 
 
 def _is_heavy(item: _Item) -> bool:
-    return not isinstance(item, StoredChunk) and (item[0].convert is not None or item[0].encode is not None)
+    if isinstance(item, StoredChunk) or item[1].result is not None:
+        return False
+    return item[0].convert is not None or item[0].encode is not None
 
 
 def _work(item: _Item) -> _Outcome | StoredChunk:
@@ -140,6 +153,8 @@ def _work(item: _Item) -> _Outcome | StoredChunk:
     if isinstance(item, StoredChunk):
         return item
     lane, message = item
+    if message.result is not None:
+        return cast("_Outcome", message.result)
     converted = passing = error = None
     try:
         if lane.passing_handle >= 0:
@@ -148,7 +163,15 @@ def _work(item: _Item) -> _Outcome | StoredChunk:
             converted = lane.convert(message.data)
     except MessageError as err:
         error = err
-    return _Outcome(lane, message, converted, passing, error)
+    return _Outcome(lane, (message.log_time_ns, message.publish_time_ns, message.sequence), converted, passing, error)
+
+
+def _large_at_once(lanes: Mapping[int, Lane], message: RawMessage) -> RawMessage:
+    """Work on a large message where it was read; what is left of it does not keep its chunk."""
+    lane = lanes[message.connection.id]
+    if lane.convert is None or len(message.data) < _LARGE:
+        return message
+    return message._replace(data=b"", result=_work((lane, message)))
 
 
 def _write_chunk(chunk: StoredChunk, lanes: Mapping[int, Lane], writer: Writer) -> int:
@@ -162,14 +185,13 @@ def _write_chunk(chunk: StoredChunk, lanes: Mapping[int, Lane], writer: Writer) 
 
 def _write(outcome: _Outcome, writer: Writer, report: Report, on_error: str) -> None:
     """Write what a message became, and account for it."""
-    lane, message, converted, passing, error = outcome
+    lane, (log_time_ns, publish_time_ns, sequence), converted, passing, error = outcome
     entry = lane.report
     entry.messages_in += 1
-    when = (message.log_time_ns, message.publish_time_ns, message.sequence)
     if passing is not None:
-        writer.write(lane.passing_handle, when[0], passing, when[1], when[2])
+        writer.write(lane.passing_handle, log_time_ns, passing, publish_time_ns, sequence)
     if converted is not None:
-        writer.write(lane.converted_handle, when[0], converted.data, when[1], when[2])
+        writer.write(lane.converted_handle, log_time_ns, converted.data, publish_time_ns, sequence)
         lane.sample = lane.sample or converted.data
         entry.points += converted.counts
         entry.empty_scans += converted.empty
@@ -179,7 +201,7 @@ def _write(outcome: _Outcome, writer: Writer, report: Report, on_error: str) -> 
             raise error
         report.skip(
             entry,
-            Skipped(lane.connection.topic, message.log_time_ns, error.stamp_ns, error.message, error.hint or ""),
+            Skipped(lane.connection.topic, log_time_ns, error.stamp_ns, error.message, error.hint or ""),
         )
     else:
         entry.messages_out += 1
