@@ -43,6 +43,15 @@ def test_short_answers_of_the_system_are_completed(file: SourceFile, monkeypatch
     assert file.read(5, 90) == bytes(range(5, 95))
 
 
+def test_announcing_what_comes_changes_nothing(file: SourceFile, monkeypatch: pytest.MonkeyPatch) -> None:
+    file.expect(10, 1000)
+    assert file.read(10, 3) == b"\x0a\x0b\x0c"
+    file.close()
+    file.expect(10, 3)
+    monkeypatch.delattr(os, "posix_fadvise", raising=False)
+    file.expect(10, 3)
+
+
 def test_what_is_not_there_is_an_error(file: SourceFile) -> None:
     with pytest.raises(RecordingError, match="2 bytes are declared from byte 99 on, but the file has 100 bytes"):
         file.read(99, 2)

@@ -115,6 +115,19 @@ def test_work_is_done_by_the_thread_that_loaded() -> None:
     assert all(m.result == loaders[m.log_time_ns] != get_ident() for m in messages[: large + 1])
 
 
+def test_what_will_be_loaded_is_announced_some_way_ahead() -> None:
+    segments = [segment(n, 10 * n, 10 * n, length=10 << 20) for n in range(12)]
+    expected: list[int] = []
+
+    def load(loaded: Segment, _: bool) -> list[RawMessage]:
+        # The fourth brings it beyond 32 MiB, of which the first is taken now.
+        assert len(expected) == min(12, loaded.offset + 4)
+        return [RawMessage(TOPIC, loaded.start_ns, b"", 0)]
+
+    assert len(list(in_time_order(segments, load, expect=lambda offset, _: expected.append(offset)))) == 12
+    assert expected == list(range(12))
+
+
 def test_a_chunk_alone_is_handed_on_whole() -> None:
     chunk = StoredChunk("zstd", b"stored", 6, 0, {1: [(3, 0)]})
     segments = [segment(1, 0, 1), segment(2, 3, 3), segment(3, 5, 6)]

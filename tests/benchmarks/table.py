@@ -43,7 +43,7 @@ MEGABYTE = 1_000_000
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--gb", type=float, default=0.5, help="size of the recordings (default: 0.5)")
+    parser.add_argument("--gb", type=float, default=2, help="size of the recordings (default: 2), to pass: a quarter")
     parser.add_argument("--repeat", type=int, default=5, help="rounds, of which the median is taken (default: 5)")
     parser.add_argument("--memory", type=float, nargs="*", metavar="GB", help="peak memory too; default: 0.5 2 8")
     parser.add_argument("--folder", type=Path, help="where the recordings are written meanwhile")
@@ -61,7 +61,7 @@ def main() -> None:
         if "conversions" in wanted:
             conversions(place, int(asked.gb * 1e9), asked.repeat)
         if "passing" in wanted:
-            passing(place, int(asked.gb * 1e9), asked.repeat)
+            passing(place, int(asked.gb * 0.25e9), asked.repeat)
         if "start-up" in wanted:
             start_up(place, asked.repeat)
         if "memory" in wanted or asked.memory is not None:

@@ -54,6 +54,12 @@ class SourceFile:
             self.close()
             raise self.error(f"cannot be opened: {err.strerror}") from err
 
+    def expect(self, offset: int, length: int) -> None:
+        """Let the system begin to read what is needed soon; where it cannot, nothing changes."""
+        if hasattr(os, "posix_fadvise"):
+            with suppress(OSError):
+                os.posix_fadvise(self._descriptor, offset, length, os.POSIX_FADV_WILLNEED)
+
     def close(self) -> None:
         """Release the file; reading afterwards is an error."""
         descriptor, self._descriptor = self._descriptor, -1

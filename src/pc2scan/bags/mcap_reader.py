@@ -199,7 +199,13 @@ class McapReader:
 
         if ids is None or ids:
             yield from in_time_order(
-                segments, load, alone=alone, pool=self._pool, work=self._work, path=self._file.path
+                segments,
+                load,
+                alone=alone,
+                pool=self._pool,
+                work=self._work,
+                expect=self._file.expect,
+                path=self._file.path,
             )
 
     def _prefix(self, segment: Segment) -> tuple[memoryview, DamageError | None]:

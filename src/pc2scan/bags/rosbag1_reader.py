@@ -179,7 +179,9 @@ class Rosbag1Reader:
                 and (high is None or message.log_time_ns < high)
             ]
 
-        return in_time_order(due, load, alone=alone, pool=self._pool, work=self._work, path=self._path)
+        return in_time_order(
+            due, load, alone=alone, pool=self._pool, work=self._work, expect=self._file.expect, path=self._path
+        )
 
     def _salvaged(self, segment: Segment, chunk: bytes | None, problem: Damaged) -> list[RawMessage]:
         """Take note of a damaged chunk, and find the messages that are left of it; None: it cannot be decompressed."""

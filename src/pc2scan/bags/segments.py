@@ -39,6 +39,9 @@ if TYPE_CHECKING:
 #: Loaded segments may take this much before the ones needed last are dropped and later read again.
 MAX_OPEN_BYTES = 64 << 20
 
+#: So many bytes are announced to the system before they are read: it reads them while others are decompressed.
+_EXPECTED_BYTES = 32 << 20
+
 #: Segments may be read again until that comes to so many times the whole, and a gigabyte.
 _MAX_AGAIN = 16
 
@@ -172,6 +175,7 @@ def in_time_order(
     max_open_bytes: int = MAX_OPEN_BYTES,
     pool: Threads | None = None,
     work: Work | None = None,
+    expect: Callable[[int, int], None] | None = None,
     path: Path | None = None,
 ) -> Iterator[RawMessage | StoredChunk]:
     """Merge the messages of overlapping segments.
@@ -194,6 +198,8 @@ def in_time_order(
     work
         What takes the place of a message that was loaded by one of these threads; it may do nothing, and is not done
         with segments too large to be loaded ahead.
+    expect
+        Is told what will be loaded soon, by offset and length.
     path
         The file, for the error.
 
@@ -220,7 +226,8 @@ def in_time_order(
         found = loaded(segment)
         return found if work is None or isinstance(found, StoredChunk) else [work(message) for message in found]
 
-    arrivals = _Ahead(waiting, worked, loaded, pool) if pool is not None else map(loaded, waiting)
+    due = waiting if expect is None else _expected(waiting, expect)
+    arrivals = _Ahead(due, worked, loaded, pool) if pool is not None else map(loaded, due)
     try:
         yield from _merged(waiting, iter(arrivals), partial(loaded, split=True), max_open_bytes, path)
     finally:
@@ -228,12 +235,24 @@ def in_time_order(
             arrivals.cancel()
 
 
+def _expected(segments: Sequence[Segment], expect: Callable[[int, int], None]) -> Iterator[Segment]:
+    """The segments, each announced some way ahead of its turn."""
+    coming = iter(segments)
+    announced = 0
+    for segment in segments:
+        while announced < _EXPECTED_BYTES and (following := next(coming, None)) is not None:
+            expect(following.offset, following.length)
+            announced += following.length
+        announced -= segment.length
+        yield segment
+
+
 class _Ahead:
     """Segments loaded on other threads before their turn, in the order given, within the bounds of the pool."""
 
     def __init__(
         self,
-        segments: Sequence[Segment],
+        segments: Iterable[Segment],
         ahead: Callable[[Segment], Loaded],
         load: Callable[[Segment], Loaded],
         pool: Threads,

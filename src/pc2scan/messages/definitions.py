@@ -7,7 +7,7 @@ genmsg's ``gendeps --cat`` prints it, ``ros2.msg`` as rosbag2's MCAP recorder co
 from __future__ import annotations
 
 from functools import cache
-from importlib.resources import files
+from pathlib import Path
 
 from pc2scan.bags.model import Definition, normalized_type
 
@@ -58,5 +58,5 @@ def definition(msgtype: str, generation: int) -> tuple[Definition, str]:
     """
     digest = _DIGESTS[normalized_type(msgtype)][generation - 1]
     name = msgtype.rpartition("/")[2]
-    data = files("pc2scan.messages").joinpath("definitions", f"{name}.ros{generation}.msg").read_bytes()
+    data = Path(__file__).with_name("definitions").joinpath(f"{name}.ros{generation}.msg").read_bytes()
     return Definition(f"ros{generation}msg", data), digest

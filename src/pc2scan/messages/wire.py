@@ -70,21 +70,16 @@ class Cursor:
         """``<`` or ``>``, as `struct` and NumPy spell it."""
         return self._order
 
-    def align(self, size: int) -> None:
-        """Skip padding before a primitive of ``size`` bytes; ROS 1 has none."""
-        if self._aligned:
-            self.position = self.base + ((self.position - self.base + size - 1) & -size)
-
     def read(self, code: str) -> tuple[int, ...]:
         """Read primitives that need no padding between them: `struct` codes, aligned to the first."""
         layout, alignment = _layout(self._order + code)
-        self.align(alignment)
-        end = self.position + layout.size
+        start = self.position
+        if self._aligned:
+            start += (self.base - start) % alignment
+        self.position = end = start + layout.size
         if end > len(self.data):
             raise DecodeError(f"message ends after {len(self.data)} bytes, {end} are needed")
-        values = layout.unpack_from(self.data, self.position)
-        self.position = end
-        return values
+        return layout.unpack_from(self.data, start)
 
     def uint8(self) -> int:
         """Read a uint8 (or bool)."""
@@ -111,14 +106,13 @@ class Cursor:
 
     def string(self) -> str:
         """Read a string; bytes that are not UTF-8 are kept as surrogates."""
-        raw = bytes(self.take(self.uint32()))
+        raw = bytes(self.take(self.read("I")[0]))
         if self._aligned:
             raw = raw[:-1] if raw.endswith(b"\0") else raw
         return raw.decode("utf-8", "surrogateescape")
 
     def stamp_ns(self) -> int:
         """Read a stamp: ROS 1's (uint32, uint32) or ROS 2's (int32, uint32), as nanoseconds."""
-        self.align(4)
         seconds, nanoseconds = self.read("II" if self.ros1 else "iI")
         return seconds * 1_000_000_000 + nanoseconds
 

@@ -62,6 +62,10 @@ def map_in_order(
                     in_flight.popleft().exception()
                 future = pool.submit(work, item)
                 in_flight.append(future)
+            elif not queue:
+                yield work(item)
+                del item
+                continue
             else:
                 future = Future()
                 future.set_result(work(item))
