@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -55,6 +56,12 @@ def test_round_trip(serialization: str, ranges: Any, intensities: Any) -> None:
     read = decode_laserscan(encoded, serialization)
     assert encode_laserscan(read, serialization) == encoded
     assert read.ranges.tobytes() == ranges.tobytes()
+
+
+def test_zeros_keep_their_sign_whatever_was_encoded_before() -> None:
+    made = [replace(scan(floats(1), floats()), angle_min=zero) for zero in (0.0, -0.0, 0.0)]
+    signs = [math.copysign(1, decode_laserscan(encode_laserscan(one, "cdr"), "cdr").angle_min) for one in made]
+    assert signs == [1, -1, 1]
 
 
 def test_big_endian_scans_are_read() -> None:

@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import struct
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -13,11 +13,15 @@ from pc2scan.errors import DecodeError
 from pc2scan.messages.pointcloud2 import (
     DATATYPES,
     POINTCLOUD2,
+    CloudDecoder,
     PointCloud2,
     PointField,
     decode_pointcloud2,
     encode_pointcloud2,
 )
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 ROS1 = get_typestore(Stores.ROS1_NOETIC)
 ROS2 = get_typestore(Stores.ROS2_JAZZY)
@@ -197,6 +201,47 @@ def test_hostile_counts_are_refused_without_reading_on() -> None:
 def test_an_unknown_encapsulation_is_refused() -> None:
     with pytest.raises(DecodeError, match="encapsulation"):
         decode_pointcloud2(b"\x00\x07\x00\x00" + bytes(60), "cdr")
+
+
+@st.composite
+def similar_messages(draw: st.DrawFn) -> list[tuple[bytes, str]]:
+    """Messages that differ in a byte of what is between the stamp and the points, or in what the bytes mean."""
+    made = []
+    for _ in range(draw(st.integers(1, 6))):
+        frame = draw(st.sampled_from(["", "map", "mbp"]))
+        fields = [PointField(draw(st.sampled_from(["x", "y"])), draw(st.sampled_from([0, 1])), 7)]
+        data = bytes(draw(st.sampled_from([12, 13])))
+        little = draw(st.booleans())
+        built = message(fields, data, width=draw(st.integers(0, 1)), frame=frame)
+        whole, serialization = bytes(ROS2.serialize_cdr(built, POINTCLOUD2, little_endian=little)), "cdr"
+        if draw(st.booleans()):
+            # Of the same bytes, ROS 1 reads something else.
+            whole, serialization = whole[4:], "ros1"
+        made.append((whole[: draw(st.sampled_from([len(whole), len(whole) - 1, len(whole) - 5]))], serialization))
+    return made
+
+
+@given(similar_messages())
+def test_what_was_decoded_before_makes_no_difference(messages: list[tuple[bytes, str]]) -> None:
+    decode = CloudDecoder()
+
+    def outcome(decode: Callable[[bytes, str], PointCloud2], data: bytes, serialization: str) -> object:
+        try:
+            return decode(data, serialization)
+        except DecodeError as err:
+            return type(err), err.message, err.stamp_ns
+
+    for data, serialization in messages:
+        assert outcome(decode, data, serialization) == outcome(decode_pointcloud2, data, serialization)
+
+
+def test_what_all_clouds_of_a_topic_have_in_common_is_decoded_once() -> None:
+    data = bytes(ROS2.serialize_cdr(message(XYZ, bytes(24), width=2), POINTCLOUD2))
+    later = data[:4] + struct.pack("<iI", 13, 1) + data[12:]
+    decode = CloudDecoder()
+    first, second = decode(data, "cdr"), decode(later, "cdr")
+    assert (first.stamp_ns, second.stamp_ns) == (12_000_000_345, 13_000_000_001)
+    assert first.fields is second.fields
 
 
 @pytest.mark.parametrize("serialization", ["ros1", "cdr"])

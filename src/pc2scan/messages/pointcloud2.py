@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 __all__ = [
     "DATATYPES",
     "POINTCLOUD2",
+    "CloudDecoder",
     "PointCloud2",
     "PointField",
     "decode_pointcloud2",
@@ -173,6 +174,72 @@ class PointCloud2:
         return DecodeError(message, stamp_ns=self.stamp_ns)
 
 
+class _Description(NamedTuple):
+    """What is between a cloud's stamp and its points."""
+
+    frame_id: str
+    height: int
+    width: int
+    fields: tuple[PointField, ...]
+    is_bigendian: bool
+    point_step: int
+    row_step: int
+    size: int
+
+
+class CloudDecoder:
+    """Decodes clouds one after the other, best those of one topic. Threads may share one.
+
+    What is between the stamp and the points is the same in all clouds of a topic, as a rule. Taking it apart takes as
+    long as projecting some thousand points, so it is compared with the last one's.
+    """
+
+    __slots__ = ("_last",)
+
+    def __init__(self) -> None:
+        #: The format, the bytes of a description, and what they say.
+        self._last: tuple[tuple[bool, str], bytes, _Description] | None = None
+
+    def __call__(self, data: Buffer, serialization: str) -> PointCloud2:
+        """Decode a message; see `decode_pointcloud2`."""
+        cursor = Cursor(data, serialization)
+        sequence, stamp_ns = cursor.sequence(), cursor.stamp_ns()
+        try:
+            description = self._description(cursor)
+            points = cursor.take(description.size)
+            is_dense = bool(cursor.uint8())
+        except DecodeError as err:
+            err.stamp_ns = stamp_ns
+            raise
+        return PointCloud2(sequence, stamp_ns, *description[:-1], points, is_dense)
+
+    def _description(self, cursor: Cursor) -> _Description:
+        form = cursor.ros1, cursor.byte_order
+        start = cursor.position
+        if self._last is not None:
+            known_form, raw, description = self._last
+            end = start + len(raw)
+            if known_form == form and bytes(cursor.data[start:end]) == raw:
+                cursor.position = end
+                return description
+        description = _described(cursor)
+        self._last = form, bytes(cursor.data[start : cursor.position]), description
+        return description
+
+
+def _described(cursor: Cursor) -> _Description:
+    frame_id = cursor.string()
+    height, width, count = cursor.read("III")
+    if count > MAX_FIELDS:
+        raise DecodeError(f"the cloud declares {count} fields, at most {MAX_FIELDS} are believed")
+    fields = []
+    for _ in range(count):
+        name = cursor.string()
+        fields.append(PointField(name, *cursor.read("IBI" if cursor.ros1 else "IB3xI")))
+    is_bigendian = bool(cursor.uint8())
+    return _Description(frame_id, height, width, tuple(fields), is_bigendian, *cursor.read("III"))
+
+
 def decode_pointcloud2(data: Buffer, serialization: str) -> PointCloud2:
     """Decode a serialised sensor_msgs/PointCloud2; the points are not copied.
 
@@ -188,36 +255,7 @@ def decode_pointcloud2(data: Buffer, serialization: str) -> PointCloud2:
     DecodeError
         If the message ends too early or declares more fields than can be.
     """
-    cursor = Cursor(data, serialization)
-    sequence, stamp_ns, frame_id = cursor.header()
-    try:
-        height, width, count = cursor.read("III")
-        if count > MAX_FIELDS:
-            raise DecodeError(f"the cloud declares {count} fields, at most {MAX_FIELDS} are believed")
-        fields = []
-        for _ in range(count):
-            name = cursor.string()
-            fields.append(PointField(name, *cursor.read("IBI" if cursor.ros1 else "IB3xI")))
-        is_bigendian = bool(cursor.uint8())
-        point_step, row_step, size = cursor.read("III")
-        points = cursor.take(size)
-        is_dense = bool(cursor.uint8())
-    except DecodeError as err:
-        err.stamp_ns = stamp_ns
-        raise
-    return PointCloud2(
-        sequence,
-        stamp_ns,
-        frame_id,
-        height,
-        width,
-        tuple(fields),
-        is_bigendian,
-        point_step,
-        row_step,
-        points,
-        is_dense,
-    )
+    return CloudDecoder()(data, serialization)
 
 
 def encode_pointcloud2(

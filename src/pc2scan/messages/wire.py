@@ -116,10 +116,13 @@ class Cursor:
         seconds, nanoseconds = self.read("II" if self.ros1 else "iI")
         return seconds * 1_000_000_000 + nanoseconds
 
+    def sequence(self) -> int:
+        """Read the sequence number that ROS 1 has in front of a stamp; 0 in ROS 2."""
+        return 0 if self._aligned else self.uint32()
+
     def header(self) -> tuple[int, int, str]:
-        """Read a std_msgs/Header: sequence number (0 in ROS 2), stamp in nanoseconds, frame_id."""
-        sequence = self.uint32() if self.ros1 else 0
-        return sequence, self.stamp_ns(), self.string()
+        """Read a std_msgs/Header: sequence number, stamp in nanoseconds, frame_id."""
+        return self.sequence(), self.stamp_ns(), self.string()
 
 
 class Packer:
@@ -129,7 +132,7 @@ class Packer:
 
     def __init__(self, serialization: str) -> None:
         self._aligned = serialization == "cdr"
-        self._parts: list[Buffer] = [b"\x00\x01\x00\x00"] if self._aligned else []
+        self._parts: list[Buffer] = []
         self._size = 0
 
     @property
@@ -161,7 +164,12 @@ class Packer:
         self.raw(data)
 
     def header(self, sequence: int, stamp_ns: int, frame_id: str) -> None:
-        """Append a std_msgs/Header; ROS 2 has no sequence number.
+        """Append a std_msgs/Header; see `stamp`."""
+        self.stamp(sequence, stamp_ns)
+        self.string(frame_id)
+
+    def stamp(self, sequence: int, stamp_ns: int) -> None:
+        """Append a sequence number, which ROS 2 has not, and a stamp.
 
         Raises
         ------
@@ -178,8 +186,11 @@ class Packer:
                 stamp_ns=stamp_ns,
             )
         self.write("II" if self.ros1 else "iI", seconds, nanoseconds)
-        self.string(frame_id)
+
+    def body(self) -> bytes:
+        """Return what was appended."""
+        return b"".join(self._parts)
 
     def finish(self) -> bytes:
-        """Return the message."""
-        return b"".join(self._parts)
+        """Return the message: behind CDR's encapsulation header, in ROS 2."""
+        return b"".join((b"\x00\x01\x00\x00", *self._parts)) if self._aligned else self.body()

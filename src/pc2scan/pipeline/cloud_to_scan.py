@@ -9,7 +9,7 @@ import numpy as np
 
 from pc2scan.core.project import Projector
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, encode_laserscan
-from pc2scan.messages.pointcloud2 import POINTCLOUD2, decode_pointcloud2
+from pc2scan.messages.pointcloud2 import POINTCLOUD2, CloudDecoder
 
 from .conversion import Converted, Timing
 
@@ -47,24 +47,24 @@ class CloudToScan:
         self.params = params
         self._frames = frames
         self._timings = timings or {}
+        self._default = Timing(
+            0.0 if params.scan_time == "auto" else params.scan_time,
+            0.0 if params.time_increment == "auto" else params.time_increment,
+        )
         self._layout = params.layout
         self._project = Projector(params)
         self._no_returns = np.full(params.length, params.empty_range, np.float32).tobytes()
 
     def __call__(self, data: Buffer, source: str, target: str) -> Converted:
         """Convert one message; see `Conversion`."""
-        params = self.params
-        scan_time = 0.0 if params.scan_time == "auto" else params.scan_time
-        time_increment = 0.0 if params.time_increment == "auto" else params.time_increment
-        return self._convert(Timing(scan_time, time_increment), data, source, target)
+        return self._convert(self._default, CloudDecoder(), data, source, target)
 
     def for_topic(self, topic: str) -> Callable[[Buffer, str, str], Converted]:
         """Return the conversion of one topic's messages, with its timing."""
-        timing = self._timings.get(topic)
-        return self if timing is None else partial(self._convert, timing)
+        return partial(self._convert, self._timings.get(topic, self._default), CloudDecoder())
 
-    def _convert(self, timing: Timing, data: Buffer, source: str, target: str) -> Converted:
-        cloud = decode_pointcloud2(data, source)
+    def _convert(self, timing: Timing, decode: CloudDecoder, data: Buffer, source: str, target: str) -> Converted:
+        cloud = decode(data, source)
         place = self._frames.place(cloud.frame_id, cloud.stamp_ns)
         scan = self._projected(cloud, place)
         params, layout = self.params, self._layout
