@@ -1,7 +1,7 @@
-/* The projection's inner loop. The rules are told in project.py and grid.py; what is here is how to keep them fast.
+/* The projection's inner loop. The rules are told in project.py and rule.py; what is here is how to keep them fast.
 
-   Points are taken a block at a time, small enough for the first-level cache: load and drop by height, one loop;
-   then squares, angles and slots, loops without branches that compilers turn into vector instructions; then the
+   Points are taken a block at a time, small enough for the first-level cache: load and drop by height, one loop, or
+   eight at a time; then squares, angles and slots, loops without branches that compilers turn into vector instructions; then the
    minimum of each slot. Compiled with -ffp-contract=off: a fused multiply-add rounds otherwise than upstream does. */
 
 #define PY_SSIZE_T_CLEAN
@@ -421,6 +421,9 @@ static void run(Scan *scan, const Cloud *cloud) {
     load_rows(scan, cloud->axis, cloud->rows, cloud->columns, cloud->moves ? cloud->move.buf : NULL);
 }
 
+/* Let other threads have the interpreter, unless taking turns takes longer than this many points or beams do. */
+static PyThreadState *let_others(Py_ssize_t work) { return work > 16384 ? PyEval_SaveThread() : NULL; }
+
 static PyObject *fates(const Scan *scan) {
     return Py_BuildValue("(LLLLL)", (long long)scan->nan, (long long)scan->height, (long long)scan->fates[TOO_FAR],
                          (long long)scan->fates[OUTSIDE], (long long)scan->fates[PAST_END]);
@@ -441,14 +444,14 @@ static PyObject *project(PyObject *self, PyObject *args) {
         if (scan) {
             scan->smallest = (double *)(scan + 1);
             float *range = ranges.buf;
-            Py_BEGIN_ALLOW_THREADS
+            PyThreadState *state = let_others(cloud.rows * cloud.columns + beams);
             for (int32_t i = 0; i < beams + FATES; i++) scan->smallest[i] = INFINITY;
             run(scan, &cloud);
             for (int32_t i = 0; i < beams; i++) {
                 float root = (float)sqrt(scan->smallest[i]);
                 range[i] = root < limit ? root : empty;
             }
-            Py_END_ALLOW_THREADS
+            if (state) PyEval_RestoreThread(state);
             result = fates(scan);
             PyMem_Free(scan);
         }
@@ -477,9 +480,9 @@ static PyObject *gather(PyObject *self, PyObject *args) {
         scan->slots = slots.buf;
         scan->ranges = ranges.buf;
         scan->numbers = numbers.buf;
-        Py_BEGIN_ALLOW_THREADS
+        PyThreadState *state = let_others(most);
         run(scan, &cloud);
-        Py_END_ALLOW_THREADS
+        if (state) PyEval_RestoreThread(state);
         result = fates(scan);
         PyMem_Free(scan);
     }

@@ -53,6 +53,8 @@ class CloudToScan:
         )
         self._layout = params.layout
         self._project = Projector(params)
+        # A scan repeats the cloud's header; what else it has besides ranges and intensities takes less.
+        self.shrinks_from = 1024 + 8 * params.length
         self._no_returns = np.full(params.length, params.empty_range, np.float32).tobytes()
 
     def __call__(self, data: Buffer, source: str, target: str) -> Converted:

@@ -48,11 +48,14 @@ class Conversion(Protocol):
         ROS types in ROS 2's spelling.
     target_name
         The last part of the default output topic.
+    shrinks_from
+        Messages of so many bytes and more become smaller ones.
     """
 
     source_type: str
     target_type: str
     target_name: str
+    shrinks_from: int
 
     def for_topic(self, topic: str) -> Callable[[Buffer, str, str], Converted]:
         """Return the conversion of one source topic's messages."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -35,7 +36,8 @@ class Lane:
     """Where the messages of one source connection go.
 
     ``convert`` and ``encode`` are the work; None where there is none. The handles are the writer's. ``sample`` is the
-    first converted message; all others have its geometry.
+    first converted message; all others have its geometry. Messages of ``shrinks_from`` bytes and more become smaller
+    ones by ``convert``.
     """
 
     connection: Connection
@@ -45,6 +47,7 @@ class Lane:
     converted_handle: int = -1
     passing_handle: int = -1
     sample: bytes = b""
+    shrinks_from: int = sys.maxsize
 
 
 def open_lanes(
@@ -79,6 +82,7 @@ def open_lanes(
             _prepare_passing(lane, target, options, writer, compiled)
         if route.target:
             lane.convert = _converter(conversion, connection, target)
+            lane.shrinks_from = conversion.shrinks_from
             lane.converted_handle = writer.add_connection(
                 _converted_connection(connection, route.target, conversion.target_type, target)
             )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from typing import TYPE_CHECKING
 
 from pc2scan.core.project import PointCounts
@@ -43,6 +44,7 @@ class ScanToCloud:
     source_type = LASERSCAN
     target_type = POINTCLOUD2
     target_name = "cloud"
+    shrinks_from = sys.maxsize
 
     def __init__(self, channels: UnprojectParams | None, frames: Frames, *, deskewed: bool = False) -> None:
         self.channels = channels

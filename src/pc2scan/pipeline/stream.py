@@ -35,9 +35,8 @@ Progress = Callable[[int, int, int], None]
 _PROGRESS_EVERY = 64
 
 
-#: A message from this size on is worked on where it was read: larger ones are out of that core's cache by the time
-#: that another one has them. What is made of smaller ones might take more memory than they do.
-_LARGE = 1 << 18
+#: To hand a smaller message to another thread takes longer than to work on it.
+_WORTH_A_THREAD = 1 << 16
 
 
 class _Outcome(NamedTuple):
@@ -74,7 +73,7 @@ def stream(
 ) -> None:
     """Read, work on several threads, and write in the order of reading."""
     if pool is not None:
-        reader.read_ahead(pool, partial(_large_at_once, lanes))
+        reader.read_ahead(pool, partial(_at_once, lanes))
     total = reader.summary.size_bytes
     outcomes = map_in_order(
         _work,
@@ -145,7 +144,8 @@ _Item = tuple[Lane, "RawMessage"] | StoredChunk
 def _is_heavy(item: _Item) -> bool:
     if isinstance(item, StoredChunk) or item[1].result is not None:
         return False
-    return item[0].convert is not None or item[0].encode is not None
+    lane, message = item
+    return (lane.convert is not None or lane.encode is not None) and len(message.data) >= _WORTH_A_THREAD
 
 
 def _work(item: _Item) -> _Outcome | StoredChunk:
@@ -166,10 +166,10 @@ def _work(item: _Item) -> _Outcome | StoredChunk:
     return _Outcome(lane, (message.log_time_ns, message.publish_time_ns, message.sequence), converted, passing, error)
 
 
-def _large_at_once(lanes: Mapping[int, Lane], message: RawMessage) -> RawMessage:
-    """Work on a large message where it was read; what is left of it does not keep its chunk."""
+def _at_once(lanes: Mapping[int, Lane], message: RawMessage) -> RawMessage:
+    """Work on a message where it was read if what it becomes takes less memory until its turn."""
     lane = lanes[message.connection.id]
-    if lane.convert is None or len(message.data) < _LARGE:
+    if len(message.data) < lane.shrinks_from:
         return message
     return message._replace(data=b"", result=_work((lane, message)))
 
