@@ -251,7 +251,7 @@ def test_a_worker_that_fails(
     """A bug in a worker is not hidden, and leaves nothing."""
     from pc2scan.pipeline.cloud_to_scan import CloudToScan
 
-    work, calls = CloudToScan.__call__, []
+    work, calls = CloudToScan._projected, []
 
     def fail(self: CloudToScan, *args: Any) -> Any:
         calls.append(1)
@@ -259,7 +259,7 @@ def test_a_worker_that_fails(
             raise error
         return work(self, *args)
 
-    monkeypatch.setattr(CloudToScan, "__call__", fail)
+    monkeypatch.setattr(CloudToScan, "_projected", fail)
     with pytest.raises(error):
         pc2scan.convert(large, tmp_path / "out.mcap", jobs=jobs)
     assert list(tmp_path.iterdir()) == []
