@@ -15,7 +15,7 @@ from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointField, encode_pointcl
 if TYPE_CHECKING:
     from pathlib import Path
 
-__all__ = ["CLOUD_BYTES", "FORMS", "POINTS", "TRIFLE", "Form", "serialized_clouds", "write_recording"]
+__all__ = ["CLOUD_BYTES", "FORMS", "POINTS", "POINT_BYTES", "TRIFLE", "Form", "serialized_clouds", "write_recording"]
 
 #: The topic of the large clouds, and one with a single small cloud, for conversions that let the others pass.
 POINTS = "/points"
@@ -103,7 +103,7 @@ def serialized_clouds(serialization: str, points: int = CLOUD_POINTS, variety: i
     return made
 
 
-def write_recording(folder: Path, form: Form, size_bytes: int) -> Path:
+def write_recording(folder: Path, form: Form, size_bytes: int, points: int = CLOUD_POINTS) -> Path:
     """Write clouds of so many bytes together, uncompressed, with the project's own writers.
 
     Returns
@@ -124,8 +124,8 @@ def write_recording(folder: Path, form: Form, size_bytes: int) -> Path:
         writer.add_connection(Connection(0, topic, POINTCLOUD2, form.serialization, definition=text, digest=digest))
         for topic in (POINTS, TRIFLE)
     ]
-    clouds = serialized_clouds(form.serialization)
-    for number in range(max(1, size_bytes // CLOUD_BYTES)):
+    clouds = serialized_clouds(form.serialization, points)
+    for number in range(max(1, size_bytes // (points * POINT_BYTES))):
         time_ns = _BEGIN_NS + number * _PERIOD_NS
         writer.write(handles[0], time_ns, clouds[number % len(clouds)], time_ns, number)
     (trifle,) = serialized_clouds(form.serialization, points=256, variety=1)

@@ -24,7 +24,7 @@ import lz4.frame
 import zstandard
 
 import pc2scan
-from benchmarks.clouds import CLOUD_BYTES, FORMS, POINTS, TRIFLE, Form, serialized_clouds, write_recording
+from benchmarks.clouds import CLOUD_BYTES, FORMS, POINT_BYTES, POINTS, TRIFLE, Form, serialized_clouds, write_recording
 from benchmarks.test_projection import LAYOUTS, cloud, params_of, straightforward
 from pc2scan.bags.mcap_reader import McapReader
 from pc2scan.bags.rosbag1_reader import Rosbag1Reader
@@ -60,6 +60,7 @@ def main() -> None:
             projection(asked.repeat)
         if "conversions" in wanted:
             conversions(place, int(asked.gb * 1e9), asked.repeat)
+            smaller_clouds(place, int(asked.gb * 0.25e9), asked.repeat)
         if "passing" in wanted:
             passing(place, int(asked.gb * 0.25e9), asked.repeat)
         if "start-up" in wanted:
@@ -247,6 +248,42 @@ def conversions(place: Path, size: int, repeat: int) -> None:
             "of decompressing alone / 2",
             "of decompressing alone on 2 threads",
         ),
+        rows(),
+    )
+
+
+def smaller_clouds(place: Path, size: int, repeat: int) -> None:
+    form = FORMS["MCAP, none"]
+
+    def rows() -> Iterable[Sequence[str]]:
+        for points in (1_000, 4_096, 16_384, 65_536):
+            source = write_recording(place, form, size, points)
+            count = size // (points * POINT_BYTES)
+            clouds = [decode_pointcloud2(data, "cdr").xyz() for data in serialized_clouds("cdr", points)]
+            project = Projector(PARAMS)
+
+            def projected() -> None:
+                for number in range(count):  # noqa: B023
+                    project(*clouds[number % len(clouds)])  # noqa: B023
+
+            found = rounds(
+                repeat,
+                lambda: seconds(lambda: read_plainly(source)),  # noqa: B023
+                lambda: seconds(projected),
+                lambda: converted(source, place / "scans.mcap", 1),  # noqa: B023
+                lambda: converted(source, place / "scans.mcap", 2),  # noqa: B023
+            )
+            yield (
+                f"{points:,}",
+                *(f"{count / median(row[i] for row in found):,.0f}" for i in (2, 3)),
+                *(f"{median(row[i] / (row[0] + row[1]) for row in found):.1f}" for i in (2, 3)),
+            )
+            source.unlink()
+
+    table(
+        f"Converting** smaller clouds, {size / 1e9:g} GB of them (MCAP, none): clouds a second, and the time as a "
+        "multiple of plain reading + projecting",
+        ("points", "1 job", "2 jobs", "1 job, a multiple", "2 jobs, a multiple"),
         rows(),
     )
 
