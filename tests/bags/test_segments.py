@@ -138,3 +138,19 @@ def test_a_chunk_alone_is_handed_on_whole() -> None:
 
     items = list(in_time_order(segments, load, alone=[segments[1]]))
     assert [item is chunk for item in items] == [False, True, False]
+
+
+def test_small_uncompressed_segments_are_loaded_when_they_are_due() -> None:
+    """Between large ones, which are loaded ahead all the same."""
+    large = [segment(n, 10 * n, 10 * n, uncompressed_size=2 << 20) for n in range(0, 12, 2)]
+    small = [replace(segment(n, 10 * n, 10 * n), compression="none") for n in range(1, 12, 2)]
+    loaders: dict[int, int] = {}
+
+    def load(loaded: Segment, _: bool) -> list[RawMessage]:
+        loaders[loaded.offset] = get_ident()
+        return [RawMessage(TOPIC, loaded.start_ns, b"", 0)]
+
+    with Threads(1) as pool:
+        messages = list(in_time_order([*large, *small], load, pool=pool))
+    assert [m.log_time_ns for m in messages if isinstance(m, RawMessage)] == [10 * n for n in range(12)]
+    assert {n for n, thread in loaders.items() if thread == get_ident()} == {s.offset for s in small}

@@ -190,7 +190,7 @@ def test_clouds_are_projected_where_they_were_decompressed(
 def test_clouds_are_projected_by_the_thread_that_decompressed_them(
     form: tuple[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    drive = record(tmp_path, *form, size=1 << 18)
+    drive = record(tmp_path, *form, size=1 << 20)
     chunks: dict[int, Any] = {}
     reader = rosbag1_reader if drive.suffix == ".bag" else mcap_reader
     original = reader.payload

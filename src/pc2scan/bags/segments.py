@@ -42,6 +42,9 @@ MAX_OPEN_BYTES = 64 << 20
 #: So many bytes are announced to the system before they are read: it reads them while others are decompressed.
 _EXPECTED_BYTES = 32 << 20
 
+#: To wait for the interpreter's lock behind another thread takes longer than to read fewer uncompressed bytes.
+_WORTH_A_THREAD = 1 << 20
+
 #: Segments may be read again until that comes to so many times the whole, and a gigabyte.
 _MAX_AGAIN = 16
 
@@ -197,7 +200,7 @@ def in_time_order(
         due. The messages are the same.
     work
         What takes the place of a message that was loaded by one of these threads; it may do nothing, and is not done
-        with segments too large to be loaded ahead.
+        with segments too large to be loaded ahead, or so small that they are loaded when they are due.
     expect
         Is told what will be loaded soon, by offset and length.
     path
@@ -261,7 +264,8 @@ class _Ahead:
         self._ahead = ahead
         self._load = load
         self._pool = pool
-        self._pending: deque[tuple[Segment, Future[Loaded]]] = deque()
+        #: With what is loaded when it is due.
+        self._pending: deque[tuple[Segment, Future[Loaded] | None]] = deque()
 
     def __iter__(self) -> Iterator[Loaded]:
         held = 0
@@ -270,20 +274,26 @@ class _Ahead:
             while self._pending and (held + size > self._pool.ahead_bytes or len(self._pending) >= self._pool.ahead):
                 held -= self._pending[0][0].uncompressed_size
                 # Bound to no name: this frame must not keep it alive meanwhile.
-                yield self._pending.popleft()[1].result()
+                yield self._next()
             if size > self._pool.ahead_bytes:
                 # Too large to be held before its turn.
                 yield self._load(segment)
                 continue
-            self._pending.append((segment, self._pool.submit(self._ahead, segment)))
+            quick = segment.compression == "none" and size < _WORTH_A_THREAD
+            self._pending.append((segment, None if quick else self._pool.submit(self._ahead, segment)))
             held += size
         while self._pending:
-            yield self._pending.popleft()[1].result()
+            yield self._next()
+
+    def _next(self) -> Loaded:
+        segment, future = self._pending.popleft()
+        return self._load(segment) if future is None else future.result()
 
     def cancel(self) -> None:
         """Give up what has not begun."""
         for _, future in self._pending:
-            future.cancel()
+            if future is not None:
+                future.cancel()
 
 
 def _merged(

@@ -35,8 +35,8 @@ Progress = Callable[[int, int, int], None]
 _PROGRESS_EVERY = 64
 
 
-#: To hand a smaller message to another thread takes longer than to work on it.
-_WORTH_A_THREAD = 1 << 16
+#: To hand a smaller message to another thread, and to wait for the interpreter, takes longer than to work on it.
+_WORTH_A_THREAD = 1 << 20
 
 
 class _Outcome(NamedTuple):
