@@ -6,6 +6,7 @@ import sqlite3
 import tracemalloc
 from contextlib import closing
 from pathlib import Path
+from typing import TYPE_CHECKING, cast
 
 import pytest
 import zstandard
@@ -14,6 +15,11 @@ from pc2scan.bags.model import Connection, Definition
 from pc2scan.bags.sqlite3_reader import Sqlite3Reader
 from pc2scan.bags.sqlite3_writer import Sqlite3Writer
 from pc2scan.errors import OutputError, RecordingError
+
+if TYPE_CHECKING:
+    from collections.abc import Generator
+
+    from pc2scan.bags.model import RawMessage
 
 QOS = "- history: 3\n  depth: 0\n  reliability: 1\n  durability: 1"
 TOPICS = {
@@ -335,6 +341,17 @@ def test_round_trip(tmp_path: Path, compression: str) -> None:
         assert database.execute("SELECT count(*) FROM message_definitions").fetchone() == (1,)
         stored = database.execute("SELECT data FROM messages ORDER BY timestamp").fetchone()[0]
         assert (stored == b"\0\1\0\0early" * 50) == (compression == "none")
+
+
+@pytest.mark.parametrize("index", [True, False])
+def test_messages_may_be_given_up_after_the_reader_was_closed(tmp_path: Path, index: bool) -> None:
+    """As an error does whose traceback outlives the reader: Python would complain on stderr."""
+    build(tmp_path / "x.db3", 4, index=index)
+    reader = Sqlite3Reader(tmp_path / "x.db3")
+    messages = cast("Generator[RawMessage]", reader.messages())
+    next(messages)
+    reader.close()
+    messages.close()
 
 
 def test_the_same_messages_give_the_same_bytes(tmp_path: Path) -> None:

@@ -20,7 +20,8 @@ from __future__ import annotations
 
 import shutil
 import sqlite3
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
+from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -430,14 +431,14 @@ class Sqlite3Reader:
         if self._index is not None:
             # Left to itself, SQLite may find sorting whole messages cheaper than following the index.
             sql = f"SELECT topic_id, timestamp, id, data FROM messages INDEXED BY {self._index} {tail}"  # noqa: S608
-            with closing(self._query(sql, values)) as rows:
-                yield from rows
+            # Not from the cursor itself: it would be closed with this, which it cannot be after the database.
+            yield from chain(self._query(sql, values))
             return
         # Without an index it has to sort: ids alone, lest it carry every message through its sorter.
-        with closing(self._query(f"SELECT topic_id, timestamp, id FROM messages {tail}", values)) as rows:  # noqa: S608
-            for topic_id, time_ns, message_id in rows:
-                row = self._query("SELECT data FROM messages WHERE id = ?", (message_id,)).fetchone()
-                yield topic_id, time_ns, message_id, row and row[0]
+        sql = f"SELECT topic_id, timestamp, id FROM messages {tail}"  # noqa: S608
+        for topic_id, time_ns, message_id in self._query(sql, values):
+            row = self._query("SELECT data FROM messages WHERE id = ?", (message_id,)).fetchone()
+            yield topic_id, time_ns, message_id, row and row[0]
 
 
 def _text_of(column: str) -> str:
