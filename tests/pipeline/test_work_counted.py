@@ -13,14 +13,17 @@ from builders import transforms
 from pc2scan.bags import files, mcap_reader, rosbag1_reader
 from pc2scan.bags.mcap_reader import McapReader
 from pc2scan.bags.mcap_writer import McapWriter
-from pc2scan.bags.model import Connection
+from pc2scan.bags.model import Connection, RawMessage
 from pc2scan.bags.rosbag1_reader import Rosbag1Reader
 from pc2scan.bags.rosbag1_writer import Rosbag1Writer
-from pc2scan.core.project import Projector
+from pc2scan.core.project import PointCounts, Projector
 from pc2scan.errors import RecordingError
 from pc2scan.messages.definitions import definition
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointField, encode_pointcloud2
 from pc2scan.pipeline import cloud_to_scan, stream
+from pc2scan.pipeline.conversion import Converted
+from pc2scan.pipeline.lanes import Lane
+from pc2scan.pipeline.report import TopicReport
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -217,6 +220,19 @@ def test_clouds_are_projected_by_the_thread_that_decompressed_them(
     assert there == [True] * CLOUDS
     assert together.topics == alone.topics
     assert drive.with_name(f"scans{drive.suffix}").read_bytes() == expected
+
+
+@pytest.mark.parametrize("passes", [False, True])
+def test_what_is_held_of_a_converted_message_counts(passes: bool) -> None:
+    connection = Connection(1, "/points", POINTCLOUD2, "cdr")
+    converted = Converted(b"scan", PointCounts(), False)
+    lane = Lane(connection, TopicReport("/points", "", None, ""), lambda _: converted, shrinks_from=2)
+    lane.passing_handle = 1 if passes else -1
+    done = stream._at_once({1: lane}, RawMessage(connection, 5, memoryview(b"cloud"), 6))
+    assert done.data == (b"cloud" if passes else b"")
+    assert stream._KeptBytes()((lane, done)) == len(done.data)
+    small = RawMessage(connection, 5, b"c", 6)
+    assert stream._at_once({1: lane}, small) is small
 
 
 @pytest.mark.parametrize("queue_size", [1, 3])

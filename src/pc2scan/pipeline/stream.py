@@ -34,7 +34,6 @@ Progress = Callable[[int, int, int], None]
 #: Messages between two calls of the progress function.
 _PROGRESS_EVERY = 64
 
-
 #: To hand a smaller message to another thread, and to wait for the interpreter, takes longer than to work on it.
 _WORTH_A_THREAD = 1 << 20
 
@@ -149,12 +148,14 @@ def _is_heavy(item: _Item) -> bool:
 
 
 def _work(item: _Item) -> _Outcome | StoredChunk:
-    """All the work on one message, and none on a chunk; runs on any thread."""
+    """All the work on one message, unless it is done, and none on a chunk; runs on any thread."""
     if isinstance(item, StoredChunk):
         return item
     lane, message = item
-    if message.result is not None:
-        return cast("_Outcome", message.result)
+    return _outcome(lane, message) if message.result is None else cast("_Outcome", message.result)
+
+
+def _outcome(lane: Lane, message: RawMessage) -> _Outcome:
     converted = passing = error = None
     try:
         if lane.passing_handle >= 0:
@@ -171,7 +172,9 @@ def _at_once(lanes: Mapping[int, Lane], message: RawMessage) -> RawMessage:
     lane = lanes[message.connection.id]
     if len(message.data) < lane.shrinks_from:
         return message
-    return message._replace(data=b"", result=_work((lane, message)))
+    outcome = _outcome(lane, message)
+    # What passes through as well is still held, and counts as that.
+    return message._replace(data=outcome.passing or b"", result=outcome)
 
 
 def _write_chunk(chunk: StoredChunk, lanes: Mapping[int, Lane], writer: Writer) -> int:
