@@ -12,7 +12,8 @@ from hypothesis.extra.numpy import arrays
 from rosbags.typesys import Stores, get_typestore
 
 from pc2scan.errors import DecodeError
-from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan, encode_laserscan
+from pc2scan.messages.laserscan import LASERSCAN, LaserScan, _described, decode_laserscan, encode_laserscan
+from pc2scan.messages.wire import MEMORABLE_BYTES
 
 ROS1 = get_typestore(Stores.ROS1_NOETIC)
 ROS2 = get_typestore(Stores.ROS2_JAZZY)
@@ -62,6 +63,14 @@ def test_zeros_keep_their_sign_whatever_was_encoded_before() -> None:
     made = [replace(scan(floats(1), floats()), angle_min=zero) for zero in (0.0, -0.0, 0.0)]
     signs = [math.copysign(1, decode_laserscan(encode_laserscan(one, "cdr"), "cdr").angle_min) for one in made]
     assert signs == [1, -1, 1]
+
+
+def test_long_names_are_not_kept() -> None:
+    before = _described.cache_info().currsize
+    for letter in "abcd":
+        named = scan(floats(1), floats(), frame=letter * (MEMORABLE_BYTES + 1))
+        assert decode_laserscan(encode_laserscan(named, "cdr"), "cdr").frame_id == named.frame_id
+    assert _described.cache_info().currsize == before
 
 
 def test_big_endian_scans_are_read() -> None:

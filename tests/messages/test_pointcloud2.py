@@ -19,6 +19,7 @@ from pc2scan.messages.pointcloud2 import (
     decode_pointcloud2,
     encode_pointcloud2,
 )
+from pc2scan.messages.wire import MEMORABLE_BYTES
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -242,6 +243,14 @@ def test_what_all_clouds_of_a_topic_have_in_common_is_decoded_once() -> None:
     first, second = decode(data, "cdr"), decode(later, "cdr")
     assert (first.stamp_ns, second.stamp_ns) == (12_000_000_345, 13_000_000_001)
     assert first.fields is second.fields
+
+
+def test_long_descriptions_are_not_kept() -> None:
+    data = bytes(ROS2.serialize_cdr(message(XYZ, bytes(24), width=2, frame="x" * MEMORABLE_BYTES), POINTCLOUD2))
+    decode = CloudDecoder()
+    first, second = decode(data, "cdr"), decode(data, "cdr")
+    assert first == second
+    assert first.fields is not second.fields
 
 
 @pytest.mark.parametrize("serialization", ["ros1", "cdr"])

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .wire import Cursor, Packer
+from .wire import MEMORABLE_BYTES, Cursor, Packer
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -146,7 +146,8 @@ def encode_laserscan(scan: LaserScan, serialization: str) -> bytes:
             packed = np.array(geometry).astype("<f4").tobytes()
     packer = Packer(serialization)
     packer.stamp(scan.sequence, scan.stamp_ns)
-    packer.raw(_described(scan.frame_id, packed, serialization))
+    described = _described if len(scan.frame_id) <= MEMORABLE_BYTES else _described.__wrapped__
+    packer.raw(described(scan.frame_id, packed, serialization))
     for values in (scan.ranges, scan.intensities):
         packer.write("I", len(values))
         packer.raw(values.astype(_FLOAT32, copy=False).tobytes())

@@ -9,7 +9,7 @@ import numpy as np
 
 from pc2scan.errors import DecodeError
 
-from .wire import Cursor, Packer
+from .wire import MEMORABLE_BYTES, Cursor, Packer
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -42,8 +42,7 @@ MAX_FIELDS = 4096
 MAX_SMALL_POINTS = 2_000_000
 _SMALL = 12
 
-
-#: Clouds are decoded between two chunks, with nothing of this in a cache: what is prepared here need not be fetched.
+#: By byte order and datatype.
 _DTYPES = {order: {code: np.dtype(order + name) for code, name in DATATYPES.items()} for order in "<>"}
 
 
@@ -223,7 +222,8 @@ class CloudDecoder:
                 cursor.position = end
                 return description
         description = _described(cursor)
-        self._last = form, bytes(cursor.data[start : cursor.position]), description
+        if cursor.position - start <= MEMORABLE_BYTES:
+            self._last = form, bytes(cursor.data[start : cursor.position]), description
         return description
 
 

@@ -18,7 +18,11 @@ from pc2scan.errors import DecodeError
 if TYPE_CHECKING:
     from pc2scan.bags.model import Buffer
 
-__all__ = ["Cursor", "Packer"]
+__all__ = ["MEMORABLE_BYTES", "Cursor", "Packer"]
+
+#: What messages have in common is remembered if it is no longer than this: a recording from strangers has thousands of
+#: topics with megabytes each. Real ones take some 200 bytes.
+MEMORABLE_BYTES = 1 << 10
 
 
 @cache
