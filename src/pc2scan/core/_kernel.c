@@ -1,8 +1,9 @@
 /* The projection's inner loop. The rules are told in project.py and rule.py; what is here is how to keep them fast.
 
    Points are taken a block at a time, small enough for the first-level cache: load and drop by height, one loop, or
-   eight at a time; then squares, angles and slots, loops without branches that compilers turn into vector instructions; then the
-   minimum of each slot. Compiled with -ffp-contract=off: a fused multiply-add rounds otherwise than upstream does. */
+   eight at a time; then squares, angles and slots, loops without branches that compilers turn into vector
+   instructions; then the minimum of each slot. Compiled with -ffp-contract=off: a fused multiply-add rounds otherwise
+   than upstream does. */
 
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
