@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -20,13 +20,14 @@ if TYPE_CHECKING:
 def loads(monkeypatch: pytest.MonkeyPatch) -> list[Segment]:
     """Every segment of an MCAP file whose payload is read."""
     seen: list[Segment] = []
-    original = mcap_chunks.payload
+    original = mcap_chunks.with_payload
 
-    def counting(file: RecordFile, segment: Segment, *, verify: bool = True) -> memoryview:
+    def counting(file: RecordFile, segment: Segment, use: Any, *, verify: bool = True) -> Any:
         seen.append(segment)
-        return original(file, segment, verify=verify)
+        return original(file, segment, use, verify=verify)
 
-    monkeypatch.setattr(mcap_reader, "payload", counting)
+    for module in (mcap_chunks, mcap_reader):
+        monkeypatch.setattr(module, "with_payload", counting)
     return seen
 
 

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import errno
 import os
+import random
+import sys
 from contextlib import closing
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 
+from pc2scan.bags import files
 from pc2scan.bags.files import FreeIds, NewFile, SourceFile
+from pc2scan.bags.model import kept
 from pc2scan.errors import OutputError, RecordingError
 
 if TYPE_CHECKING:
@@ -48,8 +53,112 @@ def test_announcing_what_comes_changes_nothing(file: SourceFile, monkeypatch: py
     assert file.read(10, 3) == b"\x0a\x0b\x0c"
     file.close()
     file.expect(10, 3)
-    monkeypatch.delattr(os, "posix_fadvise", raising=False)
+    for name in ("posix_fadvise", "RWF_NOWAIT"):
+        monkeypatch.delattr(os, name, raising=False)
     file.expect(10, 3)
+
+
+@pytest.mark.skipif(not hasattr(os, "RWF_NOWAIT"), reason="this system cannot be asked what it has at hand")
+def test_what_is_at_hand_is_not_announced(file: SourceFile, monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[tuple[int, ...]] = []
+    monkeypatch.setattr(os, "posix_fadvise", lambda _, *args: told.append(args))
+    file.read(0, 100)
+    file.expect(10, 20)
+    assert told == []
+
+    def refuse(*_: object) -> int:
+        raise BlockingIOError
+
+    monkeypatch.setattr(os, "preadv", refuse)
+    file.expect(10, 20)
+    assert told == [(10, 20, os.POSIX_FADV_WILLNEED)]
+
+
+LARGE = random.Random(1).randbytes(3 << 20)
+
+
+@pytest.fixture
+def large(tmp_path: Path) -> Path:
+    path = tmp_path / "large"
+    path.write_bytes(LARGE)
+    return path
+
+
+def unmapped(_: int, __: int) -> None:
+    """As where there can be no map."""
+
+
+@pytest.mark.parametrize("mapped", [True, False])
+@pytest.mark.parametrize(
+    ("offset", "length"), [(0, 3 << 20), (12_345, 1 << 20), (3 << 20, 0), (5, (1 << 18) - 1), (5, 1 << 18)]
+)
+def test_what_is_lent_is_what_would_be_read(
+    offset: int, length: int, mapped: bool, large: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if not mapped:
+        monkeypatch.setattr(files, "_map_of", unmapped)
+    with closing(SourceFile(large)) as file:
+        seen = file.lend(offset, length, lambda data: (data.readonly, bytes(data), kept(data)))
+        assert seen == (True, LARGE[offset : offset + length], file.read(offset, length))
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="maps are for Linux")
+def test_much_is_not_copied_and_little_is(large: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("pc2scan.bags._map", reason="there was no C compiler")
+    read: list[int] = []
+    real = os.pread
+
+    def counting(descriptor: int, length: int, offset: int) -> bytes:
+        read.append(length)
+        return real(descriptor, length, offset)
+
+    with closing(SourceFile(large)) as file:
+        monkeypatch.setattr(os, "pread", counting)
+        for length in (100, 1 << 20):
+            assert file.lend(7, length, len) == length
+    assert read == [100]
+
+
+@pytest.mark.parametrize("shorter", [0, 1 << 20, (3 << 20) - 1])
+@pytest.mark.parametrize("fails", [False, True])
+def test_what_is_cut_while_it_is_lent_is_an_error(shorter: int, fails: bool, large: Path) -> None:
+    def use(data: memoryview) -> int:
+        os.truncate(large, shorter)
+        total = int(np.frombuffer(data, np.uint8).sum())
+        if fails:
+            raise ValueError("these bytes make no sense")
+        return total
+
+    with closing(SourceFile(large)) as file:
+        for _ in range(2):
+            with pytest.raises(RecordingError, match=f"ended at byte {shorter} while it was read; it had 3145728"):
+                file.lend(0, 3 << 20, use)
+
+
+def test_an_error_of_who_uses_it_is_passed_on(large: Path) -> None:
+    def use(_: memoryview) -> None:
+        raise ValueError("these bytes make no sense")
+
+    with closing(SourceFile(large)) as file, pytest.raises(ValueError, match="no sense"):
+        file.lend(0, 1 << 20, use)
+
+
+def test_what_was_closed_is_not_lent(large: Path) -> None:
+    file = SourceFile(large)
+    file.close()
+    for length in (10, 1 << 20):
+        with pytest.raises(RecordingError, match="cannot be read"):
+            file.lend(0, length, len)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="maps are for Linux")
+def test_with_few_addresses_there_is_no_map(large: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import resource
+
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (1 << 40, resource.RLIM_INFINITY))
+    with closing(SourceFile(large)) as file:
+        assert file._map is None
+        assert file.lend(1, 1 << 20, bytes) == LARGE[1 : 1 + (1 << 20)]
 
 
 def test_what_is_not_there_is_an_error(file: SourceFile) -> None:

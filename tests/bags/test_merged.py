@@ -81,7 +81,7 @@ class FakeReader:
     def metadata(self) -> Iterator[Metadata]:
         yield Metadata(self.path.name, {})
 
-    def read_ahead(self, pool: Threads, work: Work | None = None) -> None:
+    def read_ahead(self, pool: Threads | None, work: Work | None = None) -> None:
         """Nothing to prepare."""
         del pool
         self.work = work

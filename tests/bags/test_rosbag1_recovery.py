@@ -6,7 +6,7 @@ import random
 import struct
 from collections import Counter
 from contextlib import closing
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -27,7 +27,7 @@ from bags.rosbag1_files import (
     uint32,
     write,
 )
-from pc2scan.bags import rosbag1_chunks, rosbag1_reader, rosbag1_recovery
+from pc2scan.bags import rosbag1_chunks, rosbag1_reader
 from pc2scan.bags.rosbag1_reader import Rosbag1Reader
 from pc2scan.errors import DamageError
 
@@ -167,14 +167,14 @@ def test_of_a_bag_never_closed_no_chunk_is_read_twice(
         data[at : at + 8] = bytes(8)
         (tmp_path / "a.bag").write_bytes(data)
     read: list[int] = []
-    original = rosbag1_chunks.payload
+    original = rosbag1_chunks.with_payload
 
-    def counting(file: BagFile, segment: Segment) -> bytes:
+    def counting(file: BagFile, segment: Segment, use: Any) -> Any:
         read.append(segment.offset)
-        return original(file, segment)
+        return original(file, segment, use)
 
-    for module in (rosbag1_reader, rosbag1_recovery):
-        monkeypatch.setattr(module, "payload", counting)
+    for module in (rosbag1_chunks, rosbag1_reader):
+        monkeypatch.setattr(module, "with_payload", counting)
     rows, damage = recovered(tmp_path / "a.bag")
     assert bool(damage) is not closed
     assert len(rows) == len(ROWS)

@@ -15,6 +15,8 @@ from pc2scan.bags.threads import Threads
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
+    from pc2scan.bags.model import Work
+
 RULE = ChunkRule("mcap", frozenset({"zstd"}), frozenset({1, 2}))
 TOPIC = Connection(1, "/a", "a/msg/A", "cdr")
 
@@ -82,7 +84,7 @@ def test_the_order_is_that_without_whole_chunks(chunks: list[list[int]], lies: l
     content = {10 * n: chunk for n, chunk in enumerate(chunks)}
     segments = [segment(at, min(c), max(c) - lie) for (at, c), lie in zip(content.items(), lies, strict=False)]
 
-    def load(loaded: Segment, whole: bool) -> list[RawMessage] | StoredChunk:
+    def load(loaded: Segment, whole: bool, _: Work | None) -> list[RawMessage] | StoredChunk:
         times = content[loaded.offset]
         if whole and times == sorted(times):
             return StoredChunk("zstd", b"", loaded.offset, 0, {1: [(time_ns, 0) for time_ns in times]})
@@ -94,45 +96,54 @@ def test_the_order_is_that_without_whole_chunks(chunks: list[list[int]], lies: l
     assert [p for item in whole for p in places_of(item)] == [p for item in plain for p in places_of(item)]
 
 
-def test_work_is_done_by_the_thread_that_loaded() -> None:
-    segments = [segment(n, 10 * n, 10 * n, uncompressed_size=n << 20) for n in range(12)]
-    loaders: dict[int, int] = {}
+@pytest.mark.parametrize("jobs", [None, 1, 2])
+def test_work_is_given_to_whoever_loads(jobs: int | None) -> None:
+    segments = [segment(n, 10 * n, 10 * n, uncompressed_size=n << 20) for n in range(24)]
 
-    def load(loaded: Segment, _: bool) -> list[RawMessage]:
-        loaders[loaded.start_ns] = get_ident()
-        return [RawMessage(TOPIC, loaded.start_ns, b"data", 0)]
+    def load(loaded: Segment, _: bool, work: Work | None) -> list[RawMessage]:
+        message = RawMessage(TOPIC, loaded.start_ns, b"data", 0)
+        return [message if work is None else work(message)]
 
     def work(message: RawMessage) -> RawMessage:
-        return message._replace(result=get_ident())
+        return message._replace(result="done")
 
-    with Threads(1) as pool:
-        found = list(in_time_order(segments, load, pool=pool, work=work))
+    with Threads(jobs or 1) as pool:
+        found = list(in_time_order(segments, load, pool=None if jobs is None else pool, work=work))
     messages = [item for item in found if isinstance(item, RawMessage)]
-    assert [m.log_time_ns for m in messages] == [10 * n for n in range(12)]
-    # What is too large to be loaded ahead is loaded by the caller, who has better things to do.
-    large = pool.ahead_bytes >> 20
-    assert [m.result is not None for m in messages] == [n <= large for n in range(12)]
-    assert all(m.result == loaders[m.log_time_ns] != get_ident() for m in messages[: large + 1])
+    assert [m.log_time_ns for m in messages] == [10 * n for n in range(24)]
+    # What is too large to be loaded ahead is left to be worked on message by message, by all threads.
+    large = 24 if jobs is None else pool.ahead_bytes >> 20
+    assert [m.result for m in messages] == ["done" if n <= large else None for n in range(24)]
 
 
 def test_what_will_be_loaded_is_announced_some_way_ahead() -> None:
-    segments = [segment(n, 10 * n, 10 * n, length=10 << 20) for n in range(12)]
-    expected: list[int] = []
+    size = 10 << 20
+    # Some other records in the middle.
+    places = [n * size + (n >= 7) * (1 << 20) for n in range(12)]
+    segments = [segment(at, 10 * n, 10 * n, length=size - 100) for n, at in enumerate(places)]
+    told: list[tuple[int, int]] = []
 
-    def load(loaded: Segment, _: bool) -> list[RawMessage]:
-        # The fourth brings it beyond 32 MiB, of which the first is taken now.
-        assert len(expected) == min(12, loaded.offset + 4)
+    def load(loaded: Segment, _: bool, __: Work | None) -> list[RawMessage]:
+        ends = [offset + length for offset, length in told]
+        assert loaded.offset + loaded.length <= max(ends) <= loaded.offset + (53 << 20)
         return [RawMessage(TOPIC, loaded.start_ns, b"", 0)]
 
-    assert len(list(in_time_order(segments, load, expect=lambda offset, _: expected.append(offset)))) == 12
-    assert expected == list(range(12))
+    assert len(list(in_time_order(segments, load, expect=lambda *stretch: told.append(stretch)))) == 12
+    ends = [at + size - 100 for at in places]
+    # Four bring it beyond 32 MiB, and when no more than half of that is left, the next ones follow.
+    assert told == [
+        (0, ends[3]),
+        (places[4], ends[6] - places[4]),
+        (places[7], ends[9] - places[7]),
+        (places[10], ends[11] - places[10]),
+    ]
 
 
 def test_a_chunk_alone_is_handed_on_whole() -> None:
     chunk = StoredChunk("zstd", b"stored", 6, 0, {1: [(3, 0)]})
     segments = [segment(1, 0, 1), segment(2, 3, 3), segment(3, 5, 6)]
 
-    def load(loaded: Segment, whole: bool) -> list[RawMessage] | StoredChunk:
+    def load(loaded: Segment, whole: bool, _: Work | None) -> list[RawMessage] | StoredChunk:
         assert whole is (loaded.offset == 2)
         return chunk if whole else [RawMessage(TOPIC, loaded.start_ns, b"", 0)]
 
@@ -146,11 +157,11 @@ def test_small_uncompressed_segments_are_loaded_when_they_are_due() -> None:
     small = [replace(segment(n, 10 * n, 10 * n), compression="none") for n in range(1, 12, 2)]
     loaders: dict[int, int] = {}
 
-    def load(loaded: Segment, _: bool) -> list[RawMessage]:
+    def load(loaded: Segment, _: bool, __: Work | None) -> list[RawMessage]:
         loaders[loaded.offset] = get_ident()
         return [RawMessage(TOPIC, loaded.start_ns, b"", 0)]
 
-    with Threads(1) as pool:
+    with Threads(2) as pool:
         messages = list(in_time_order([*large, *small], load, pool=pool))
     assert [m.log_time_ns for m in messages if isinstance(m, RawMessage)] == [10 * n for n in range(12)]
-    assert {n for n, thread in loaders.items() if thread == get_ident()} == {s.offset for s in small}
+    assert {s.offset for s in small} <= {n for n, thread in loaders.items() if thread == get_ident()}

@@ -92,7 +92,7 @@ def test_what_is_given_up_is_not_written() -> None:
         return 0
 
     ahead = WriteAhead()
-    with Threads(1) as pool:
+    with Threads(2) as pool:
         ahead.use(pool)
         ahead.put(hold, written.append, 1)
         ahead.put(lambda: 1, written.append, 1)

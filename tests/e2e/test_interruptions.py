@@ -16,9 +16,10 @@ import pytest
 import pc2scan
 from builders import CONTENT, POINTS, T0, Recording, cloud, item, write_rosbag1, write_rosbag2
 from e2e.command import COMMAND, run
+from pc2scan.errors import RecordingError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
 #: Random points do not compress: what is written is about as large as what is read.
@@ -241,6 +242,40 @@ def test_a_source_that_changes_while_it_is_read(change: str, large: Path, tmp_pa
     assert "Traceback" not in stderr
     assert "drive.bag" in stderr
     assert list(output.iterdir()) == []
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+@pytest.mark.parametrize("compression", [None, "zstd"])
+def test_a_source_that_is_cut_under_its_reader(
+    compression: str | None, jobs: int, large: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """While its bytes are decompressed or projected, which are not copied before."""
+    from pc2scan.bags import mcap_chunks
+    from pc2scan.pipeline.cloud_to_scan import CloudToScan
+
+    source = tmp_path / ("drive.mcap" if compression else "drive.bag")
+    if compression:
+        pc2scan.convert(large, source, compression=compression, keep_clouds=True)
+    else:
+        shutil.copy(large, source)
+    calls = []
+
+    def cut(work: Callable[..., Any]) -> Callable[..., Any]:
+        def cutting(*args: Any) -> Any:
+            calls.append(1)
+            if len(calls) == 5:
+                os.truncate(source, 5_000)
+            return work(*args)
+
+        return cutting
+
+    if compression:
+        monkeypatch.setitem(mcap_chunks._DECOMPRESS, compression, cut(mcap_chunks._DECOMPRESS[compression]))
+    else:
+        monkeypatch.setattr(CloudToScan, "_projected", cut(CloudToScan._projected))
+    with pytest.raises(RecordingError, match=r"drive.*ended at byte \d+ while it was read; it had"):
+        pc2scan.convert(source, tmp_path / "out.mcap", jobs=jobs, only_scans=True, topics=["/points:=/again"])
+    assert list(tmp_path.iterdir()) == [source]
 
 
 @pytest.mark.parametrize("jobs", [1, 4])

@@ -164,13 +164,15 @@ def test_clouds_are_projected_where_they_were_decompressed(
     seen: list[Any] = []
     lock = threading.Lock()
     reader = rosbag1_reader if drive.suffix == ".bag" else mcap_reader
-    original = reader.payload
+    original = reader.with_payload
 
-    def kept(*args: Any, **options: Any) -> Any:
-        chunk = original(*args, **options)
-        with lock:
-            chunks.append(np.frombuffer(chunk, np.uint8))
-        return chunk
+    def spying(file: Any, segment: Segment, use: Any, **options: Any) -> Any:
+        def seen(chunk: Any) -> Any:
+            with lock:
+                chunks.append(np.frombuffer(chunk, np.uint8))
+            return use(chunk)
+
+        return original(file, segment, seen, **options)
 
     class Spy:
         def __init__(self, params: pc2scan.ProjectionParams) -> None:
@@ -181,7 +183,7 @@ def test_clouds_are_projected_where_they_were_decompressed(
                 seen.append((x, y, z))
             return self._project(x, y, z, *more)
 
-    monkeypatch.setattr(reader, "payload", kept)
+    monkeypatch.setattr(reader, "with_payload", spying)
     monkeypatch.setattr(cloud_to_scan, "Projector", Spy)
     convert(drive, jobs=jobs)
     assert len(seen) == len(chunks) == CLOUDS
@@ -196,12 +198,15 @@ def test_clouds_are_projected_by_the_thread_that_decompressed_them(
     drive = record(tmp_path, *form, size=1 << 20)
     chunks: dict[int, Any] = {}
     reader = rosbag1_reader if drive.suffix == ".bag" else mcap_reader
-    original = reader.payload
+    original = reader.with_payload
     there: list[bool] = []
 
-    def kept(*args: Any, **options: Any) -> Any:
-        chunks[threading.get_ident()] = chunk = original(*args, **options)
-        return chunk
+    def spying(file: Any, segment: Segment, use: Any, **options: Any) -> Any:
+        def seen(chunk: Any) -> Any:
+            chunks[threading.get_ident()] = chunk
+            return use(chunk)
+
+        return original(file, segment, seen, **options)
 
     class Spy:
         def __init__(self, params: pc2scan.ProjectionParams) -> None:
@@ -209,17 +214,44 @@ def test_clouds_are_projected_by_the_thread_that_decompressed_them(
 
         def __call__(self, x: Any, *more: Any) -> Any:
             chunk = np.frombuffer(chunks[threading.get_ident()], np.uint8)
-            there.append(threading.current_thread() is not threading.main_thread() and np.may_share_memory(x, chunk))
+            there.append(np.may_share_memory(x, chunk))
             return self._project(x, *more)
 
     alone = convert(drive, jobs=1)
     expected = drive.with_name(f"scans{drive.suffix}").read_bytes()
-    monkeypatch.setattr(reader, "payload", kept)
+    monkeypatch.setattr(reader, "with_payload", spying)
     monkeypatch.setattr(cloud_to_scan, "Projector", Spy)
     together = convert(drive, jobs=2)
     assert there == [True] * CLOUDS
     assert together.topics == alone.topics
     assert drive.with_name(f"scans{drive.suffix}").read_bytes() == expected
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("options", [{}, {"only_scans": False, "keep_clouds": True}], ids=["scans", "everything"])
+def test_large_chunks_are_not_copied(
+    form: tuple[str, str], options: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And what is made of them is the same where there can be no map."""
+    pytest.importorskip("pc2scan.bags._map", reason="maps are for Linux, where a C compiler was")
+    drive = record(tmp_path, *form, size=1 << 20)
+    monkeypatch.setattr(files, "_map_of", lambda *_: None)
+    expected = convert(drive, jobs=1, **options)
+    written = drive.with_name(f"scans{drive.suffix}").read_bytes()
+    monkeypatch.undo()
+    read: list[int] = []
+    original = files.SourceFile.read
+
+    def counting(self: files.SourceFile, offset: int, length: int) -> bytes:
+        read.append(length)
+        return original(self, offset, length)
+
+    monkeypatch.setattr(files.SourceFile, "read", counting)
+    for jobs in (1, 2, 5):
+        assert convert(drive, jobs=jobs, **options).topics == expected.topics
+        assert drive.with_name(f"scans{drive.suffix}").read_bytes() == written
+    # Chunks without anything to convert are copied as they are.
+    assert (max(read) < 1 << 18) is not bool(options)
 
 
 @pytest.mark.parametrize("passes", [False, True])

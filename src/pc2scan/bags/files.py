@@ -4,17 +4,24 @@ from __future__ import annotations
 
 import os
 from contextlib import suppress
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from pc2scan.errors import OutputError, RecordingError
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
+    from collections.abc import Callable, Collection
     from pathlib import Path
 
+    from ._map import Map
     from .model import Buffer
 
 __all__ = ["FreeIds", "NewFile", "SourceFile", "state_of"]
+
+_Result = TypeVar("_Result")
+
+#: Fewer bytes are copied in less time than it takes to fetch their pages and to give them back, and more would count as
+#: memory beside what is made of them.
+_LENT_BYTES = range(1 << 18, 1 << 24)
 
 
 def state_of(path: Path) -> tuple[tuple[str, int, int, int], ...]:
@@ -30,9 +37,6 @@ def state_of(path: Path) -> tuple[tuple[str, int, int, int], ...]:
 class SourceFile:
     """A file's bytes by their place: what is not there is an error, never a short answer.
 
-    Bytes are read, not mapped: a file that shrinks under a map kills the process (SIGBUS), and the pages of
-    a map count as the process's memory.
-
     Parameters
     ----------
     path
@@ -47,21 +51,28 @@ class SourceFile:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._descriptor = -1
+        self._map: Map | None = None
         try:
             self._descriptor = os.open(path, os.O_RDONLY)
             self.size = os.fstat(self._descriptor).st_size
         except OSError as err:
             self.close()
             raise self.error(f"cannot be opened: {err.strerror}") from err
+        if self.size >= _LENT_BYTES.start:
+            self._map = _map_of(self._descriptor, self.size)
 
     def expect(self, offset: int, length: int) -> None:
         """Let the system begin to read what is needed soon; where it cannot, nothing changes."""
-        if hasattr(os, "posix_fadvise"):
-            with suppress(OSError):
-                os.posix_fadvise(self._descriptor, offset, length, os.POSIX_FADV_WILLNEED)
+        # What is there already would be looked for page by page: the last byte tells.
+        with suppress(OSError, AttributeError):
+            if os.preadv(self._descriptor, [bytearray(1)], offset + length - 1, os.RWF_NOWAIT):
+                return
+        with suppress(OSError, AttributeError):
+            os.posix_fadvise(self._descriptor, offset, length, os.POSIX_FADV_WILLNEED)
 
     def close(self) -> None:
         """Release the file; reading afterwards is an error."""
+        self._map = None
         descriptor, self._descriptor = self._descriptor, -1
         if descriptor >= 0:
             os.close(descriptor)
@@ -93,6 +104,53 @@ class SourceFile:
                 "wait until the recording is complete",
             )
         return data
+
+    def lend(self, offset: int, length: int, use: Callable[[memoryview], _Result]) -> _Result:
+        """Call ``use`` with exactly these bytes, many of them where the system keeps them: they are not copied.
+
+        Parameters
+        ----------
+        offset, length
+            The bytes' place.
+        use
+            Keeps none of the bytes, unless they are those of a ``bytes`` (see `pc2scan.bags.model.kept`). If the file
+            turns out to have become shorter, what it did is forgotten, and it is called again with what can be read.
+        """
+        lender = self._map
+        if lender is not None and length in _LENT_BYTES and offset + length <= self.size:
+            lender.fetch(offset, length)
+            try:
+                result = use(memoryview(lender)[offset : offset + length])
+            except Exception:
+                if self._was_there(lender, offset + length):
+                    raise
+            else:
+                if self._was_there(lender, offset + length):
+                    return result
+            finally:
+                lender.forget(offset, length)
+        return use(memoryview(self.read(offset, length)))
+
+    def _was_there(self, lender: Map, stop: int) -> bool:
+        """Whether nothing up to this byte was missed; of a page that has become shorter nothing else tells."""
+        try:
+            return not lender.missed and os.fstat(self._descriptor).st_size >= stop
+        except OSError:
+            return False
+
+
+def _map_of(descriptor: int, size: int) -> Map | None:
+    """A map of a file; None if there can be none: not compiled, another system or file system, or too many."""
+    try:
+        import resource  # noqa: PLC0415  # not on every system
+
+        from ._map import Map  # noqa: PLC0415  # only large files need it
+
+        # A map takes addresses.
+        limited = resource.getrlimit(resource.RLIMIT_AS)[0] != resource.RLIM_INFINITY
+        return None if limited else Map(descriptor, size)
+    except (ImportError, OSError, OverflowError):
+        return None
 
 
 class NewFile:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from .crc32 import crc32
 from .limits import allowed_bytes
 from .mcap_records import CHUNK, OP_CHUNK, RECORD, UINT64
+from .model import kept
 from .segments import Segment
 
 if TYPE_CHECKING:
@@ -17,7 +18,9 @@ if TYPE_CHECKING:
     from .mcap_records import RecordFile
     from .model import Buffer
 
-__all__ = ["CHUNK_HEAD_SIZE", "ChunkSegment", "chunk_at", "payload", "stored_chunk", "unpacked_chunk"]
+__all__ = ["CHUNK_HEAD_SIZE", "ChunkSegment", "chunk_at", "payload", "stored_chunk", "unpacked_chunk", "with_payload"]
+
+_Result = TypeVar("_Result")
 
 # No compression has a longer name; a longer one is garbage.
 _MAX_COMPRESSION_NAME = 64
@@ -82,10 +85,22 @@ def payload(file: RecordFile, segment: Segment, *, verify: bool = True) -> memor
     RecordingError
         If the bytes are not there, do not decompress to the declared size, or fail their CRC.
     """
+    return with_payload(file, segment, lambda data: memoryview(kept(data)), verify=verify)
+
+
+def with_payload(
+    file: RecordFile, segment: Segment, use: Callable[[memoryview], _Result], *, verify: bool = True
+) -> _Result:
+    """Call ``use`` with what `payload` returns; they may be lent only, see `SourceFile.lend`."""
     if not isinstance(segment, ChunkSegment):
-        return memoryview(file.read(segment.offset, segment.length))
-    chunk, data = stored_chunk(file, segment)
-    return unpacked_chunk(file, chunk, data, verify=verify)
+        return file.lend(segment.offset, segment.length, use)
+    head = segment.offset - segment.record_offset
+
+    def unpacked(record: memoryview) -> _Result:
+        chunk = _confirmed(record, segment, file)
+        return use(unpacked_chunk(file, chunk, record[head:], verify=verify))
+
+    return file.lend(segment.record_offset, head + segment.length, unpacked)
 
 
 def stored_chunk(file: RecordFile, segment: ChunkSegment, more: int = 0) -> tuple[ChunkSegment, memoryview]:
@@ -106,13 +121,17 @@ def stored_chunk(file: RecordFile, segment: ChunkSegment, more: int = 0) -> tupl
     RecordingError
         If the bytes are not there, or the header is not what the index says.
     """
-    # The header in front of the payload comes with the same read. An index has no CRC; the header does.
     head = segment.offset - segment.record_offset
-    data = memoryview(file.read(segment.record_offset, head + segment.length + more))
-    chunk = chunk_at(data, 0, segment.record_offset, file)
-    if data[0] != OP_CHUNK or _storage(chunk) != _storage(segment):
+    record = memoryview(file.read(segment.record_offset, head + segment.length + more))
+    return _confirmed(record, segment, file), record[head:]
+
+
+def _confirmed(record: memoryview, segment: ChunkSegment, file: RecordFile) -> ChunkSegment:
+    """What a chunk's own header says, that comes with the same read: an index has no CRC, the header does."""
+    chunk = chunk_at(record, 0, segment.record_offset, file)
+    if record[0] != OP_CHUNK or _storage(chunk) != _storage(segment):
         raise file.damage(f"the index and the chunk at byte {segment.record_offset} contradict each other")
-    return chunk, data[head:]
+    return chunk
 
 
 def unpacked_chunk(file: RecordFile, chunk: ChunkSegment, data: memoryview, *, verify: bool = True) -> memoryview:

@@ -13,11 +13,11 @@ from pc2scan.errors import DamageError
 
 from .crc32 import crc32
 from .damage import DamageLog
-from .mcap_chunks import ChunkSegment, payload
+from .mcap_chunks import ChunkSegment, payload, with_payload
 from .mcap_contents import find_contents, find_declarations
 from .mcap_copies import agreed, whole_by_content, whole_by_index
 from .mcap_records import MESSAGE, OP_MESSAGE, RECORD, RecordFile, parse, split
-from .model import Attachment, Connection, Definition, Metadata, RawMessage, StoredChunk, Summary
+from .model import Attachment, Connection, Definition, Metadata, RawMessage, StoredChunk, Summary, worked_on
 from .qos import latches
 from .segments import in_time_order, standing_alone
 from .zstd import is_frame, unpacked_messages
@@ -167,8 +167,21 @@ class McapReader:
         if rule and alone and not self._verify and not self._packs(segments[0]):
             blindly = agreed(self._contents, rule)
 
-        def load(segment: Segment, whole: bool) -> list[RawMessage] | StoredChunk:
-            problem: DamageError | None = None
+        none = DamageLog(strict=True)
+
+        def sound(segment: Segment, data: memoryview) -> list[RawMessage]:
+            found, others, size = _messages_in(data, wanted, first, stop)
+            if size != len(data):
+                raise self._file.damage(
+                    f"the records from byte {segment.offset} on are sound for {size} of {len(data)} bytes"
+                )
+            if unknown := others - known.keys():
+                raise self._file.damage(
+                    f"channel {min(unknown)} has messages near byte {segment.offset}, but is not declared"
+                )
+            return found
+
+        def load(segment: Segment, whole: bool, work: Work | None) -> list[RawMessage] | StoredChunk:
             self._bytes_read += segment.length
             seen: StoredChunk | memoryview | None = None
             if rule and whole and isinstance(segment, ChunkSegment):
@@ -179,23 +192,24 @@ class McapReader:
                     seen = seen or whole_by_content(self._file, segment, rule, verify=self._verify)
             if isinstance(seen, StoredChunk):
                 return seen
-            if seen is None:
-                data, problem = self._prefix(segment)
-            else:
-                data = seen
-            found, others, sound = _messages_in(data, wanted, first, stop)
-            if problem is None and sound != len(data):
-                problem = self._file.damage(
-                    f"the records from byte {segment.offset} on are sound for {sound} of {len(data)} bytes"
-                )
-            if problem is None and (unknown := others - known.keys()):
-                problem = self._file.damage(
-                    f"channel {min(unknown)} has messages near byte {segment.offset}, but is not declared"
-                )
+
+            def taken(data: memoryview) -> list[RawMessage]:
+                return worked_on(unpacked_messages(sound(segment, data), none, segment.offset, self._file.path), work)
+
+            # What is damaged is read again, to see what is left of it.
+            with suppress(DamageError):
+                return with_payload(self._file, segment, taken, verify=self._verify) if seen is None else taken(seen)
+            data, problem = self._prefix(segment)
+            found = []
+            try:
+                if problem is None:
+                    found = sound(segment, data)
+            except DamageError as err:
+                problem = err
             if problem is not None:
                 left = self._salvaged(segment, data, problem)
                 found = [m for m in left if m.connection.id in wanted and first <= m.log_time_ns < stop]
-            return unpacked_messages(found, self._log, segment.offset, self._file.path)
+            return worked_on(unpacked_messages(found, self._log, segment.offset, self._file.path), work)
 
         if ids is None or ids:
             yield from in_time_order(
@@ -265,7 +279,7 @@ class McapReader:
         """What is damaged, as far as it was read."""
         return self._log.found
 
-    def read_ahead(self, pool: Threads, work: Work | None = None) -> None:
+    def read_ahead(self, pool: Threads | None, work: Work | None = None) -> None:
         """Read and decompress on these threads, and do this there; see `pc2scan.bags.model.Reader`."""
         self._pool, self._work = pool, work
 

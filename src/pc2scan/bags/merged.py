@@ -177,7 +177,7 @@ class MergedReader:
             for other in self._readers
         )
 
-    def read_ahead(self, pool: Threads, work: Work | None = None) -> None:
+    def read_ahead(self, pool: Threads | None, work: Work | None = None) -> None:
         """Read and decompress on these threads, and do this there with the messages under the unified connections."""
         for reader, known in zip(self._readers, self._maps, strict=True):
             reader.read_ahead(pool, None if work is None else partial(_adopted_first, known, work))

@@ -158,6 +158,18 @@ class RawMessage(NamedTuple):
 Work: TypeAlias = "Callable[[RawMessage], RawMessage]"
 
 
+def kept(data: Buffer) -> Buffer:
+    """Data that may be kept: a copy, if they are only lent (see `pc2scan.bags.files.SourceFile.lend`)."""
+    return data if isinstance(data, bytes) or isinstance(data.obj, bytes) else bytes(data)
+
+
+def worked_on(messages: list[RawMessage], work: Work | None) -> list[RawMessage]:
+    """Messages after the work on them, if there is any; what is left of their data may be kept."""
+    if work is not None:
+        messages = list(map(work, messages))
+    return [m if (data := kept(m.data)) is m.data else m._replace(data=data) for m in messages]
+
+
 @dataclass(frozen=True, slots=True)
 class StoredChunk:
     """A chunk as a whole, to be written without taking it apart.
@@ -323,7 +335,7 @@ class Reader(Protocol):
         """
         ...
 
-    def read_ahead(self, pool: Threads, work: Work | None = None) -> None:
+    def read_ahead(self, pool: Threads | None, work: Work | None = None) -> None:
         """Let the following calls of `messages` read and decompress what comes next on these threads.
 
         Parameters
@@ -331,8 +343,9 @@ class Reader(Protocol):
         pool
             The threads.
         work
-            Done with a message where it was decompressed, while it is still in that core's cache: what it returns
-            takes the message's place. It may be done again, or not at all. None: messages stay as they are.
+            Done with a message where it was read or decompressed, while it is still in that core's cache: what it
+            returns takes the message's place. Data that its result goes on to hold must be `kept`. It may be done
+            again, or not at all. None: messages stay as they are.
         """
         ...
 

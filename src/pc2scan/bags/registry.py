@@ -248,7 +248,7 @@ class _UnpackedReader:
     ) -> Iterator[RawMessage | StoredChunk]:
         return self._inner.messages_or_chunks(rule, connections, start_ns, stop_ns)
 
-    def read_ahead(self, pool: Threads, work: Work | None = None) -> None:
+    def read_ahead(self, pool: Threads | None, work: Work | None = None) -> None:
         self._inner.read_ahead(pool, work)
 
     def attachments(self) -> Iterator[Attachment]:

@@ -10,7 +10,7 @@ import struct
 from dataclasses import dataclass, field
 from itertools import permutations
 from operator import itemgetter
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 from .limits import allowed_bytes
 from .model import RawMessage
@@ -28,26 +28,36 @@ from .rosbag1_records import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
-    from .model import Connection
+    from .model import Buffer, Connection
     from .rosbag1_records import BagFile
     from .segments import Segment
 
-__all__ = ["USUAL_LAYOUT", "Places", "decompressed", "messages_in", "payload", "records_in"]
+__all__ = ["USUAL_LAYOUT", "Places", "decompressed", "messages_in", "payload", "records_in", "with_payload"]
+
+_Result = TypeVar("_Result")
 
 
 def payload(file: BagFile, segment: Segment) -> bytes:
     """Read and decompress a chunk."""
+    return with_payload(file, segment, bytes)
+
+
+def with_payload(file: BagFile, segment: Segment, use: Callable[[Buffer], _Result]) -> _Result:
+    """Call ``use`` with a chunk, decompressed; it may be lent only, see `SourceFile.lend`."""
     if segment.uncompressed_size > (allowed := allowed_bytes(file.size)):
         raise Damaged(
             f"it declares {segment.uncompressed_size} bytes, in a bag of {file.size} at most {allowed} may be"
         )
-    data = file.read(segment.offset, segment.length)
-    return decompressed(data, segment.compression, segment.uncompressed_size)
+
+    def unpacked(data: memoryview) -> _Result:
+        return use(decompressed(data, segment.compression, segment.uncompressed_size))
+
+    return file.lend(segment.offset, segment.length, unpacked)
 
 
-def decompressed(data: bytes, compression: str, size: int) -> bytes:
+def decompressed(data: Buffer, compression: str, size: int) -> Buffer:
     """Decompress a chunk that must come to ``size`` bytes; one byte more is never produced but to tell."""
     if compression == "none":
         return _checked(data, size)
@@ -70,7 +80,7 @@ def decompressed(data: bytes, compression: str, size: int) -> bytes:
     return _checked(data, size)
 
 
-def _checked(data: bytes, size: int) -> bytes:
+def _checked(data: Buffer, size: int) -> Buffer:
     if len(data) != size:
         observed = f"more than {size}" if len(data) > size else str(len(data))
         raise Damaged(f"it holds {observed} bytes when decompressed, {size} are declared")
@@ -152,7 +162,7 @@ class Places:
 
 
 def messages_in(
-    chunk: bytes,
+    chunk: Buffer,
     wanted: Mapping[int, Connection | None],
     start_ns: int | None,
     stop_ns: int | None,

@@ -11,7 +11,7 @@ from .rosbag1_lz4 import ros1_reads
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
 
-    from .model import ChunkRule, RawMessage
+    from .model import Buffer, ChunkRule, RawMessage
     from .rosbag1_chunks import Places
     from .segments import Segment
 
@@ -42,8 +42,8 @@ def first_uses(segments: Collection[Segment], start_ns: int | None) -> dict[Segm
 
 def whole(
     segment: Segment,
-    stored: bytes,
-    records: bytes,
+    stored: Buffer,
+    records: Buffer,
     messages: Sequence[RawMessage],
     places: Places,
     rule: ChunkRule,

@@ -6,8 +6,8 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, cast
 
 from .damage import DamageLog
-from .model import Summary
-from .rosbag1_chunks import Places, decompressed, messages_in, payload
+from .model import Summary, worked_on
+from .rosbag1_chunks import Places, decompressed, messages_in, with_payload
 from .rosbag1_contents import read_index
 from .rosbag1_copies import first_uses, whole
 from .rosbag1_records import BagFile, Damaged
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from .damage import Damage
-    from .model import Attachment, ChunkRule, Connection, Metadata, RawMessage, StoredChunk, Work
+    from .model import Attachment, Buffer, ChunkRule, Connection, Metadata, RawMessage, StoredChunk, Work
     from .segments import Segment
     from .threads import Threads
 
@@ -158,40 +158,42 @@ class Rosbag1Reader:
             messages = messages_in(chunk, wanted, start_ns, stop_ns, places)
             return whole(segment, stored, chunk, messages, places, rule, needed[segment]) or messages
 
-        def load(segment: Segment, may_be_whole: bool) -> list[RawMessage] | StoredChunk:
+        def load(segment: Segment, may_be_whole: bool, work: Work | None) -> list[RawMessage] | StoredChunk:
             self._bytes_read += segment.length
             if rule and may_be_whole:
                 # What is damaged is not copied.
                 with suppress(Damaged):
                     return load_whole(segment, rule)
-            chunk = None
+
+            def taken(chunk: Buffer) -> list[RawMessage]:
+                return worked_on(messages_in(chunk, wanted, start_ns, stop_ns), work)
+
             try:
-                chunk = payload(self._file, segment)
-                return messages_in(chunk, wanted, start_ns, stop_ns)
+                return with_payload(self._file, segment, taken)
             except Damaged as err:
                 problem = err
             low, high = start_ns or 0, stop_ns
-            return [
+            left = [
                 message
-                for message in self._salvaged(segment, chunk, problem)
+                for message in self._salvaged(segment, problem)
                 if wanted[message.connection.id] is not None
                 and low <= message.log_time_ns
                 and (high is None or message.log_time_ns < high)
             ]
+            return worked_on(left, work)
 
         return in_time_order(
             due, load, alone=alone, pool=self._pool, work=self._work, expect=self._file.expect, path=self._path
         )
 
-    def _salvaged(self, segment: Segment, chunk: bytes | None, problem: Damaged) -> list[RawMessage]:
-        """Take note of a damaged chunk, and find the messages that are left of it; None: it cannot be decompressed."""
+    def _salvaged(self, segment: Segment, problem: Damaged) -> list[RawMessage]:
+        """Take note of a damaged chunk, and find the messages that are left of it."""
         error = self._file.damage_error(f"the chunk with data at byte {segment.offset} cannot be read: {problem}")
         if self._log.strict:
             raise error from problem
         from .rosbag1_recovery import payload_prefix, salvaged_messages  # noqa: PLC0415
 
-        if chunk is None:
-            chunk = payload_prefix(self._file, segment)
+        chunk = payload_prefix(self._file, segment)
         left = salvaged_messages(chunk, self._contents.connections, (segment.start_ns, segment.end_ns))
         missing = max(segment.uncompressed_size - len(chunk), 0)
         last = left.messages[-1].log_time_ns if left.messages and missing else None
@@ -211,7 +213,7 @@ class Rosbag1Reader:
         """What is damaged, as far as it was read."""
         return self._log.found
 
-    def read_ahead(self, pool: Threads, work: Work | None = None) -> None:
+    def read_ahead(self, pool: Threads | None, work: Work | None = None) -> None:
         """Read and decompress on these threads, and do this there; see `pc2scan.bags.model.Reader`."""
         self._pool, self._work = pool, work
 

@@ -33,14 +33,17 @@ if TYPE_CHECKING:
     #: What a segment is loaded as: its messages, or the chunk as a whole.
     Loaded = list[RawMessage] | StoredChunk
 
-    #: How it is loaded; the flag says whether it may be whole.
-    Load = Callable[["Segment", bool], Loaded]
+    #: How it is loaded; the flag says whether it may be whole, the work is done with its messages otherwise.
+    Load = Callable[["Segment", bool, Work | None], Loaded]
 
 #: Loaded segments may take this much before the ones needed last are dropped and later read again.
 MAX_OPEN_BYTES = 64 << 20
 
 #: So many bytes are announced to the system before they are read: it reads them while others are decompressed.
 _EXPECTED_BYTES = 32 << 20
+
+#: Chunks follow each other at no larger distance: an index may lie between them.
+_GAP_BYTES = 64 << 10
 
 #: To wait for the interpreter's lock behind another thread takes longer than to read fewer uncompressed bytes.
 _WORTH_A_THREAD = 1 << 20
@@ -188,9 +191,10 @@ def in_time_order(
     segments
         Any order; ``start_ns`` must not be later than a segment's first message.
     load
-        Returns a segment's wanted messages in the order of the file or, where the flag allows it, the whole chunk if
-        that is sorted. Called once a segment, except that a segment is loaded again if more than
-        ``max_open_bytes`` of segments overlap at one time, or if one of ``alone`` does not stand alone after all.
+        Returns a segment's wanted messages in the order of the file, after the work on them if there is any, or, where
+        the flag allows it, the whole chunk if that is sorted. Called once a segment, except that a segment is loaded
+        again if more than ``max_open_bytes`` of segments overlap at one time, or if one of ``alone`` does not stand
+        alone after all.
     alone
         Segments that may be whole; see `standing_alone`.
     max_open_bytes
@@ -199,8 +203,8 @@ def in_time_order(
         Threads on which segments are loaded ahead of their turn; ``load`` must bear that. None loads each when it is
         due. The messages are the same.
     work
-        What takes the place of a message that was loaded by one of these threads; it may do nothing, and is not done
-        with segments too large to be loaded ahead, or so small that they are loaded when they are due.
+        Makes what takes the place of a message; it may do nothing. It is not done with segments too large to be loaded
+        ahead, or that are loaded again.
     expect
         Is told what will be loaded soon, by offset and length.
     path
@@ -218,19 +222,16 @@ def in_time_order(
     """
     waiting = sorted(segments, key=attrgetter("start_ns", "offset"))
 
-    def loaded(segment: Segment, *, split: bool = False) -> Loaded:
-        found = load(segment, not split and segment in alone)
+    def loaded(segment: Segment, work: Work | None = None, *, split: bool = False) -> Loaded:
+        found = load(segment, not split and bool(alone) and segment in alone, work)
         if not isinstance(found, StoredChunk):
             # A stable sort, and next to free where the recorder kept the order.
             found.sort(key=attrgetter("log_time_ns"))
         return found
 
-    def worked(segment: Segment) -> Loaded:
-        found = loaded(segment)
-        return found if work is None or isinstance(found, StoredChunk) else [work(message) for message in found]
-
+    worked = partial(loaded, work=work)
     due = waiting if expect is None else _expected(waiting, expect)
-    arrivals = _Ahead(due, worked, loaded, pool) if pool is not None else map(loaded, due)
+    arrivals = _Ahead(due, worked, loaded, pool) if pool is not None else map(worked, due)
     try:
         yield from _merged(waiting, iter(arrivals), partial(loaded, split=True), max_open_bytes, path)
     finally:
@@ -239,13 +240,21 @@ def in_time_order(
 
 
 def _expected(segments: Sequence[Segment], expect: Callable[[int, int], None]) -> Iterator[Segment]:
-    """The segments, each announced some way ahead of its turn."""
+    """The segments, each announced some way ahead of its turn: several at a time, where they follow each other."""
     coming = iter(segments)
     announced = 0
     for segment in segments:
-        while announced < _EXPECTED_BYTES and (following := next(coming, None)) is not None:
-            expect(following.offset, following.length)
+        stretches: list[tuple[int, int]] = []
+        # Seldom: every call gives others the interpreter's lock.
+        wanted = _EXPECTED_BYTES if announced <= _EXPECTED_BYTES // 2 else 0
+        while announced < wanted and (following := next(coming, None)) is not None:
+            start, stop = following.offset, following.offset + following.length
+            if stretches and 0 <= start - stretches[-1][1] <= _GAP_BYTES:
+                start = stretches.pop()[0]
+            stretches.append((start, stop))
             announced += following.length
+        for start, stop in stretches:
+            expect(start, stop - start)
         announced -= segment.length
         yield segment
 
@@ -287,7 +296,7 @@ class _Ahead:
 
     def _next(self) -> Loaded:
         segment, future = self._pending.popleft()
-        return self._load(segment) if future is None else future.result()
+        return self._ahead(segment) if future is None else future.result()
 
     def cancel(self) -> None:
         """Give up what has not begun."""
@@ -357,7 +366,7 @@ def _merged(
 
 def _evict(heap: list[_Open], max_open_bytes: int) -> None:
     """Drop the payload of the segments that are needed last, until the rest fits."""
-    if len(heap) == 1:
+    if len(heap) <= 1:
         return
     held = sorted((entry for entry in heap if entry.messages is not None), reverse=True)
     total = sum(entry.segment.uncompressed_size for entry in held)

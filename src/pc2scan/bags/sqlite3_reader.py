@@ -204,7 +204,7 @@ class Sqlite3Reader:
         """The same: the storage has no chunks."""
         return self.messages(connections, start_ns, stop_ns)
 
-    def read_ahead(self, pool: Threads, work: Work | None = None) -> None:
+    def read_ahead(self, pool: Threads | None, work: Work | None = None) -> None:
         """Nothing changes: a database is read in order, by the thread that opened it."""
 
     def attachments(self) -> Iterator[Attachment]:

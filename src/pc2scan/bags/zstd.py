@@ -163,7 +163,7 @@ def unpacked_messages(messages: list[RawMessage], log: DamageLog, place: int, pa
     CDR begins with a zero byte, so that a message in CDR is never taken for a frame. Other serialisations may begin
     with anything, and rosbag2 packs none but CDR.
     """
-    if not any(is_frame(message) for message in (*messages[:1], *messages[-1:])):
+    if not messages or not (is_frame(messages[0]) or is_frame(messages[-1])):
         return messages
     unpacked = []
     for message in messages:

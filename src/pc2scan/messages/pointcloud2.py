@@ -118,14 +118,17 @@ class PointCloud2:
             If the field is missing or of an unknown datatype, if it does not fit into a point, or if ``data``
             is shorter than declared.
         """
-        field = next((field for field in self.fields if field.name == name), None)
-        if field is None:
+        for field in self.fields:
+            if field.name == name:
+                break
+        else:
             names = ", ".join(field.name for field in self.fields) or "none"
             raise self._error(f"no field {name!r}; the cloud's fields are: {names}")
         if field.datatype not in DATATYPES:
             raise self._error(f"field {name!r} has datatype {field.datatype}, known are 1 to 8")
         dtype = _DTYPES[">" if self.is_bigendian else "<"][field.datatype]
-        if not self.points:
+        points = self.height * self.width
+        if not points:
             return np.empty(0, dtype)
         if field.offset + dtype.itemsize > self.point_step:
             raise self._error(
@@ -146,12 +149,13 @@ class PointCloud2:
                 f"{self.point_step} bytes (row_step {self.row_step}) take {needed}"
             )
         shape, strides = (
-            ((self.points,), (self.point_step,))
+            ((points,), (self.point_step,))
             if row_step == row
             else ((self.height, self.width), (row_step, self.point_step))
         )
         view: NDArray[Any] = np.ndarray(shape, dtype, self.data, field.offset, strides)
-        view.flags.writeable = False
+        if not self.data.readonly:
+            view.flags.writeable = False
         return view
 
     def xyz(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:

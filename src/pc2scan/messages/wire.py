@@ -156,8 +156,11 @@ class Packer:
 
     def write(self, code: str, *values: float) -> None:
         """Append primitives that need no padding between them: `struct` codes, aligned to the last."""
-        self.align(struct.calcsize(code[-1]))
-        self.raw(struct.pack("<" + code, *values))
+        layout, alignment = _layout("<" + code)
+        if self._aligned:
+            self.align(alignment)
+        self._parts.append(layout.pack(*values))
+        self._size += layout.size
 
     def string(self, text: str) -> None:
         """Append a string."""

@@ -52,6 +52,9 @@ class CloudToScan:
             0.0 if params.time_increment == "auto" else params.time_increment,
         )
         self._layout = params.layout
+        with np.errstate(over="ignore"):
+            # Upstream's default is a float64's largest: once here, it need not be rounded for every scan.
+            self._range_max = float(np.float32(params.range_max))
         self._project = Projector(params)
         # A scan repeats the cloud's header; what else it has besides ranges and intensities takes less.
         self.shrinks_from = 1024 + 8 * params.length
@@ -84,7 +87,7 @@ class CloudToScan:
             timing.time_increment,
             timing.scan_time,
             params.range_min,
-            params.range_max,
+            self._range_max,
             scan.ranges,
             scan.intensities,
         )

@@ -9,7 +9,7 @@ from functools import partial
 from itertools import chain
 from typing import TYPE_CHECKING, NamedTuple, cast
 
-from pc2scan.bags.model import StoredChunk
+from pc2scan.bags.model import RawMessage, StoredChunk, kept
 from pc2scan.errors import MessageError
 
 from .frames import is_static
@@ -20,7 +20,7 @@ from .report import Report, Skipped
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from pc2scan.bags.model import Buffer, ChunkRule, RawMessage, Reader, Writer
+    from pc2scan.bags.model import Buffer, ChunkRule, Reader, Writer
     from pc2scan.bags.threads import Threads
 
     from .conversion import Converted
@@ -71,8 +71,7 @@ def stream(
     progress: Progress | None,
 ) -> None:
     """Read, work on several threads, and write in the order of reading."""
-    if pool is not None:
-        reader.read_ahead(pool, partial(_at_once, lanes))
+    reader.read_ahead(pool, partial(_at_once, lanes))
     total = reader.summary.size_bytes
     outcomes = map_in_order(
         _work,
@@ -137,7 +136,7 @@ def _cut(
 
 
 #: A message with its lane, or a chunk to be copied.
-_Item = tuple[Lane, "RawMessage"] | StoredChunk
+_Item = tuple[Lane, RawMessage] | StoredChunk
 
 
 def _is_heavy(item: _Item) -> bool:
@@ -173,8 +172,11 @@ def _at_once(lanes: Mapping[int, Lane], message: RawMessage) -> RawMessage:
     if len(message.data) < lane.shrinks_from:
         return message
     outcome = _outcome(lane, message)
+    if outcome.passing is not None:
+        outcome = outcome._replace(passing=kept(outcome.passing))
     # What passes through as well is still held, and counts as that.
-    return message._replace(data=outcome.passing or b"", result=outcome)
+    times = outcome.times
+    return RawMessage(message.connection, times[0], outcome.passing or b"", times[1], times[2], outcome)
 
 
 def _write_chunk(chunk: StoredChunk, lanes: Mapping[int, Lane], writer: Writer) -> int:
