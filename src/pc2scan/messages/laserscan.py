@@ -22,6 +22,7 @@ __all__ = ["LASERSCAN", "LaserScan", "decode_laserscan", "encode_laserscan"]
 LASERSCAN = "sensor_msgs/msg/LaserScan"
 
 _FLOAT32 = np.dtype("<f4")
+_COUNT = struct.Struct("<I")
 
 
 def _no_values() -> NDArray[np.float32]:
@@ -148,7 +149,7 @@ def encode_laserscan(scan: LaserScan, serialization: str) -> bytes:
     packer.stamp(scan.sequence, scan.stamp_ns)
     described = _described if len(scan.frame_id) <= MEMORABLE_BYTES else _described.__wrapped__
     packer.raw(described(scan.frame_id, packed, serialization))
+    # Everything from the geometry on is aligned in either format.
     for values in (scan.ranges, scan.intensities):
-        packer.write("I", len(values))
-        packer.raw(values.astype(_FLOAT32, copy=False).tobytes())
+        packer.raw(_COUNT.pack(len(values)) + values.astype(_FLOAT32, copy=False).tobytes())
     return packer.finish()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -66,6 +66,16 @@ class PointField:
     count: int = 1
 
 
+class _Place(NamedTuple):
+    """Where in a cloud a field's values are; ``needed`` are the bytes that the cloud has to have."""
+
+    dtype: np.dtype[Any]
+    offset: int
+    shape: tuple[int, ...]
+    strides: tuple[int, ...]
+    needed: int
+
+
 @dataclass(frozen=True, slots=True)
 class PointCloud2:
     """A decoded cloud; the points stay the bytes that the message carries.
@@ -91,6 +101,8 @@ class PointCloud2:
     row_step: int
     data: memoryview
     is_dense: bool
+    #: By name of a field. Clouds of one description share it.
+    _places: dict[str, _Place] = field(default_factory=dict, repr=False, compare=False)
 
     @property
     def points(self) -> int:
@@ -118,21 +130,34 @@ class PointCloud2:
             If the field is missing or of an unknown datatype, if it does not fit into a point, or if ``data``
             is shorter than declared.
         """
-        for field in self.fields:
-            if field.name == name:
-                break
-        else:
+        place = self._places.get(name)
+        if place is None:
+            place = self._places[name] = self._place(name)
+        if len(self.data) < place.needed:
+            raise self._error(
+                f"data has {len(self.data)} bytes, but {self.height} x {self.width} points of "
+                f"{self.point_step} bytes (row_step {self.row_step}) take {place.needed}"
+            )
+        if not place.needed:
+            return np.empty(0, place.dtype)
+        view: NDArray[Any] = np.ndarray(place.shape, place.dtype, self.data, place.offset, place.strides)
+        if not self.data.readonly:
+            view.flags.writeable = False
+        return view
+
+    def _place(self, name: str) -> _Place:
+        found = next((field for field in self.fields if field.name == name), None)
+        if found is None:
             names = ", ".join(field.name for field in self.fields) or "none"
             raise self._error(f"no field {name!r}; the cloud's fields are: {names}")
-        if field.datatype not in DATATYPES:
-            raise self._error(f"field {name!r} has datatype {field.datatype}, known are 1 to 8")
-        dtype = _DTYPES[">" if self.is_bigendian else "<"][field.datatype]
-        points = self.height * self.width
-        if not points:
-            return np.empty(0, dtype)
-        if field.offset + dtype.itemsize > self.point_step:
+        if found.datatype not in DATATYPES:
+            raise self._error(f"field {name!r} has datatype {found.datatype}, known are 1 to 8")
+        dtype = _DTYPES[">" if self.is_bigendian else "<"][found.datatype]
+        if not self.points:
+            return _Place(dtype, found.offset, (0,), (0,), 0)
+        if found.offset + dtype.itemsize > self.point_step:
             raise self._error(
-                f"field {name!r} takes bytes {field.offset} to {field.offset + dtype.itemsize} of a point, "
+                f"field {name!r} takes bytes {found.offset} to {found.offset + dtype.itemsize} of a point, "
                 f"but point_step is {self.point_step}"
             )
         row = self.width * self.point_step
@@ -143,20 +168,9 @@ class PointCloud2:
                 f"row_step is {self.row_step}, but {self.width} points of {self.point_step} bytes take {row}"
             )
         needed = (self.height - 1) * row_step + row
-        if len(self.data) < needed:
-            raise self._error(
-                f"data has {len(self.data)} bytes, but {self.height} x {self.width} points of "
-                f"{self.point_step} bytes (row_step {self.row_step}) take {needed}"
-            )
-        shape, strides = (
-            ((points,), (self.point_step,))
-            if row_step == row
-            else ((self.height, self.width), (row_step, self.point_step))
-        )
-        view: NDArray[Any] = np.ndarray(shape, dtype, self.data, field.offset, strides)
-        if not self.data.readonly:
-            view.flags.writeable = False
-        return view
+        if row_step == row:
+            return _Place(dtype, found.offset, (self.points,), (self.point_step,), needed)
+        return _Place(dtype, found.offset, (self.height, self.width), (row_step, self.point_step), needed)
 
     def xyz(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
         """The coordinates: `field` of ``x``, ``y`` and ``z``, metres in ``frame_id``.
@@ -188,6 +202,7 @@ class _Description(NamedTuple):
     point_step: int
     row_step: int
     size: int
+    places: dict[str, _Place]
 
 
 class CloudDecoder:
@@ -214,7 +229,7 @@ class CloudDecoder:
         except DecodeError as err:
             err.stamp_ns = stamp_ns
             raise
-        return PointCloud2(sequence, stamp_ns, *description[:-1], points, is_dense)
+        return PointCloud2(sequence, stamp_ns, *description[:7], points, is_dense, description.places)
 
     def _description(self, cursor: Cursor) -> _Description:
         form = cursor.ros1, cursor.byte_order
@@ -241,7 +256,8 @@ def _described(cursor: Cursor) -> _Description:
         name = cursor.string()
         fields.append(PointField(name, *cursor.read("IBI" if cursor.ros1 else "IB3xI")))
     is_bigendian = bool(cursor.uint8())
-    return _Description(frame_id, height, width, tuple(fields), is_bigendian, *cursor.read("III"))
+    point_step, row_step, size = cursor.read("III")
+    return _Description(frame_id, height, width, tuple(fields), is_bigendian, point_step, row_step, size, {})
 
 
 def decode_pointcloud2(data: Buffer, serialization: str) -> PointCloud2:
@@ -287,11 +303,11 @@ def encode_pointcloud2(
     packer = Packer(serialization)
     packer.header(sequence, stamp_ns, frame_id)
     packer.write("III", height, width, len(fields))
-    for field in fields:
-        packer.string(field.name)
-        packer.write("I", field.offset)
-        packer.write("B", field.datatype)
-        packer.write("I", field.count)
+    for part in fields:
+        packer.string(part.name)
+        packer.write("I", part.offset)
+        packer.write("B", part.datatype)
+        packer.write("I", part.count)
     packer.write("B", 0)
     packer.write("III", point_step, width * point_step, len(data))
     packer.raw(data)
