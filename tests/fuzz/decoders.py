@@ -53,7 +53,7 @@ def _cloud(data: bytes) -> None:
     from pc2scan.pipeline.frames import Frames
 
     content, serialization = _serialization(data)
-    CloudToScan(ProjectionParams(min_height=-9.0), Frames())(content, serialization, "cdr")
+    CloudToScan(ProjectionParams(min_height=-9.0), Frames()).for_topic("/points", serialization, "cdr")(content)
 
 
 def _scan(data: bytes) -> None:

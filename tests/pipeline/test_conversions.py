@@ -15,7 +15,7 @@ from pc2scan.errors import DecodeError, TransformError
 from pc2scan.messages.laserscan import LaserScan, decode_laserscan, encode_laserscan
 from pc2scan.messages.pointcloud2 import PointCloud2, PointField, decode_pointcloud2, encode_pointcloud2
 from pc2scan.pipeline.cloud_to_scan import CloudToScan
-from pc2scan.pipeline.conversion import Timing
+from pc2scan.pipeline.conversion import Conversion, Converted, Timing
 from pc2scan.pipeline.frames import Frames
 from pc2scan.pipeline.scan_to_cloud import ScanToCloud
 from pc2scan.tf.buffer import TransformBuilder
@@ -62,6 +62,10 @@ def frames(target: str, *rows: tuple[str, str, int, float, float]) -> Frames:
     return Frames(target, "", builder.build(), 0)
 
 
+def once(conversion: Conversion, message: bytes, source: str, target: str, topic: str = "/topic") -> Converted:
+    return conversion.for_topic(topic, source, target)(message)
+
+
 def points_of(message: PointCloud2) -> Any:
     return np.stack(message.xyz(), axis=1)
 
@@ -70,7 +74,7 @@ def test_a_scan_carries_the_clouds_header_and_the_parameters() -> None:
     params = ProjectionParams(
         min_height=-1, angle_min=-1, angle_max=1, angle_increment=0.125, range_max=20, scan_time=0.2
     )
-    made = CloudToScan(params, Frames())(cloud([[2, 0, 0]]), "ros1", "ros1")
+    made = once(CloudToScan(params, Frames()), cloud([[2, 0, 0]]), "ros1", "ros1")
     read = decode_laserscan(made.data, "ros1")
     assert (read.sequence, read.stamp_ns, read.frame_id) == (9, 5 * SECOND, "lidar")
     assert (read.angle_min, read.angle_max, read.range_max, read.time_increment) == (-1, 1, 20, 0)
@@ -86,20 +90,20 @@ def test_a_centered_scan_advertises_its_last_beam_and_carries_intensities() -> N
         min_height=-1, geometry="centered", angle_min=0.0, angle_max=2 * math.pi, beams=8, range_max=20, reduce="max",
         intensity_field="z", no_return="nan",
     )  # fmt: skip
-    made = CloudToScan(params, Frames())(cloud([[2, 0, 0.5], [3, 0, 0.25], [0, -4, 0.125]]), "ros1", "cdr")
+    made = once(CloudToScan(params, Frames()), cloud([[2, 0, 0.5], [3, 0, 0.25], [0, -4, 0.125]]), "ros1", "cdr")
     read = decode_laserscan(made.data, "cdr")
     assert read.angle_min == 0
     assert read.angle_max == pytest.approx(2 * math.pi * 7 / 8)
     assert read.ranges.tolist() == pytest.approx([3.0, *[math.nan] * 5, 4.0, math.nan], nan_ok=True)
     assert read.intensities.tolist() == [0.25, 0, 0, 0, 0, 0, 0.125, 0]
     assert not made.empty
-    assert CloudToScan(params, Frames())(cloud([]), "ros1", "cdr").empty
+    assert once(CloudToScan(params, Frames()), cloud([]), "ros1", "cdr").empty
 
 
 def test_an_intensity_field_that_a_later_cloud_lacks_is_an_error_with_the_stamp() -> None:
     params = ProjectionParams(intensity_field="reflectivity")
     with pytest.raises(DecodeError, match="no field 'reflectivity'; the cloud's fields are: x, y, z") as caught:
-        CloudToScan(params, Frames())(cloud([[2, 0, 0]]), "ros1", "ros1")
+        once(CloudToScan(params, Frames()), cloud([[2, 0, 0]]), "ros1", "ros1")
     assert caught.value.stamp_ns == 5 * SECOND
 
 
@@ -114,23 +118,26 @@ def test_a_timed_topic_has_its_own_stamps(stamp_ns: int, first_beam_ns: int, exp
     message = encode_pointcloud2(
         serialization=serialization, sequence=0, stamp_ns=stamp_ns, frame_id="f", fields=XYZ, point_step=12, data=b""
     )
-    read = decode_laserscan(conversion.for_topic("/front")(message, serialization, serialization).data, serialization)
+    read = decode_laserscan(once(conversion, message, serialization, serialization, "/front").data, serialization)
     assert (read.stamp_ns, read.scan_time, read.time_increment) == (expected, 0.125, -0.25)
-    other = decode_laserscan(conversion.for_topic("/rear")(message, serialization, serialization).data, serialization)
+    other = decode_laserscan(once(conversion, message, serialization, serialization, "/rear").data, serialization)
     assert (other.stamp_ns, other.scan_time, other.time_increment) == (stamp_ns, 0, 0)
 
 
 def test_a_scan_without_returns_is_empty_also_where_that_is_not_infinity() -> None:
     params = ProjectionParams(min_height=-1, range_max=20, use_inf=False, inf_epsilon=0.5)
-    assert CloudToScan(params, Frames())(cloud([[50, 0, 0]]), "ros1", "cdr").empty
-    assert CloudToScan(params, Frames())(cloud([]), "ros1", "cdr").empty
+    assert once(CloudToScan(params, Frames()), cloud([[50, 0, 0]]), "ros1", "cdr").empty
+    assert once(CloudToScan(params, Frames()), cloud([]), "ros1", "cdr").empty
 
 
 def test_a_cloud_is_transformed_before_the_limits_apply() -> None:
     known = frames("base", ("base", "lidar", 4 * SECOND, 0.0, 0.0), ("base", "lidar", 6 * SECOND, 2.0, math.pi))
     points = [[3, 0, 0.5], [2, 4, -0.5], [0, 0, 3]]
-    made = CloudToScan(ProjectionParams(min_height=-1, max_height=1, target_frame="base"), known)(
-        cloud(points), "ros1", "ros1"
+    made = once(
+        CloudToScan(ProjectionParams(min_height=-1, max_height=1, target_frame="base"), known),
+        cloud(points),
+        "ros1",
+        "ros1",
     )
     read = decode_laserscan(made.data, "ros1")
     moved = known.place("lidar", 5 * SECOND).target_from_source
@@ -146,7 +153,7 @@ def test_a_cloud_is_transformed_before_the_limits_apply() -> None:
 def test_the_way_back_carries_the_header_and_all_channels() -> None:
     every = UnprojectParams(distances=True, stamps=True, viewpoint=True)
     message = scan([1, 2, math.nan, 40, 3], intensities=np.arange(5, dtype=np.float32), time_increment=0.25)
-    made = ScanToCloud(every, Frames())(message, "ros1", "cdr")
+    made = once(ScanToCloud(every, Frames()), message, "ros1", "cdr")
     read = decode_pointcloud2(made.data, "cdr")
     assert (read.stamp_ns, read.frame_id, read.height, read.width, read.is_dense) == (5 * SECOND, "laser", 1, 3, False)
     names = ["x", "y", "z", "intensity", "index", "distances", "stamps", "vp_x", "vp_y", "vp_z"]
@@ -159,13 +166,13 @@ def test_the_way_back_carries_the_header_and_all_channels() -> None:
 
 def test_intensities_of_another_length_are_an_error_with_the_stamp() -> None:
     with pytest.raises(DecodeError) as caught:
-        ScanToCloud(None, Frames())(scan([1, 2], intensities=np.float32([1.0])), "ros1", "ros1")  # type: ignore[arg-type]
+        once(ScanToCloud(None, Frames()), scan([1, 2], intensities=np.float32([1.0])), "ros1", "ros1")  # type: ignore[arg-type]
     assert caught.value.stamp_ns == 5 * SECOND
 
 
 def test_a_transformed_cloud_is_in_the_target_frame() -> None:
     known = frames("odom", ("odom", "laser", 5 * SECOND, 10.0, math.pi / 2))
-    made = ScanToCloud(None, known)(scan([2.0], angle_min=0.0), "ros1", "ros1")
+    made = once(ScanToCloud(None, known), scan([2.0], angle_min=0.0), "ros1", "ros1")
     read = decode_pointcloud2(made.data, "ros1")
     assert read.frame_id == "odom"
     # float32 of a point 10 m out.
@@ -176,25 +183,25 @@ def test_deskewing_takes_each_beam_from_where_the_sensor_was() -> None:
     # 1 m/s and a quarter turn a second; five beams, a quarter of a second apart.
     rows = [("odom", "laser", (5 + k) * SECOND, float(k), k * math.pi / 2) for k in range(2)]
     message = scan([2.0] * 5, angle_min=0.0, angle_increment=0.0, time_increment=0.25)
-    made = ScanToCloud(None, frames("odom", *rows), deskewed=True)(message, "ros1", "ros1")
+    made = once(ScanToCloud(None, frames("odom", *rows), deskewed=True), message, "ros1", "ros1")
     expected = [[t + 2 * math.cos(t * math.pi / 2), 2 * math.sin(t * math.pi / 2), 0] for t in np.linspace(0, 1, 5)]
     np.testing.assert_allclose(points_of(decode_pointcloud2(made.data, "ros1")), expected, atol=2e-6)
-    plain = ScanToCloud(None, frames("odom", *rows))(message, "ros1", "ros1")
+    plain = once(ScanToCloud(None, frames("odom", *rows)), message, "ros1", "ros1")
     np.testing.assert_allclose(points_of(decode_pointcloud2(plain.data, "ros1")), [[2, 0, 0]] * 5, atol=2e-6)
 
 
 def test_deskewing_one_beam_and_none() -> None:
     known = frames("odom", ("odom", "laser", 5 * SECOND, 1.0, 0.0))
-    one = ScanToCloud(None, known, deskewed=True)(scan([2.0], angle_min=0.0, time_increment=0.1), "ros1", "ros1")
+    one = once(ScanToCloud(None, known, deskewed=True), scan([2.0], angle_min=0.0, time_increment=0.1), "ros1", "ros1")
     np.testing.assert_allclose(points_of(decode_pointcloud2(one.data, "ros1")), [[3, 0, 0]], atol=2e-6)
-    none = ScanToCloud(None, known, deskewed=True)(scan([], time_increment=0.1), "ros1", "ros1")
+    none = once(ScanToCloud(None, known, deskewed=True), scan([], time_increment=0.1), "ros1", "ros1")
     assert decode_pointcloud2(none.data, "ros1").points == 0
 
 
 def test_deskewing_needs_the_time_of_the_last_beam_too() -> None:
     known = frames("odom", ("odom", "laser", 5 * SECOND, 1.0, 0.0))
     with pytest.raises(TransformError, match="too late"):
-        ScanToCloud(None, known, deskewed=True)(scan([2.0] * 3, time_increment=0.1), "ros1", "ros1")
+        once(ScanToCloud(None, known, deskewed=True), scan([2.0] * 3, time_increment=0.1), "ros1", "ros1")
 
 
 @given(
@@ -211,8 +218,8 @@ def test_there_and_back_is_within_half_a_beam_of_its_middle(polar: list[tuple[fl
         min_height=-1, angle_min=-math.pi, angle_max=math.pi, angle_increment=2 * math.pi / beams, range_max=30.0
     )
     points = np.array([[r * math.cos(a), r * math.sin(a), 0] for a, r in polar], np.float32)
-    there = CloudToScan(params, Frames())(cloud(points), "ros1", "ros1")
-    back = ScanToCloud(None, Frames())(there.data, "ros1", "ros1")
+    there = once(CloudToScan(params, Frames()), cloud(points), "ros1", "ros1")
+    back = once(ScanToCloud(None, Frames()), there.data, "ros1", "ros1")
     returned = points_of(decode_pointcloud2(back.data, "ros1"))
     assert len(returned) >= 1
     angles = np.arctan2(points[:, 1], points[:, 0], dtype=np.float64)

@@ -15,7 +15,7 @@ dropped for the same reasons, in the same order, whatever the geometry, and whic
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -82,8 +82,7 @@ class PointCounts:
         )
 
 
-def _no_values() -> NDArray[np.float32]:
-    return np.empty(0, np.float32)
+_NO_VALUES = np.empty(0, np.float32)
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +101,7 @@ class ProjectedScan:
 
     ranges: NDArray[np.float32]
     counts: PointCounts
-    intensities: NDArray[np.float32] = field(default_factory=_no_values)
+    intensities: NDArray[np.float32]
 
 
 class Projector:
@@ -176,7 +175,7 @@ class Projector:
         if params.reduce == "min" and params.min_points == 1 and intensities is None:
             ranges = np.empty(beams, np.float32)
             fates = kernel.project(x, y, z, self._rule, moved, ranges, self._limit, self._empty)
-            return ProjectedScan(ranges, _counts(x.size, fates))
+            return ProjectedScan(ranges, _counts(x.size, fates), _NO_VALUES)
         slots, returns, numbers = np.empty(x.size, np.int32), np.empty(x.size, np.float32), np.empty(x.size, np.int64)
         fates = kernel.gather(x, y, z, self._rule, moved, beams, slots, returns, numbers)
         counts = _counts(x.size, fates)

@@ -76,7 +76,8 @@ class _Place(NamedTuple):
     needed: int
 
 
-@dataclass(frozen=True, slots=True)
+# Not frozen, though nobody changes one: a frozen one takes three times as long to make.
+@dataclass(slots=True)
 class PointCloud2:
     """A decoded cloud; the points stay the bytes that the message carries.
 
@@ -206,21 +207,22 @@ class _Description(NamedTuple):
 
 
 class CloudDecoder:
-    """Decodes clouds one after the other, best those of one topic. Threads may share one.
+    """Decodes clouds of one serialisation, best those of one topic, one after the other. Threads may share one.
 
     What is between the stamp and the points is the same in all clouds of a topic, as a rule. Taking it apart takes as
     long as projecting some thousand points, so it is compared with the last one's.
     """
 
-    __slots__ = ("_last",)
+    __slots__ = ("_last", "_serialization")
 
-    def __init__(self) -> None:
-        #: The format, the bytes of a description, and what they say.
-        self._last: tuple[tuple[bool, str], bytes, _Description] | None = None
+    def __init__(self, serialization: str) -> None:
+        self._serialization = serialization
+        #: The byte order, the bytes of a description, and what they say.
+        self._last: tuple[str, bytes, _Description] | None = None
 
-    def __call__(self, data: Buffer, serialization: str) -> PointCloud2:
+    def __call__(self, data: Buffer) -> PointCloud2:
         """Decode a message; see `decode_pointcloud2`."""
-        cursor = Cursor(data, serialization)
+        cursor = Cursor(data, self._serialization)
         sequence, stamp_ns = cursor.sequence(), cursor.stamp_ns()
         try:
             description = self._description(cursor)
@@ -232,17 +234,17 @@ class CloudDecoder:
         return PointCloud2(sequence, stamp_ns, *description[:7], points, is_dense, description.places)
 
     def _description(self, cursor: Cursor) -> _Description:
-        form = cursor.ros1, cursor.byte_order
+        order = cursor.byte_order
         start = cursor.position
         if self._last is not None:
-            known_form, raw, description = self._last
+            known_order, raw, description = self._last
             end = start + len(raw)
-            if known_form == form and bytes(cursor.data[start:end]) == raw:
+            if known_order == order and bytes(cursor.data[start:end]) == raw:
                 cursor.position = end
                 return description
         description = _described(cursor)
         if cursor.position - start <= MEMORABLE_BYTES:
-            self._last = form, bytes(cursor.data[start : cursor.position]), description
+            self._last = order, bytes(cursor.data[start : cursor.position]), description
         return description
 
 
@@ -275,7 +277,7 @@ def decode_pointcloud2(data: Buffer, serialization: str) -> PointCloud2:
     DecodeError
         If the message ends too early or declares more fields than can be.
     """
-    return CloudDecoder()(data, serialization)
+    return CloudDecoder(serialization)(data)
 
 
 def encode_pointcloud2(

@@ -60,16 +60,12 @@ class CloudToScan:
         self.shrinks_from = 1024 + 8 * params.length
         self._no_returns = np.full(params.length, params.empty_range, np.float32).tobytes()
 
-    def __call__(self, data: Buffer, source: str, target: str) -> Converted:
-        """Convert one message; see `Conversion`."""
-        return self._convert(self._default, CloudDecoder(), data, source, target)
+    def for_topic(self, topic: str, source: str, target: str) -> Callable[[Buffer], Converted]:
+        """Return the conversion of one topic's messages, with its timing; see `Conversion`."""
+        return partial(self._convert, self._timings.get(topic, self._default), CloudDecoder(source), target)
 
-    def for_topic(self, topic: str) -> Callable[[Buffer, str, str], Converted]:
-        """Return the conversion of one topic's messages, with its timing."""
-        return partial(self._convert, self._timings.get(topic, self._default), CloudDecoder())
-
-    def _convert(self, timing: Timing, decode: CloudDecoder, data: Buffer, source: str, target: str) -> Converted:
-        cloud = decode(data, source)
+    def _convert(self, timing: Timing, decode: CloudDecoder, target: str, data: Buffer) -> Converted:
+        cloud = decode(data)
         place = self._frames.place(cloud.frame_id, cloud.stamp_ns)
         scan = self._projected(cloud, place)
         params, layout = self.params, self._layout

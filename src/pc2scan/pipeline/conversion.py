@@ -57,16 +57,16 @@ class Conversion(Protocol):
     target_name: str
     shrinks_from: int
 
-    def for_topic(self, topic: str) -> Callable[[Buffer, str, str], Converted]:
-        """Return the conversion of one source topic's messages."""
-        ...
+    def for_topic(self, topic: str, source: str, target: str) -> Callable[[Buffer], Converted]:
+        """Return the conversion of one source topic's messages, each for itself and on any thread.
 
-    def __call__(self, data: Buffer, source: str, target: str) -> Converted:
-        """Convert one message from the serialisation ``source`` to ``target`` (``ros1`` or ``cdr``).
+        Parameters
+        ----------
+        source, target
+            Serialisations: ``ros1`` or ``cdr``.
 
-        Raises
-        ------
-        MessageError
-            If this message cannot be converted.
+        Notes
+        -----
+        What is returned raises a `MessageError` if a message cannot be converted.
         """
         ...

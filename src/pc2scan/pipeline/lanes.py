@@ -81,7 +81,7 @@ def open_lanes(
         if route.passes:
             _prepare_passing(lane, target, options, writer, compiled)
         if route.target:
-            lane.convert = _converter(conversion, connection, target)
+            lane.convert = conversion.for_topic(connection.topic, connection.serialization, target.serialization)
             lane.shrinks_from = conversion.shrinks_from
             lane.converted_handle = writer.add_connection(
                 _converted_connection(connection, route.target, conversion.target_type, target)
@@ -144,12 +144,6 @@ def _prepare_passing(
     entry.note, entry.lost = error.message, True
     if entry.action != "converted":
         entry.action, entry.target = "left out", None
-
-
-def _converter(conversion: Conversion, connection: Connection, target: Destination) -> Callable[[Buffer], Converted]:
-    serialization = target.serialization
-    convert = conversion.for_topic(connection.topic)
-    return lambda data: convert(data, connection.serialization, serialization)
 
 
 def _converted_connection(source: Connection, topic: str, msgtype: str, target: Destination) -> Connection:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from functools import partial
 from typing import TYPE_CHECKING
 
 from pc2scan.core.project import PointCounts
@@ -51,12 +52,11 @@ class ScanToCloud:
         self._frames = frames
         self._deskewed = deskewed
 
-    def for_topic(self, topic: str) -> Callable[[Buffer, str, str], Converted]:  # noqa: ARG002  # all are alike
-        """Return the conversion of one topic's messages."""
-        return self
+    def for_topic(self, topic: str, source: str, target: str) -> Callable[[Buffer], Converted]:  # noqa: ARG002
+        """Return the conversion of a topic's messages, which is the same for all; see `Conversion`."""
+        return partial(self._convert, source, target)
 
-    def __call__(self, data: Buffer, source: str, target: str) -> Converted:
-        """Convert one message; see `Conversion`."""
+    def _convert(self, source: str, target: str, data: Buffer) -> Converted:
         scan = decode_laserscan(data, source)
         try:
             points = unproject(
