@@ -1,7 +1,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from threading import get_ident
+from threading import Lock, get_ident
+from time import sleep
 from typing import TYPE_CHECKING
 
 import pytest
@@ -114,6 +115,32 @@ def test_work_is_given_to_whoever_loads(jobs: int | None) -> None:
     # What is too large to be loaded ahead is left to be worked on message by message, by all threads.
     large = 24 if jobs is None else pool.ahead_bytes >> 20
     assert [m.result for m in messages] == ["done" if n <= large else None for n in range(24)]
+
+
+@pytest.mark.parametrize("jobs", [2, 4])
+@pytest.mark.parametrize("size", [1 << 10, 5 << 20, 31 << 20])
+def test_what_is_loaded_ahead_is_bounded_and_enough(size: int, jobs: int) -> None:
+    """However large segments are, there is one for every thread, and one more for the first that is done."""
+    segments = [segment(n, 10 * n, 10 * n, uncompressed_size=size) for n in range(40)]
+    lock = Lock()
+    loaded = taken = most = 0
+
+    def load(due: Segment, _: bool, __: Work | None) -> list[RawMessage]:
+        nonlocal loaded, most
+        with lock:
+            loaded += 1
+            most = max(most, loaded - taken)
+        return [RawMessage(TOPIC, due.start_ns, b"", 0)]
+
+    with Threads(jobs) as pool:
+        for _ in in_time_order(segments, load, pool=pool):
+            sleep(0.001)
+            with lock:
+                taken += 1
+        bound = max(min(pool.ahead, pool.ahead_bytes // size), jobs + 1)
+    assert taken == 40
+    # What the caller has in its hands counts too.
+    assert jobs < most <= bound + 1
 
 
 def test_what_will_be_loaded_is_announced_some_way_ahead() -> None:

@@ -280,12 +280,13 @@ class _Ahead:
         held = 0
         for segment in self._segments:
             size = segment.uncompressed_size
-            while self._pending and (held + size > self._pool.ahead_bytes or len(self._pending) >= self._pool.ahead):
+            # Too large to be held before its turn.
+            too_large = size > self._pool.ahead_bytes
+            while self._pending and (too_large or not self._has_room(held + size)):
                 held -= self._pending[0][0].uncompressed_size
                 # Bound to no name: this frame must not keep it alive meanwhile.
                 yield self._next()
-            if size > self._pool.ahead_bytes:
-                # Too large to be held before its turn.
+            if too_large:
                 yield self._load(segment)
                 continue
             quick = segment.compression == "none" and size < _WORTH_A_THREAD
@@ -293,6 +294,11 @@ class _Ahead:
             held += size
         while self._pending:
             yield self._next()
+
+    def _has_room(self, size: int) -> bool:
+        """Whether one more may be pending, with so many bytes in all; there has to be one when a thread is done."""
+        bound = self._pool.ahead if size <= self._pool.ahead_bytes else self._pool.jobs + 1
+        return len(self._pending) < bound
 
     def _next(self) -> Loaded:
         segment, future = self._pending.popleft()

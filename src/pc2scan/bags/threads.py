@@ -64,6 +64,8 @@ class Threads:
 
     Attributes
     ----------
+    jobs
+        How many threads.
     ahead
         Pieces of work that may wait, or have a result that waits for its turn.
     ahead_bytes
@@ -76,9 +78,9 @@ class Threads:
     """
 
     def __init__(self, jobs: int) -> None:
+        self.jobs = jobs
         self.ahead = 4 * jobs
-        self.ahead_bytes = jobs << 23
-        self._others = jobs - 1
+        self.ahead_bytes = jobs << 24
         self._tasks: SimpleQueue[Task[Any] | None] = SimpleQueue()
         self._threads: list[Thread] = []
 
@@ -99,7 +101,7 @@ class Threads:
         """Let one of the threads call ``work``."""
         task = Task(partial(work, *args, **kwargs), self)
         self._tasks.put(task)
-        if len(self._threads) < self._others:
+        if len(self._threads) < self.jobs - 1:
             thread = Thread(target=self._serve, name=f"pc2scan_{len(self._threads)}")
             # Where there may be no more threads, those that there are do the work.
             with suppress(RuntimeError):
