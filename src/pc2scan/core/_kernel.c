@@ -227,12 +227,13 @@ __attribute__((target("avx2,popcnt"))) static Py_ssize_t load_eight(Scan *scan, 
     const __m256 lowest = _mm256_set1_ps((float)scan->rule.lowest), highest = _mm256_set1_ps((float)scan->rule.highest);
     Py_ssize_t taken = 0;
     int64_t nans = 0, kept = 0;
+    /* Points of 32 bytes share a processor's lines of 64. */
+    const Py_ssize_t lines = step < 64 ? 64 : step;
     for (; taken + 8 < count; taken += 8, from += 8 * step) {
         __m256 pair[4];
+        for (Py_ssize_t line = 0; line < 8 * step; line += lines) PREFETCH(from + line);
         for (int i = 0; i < 4; i++) {
             const char *one = from + i * step, *other = from + (i + 4) * step;
-            PREFETCH(one);
-            PREFETCH(other);
             pair[i] = _mm256_insertf128_ps(_mm256_castps128_ps256(_mm_loadu_ps((const float *)one)),
                                            _mm_loadu_ps((const float *)other), 1);
         }
