@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pc2scan.bags.model import ChunkRule, Connection, RawMessage, StoredChunk
-from pc2scan.bags.segments import MIN_WHOLE_BYTES, Segment, in_time_order, standing_alone
+from pc2scan.bags.segments import AHEAD_BYTES, LARGEST_AHEAD, MIN_WHOLE_BYTES, Segment, in_time_order, standing_alone
 from pc2scan.bags.threads import Threads
 
 if TYPE_CHECKING:
@@ -113,12 +113,12 @@ def test_work_is_given_to_whoever_loads(jobs: int | None) -> None:
     messages = [item for item in found if isinstance(item, RawMessage)]
     assert [m.log_time_ns for m in messages] == [10 * n for n in range(24)]
     # What is too large to be loaded ahead is left to be worked on message by message, by all threads.
-    large = 24 if jobs is None else pool.ahead_bytes >> 20
+    large = 24 if jobs is None else LARGEST_AHEAD >> 20
     assert [m.result for m in messages] == ["done" if n <= large else None for n in range(24)]
 
 
 @pytest.mark.parametrize("jobs", [2, 4])
-@pytest.mark.parametrize("size", [1 << 10, 5 << 20, 31 << 20])
+@pytest.mark.parametrize("size", [1 << 10, 5 << 20, LARGEST_AHEAD])
 def test_what_is_loaded_ahead_is_bounded_and_enough(size: int, jobs: int) -> None:
     """However large segments are, there is one for every thread, and one more for the first that is done."""
     segments = [segment(n, 10 * n, 10 * n, uncompressed_size=size) for n in range(40)]
@@ -137,7 +137,7 @@ def test_what_is_loaded_ahead_is_bounded_and_enough(size: int, jobs: int) -> Non
             sleep(0.001)
             with lock:
                 taken += 1
-        bound = max(min(pool.ahead, pool.ahead_bytes // size), jobs + 1)
+    bound = max(min(pool.ahead, jobs * AHEAD_BYTES // size), jobs + 1)
     assert taken == 40
     # What the caller has in its hands counts too.
     assert jobs < most <= bound + 1

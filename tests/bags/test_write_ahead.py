@@ -38,7 +38,7 @@ def test_without_threads_nothing_waits() -> None:
     assert written == [1, 2]
 
 
-@pytest.mark.parametrize(("size", "most"), [(1, 8), ((2 << 24) // 3, 3)])
+@pytest.mark.parametrize(("size", "most"), [(1, 8), ((2 << 23) // 3, 3)])
 def test_what_waits_is_bounded(size: int, most: int) -> None:
     lock = threading.Lock()
     put = written = worst = 0

@@ -48,6 +48,10 @@ _GAP_BYTES = 64 << 10
 #: To wait for the interpreter's lock behind another thread takes longer than to read fewer uncompressed bytes.
 _WORTH_A_THREAD = 1 << 20
 
+#: So much is loaded before its turn for every thread, and one segment more than threads of those up to the second size.
+AHEAD_BYTES = 12 << 20
+LARGEST_AHEAD = 20 << 20
+
 #: Segments may be read again until that comes to so many times the whole, and a gigabyte.
 _MAX_AGAIN = 16
 
@@ -280,8 +284,7 @@ class _Ahead:
         held = 0
         for segment in self._segments:
             size = segment.uncompressed_size
-            # Too large to be held before its turn.
-            too_large = size > self._pool.ahead_bytes
+            too_large = size > LARGEST_AHEAD
             while self._pending and (too_large or not self._has_room(held + size)):
                 held -= self._pending[0][0].uncompressed_size
                 # Bound to no name: this frame must not keep it alive meanwhile.
@@ -297,7 +300,7 @@ class _Ahead:
 
     def _has_room(self, size: int) -> bool:
         """Whether one more may be pending, with so many bytes in all; there has to be one when a thread is done."""
-        bound = self._pool.ahead if size <= self._pool.ahead_bytes else self._pool.jobs + 1
+        bound = self._pool.ahead if size <= self._pool.jobs * AHEAD_BYTES else self._pool.jobs + 1
         return len(self._pending) < bound
 
     def _next(self) -> Loaded:

@@ -80,7 +80,7 @@ class Threads:
     def __init__(self, jobs: int) -> None:
         self.jobs = jobs
         self.ahead = 4 * jobs
-        self.ahead_bytes = jobs << 24
+        self.ahead_bytes = jobs << 23
         self._tasks: SimpleQueue[Task[Any] | None] = SimpleQueue()
         self._threads: list[Thread] = []
 

@@ -13,8 +13,8 @@ _M_TRIM_THRESHOLD = -1
 _M_TOP_PAD = -2
 _M_MMAP_THRESHOLD = -3
 
-#: The most that glibc takes (half of a thread's heap), and more than a cloud needs.
-_MMAP_FROM_BYTES = 32 << 20
+#: More than a cloud or a chunk needs, as a rule. Larger buffers would leave holes of their size.
+_MMAP_FROM_BYTES = 20 << 20
 _KEPT_BYTES = 64 << 20
 _GROWN_BY_BYTES = 16 << 20
 
