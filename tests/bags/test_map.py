@@ -137,10 +137,12 @@ def test_arguments_have_no_names(file: Any) -> None:
 
 
 ELSEWHERE = """
-import mmap, os, sys
+import faulthandler, mmap, os, sys
 from pc2scan.bags._map import Map
 with open(sys.argv[1], "rb+") as file:
     mapped = Map(file.fileno(), 4096)
+    if sys.argv[2:]:
+        faulthandler.enable()
     mapped.fetch(0, 1)
     other = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
     os.ftruncate(file.fileno(), 0)
@@ -149,17 +151,22 @@ with open(sys.argv[1], "rb+") as file:
 """
 
 
-@pytest.mark.parametrize("options", [[], ["-X", "faulthandler"]], ids=["no handler", "a handler from before"])
-def test_other_maps_are_none_of_its_business(options: list[str], file: Any) -> None:
+@pytest.mark.parametrize(
+    ("options", "later"),
+    [([], []), (["-X", "faulthandler"], []), ([], ["later"])],
+    ids=["no handler", "a handler from before", "a handler that hands back what it is given"],
+)
+def test_other_maps_are_none_of_its_business(options: list[str], later: list[str], file: Any) -> None:
     done = subprocess.run(
-        [sys.executable, *options, "-c", ELSEWHERE, file.name],
+        [sys.executable, *options, "-c", ELSEWHERE, file.name, *later],
+        timeout=60,
         capture_output=True,
         text=True,
         check=False,
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_CORE, (0, 0)),
     )
     assert (done.returncode, done.stdout) == (-signal.SIGBUS, "0\n")
-    assert ("Fatal Python error: Bus error" in done.stderr) is bool(options)
+    assert ("Fatal Python error: Bus error" in done.stderr) is bool(options or later)
 
 
 def test_a_handler_that_came_later_does_not_stay_alone(file: Any) -> None:

@@ -31,6 +31,8 @@ static struct {
 } guarded[PLACES];
 
 static struct sigaction before;
+/* Handlers that come later may have this one for theirs from before, and hand on to it what it has handed to them. */
+static atomic_bool handed_on;
 static uintptr_t page_size;
 
 static void on_bus_error(int signal, siginfo_t *told, void *context) {
@@ -48,7 +50,8 @@ static void on_bus_error(int signal, siginfo_t *told, void *context) {
         return;
     }
     /* What caused it happens again, and meets the handler from before; what was sent is sent again. */
-    sigaction(signal, &before, NULL);
+    const struct sigaction standard = {.sa_handler = SIG_DFL};
+    sigaction(signal, atomic_exchange(&handed_on, 1) ? &standard : &before, NULL);
     if (told->si_code <= 0) raise(signal);
     errno = number;
 }
@@ -61,6 +64,7 @@ static int guarding(void) {
     struct sigaction ours = {.sa_sigaction = on_bus_error, .sa_flags = SA_SIGINFO | SA_ONSTACK};
     sigemptyset(&ours.sa_mask);
     before = now;
+    atomic_store(&handed_on, 0);
     return sigaction(SIGBUS, &ours, NULL) == 0;
 }
 

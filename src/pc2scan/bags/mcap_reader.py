@@ -167,7 +167,7 @@ class McapReader:
         if rule and alone and not self._verify and not self._packs(segments[0]):
             blindly = agreed(self._contents, rule)
 
-        none = DamageLog(strict=True)
+        intolerant = DamageLog(strict=True)
 
         def sound(segment: Segment, data: memoryview) -> list[RawMessage]:
             found, others, size = _messages_in(data, wanted, first, stop)
@@ -194,7 +194,9 @@ class McapReader:
                 return seen
 
             def taken(data: memoryview) -> list[RawMessage]:
-                return worked_on(unpacked_messages(sound(segment, data), none, segment.offset, self._file.path), work)
+                return worked_on(
+                    unpacked_messages(sound(segment, data), intolerant, segment.offset, self._file.path), work
+                )
 
             # What is damaged is read again, to see what is left of it.
             with suppress(DamageError):
