@@ -12,7 +12,7 @@ from .compare.diff import diff as compare
 from .compare.rules import Rules
 from .core.params import ProjectionParams
 from .pipeline.frames import FrameOptions
-from .pipeline.options import ConvertOptions, TimeBound, TopicRequest
+from .pipeline.options import ConvertOptions
 from .pipeline.run import OutputOptions, Progress, run
 
 if TYPE_CHECKING:
@@ -107,19 +107,19 @@ def convert(
     0
     """
     paths = [sources] if isinstance(sources, str | PathLike) else sources
-    options = ConvertOptions(
+    options = ConvertOptions.of(
         params=params or ProjectionParams(),
         reverse=reverse,
         channels=channels,
         deskew=deskew,
         frames=frames or FrameOptions(),
-        topics=tuple(TopicRequest.parse(topic) for topic in topics),
+        topics=topics,
         keep_clouds=keep_clouds,
         only_scans=only_scans,
-        keep=tuple(keep),
-        drop=tuple(drop),
-        start=None if start is None else TimeBound.parse(start),
-        end=None if end is None else TimeBound.parse(end),
+        keep=keep,
+        drop=drop,
+        start=start,
+        end=end,
         on_error=on_error,
         ros_distro=ros_distro,
         jobs=jobs,

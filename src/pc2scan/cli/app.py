@@ -11,6 +11,7 @@ from typer.core import TyperCommand, TyperGroup
 
 from pc2scan.errors import Pc2ScanError
 
+from .groups import flat
 from .render import error_text
 
 if TYPE_CHECKING:
@@ -115,5 +116,5 @@ def application(command: str | None = None) -> typer.Typer:
     )
     app.callback()(root)
     for name in (command,) if command in COMMANDS else COMMANDS:
-        app.command(cls=_Command)(getattr(import_module(f".{name}", __package__), name))
+        app.command(name, cls=_Command)(flat(getattr(import_module(f".{name}", __package__), name)))
     return app

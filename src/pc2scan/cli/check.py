@@ -11,7 +11,8 @@ import typer
 from pc2scan.errors import stamp_text
 
 from .damage import show_damage
-from .render import printable
+from .options import Json, TfSources
+from .render import print_json, printable, warn
 
 if TYPE_CHECKING:
     from pc2scan.inspect.check import Check, ConsumerCheck, TopicCheck
@@ -63,15 +64,9 @@ def check(
             show_default=False,
         ),
     ] = "",
-    tf_from: Annotated[
-        list[Path],
-        typer.Option("--tf-from", metavar="FILE", help="Take transforms from this recording too. Repeatable."),
-    ] = [],  # noqa: B006
-    tf_topic: Annotated[
-        list[str],
-        typer.Option("--tf-topic", metavar="TOPIC", help="Where the transforms are, if not on /tf and /tf_static."),
-    ] = [],  # noqa: B006
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    *,
+    transforms: TfSources,
+    as_json: Json = False,
 ) -> None:
     """Tell whether SLAM and navigation would take a recording's scans.
 
@@ -82,7 +77,6 @@ def check(
     Exit status: 0 all accepted (and no defect, without --for), 1 not, 2 wrong usage.
     """
     from pc2scan.inspect.check import check as look
-    from pc2scan.pipeline.frames import FrameOptions
 
     result = look(
         sources,
@@ -90,18 +84,16 @@ def check(
         topics=topics,
         odom_frame=odom_frame,
         base_frame=base_frame,
-        frames=FrameOptions(tf_topics=tuple(tf_topic), tf_from=tuple(tf_from)),
+        frames=transforms.options(),
     )
     if as_json:
-        import json
-
-        typer.echo(json.dumps(result.as_dict(), indent=2))
+        print_json(result.as_dict())
     else:
         for topic in result.topics:
             _show_topic(topic, result.asked)
         typer.echo(_conclusion(result))
         for warning in result.warnings:
-            typer.echo(f"warning: {printable(warning)}", err=True)
+            warn(warning)
     show_damage(result.damage)
     raise typer.Exit(result.exit_status)
 

@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from .render import printable
+from .options import Json
+from .render import print_json, printable
 from .unusable import exit_status_2
 
 __all__ = ["diff"]
@@ -74,7 +75,7 @@ def diff(
             rich_help_panel=_RULES,
         ),
     ] = [],  # noqa: B006
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    as_json: Json = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Tell by the exit status only.")] = False,
 ) -> None:
     """Show what differs between two recordings.
@@ -99,9 +100,7 @@ def diff(
         pairs = [TopicPair.parse(topic) for topic in topics]
         result = compare(a, b, topics=pairs, all_topics=all_topics, rules=rules)
     if as_json:
-        import json
-
-        typer.echo(json.dumps(result.as_dict(), indent=2))
+        print_json(result.as_dict())
     elif not quiet:
         for line in str(result).splitlines():
             typer.echo(printable(line))

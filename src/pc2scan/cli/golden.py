@@ -9,7 +9,8 @@ import typer
 
 from pc2scan.errors import OutputError
 
-from .render import printable
+from .options import Json
+from .render import print_json, printable
 from .unusable import exit_status_2
 
 if TYPE_CHECKING:
@@ -34,7 +35,7 @@ def golden(
     junit: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write the results as JUnit XML, for CI systems.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    as_json: Json = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Do not show cases that passed.")] = False,
 ) -> None:
     """Check conversions against what they are expected to make.
@@ -63,9 +64,7 @@ def golden(
         if junit is not None:
             _write_junit(report, junit)
     if as_json:
-        import json
-
-        typer.echo(json.dumps(report.as_dict(), indent=2))
+        print_json(report.as_dict())
     else:
         counted = [f"{number} {outcome.value}" for outcome, number in report.counts.items() if number]
         typer.echo(f"{', '.join(counted)} in {report.seconds:.1f} s")

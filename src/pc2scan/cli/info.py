@@ -10,7 +10,8 @@ import typer
 from pc2scan.errors import stamp_text
 
 from .damage import show_damage
-from .render import count, printable, size, table
+from .options import Json
+from .render import count, print_json, printable, size, table
 
 if TYPE_CHECKING:
     from pc2scan.inspect.info import CloudInfo, Info
@@ -28,7 +29,7 @@ def info(
     samples: Annotated[
         int, typer.Option(min=1, help="Clouds of each topic to look at, spread over the recording.")
     ] = 10,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    as_json: Json = False,
 ) -> None:
     """Show what is in a recording and its clouds.
 
@@ -39,9 +40,7 @@ def info(
 
     result = look(sources, samples=samples)
     if as_json:
-        import json
-
-        typer.echo(json.dumps(result.as_dict(), indent=2))
+        print_json(result.as_dict())
     else:
         _show(result)
     show_damage(result.damage)

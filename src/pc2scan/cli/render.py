@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
     from pc2scan.errors import Pc2ScanError
 
-__all__ = ["count", "error_text", "printable", "size", "table"]
+__all__ = ["count", "error_text", "print_json", "printable", "size", "table", "warn"]
 
 
 #: Characters of a text, and of a cell of a table. ROS's own names have at most 255.
@@ -54,6 +54,18 @@ def error_text(err: Pc2ScanError) -> str:
     if err.hint:
         lines.append(f"hint: {printable(err.hint)}")
     return "\n".join(lines)
+
+
+def warn(text: str) -> None:
+    """Show a warning on standard error."""
+    typer.echo(f"warning: {printable(text)}", err=True)
+
+
+def print_json(document: object) -> None:
+    """Print JSON on standard output."""
+    import json
+
+    typer.echo(json.dumps(document, indent=2))
 
 
 def count(number: int) -> str:

@@ -7,11 +7,9 @@ from typing import Annotated
 
 import typer
 
-from pc2scan.errors import UsageError
-
-from .convert import Compression, Storage, show, write_report
-from .damage import show_recovery
-from .render import printable
+from .options import Compression, Storage
+from .outcome import check_report_file, conclude, show, write_report
+from .render import print_json
 
 __all__ = ["repair"]
 
@@ -47,29 +45,21 @@ def repair(
 
     Exit status 0 if nothing was damaged (DST is then a sound copy), 3 if something was. SRC is never changed.
     """
-    if report is not None and not report.parent.is_dir():
-        raise UsageError("the report cannot be written: its directory does not exist", path=report)
+    check_report_file(report)
 
     from pc2scan.pipeline.options import ConvertOptions
     from pc2scan.pipeline.run import OutputOptions, run
 
     from .progress import progress_bar
 
-    form = OutputOptions(
-        storage=storage and storage.value, compression=compression and compression.value, overwrite=overwrite
-    )
+    form = OutputOptions(storage=storage, compression=compression, overwrite=overwrite)
     options = ConvertOptions(repair=True, verify=not no_verify)
     with progress_bar(enabled=not (quiet or as_json)) as progress:
         result = run([source], output, options, form, progress=progress)
     if report is not None:
         write_report(result, report)
     if as_json:
-        import json
-
-        typer.echo(json.dumps(result.as_dict(), indent=2))
+        print_json(result.as_dict())
     elif not quiet:
         show(result)
-    show_recovery(result)
-    for warning in result.warnings:
-        typer.echo(f"warning: {printable(warning)}", err=True)
-    raise typer.Exit(result.exit_status)
+    raise conclude(result)

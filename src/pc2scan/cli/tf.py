@@ -10,7 +10,8 @@ import typer
 from pc2scan.errors import UsageError, stamp_text
 
 from .damage import show_damage
-from .render import count, printable, table
+from .options import Json, StaticTf, TfTopics
+from .render import count, print_json, printable, table, warn
 
 if TYPE_CHECKING:
     from pc2scan.core.rigid import Rigid
@@ -40,15 +41,9 @@ def tf(
             show_default="the latest that all frames on the way have",
         ),
     ] = None,
-    tf_topic: Annotated[
-        list[str],
-        typer.Option("--tf-topic", metavar="TOPIC", help="Where the transforms are, if not on /tf and /tf_static."),
-    ] = [],  # noqa: B006 - typer reads the default and never hands it out
-    static_tf: Annotated[
-        list[str],
-        typer.Option("--static-tf", metavar="TRANSFORM", help="Add a transform, as convert does."),
-    ] = [],  # noqa: B006
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    tf_topic: TfTopics = [],  # noqa: B006 - typer reads the default and never hands it out
+    static_tf: StaticTf = [],  # noqa: B006
+    as_json: Json = False,
 ) -> None:
     """Show the frames of a recording.
 
@@ -68,9 +63,7 @@ def tf(
         rigid = tree.buffer.lookup(frames[0], frames[1], stamp_ns)
         _show_transform(frames[0], frames[1], stamp_ns, rigid, as_json=as_json)
     elif as_json:
-        import json
-
-        typer.echo(json.dumps(tree.as_dict(), indent=2))
+        print_json(tree.as_dict())
     else:
         _show(tree)
 
@@ -87,20 +80,15 @@ def _show_transform(target: str, source: str, stamp_ns: int, rigid: Rigid, *, as
     translation, quaternion = rigid.translation.tolist(), rigid.quaternion.tolist()
     roll, pitch, yaw = rigid.rpy
     if as_json:
-        import json
-
-        typer.echo(
-            json.dumps(
-                {
-                    "target": target,
-                    "source": source,
-                    "stamp_ns": stamp_ns or None,
-                    "translation": translation,
-                    "rotation": quaternion,
-                    "rpy": [roll, pitch, yaw],
-                },
-                indent=2,
-            )
+        print_json(
+            {
+                "target": target,
+                "source": source,
+                "stamp_ns": stamp_ns or None,
+                "translation": translation,
+                "rotation": quaternion,
+                "rpy": [roll, pitch, yaw],
+            }
         )
         return
     when = f"at {stamp_text(stamp_ns)}" if stamp_ns else "at the latest common time"
@@ -146,7 +134,7 @@ def _show(tree: FrameTree) -> None:
             left=("child", "parent", "kind", "largest gap"),
         )
     for warning in tree.warnings:
-        typer.echo(f"warning: {printable(warning)}", err=True)
+        warn(warning)
 
 
 def _drawn(roots: tuple[str, ...], children: dict[str, list[FrameInfo]]) -> list[str]:

@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from decimal import Decimal, InvalidOperation
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import UsageError
@@ -16,6 +16,8 @@ from pc2scan.messages.pointcloud2 import POINTCLOUD2
 from .frames import FrameOptions
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from pc2scan.core.unproject import UnprojectParams
 
 __all__ = ["ConvertOptions", "TimeBound", "TopicRequest"]
@@ -176,6 +178,33 @@ class ConvertOptions:
                 "deskew needs a target_frame that does not move with the sensor",
                 hint="such as --target-frame odom",
             )
+
+    @classmethod
+    def of(
+        cls,
+        *,
+        topics: Iterable[str] = (),
+        keep: Iterable[str] = (),
+        drop: Iterable[str] = (),
+        start: str | None = None,
+        end: str | None = None,
+        **others: Any,
+    ) -> ConvertOptions:
+        """Read what a user writes as text; ``others`` are attributes as they are.
+
+        Raises
+        ------
+        UsageError
+            If a topic or a time cannot be read, or options contradict each other.
+        """
+        return cls(
+            topics=tuple(TopicRequest.parse(topic) for topic in topics),
+            keep=tuple(keep),
+            drop=tuple(drop),
+            start=None if start is None else TimeBound.parse(start),
+            end=None if end is None else TimeBound.parse(end),
+            **others,
+        )
 
     @property
     def source_type(self) -> str:

@@ -82,6 +82,11 @@ class Parameter:
         """The command line's spelling: ``--range-min``."""
         return f"--{self.name.replace('_', '-')}"
 
+    @property
+    def negation(self) -> str:
+        """The command line's spelling of a bool that is false: ``--no-use-inf``."""
+        return f"--no-{self.name.replace('_', '-')}"
+
 
 @dataclass(frozen=True, slots=True)
 class Setting:

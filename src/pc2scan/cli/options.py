@@ -1,0 +1,513 @@
+"""The options that commands share, in groups, and what each group means to the library.
+
+No ``from __future__ import annotations`` here: see `pc2scan.cli.groups.Group`.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from inspect import Parameter
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+
+import typer
+
+from pc2scan.pipeline.parameters import PARAMETERS, Setting
+from pc2scan.pipeline.ros_scalars import plain_scalar
+
+from .groups import Group
+from .render import warn
+
+if TYPE_CHECKING:
+    from pc2scan.core.unproject import UnprojectParams
+    from pc2scan.pipeline.frames import FrameOptions
+    from pc2scan.pipeline.options import ConvertOptions
+    from pc2scan.pipeline.run import OutputOptions
+
+__all__ = [
+    "Compression",
+    "Conversion",
+    "Json",
+    "Output",
+    "Reporting",
+    "StaticTf",
+    "Storage",
+    "TfSources",
+    "TfTopics",
+]
+
+Storage = Literal["mcap", "sqlite3"]
+Compression = Literal["none", "lz4", "zstd", "bz2"]
+
+_TOPICS = "Topics and time"
+_PARAMS = "Parameters of pointcloud_to_laserscan"
+_SLAM = "Ready for SLAM (beyond pointcloud_to_laserscan)"
+_FRAMES = "Frames"
+_REVERSE = "The way back"
+_RUN = "Run"
+_OUTPUT = "Output"
+_REPORT = "Report"
+
+Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+StaticTf = Annotated[
+    list[str],
+    typer.Option(
+        "--static-tf",
+        metavar="TRANSFORM",
+        help="A transform that the recording lacks: 'parent child x y z qx qy qz qw' or "
+        "'parent child x y z roll pitch yaw' (m, rad). Repeatable; beats the recording's.",
+        rich_help_panel=_FRAMES,
+    ),
+]
+TfTopics = Annotated[
+    list[str],
+    typer.Option(
+        "--tf-topic",
+        metavar="TOPIC",
+        help="Where the transforms are, if not on /tf and /tf_static. Repeatable.",
+        rich_help_panel=_FRAMES,
+    ),
+]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Topics(Group):
+    """Which topics are converted, which are written, and from when to when."""
+
+    topics: Annotated[
+        list[str],
+        typer.Option(
+            "--topic",
+            "-t",
+            metavar="IN[:=OUT]",
+            help="PointCloud2 topic to convert, and the topic of its scans. Repeatable. "
+            "Default: every PointCloud2 topic; one becomes /scan, several <topic>/scan.",
+            rich_help_panel=_TOPICS,
+        ),
+    ] = field(default_factory=list)
+    keep: Annotated[
+        list[str],
+        typer.Option(
+            "--keep",
+            metavar="TOPIC",
+            help="Of the topics that are not converted, write only these (names or globs). Repeatable.",
+            rich_help_panel=_TOPICS,
+        ),
+    ] = field(default_factory=list)
+    drop: Annotated[
+        list[str],
+        typer.Option(
+            "--drop",
+            metavar="TOPIC",
+            help="Leave these topics out (names or globs). Repeatable.",
+            rich_help_panel=_TOPICS,
+        ),
+    ] = field(default_factory=list)
+    keep_clouds: Annotated[
+        bool, typer.Option("--keep-clouds", help="Write the converted clouds too.", rich_help_panel=_TOPICS)
+    ] = False
+    only_scans: Annotated[
+        bool, typer.Option("--only-scans", help="Write nothing but the scans.", rich_help_panel=_TOPICS)
+    ] = False
+    start: Annotated[
+        str | None,
+        typer.Option(
+            metavar="TIME",
+            help="Begin here: seconds from the beginning, @seconds since 1970, or a date and time (ISO 8601). "
+            "Latched and static-transform messages from before are kept.",
+            rich_help_panel=_TOPICS,
+        ),
+    ] = None
+    end: Annotated[
+        str | None,
+        typer.Option(metavar="TIME", help="End before this time; like --start.", rich_help_panel=_TOPICS),
+    ] = None
+
+
+@dataclass(frozen=True)
+class ParameterOptions(Group):
+    """One option for each parameter of the projection.
+
+    Attributes
+    ----------
+    settings
+        What was typed, and as which option; the rest is unset, so that files can speak.
+    """
+
+    settings: tuple[Setting, ...]
+
+    @classmethod
+    def parameters(cls) -> Iterator[Parameter]:
+        """The options, as `PARAMETERS` has them."""
+        kinds = {"bool": bool, "int": int, "float": float, "str": str}
+        for name, parameter in PARAMETERS.items():
+            boolean = parameter.kind == "bool"
+            default = str(parameter.default).lower() if boolean else str(parameter.default)
+            # There 0 means that another parameter counts.
+            shown = default and name not in {"beams", "kth"}
+            metavar = {"float": parameter.unit.upper(), "int": "N", "str": "NAME"}.get(parameter.kind)
+            if name == "target_frame":
+                metavar = "FRAME"
+            elif parameter.words:
+                metavar = "|".join((parameter.unit.upper(),) * (parameter.kind == "float") + parameter.words)
+            option = typer.Option(
+                None,
+                f"{parameter.option}/{parameter.negation}" if boolean else parameter.option,
+                help=parameter.help
+                + (f"  [default: {' '.join(filter(None, (default, parameter.unit)))}]" if shown else ""),
+                show_default=False,
+                metavar=metavar,
+                rich_help_panel=_PARAMS if parameter.upstreams else _SLAM,
+            )
+            # A number that may also be a word is read as text.
+            kind = str if parameter.words else kinds[parameter.kind]
+            yield Parameter(name, Parameter.KEYWORD_ONLY, default=option, annotation=kind)
+
+    @classmethod
+    def gathered(cls, values: Mapping[str, Any]) -> Self:
+        """Take the options that were typed."""
+        settings = []
+        for name, parameter in PARAMETERS.items():
+            value = values[name]
+            if value is not None:
+                option = parameter.negation if value is False else parameter.option
+                number = parameter.kind == "float" and isinstance(value, str)
+                settings.append(Setting(name, plain_scalar(value) if number else value, option))
+        return cls(tuple(settings))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Projection(Group):
+    """The parameters of the projection, wherever they are given."""
+
+    params_file: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="ROS 2 parameter file or ROS 1 YAML, the file that ran the robot.",
+            rich_help_panel=_PARAMS,
+        ),
+    ] = None
+    node: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Whose section of the parameter file, if it has several.",
+            rich_help_panel=_PARAMS,
+        ),
+    ] = None
+    param: Annotated[
+        list[str],
+        typer.Option(
+            "--param",
+            "-p",
+            metavar="NAME:=VALUE",
+            help="A parameter in ROS's notation. Repeatable; beats the file, and an option below beats it.",
+            rich_help_panel=_PARAMS,
+        ),
+    ] = field(default_factory=list)
+    preset: Annotated[
+        str | None,
+        typer.Option(
+            metavar="CONSUMER",
+            help="Choose what suits a consumer of the scans: slam_toolbox, cartographer, gmapping, amcl, nav2. Every "
+            "parameter that is given, here or in a file, beats it.",
+            rich_help_panel=_SLAM,
+        ),
+    ] = None
+    given: ParameterOptions
+
+
+@dataclass(frozen=True, kw_only=True)
+class TfSources(Group):
+    """Where transforms are."""
+
+    tf_from: Annotated[
+        list[Path],
+        typer.Option(
+            "--tf-from",
+            metavar="FILE",
+            help="Take transforms from this recording too. Repeatable.",
+            rich_help_panel=_FRAMES,
+        ),
+    ] = field(default_factory=list)
+    tf_topic: TfTopics = field(default_factory=list)
+
+    def options(self) -> "FrameOptions":
+        """What the library takes."""
+        from pc2scan.pipeline.frames import FrameOptions
+
+        return FrameOptions(tf_topics=tuple(self.tf_topic), tf_from=tuple(self.tf_from))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Frames(Group):
+    """Frames, and the transforms between them."""
+
+    static_tf: StaticTf = field(default_factory=list)
+    static_tf_file: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="A YAML list of such transforms.", rich_help_panel=_FRAMES),
+    ] = None
+    write_static_tf: Annotated[
+        bool,
+        typer.Option(
+            "--write-static-tf",
+            help="Write the added transforms to DST's /tf_static.",
+            rich_help_panel=_FRAMES,
+        ),
+    ] = False
+    transforms: TfSources
+    source_frame: Annotated[
+        str,
+        typer.Option(
+            metavar="FRAME",
+            help="Frame of the messages to convert, where their own frame_id is wrong or empty.",
+            show_default=False,
+            rich_help_panel=_FRAMES,
+        ),
+    ] = ""
+
+    def options(self) -> "FrameOptions":
+        """What the library takes."""
+        from pc2scan.pipeline.frames import FrameOptions, StaticTransform, load_static_transforms
+
+        return FrameOptions(
+            tf_topics=tuple(self.transforms.tf_topic),
+            tf_from=tuple(self.transforms.tf_from),
+            static=(
+                *(load_static_transforms(self.static_tf_file) if self.static_tf_file else ()),
+                *(StaticTransform.parse(text) for text in self.static_tf),
+            ),
+            source_frame=self.source_frame,
+            write_static=self.write_static_tf,
+        )
+
+
+class Channel(StrEnum):
+    """Channels that laser_geometry can add to a cloud."""
+
+    distances = "distances"
+    stamps = "stamps"
+    viewpoint = "viewpoint"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reverse(Group):
+    """The way back, from scans to clouds."""
+
+    reverse: Annotated[
+        bool,
+        typer.Option(
+            "--reverse",
+            help="Convert LaserScan to PointCloud2, as laserscan_to_pointcloud does.",
+            rich_help_panel=_REVERSE,
+        ),
+    ] = False
+    deskew: Annotated[
+        bool,
+        typer.Option(
+            "--deskew",
+            help="Transform each beam by the pose at its own time; needs a --target-frame such as odom.",
+            rich_help_panel=_REVERSE,
+        ),
+    ] = False
+    channels: Annotated[
+        list[Channel],
+        typer.Option(
+            "--channel",
+            metavar="NAME",
+            help="Further fields of the cloud: distances, stamps, viewpoint. Repeatable.",
+            rich_help_panel=_REVERSE,
+        ),
+    ] = field(default_factory=list)
+    range_cutoff: Annotated[
+        float | None,
+        typer.Option(
+            metavar="M",
+            help="Keep only returns nearer than this.  [default: the scan's range_max]",
+            rich_help_panel=_REVERSE,
+        ),
+    ] = None
+
+    def fields(self) -> "UnprojectParams | None":
+        """The fields of the clouds; None where nothing was asked for, which is cheaper to start."""
+        if not self.channels and self.range_cutoff is None:
+            return None
+        from pc2scan.core.unproject import UnprojectParams
+
+        return UnprojectParams(
+            distances=Channel.distances in self.channels,
+            stamps=Channel.stamps in self.channels,
+            viewpoint=Channel.viewpoint in self.channels,
+            range_cutoff=-1.0 if self.range_cutoff is None else self.range_cutoff,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Running(Group):
+    """How the work is done."""
+
+    on_error: Annotated[
+        Literal["skip", "fail"],
+        typer.Option(
+            help="What a message that cannot be converted does: skip counts and lists it, fail ends the run.",
+            rich_help_panel=_RUN,
+        ),
+    ] = "skip"
+    jobs: Annotated[
+        int,
+        typer.Option(
+            "--jobs",
+            "-j",
+            min=0,
+            metavar="N",
+            help="Threads; the output does not depend on it.  [default: the cores]",
+            show_default=False,
+            rich_help_panel=_RUN,
+        ),
+    ] = 0
+    no_verify: Annotated[
+        bool,
+        typer.Option(
+            "--no-verify",
+            help="Do not compare the CRCs of an MCAP source: faster, but damage may go unnoticed.",
+            rich_help_panel=_RUN,
+        ),
+    ] = False
+    strict: Annotated[
+        bool,
+        typer.Option(
+            "--strict",
+            help="Refuse a damaged source. Without it everything readable is recovered, the rest is reported, "
+            "and the exit status is 3.",
+            rich_help_panel=_RUN,
+        ),
+    ] = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Conversion(Group):
+    """Everything that decides what is converted, and into what; not how it is written, nor what is reported."""
+
+    topics: Topics
+    projection: Projection
+    frames: Frames
+    reverse: Reverse
+    running: Running
+
+    def options(self, *, ros_distro: str = "") -> "tuple[ConvertOptions, Mapping[str, str]]":
+        """What the library takes, and where each parameter comes from.
+
+        What a parameter file has besides the projection's parameters is reported on standard error.
+        """
+        from pc2scan.pipeline.param_sources import resolve_sources
+
+        asked = self.projection
+        resolved = resolve_sources(
+            asked.given.settings,
+            assignments=asked.param,
+            file=asked.params_file,
+            node=asked.node,
+            preset=asked.preset,
+            reverse=self.reverse.reverse,
+        )
+        for origin in resolved.ignored:
+            warn(f"not a parameter of the projection, ignored: {origin}")
+
+        from pc2scan.pipeline.options import ConvertOptions
+
+        topics, running = self.topics, self.running
+        options = ConvertOptions.of(
+            params=resolved.params,
+            reverse=resolved.reverse,
+            channels=self.reverse.fields(),
+            deskew=self.reverse.deskew,
+            frames=self.frames.options(),
+            topics=topics.topics,
+            keep=topics.keep,
+            drop=topics.drop,
+            keep_clouds=topics.keep_clouds,
+            only_scans=topics.only_scans,
+            start=topics.start,
+            end=topics.end,
+            on_error=running.on_error,
+            ros_distro=ros_distro,
+            jobs=running.jobs,
+            verify=not running.no_verify,
+            strict=running.strict,
+        )
+        return options, resolved.origin
+
+
+@dataclass(frozen=True, kw_only=True)
+class Output(Group):
+    """How the destination is written."""
+
+    storage: Annotated[
+        Storage | None,
+        typer.Option(help="Storage of a rosbag2 directory.  [default: mcap]", rich_help_panel=_OUTPUT),
+    ] = None
+    compression: Annotated[
+        Compression | None,
+        typer.Option(
+            help="Bags: lz4 (default), none, bz2. MCAP: zstd (default), none, lz4. sqlite3: none (default), zstd. "
+            "Left out, chunks that are copied whole keep theirs.",
+            show_default=False,
+            rich_help_panel=_OUTPUT,
+        ),
+    ] = None
+    profile: Annotated[
+        Literal["ros1", "ros2"] | None,
+        typer.Option(help="ROS version of an .mcap file.  [default: the source's]", rich_help_panel=_OUTPUT),
+    ] = None
+    metadata_version: Annotated[
+        int,
+        typer.Option(
+            min=8,
+            max=9,
+            metavar="8|9",
+            help="Version of a rosbag2 directory's metadata.yaml; older readers refuse 9.",
+            rich_help_panel=_OUTPUT,
+        ),
+    ] = 8
+    ros_distro: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME",
+            help="Whose message definitions stand in for those that a recording lacks.  [default: noetic, jazzy]",
+            show_default=False,
+            rich_help_panel=_OUTPUT,
+        ),
+    ] = ""
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace DST if it exists.", rich_help_panel=_OUTPUT)
+    ] = False
+
+    def options(self) -> "OutputOptions":
+        """What the library takes."""
+        from pc2scan.pipeline.run import OutputOptions
+
+        return OutputOptions(
+            storage=self.storage,
+            compression=self.compression,
+            profile=self.profile,
+            metadata_version=self.metadata_version,
+            overwrite=self.overwrite,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reporting(Group):
+    """What is shown and written about a conversion."""
+
+    report: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write what happened as JSON.", rich_help_panel=_REPORT)
+    ] = None
+    quiet: Annotated[
+        bool, typer.Option("--quiet", "-q", help="Show warnings and errors only.", rich_help_panel=_REPORT)
+    ] = False
+    verbose: Annotated[
+        bool,
+        typer.Option("--verbose", "-v", help="Show every parameter and its origin.", rich_help_panel=_REPORT),
+    ] = False

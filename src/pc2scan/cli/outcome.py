@@ -1,0 +1,123 @@
+"""What a conversion did, as tables on standard output, as notes on standard error, and as a file."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import typer
+
+from pc2scan.errors import OutputError, UsageError, stamp_text
+from pc2scan.pipeline.parameters import PARAMETERS
+
+from .damage import SHOWN, show_recovery
+from .render import count, printable, size, table, warn
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from pc2scan.pipeline.report import Report, Skipped
+
+__all__ = ["check_report_file", "conclude", "show", "write_report"]
+
+
+def check_report_file(report: Path | None) -> None:
+    """Refuse, before anything is done, a report that could not be written afterwards."""
+    if report is not None and not report.parent.is_dir():
+        raise UsageError("the report cannot be written: its directory does not exist", path=report)
+
+
+def write_report(report: Report, path: Path) -> None:
+    """Write the report beside its name and rename it, so that a half-written one is never read."""
+    import json
+
+    text = json.dumps(report.as_dict(), indent=2) + "\n"
+    partial = path.with_name(f"{path.name}.pc2scan-partial")
+    try:
+        partial.write_text(text, "utf-8")
+        partial.replace(path)
+    except OSError as err:
+        raise OutputError(f"the report cannot be written: {err.strerror}", path=path) from err
+
+
+def show(report: Report, *, verbose: bool = False) -> None:
+    """Print what happened."""
+    if verbose:
+        table(
+            ("parameter", "value", "from"),
+            [(name, str(getattr(report.params, name)), report.origins.get(name, "default")) for name in PARAMETERS],
+            left=("parameter", "from"),
+        )
+        typer.echo()
+    table(
+        ("topic", "to", "in", "out", "skipped", "what"),
+        [
+            (
+                topic.topic,
+                topic.target or "-",
+                count(topic.messages_in),
+                count(topic.messages_out),
+                count(topic.skipped),
+                topic.action + (" (cloud kept)" if topic.clouds_kept else "") + (topic.note and f": {topic.note}"),
+            )
+            for topic in report.topics
+        ],
+        left=("topic", "to", "what"),
+    )
+    converted = [topic for topic in report.topics if topic.action == "converted"]
+    if converted:
+        typer.echo()
+        table(
+            ("on", "points", "used", "NaN", "height", "range", "angle", "past end", "empty"),
+            [
+                (
+                    topic.target or "-",
+                    count(topic.points.total),
+                    count(topic.points.used),
+                    count(topic.points.nan),
+                    count(topic.points.height),
+                    count(topic.points.range),
+                    count(topic.points.angle),
+                    count(topic.points.past_end),
+                    count(topic.empty_scans),
+                )
+                for topic in converted
+            ],
+            left=("on",),
+        )
+    typer.echo()
+    for note in report.notes:
+        typer.echo(printable(f"note: {note}"))
+    _show_skipped(report, limit=len(report.skipped) if verbose else SHOWN)
+    typer.echo(
+        printable(
+            f"{report.destination}: {size(report.bytes_written)} from {size(report.bytes_read)} "
+            f"in {report.seconds:.1f} s"
+        )
+    )
+
+
+def _show_skipped(report: Report, limit: int) -> None:
+    """List skipped messages, those of one reason together, and what to do about the first."""
+    reasons: dict[tuple[str, str], list[Skipped]] = {}
+    for entry in report.skipped:
+        reasons.setdefault((entry.topic, entry.reason), []).append(entry)
+    shown = 0
+    for (topic, reason), entries in list(reasons.items())[:limit]:
+        first = entries[0]
+        stamp = "unknown" if first.stamp_ns is None else stamp_text(first.stamp_ns)
+        several = f" and {len(entries) - 1} more" if len(entries) > 1 else ""
+        typer.echo(printable(f"skipped: {topic}, stamp {stamp}{several}: {reason}"), err=True)
+        shown += len(entries)
+    if report.skipped_count > shown:
+        typer.echo(f"skipped: {report.skipped_count - shown:,} more (--verbose or --report tell them)", err=True)
+    hints = [entry.hint for entry in report.skipped if entry.hint]
+    if hints:
+        typer.echo(printable(f"hint: {hints[0]}"), err=True)
+
+
+def conclude(report: Report, *, verbose: bool = False) -> typer.Exit:
+    """Show what the user should know whatever was asked for; return the end of the command, to be raised."""
+    show_recovery(report, limit=len(report.damage) if verbose else SHOWN)
+    for warning in report.warnings:
+        warn(warning)
+    return typer.Exit(report.exit_status)

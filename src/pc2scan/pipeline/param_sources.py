@@ -1,0 +1,92 @@
+"""The parameters of a conversion out of all the places where they may be given."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from pc2scan.errors import UsageError
+
+from .parameters import preset_settings, resolve
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    from pc2scan.core.params import ProjectionParams
+
+    from .parameters import Direction, Setting
+
+__all__ = ["ResolvedSources", "resolve_sources"]
+
+
+@dataclass(frozen=True, slots=True)
+class ResolvedSources:
+    """What `resolve_sources` found.
+
+    Attributes
+    ----------
+    params, origin
+        As those of `pc2scan.pipeline.parameters.ResolvedParams`.
+    reverse
+        Whether scans become clouds.
+    ignored
+        Where the parameter file has something that is no parameter of the projection.
+    """
+
+    params: ProjectionParams
+    origin: Mapping[str, str]
+    reverse: bool
+    ignored: tuple[str, ...] = ()
+
+
+def resolve_sources(
+    settings: Sequence[Setting],
+    *,
+    assignments: Sequence[str] = (),
+    file: Path | None = None,
+    node: str | None = None,
+    preset: str | None = None,
+    reverse: bool = False,
+) -> ResolvedSources:
+    """Resolve parameters: ``settings`` beat ``assignments``, which beat the file, which beats the preset.
+
+    Parameters
+    ----------
+    settings
+        Parameters that are given by themselves.
+    assignments
+        As `pc2scan.pipeline.param_assignment.parse_param` reads them; a later one beats an earlier one.
+    file, node
+        A parameter file, and whose section of it.
+    preset
+        The name of a consumer.
+    reverse
+        Whether scans become clouds. A file whose section is ``laserscan_to_pointcloud`` asks for that too.
+
+    Raises
+    ------
+    UsageError
+        If a parameter, the file or the preset is not as it must be, or the file is for the other direction.
+    """
+    # Only what is given is loaded: a process that converts a small recording spends most of its time on loading.
+    found = list(settings)
+    ignored: tuple[str, ...] = ()
+    if assignments:
+        from .param_assignment import parse_param  # noqa: PLC0415
+
+        found += [parse_param(text) for text in reversed(assignments)]
+    if file is not None:
+        from .params_file import load_params_file  # noqa: PLC0415
+
+        loaded = load_params_file(file, node=node)
+        found += loaded.settings
+        ignored = loaded.ignored
+        if reverse and loaded.direction == "pointcloud_to_laserscan":
+            raise UsageError(f"{loaded.node} is for pointcloud_to_laserscan, --reverse is not", path=file)
+        reverse = reverse or loaded.direction == "laserscan_to_pointcloud"
+    if preset is not None:
+        found += preset_settings(preset)
+    direction: Direction = "laserscan_to_pointcloud" if reverse else "pointcloud_to_laserscan"
+    resolved = resolve(found, direction=direction)
+    return ResolvedSources(resolved.params, resolved.origin, reverse, ignored)
