@@ -24,15 +24,15 @@ def float32(value: float) -> float:
 
 
 def reference_scan(
-    points: Iterable[Iterable[float]], params: ProjectionParams
+    points: Iterable[Iterable[float]], params: ProjectionParams, angles: NDArray[np.float32] | None = None
 ) -> tuple[NDArray[np.float32], PointCounts]:
-    """Ranges and counts of points, given as Python floats."""
+    """Ranges and counts of points, given as Python floats; with other angles of theirs than the correct ones."""
     angle_min, angle_max = float32(params.angle_min), float32(params.angle_max)
     angle_increment = float32(params.angle_increment)
     count = math.ceil(float32(float32(angle_max - angle_min) / angle_increment))
     empty = math.inf if params.use_inf else float32(float32(params.range_max) + params.inf_epsilon)
     ranges = [empty] * count
-    nan = height = too_far = angles = past_end = total = 0
+    nan = height = too_far = outside = past_end = total = 0
     for point in points:
         total += 1
         x, y, z = (float32(value) for value in point)
@@ -46,14 +46,14 @@ def reference_scan(
         if reach < params.range_min or reach > params.range_max:
             too_far += 1
             continue
-        angle = float32(math.atan2(y, x))
+        angle = float32(math.atan2(y, x)) if angles is None else float(angles[total - 1])
         if angle < angle_min or angle > angle_max:
-            angles += 1
+            outside += 1
             continue
         index = int((angle - angle_min) / angle_increment)
         if index >= count:
             past_end += 1
         elif reach < ranges[index]:
             ranges[index] = reach
-    used = total - nan - height - too_far - angles - past_end
-    return np.array(ranges, np.float32), PointCounts(total, used, nan, height, too_far, angles, past_end)
+    used = total - nan - height - too_far - outside - past_end
+    return np.array(ranges, np.float32), PointCounts(total, used, nan, height, too_far, outside, past_end)

@@ -199,7 +199,7 @@ def test_nothing_behind_the_last_point_is_read(step: int) -> None:
 
 
 def test_arrays_that_do_not_fit_together_are_refused() -> None:
-    rule, ranges = np.zeros(12), np.zeros(4, np.float32)
+    rule, move, ranges = np.zeros(13), np.zeros(12), np.zeros(4, np.float32)
     one, two, double = np.zeros(1, np.float32), np.zeros(2, np.float32), np.zeros(1)
     cube, small, long = np.zeros((1, 1, 1), np.float32), np.zeros(1, np.float16), np.zeros(1, np.int64)
     fixed = ranges.copy()
@@ -217,7 +217,7 @@ def test_arrays_that_do_not_fit_together_are_refused() -> None:
             kernel.project(*xyz, rule, None, ranges, 1.0, 1.0)
         with pytest.raises(ValueError, match="coordinates"):
             kernel.gather(*xyz, rule, None, 1, slots, one, numbers)
-    triples = [(rule[:11], None, ranges), (rule, rule[:11], ranges), (rule, None, rule)]
+    triples = [(rule[:12], None, ranges), (rule, move[:11], ranges), (rule, None, rule)]
     for others in triples:
         with pytest.raises(ValueError, match="length or item size"):
             kernel.project(one, one, one, *others, 1.0, 1.0)

@@ -76,6 +76,7 @@ def test_defaults_are_upstreams() -> None:
         "min_points": 1,
         "intensity_field": "",
         "time_increment": 0.0,
+        "angle_rounding": "correct",
     }
 
 

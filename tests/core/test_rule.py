@@ -93,7 +93,7 @@ def test_points_fall_where_their_angles_do(layout: BeamLayout, seed: int) -> Non
     radii = random.uniform(0.1, 50, 400)
     x, y = (radii * np.cos(angles)).astype(np.float32), (radii * np.sin(angles)).astype(np.float32)
     expected = slots_of_angles(layout, np.arctan2(y, x, dtype=np.float64).astype(np.float32))
-    rule = np.array([-math.inf, math.inf, 0.0, math.inf, *centered_beams(layout)])
+    rule = np.array([-math.inf, math.inf, 0.0, math.inf, *centered_beams(layout), 0.0])
     slots, ranges, numbers = np.empty(400, np.int32), np.empty(400, np.float32), np.empty(400, np.int64)
     fates = kernel.gather(x, y, np.zeros_like(x), rule, None, layout.count, slots, ranges, numbers)
     used = 400 - sum(fates)

@@ -27,9 +27,10 @@ _FIELD = struct.Struct("<IBI")
 _NAMES = ("x", "y", "z", "intensity")
 _BIG_ENDIAN, _MOVED, _LIT = 1, 2, 4
 
-_GRIDS: tuple[dict[str, float], ...] = (
+_GRIDS: tuple[dict[str, Any], ...] = (
     {},
     {"angle_increment": 1e-5},
+    {"angle_increment": 0.01, "angle_rounding": "glibc-2.40"},
     {"angle_min": -10.0, "angle_max": 10.0, "angle_increment": 0.01},
     {"angle_min": 0.1, "angle_max": 0.1001, "angle_increment": 1.0},
     {"angle_min": 3.0, "angle_max": 3.3, "angle_increment": 0.001, "range_min": 1.0, "range_max": 2.0},

@@ -32,7 +32,7 @@ def test_each_parameter_says_what_the_help_needs(name: str) -> None:
     parameter = PARAMETERS[name]
     assert parameter.name == name
     words, whole = (
-        ("target_frame", "geometry", "no_return", "reduce", "intensity_field"),
+        ("target_frame", "geometry", "no_return", "reduce", "intensity_field", "angle_rounding"),
         ("beams", "kth", "min_points"),
     )
     kinds = {"use_inf": "bool", "queue_size": "int", **dict.fromkeys(words, "str"), **dict.fromkeys(whole, "int")}

@@ -630,6 +630,7 @@ def any_params(draw: st.DrawFn) -> ProjectionParams:
         min_points=draw(st.integers(1, 9)),
         intensity_field=draw(st.text()),
         time_increment=draw(st.one_of(finite, st.just("auto"))),
+        angle_rounding=draw(st.sampled_from(["correct", "glibc-2.40"])),
     )
 
 

@@ -41,7 +41,7 @@ Compression = Literal["none", "lz4", "zstd", "bz2"]
 
 _TOPICS = "Topics and time"
 _PARAMS = "Parameters of pointcloud_to_laserscan"
-_SLAM = "Ready for SLAM (beyond pointcloud_to_laserscan)"
+_SLAM = "Beyond pointcloud_to_laserscan (ready for SLAM)"
 _FRAMES = "Frames"
 _REVERSE = "The way back"
 _RUN = "Run"

@@ -37,7 +37,7 @@ static const double ATAN[15] = {
     0x1.d17abe7889664p-6,  -0x1.f323674b044a5p-7, 0x1.850bdf56a80b6p-8,  -0x1.807a77421f2f7p-10, 0x1.657b3ba0095aep-13,
 };
 
-/* float32(atan2(y, x)) of up to BLOCK points, none of them NaN. */
+/* float32(atan2(y, x)) of up to BLOCK points. */
 WIDEST static void angles_of(const float *restrict x, const float *restrict y, float *restrict angle, int count) {
     int32_t unsure[BLOCK];
     int32_t any = 0;
@@ -61,10 +61,63 @@ WIDEST static void angles_of(const float *restrict x, const float *restrict y, f
             if (unsure[i]) angle[i] = (float)atan2((double)y[i], (double)x[i]);
 }
 
+/* fdlibm's float32 coefficients of (t - atan(t)) / t, in powers of t * t. */
+static const float FDLIBM[11] = {
+    0x1.555556p-2f, -0x1.99999ap-3f, 0x1.24924ap-3f, -0x1.c71c70p-4f, 0x1.745cdcp-4f, -0x1.3b0f2ap-4f,
+    0x1.10d66ap-4f, -0x1.dde2d6p-5f, 0x1.97b4b2p-5f, -0x1.2b4442p-5f, 0x1.0ad3aep-6f,
+};
+
+/* Its argument reduction, from some quotients t on: atan(t) = high + low + atan((a * t + b) / (c * t + d)). */
+enum { REDUCTIONS = 6 };
+static const struct {
+    float from, a, b, c, d, high, low;
+} REDUCTION[REDUCTIONS] = {
+    {0, 1, 0, 0, 1, 0, 0},
+    {0.4375f, 2, -1, 1, 2, 0x1.dac670p-2f, 0x1.586ed2p-28f},
+    {0.6875f, 1, -1, 1, 1, 0x1.921fb4p-1f, 0x1.4442d0p-25f},
+    {1.1875f, 1, -1.5f, 1.5f, 1, 0x1.f730bcp-1f, 0x1.281f68p-25f},
+    {2.4375f, 0, -1, 1, 0, 0x1.921fb4p+0f, 0x1.4442d0p-24f},
+    {0x1p25f, 0, 0, 0, 1, 0x1.921fb4p+0f, 0x1.4442d0p-24f},
+};
+
+/* atan2f(y, x) of up to BLOCK points as glibc 2.31 to 2.40 returns it on x86-64: fdlibm's algorithm in float32. The
+   same steps as in plain.py. */
+WIDEST static void glibc_angles_of(const float *restrict x, const float *restrict y, float *restrict angle, int count) {
+    const float pi = 0x1.921fb6p+1f, half_pi = 0x1.921fb6p+0f, quarter_pi = 0x1.921fb6p-1f;
+    for (int i = 0; i < count; i++) {
+        const float across = fabsf(x[i]), up = fabsf(y[i]), back = copysignf(1, x[i]);
+        float t = up / across, a = 1, b = 0, c = 0, d = 1, high = 0, low = 0;
+        for (int k = 1; k < REDUCTIONS; k++) {
+            a = t >= REDUCTION[k].from ? REDUCTION[k].a : a;
+            b = t >= REDUCTION[k].from ? REDUCTION[k].b : b;
+            c = t >= REDUCTION[k].from ? REDUCTION[k].c : c;
+            d = t >= REDUCTION[k].from ? REDUCTION[k].d : d;
+            high = t >= REDUCTION[k].from ? REDUCTION[k].high : high;
+            low = t >= REDUCTION[k].from ? REDUCTION[k].low : low;
+        }
+        t = t < 0x1p25f ? t : 0x1p25f;
+        const float s = (a * t + b) / (c * t + d), z = s * s, w = z * z;
+        float odd = FDLIBM[10], even = FDLIBM[9];
+        for (int k = 8; k >= 0; k -= 2) odd = FDLIBM[k] + w * odd;
+        for (int k = 7; k >= 1; k -= 2) even = FDLIBM[k] + w * even;
+        const float ahead = high - ((s * (z * odd + w * even) - low) - s);
+        const float behind = pi - (ahead + 0x1.777a5cp-24f);
+        float turn = back < 0 ? behind : ahead;
+        /* On the axes and at infinity the quotient does not decide. */
+        const float along = back < 0 ? pi : 0, diagonal = back < 0 ? 3 * quarter_pi : quarter_pi;
+        turn = (across == 0) | (up == INFINITY) ? half_pi : turn;
+        turn = (across == INFINITY) & (up == INFINITY) ? diagonal : turn;
+        turn = up == 0 ? along : turn;
+        turn = (across != across) | (up != up) ? across + up : turn;
+        angle[i] = copysignf(turn, y[i]);
+    }
+}
+
 /* What points are compared with: the array that rule.py makes and explains. */
 typedef struct {
     double lowest, highest, least, most;
     double first, last, offset, turn, end, skew, increment, closed;
+    double glibc;
 } Rule;
 
 /* Slots behind the beams: the fates of points that are in none. */
@@ -95,7 +148,8 @@ WIDEST static void project_block(Scan *scan) {
     int32_t slot[BLOCK], lost[FATES] = {0, 0, 0};
     /* float64 holds the squares of float32 exactly, and libm's hypotf adds them in float64. */
     for (int i = 0; i < count; i++) squares[i] = (double)scan->x[i] * scan->x[i] + (double)scan->y[i] * scan->y[i];
-    angles_of(scan->x, scan->y, angle, count);
+    if (rule.glibc) glibc_angles_of(scan->x, scan->y, angle, count);
+    else angles_of(scan->x, scan->y, angle, count);
     for (int i = 0; i < count; i++) {
         double turned = angle[i] + rule.offset;
         turned = turned >= rule.turn ? turned - rule.turn : turned;
@@ -501,7 +555,8 @@ release_cloud:
 static PyObject *angles(PyObject *self, PyObject *args) {
     (void)self;
     PyObject *objects[3];
-    if (!PyArg_ParseTuple(args, "OOO", &objects[0], &objects[1], &objects[2])) return NULL;
+    int glibc = 0;
+    if (!PyArg_ParseTuple(args, "OOO|p", &objects[0], &objects[1], &objects[2], &glibc)) return NULL;
     Py_buffer x, y, out;
     if (contiguous(objects[0], &x, PyBUF_SIMPLE, 4, -1) < 0) return NULL;
     PyObject *result = NULL;
@@ -510,8 +565,8 @@ static PyObject *angles(PyObject *self, PyObject *args) {
     Py_BEGIN_ALLOW_THREADS
     for (Py_ssize_t from = 0; from < x.len / 4; from += BLOCK) {
         Py_ssize_t left = x.len / 4 - from;
-        angles_of((const float *)x.buf + from, (const float *)y.buf + from, (float *)out.buf + from,
-                  left < BLOCK ? (int)left : BLOCK);
+        (glibc ? glibc_angles_of : angles_of)((const float *)x.buf + from, (const float *)y.buf + from,
+                                              (float *)out.buf + from, left < BLOCK ? (int)left : BLOCK);
     }
     Py_END_ALLOW_THREADS
     result = Py_NewRef(Py_None);
@@ -528,7 +583,7 @@ static PyMethodDef methods[] = {
      "project(x, y, z, rule, moved, ranges, limit, empty) -> (nan, height, range, angle, past_end); see plain.py"},
     {"gather", gather, METH_VARARGS,
      "gather(x, y, z, rule, moved, beams, slots, ranges, numbers) -> the same counts; see plain.py"},
-    {"angles", angles, METH_VARARGS, "angles(x, y, out): float32(atan2(y, x)) of contiguous float32, none of them NaN"},
+    {"angles", angles, METH_VARARGS, "angles(x, y, out, glibc=False): atan2(y, x) of contiguous float32; see plain.py"},
     {NULL, NULL, 0, NULL},
 };
 

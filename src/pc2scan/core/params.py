@@ -22,6 +22,7 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "geometry": ("upstream", "centered"),
     "no_return": ("inf", "range-max-plus", "range-max-minus", "nan", "zero"),
     "reduce": ("min", "max", "mean", "median", "kth"),
+    "angle_rounding": ("correct", "glibc-2.40"),
 }
 
 #: Parameters that may be measured in the recording instead of given.
@@ -87,6 +88,9 @@ class ProjectionParams:
     time_increment
         Seconds from one beam to the next, copied into the scan; ``auto``: measured from the clouds' per-point
         times, and the stamp becomes the first beam's.
+    angle_rounding
+        Which ``atan2f`` the angles of points come from: ``correct``, the float32 nearest to the exact angle, as glibc
+        2.41 and later return it on any machine; ``glibc-2.40``, what glibc 2.31 to 2.40 return on x86-64, to the bit.
 
     Raises
     ------
@@ -116,6 +120,7 @@ class ProjectionParams:
     min_points: int = 1
     intensity_field: str = ""
     time_increment: float | Literal["auto"] = 0.0
+    angle_rounding: str = "correct"
 
     @classmethod
     def preset(cls, consumer: str, **changes: float | str) -> ProjectionParams:

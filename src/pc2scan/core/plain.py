@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from . import fdlibm
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
@@ -37,7 +39,7 @@ def project(
     x, y, z
         Coordinates in metres, of one shape, (M,) or (H, W), of any of PointField's datatypes.
     rule
-        (12,), of `rule_of`.
+        (13,), of `rule_of`.
     moved
         (12,): a transform to apply first, in float64: the rotation by rows, then the translation.
     ranges
@@ -108,7 +110,7 @@ def slots_of(angle: NDArray[np.float32], rule: NDArray[np.float64], beams: int) 
     angle
         (M,), radians, within -pi to pi, not NaN.
     rule
-        (12,), of `rule_of`; the heights and ranges do not matter.
+        (13,), of `rule_of`; the heights and ranges do not matter.
     beams
         N, how many there are.
 
@@ -116,7 +118,7 @@ def slots_of(angle: NDArray[np.float32], rule: NDArray[np.float64], beams: int) 
     -------
     (M,) intp: 0 to N - 1; N for what is past the end; N + 1 for what is outside the sector.
     """
-    first, last, offset, turn, end, skew, increment, closed = rule[4:].tolist()
+    first, last, offset, turn, end, skew, increment, closed = rule[4:12].tolist()
     turned = angle + np.float64(offset)
     np.subtract(turned, turn, out=turned, where=turned >= turn)
     outside = (angle < np.float32(first)) | (angle > np.float32(last)) | (turned > end)
@@ -151,7 +153,7 @@ def _returns(
         near = (squares >= least) & (squares <= most)
         kept, squares = level[near], squares[near]
         angle = np.empty(kept.size, np.float32)
-        angles(px[kept], py[kept], angle)
+        angles(px[kept], py[kept], angle, bool(rule[12]))
         slots = slots_of(angle, rule, beams)
         past_end, outside = np.count_nonzero(slots == beams), np.count_nonzero(slots == beams + 1)
         nan = px.size - np.count_nonzero(known)
@@ -165,10 +167,24 @@ def _five(fates: NDArray[np.int64]) -> tuple[int, int, int, int, int]:
     return nan, height, far, outside, past_end
 
 
-def angles(x: NDArray[np.float32], y: NDArray[np.float32], out: NDArray[np.float32]) -> None:
-    """float32(atan2(y, x)): all (M,), float32, contiguous, not NaN; metres to radians."""
-    # What float64 is off by is lost in the rounding, but for about one in a hundred million.
-    out[...] = np.arctan2(y, x, dtype=np.float64)
+def angles(x: NDArray[np.float32], y: NDArray[np.float32], out: NDArray[np.float32], glibc: bool = False, /) -> None:
+    """Angles of points, radians.
+
+    Parameters
+    ----------
+    x, y
+        (M,), contiguous: metres.
+    out
+        (M,), contiguous, overwritten.
+    glibc
+        Whether to return what ``atan2f`` of glibc 2.31 to 2.40 returns on x86-64, to the bit. Otherwise
+        ``float32(atan2(y, x))``.
+    """
+    if glibc:
+        out[...] = fdlibm.atan2f(y, x)
+    else:
+        # What float64 is off by is lost in the rounding, but for about one in a hundred million.
+        out[...] = np.arctan2(y, x, dtype=np.float64)
 
 
 def _move(

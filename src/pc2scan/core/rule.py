@@ -1,6 +1,6 @@
 """The numbers that points are compared with, made once from the parameters: the rule that the loops over points follow.
 
-A rule is twelve float64, in this order:
+A rule is thirteen float64, in this order:
 
 ``lowest``, ``highest``
     Limits of z, inclusive: float32 values.
@@ -15,6 +15,8 @@ A rule is twelve float64, in this order:
     The beam is the truncated quotient ``(turned + skew) / increment``.
 ``closed``
     1 if the last beam takes what is behind it, 0 if that is past the end.
+``glibc``
+    1 if angles are those of glibc 2.31 to 2.40, 0 if they are rounded correctly.
 """
 
 from __future__ import annotations
@@ -36,7 +38,7 @@ __all__ = ["centered_beams", "rule_of", "upstream_beams"]
 
 
 def rule_of(params: ProjectionParams) -> NDArray[np.float64]:
-    """Make the rule of a projection, (12,).
+    """Make the rule of a projection, (13,).
 
     A float32 is within float64 limits exactly if it is within the float32 next to them on the inner side, for
     there is none in between. And a range, the root of a square rounded twice, does not fall when the square
@@ -51,7 +53,8 @@ def rule_of(params: ProjectionParams) -> NDArray[np.float64]:
     beams = centered_beams if params.geometry == "centered" else upstream_beams
     lowest, highest = float(_first_from(params.min_height)), -float(_first_from(-params.max_height))
     least = _first_square(_first_from(params.range_min))
-    return np.array([lowest, highest, least, most, *beams(params.layout)])
+    glibc = float(params.angle_rounding == "glibc-2.40")
+    return np.array([lowest, highest, least, most, *beams(params.layout), glibc])
 
 
 def upstream_beams(layout: BeamLayout) -> tuple[float, ...]:

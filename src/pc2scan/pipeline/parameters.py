@@ -172,6 +172,10 @@ _HELP: dict[str, tuple[str, str]] = {
         "s",
         "Time from beam to beam. auto: from the points' own times; the scan's stamp is then the first beam's.",
     ),
+    "angle_rounding": (
+        "",
+        "Whose atan2f: correct as in glibc 2.41 and later, or that of glibc 2.31 to 2.40 (Ubuntu 20.04 to 24.04).",
+    ),
 }
 
 _UPSTREAMS = frozenset(list(_HELP)[: list(_HELP).index("geometry")])

@@ -1,0 +1,106 @@
+"""The angles of glibc 2.31 to 2.40, in both loops, to the bit."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from core.reference import reference_scan
+from fuzz.angles import differing, glibc_atan2f, points, why_not
+from pc2scan import ProjectionParams
+from pc2scan.core import fdlibm, kernel
+from pc2scan.core.project import Projector
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+#: Of the angles below, as glibc 2.36's atan2f returned them on x86-64.
+DIGEST = "2f348e99fd8ae2db7109eb7f6e2aef124b3847674a8c75211825c9be8f996398"
+
+
+def recorded_points() -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Y and x, the same anywhere: float32 of any bits, then float32 from 0.5 to 2 of either sign; no NaN."""
+    numbers = np.arange(400_000, dtype=np.uint32)
+    bits = [numbers * np.uint32(2654435761), numbers * np.uint32(2246822519) + np.uint32(374761393)]
+    y, x = (
+        np.concatenate([part, (part & 0x80FFFFFF) | 0x3F000000]).astype(np.uint32).view(np.float32) for part in bits
+    )
+    numbered = ~(np.isnan(y) | np.isnan(x))
+    return y[numbered], x[numbered]
+
+
+@pytest.mark.usefixtures("loops")
+def test_angles_are_those_that_glibc_once_returned() -> None:
+    y, x = recorded_points()
+    angle = np.empty_like(x)
+    kernel.angles(x, y, angle, True)
+    assert hashlib.sha256(angle.astype("<f4").tobytes()).hexdigest() == DIGEST
+    correct = np.empty_like(x)
+    kernel.angles(x, y, correct)
+    # From 0.5 to 2 a sixth of all angles differ, each by the last bit.
+    steps = np.abs(angle.view(np.int32) - correct.view(np.int32))
+    assert set(np.unique(steps).tolist()) == {0, 1}
+    assert 0.1 < np.count_nonzero(steps[-400_000:]) / 400_000 < 0.2
+
+
+@pytest.mark.skipif(bool(why_not()), reason=why_not())
+def test_angles_are_those_of_this_machines_glibc() -> None:
+    rng = np.random.default_rng(2)
+    with np.errstate(all="ignore"):
+        for _ in range(6):
+            y, x = points(rng, 500_000)
+            assert np.isnan(x).any()
+            wrong = differing(y, x, glibc_atan2f(y, x))
+            assert not wrong.size, (y[wrong[:3]], x[wrong[:3]])
+
+
+@pytest.mark.parametrize(
+    ("y", "x", "expected"),
+    [
+        (0.0, 0.0, 0.0), (-0.0, 0.0, -0.0), (0.0, -0.0, math.pi), (-0.0, -0.0, -math.pi),
+        (0.0, 1.0, 0.0), (-0.0, 1e-45, -0.0), (0.0, -1.0, math.pi), (-0.0, -math.inf, -math.pi),
+        (1e-45, 0.0, math.pi / 2), (-1.0, -0.0, -math.pi / 2), (math.inf, -3e38, math.pi / 2),
+        (-math.inf, 0.0, -math.pi / 2),
+        (3e38, math.inf, 0.0), (-1.0, math.inf, -0.0), (1.0, -math.inf, math.pi), (-3e38, -math.inf, -math.pi),
+        (math.inf, math.inf, math.pi / 4), (-math.inf, math.inf, -math.pi / 4),
+        (math.inf, -math.inf, 3 * math.pi / 4), (-math.inf, -math.inf, -3 * math.pi / 4),
+        (1e-45, -1.0, math.pi), (1e-45, 1.0, 1e-45), (1.0, 1e-45, math.pi / 2),
+        # Not the nearest float32 to pi / 2.
+        (1.0, -1e-45, 1.5707963), (1.0, -1e-30, 1.5707963), (1.0, -2.0**-25, 1.5707963),
+        (math.nan, 0.0, math.nan), (0.0, math.nan, math.nan), (math.inf, math.nan, math.nan),
+        (math.nan, -1.0, math.nan),
+    ],
+)  # fmt: skip
+@pytest.mark.usefixtures("loops")
+def test_zeros_and_infinities_and_what_is_next_to_them(y: float, x: float, expected: float) -> None:
+    angle = np.empty(1, np.float32)
+    kernel.angles(np.array([x], np.float32), np.array([y], np.float32), angle, True)
+    np.testing.assert_array_equal(angle, np.array([expected], np.float32))
+    assert np.signbit(angle[0]) == (math.copysign(1, expected) < 0) or math.isnan(expected)
+
+
+@pytest.mark.usefixtures("loops")
+@pytest.mark.parametrize("reduce", ["min", "max"])
+def test_points_fall_into_the_beams_of_these_angles(reduce: str) -> None:
+    """On the edges of a simulator's columns, where one bit of the angle decides: in both loops over points."""
+    edges = np.arange(-511, 512) * (2 * math.pi / 1024)
+    radius = np.linspace(2, 30, 40)[:, None]
+    x, y = ((radius * part).astype(np.float32) for part in (np.cos(edges), np.sin(edges)))
+    z = np.zeros_like(x)
+    grid = ProjectionParams(angle_increment=2 * math.pi / 1024, min_height=-1.0)
+    used = {}
+    for rounding in ("correct", "glibc-2.40"):
+        params = replace(grid, angle_rounding=rounding)
+        scan = Projector(replace(params, reduce=reduce))(x, y, z)
+        angles = fdlibm.atan2f(y.ravel(), x.ravel()) if rounding == "glibc-2.40" else None
+        ranges, counts = reference_scan(zip(x.flat, y.flat, z.flat, strict=True), params, angles)
+        assert scan.counts == counts
+        if reduce == "min":
+            np.testing.assert_array_equal(scan.ranges, ranges)
+        used[rounding] = scan.ranges
+    assert np.count_nonzero(used["correct"] != used["glibc-2.40"]) >= 50

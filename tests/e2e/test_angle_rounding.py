@@ -1,0 +1,72 @@
+"""Which libm the angles are of: what the node returned with a correctly rounding one, and with that of glibc 2.36."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING
+
+import pytest
+
+from e2e.command import run
+from e2e.outputs import opened
+from support import ROOT
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+FOLDER = ROOT / "fixtures" / "golden_exact"
+CASES = sorted(path.parent.name for path in FOLDER.glob("*/expected_old_libm.bag"))
+
+WAYS: dict[str, tuple[str, ...]] = {
+    "option": ("--angle-rounding", "glibc-2.40"),
+    "param": ("--param", "angle_rounding:=glibc-2.40"),
+    "file": (),
+}
+
+
+def converted(case: str, destination: Path, *options: str | Path) -> None:
+    done = run("convert", FOLDER / case / "input.bag", "-o", destination, "--only-scans", *options)
+    assert done.status == 0, done.stderr
+
+
+def test_there_are_cases() -> None:
+    assert CASES == ["aligned_columns", "hundredths_of_degrees"]
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_default_is_a_correctly_rounding_libm(case: str, tmp_path: Path) -> None:
+    converted(case, tmp_path / "out.bag", "--params-file", FOLDER / case / "params.yaml")
+    assert opened(tmp_path / "out.bag").messages == opened(FOLDER / case / "expected.bag").messages
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("case", CASES)
+def test_the_older_libm_to_the_byte(case: str, way: str, tmp_path: Path) -> None:
+    params, report = tmp_path / "params.yaml", tmp_path / "report.json"
+    text = (FOLDER / case / "params.yaml").read_text()
+    params.write_text(f"{text.rstrip()}\n    angle_rounding: glibc-2.40\n" if way == "file" else text)
+    converted(case, tmp_path / "out.bag", "--params-file", params, "--report", report, *WAYS[way])
+    expected = opened(FOLDER / case / "expected_old_libm.bag").messages
+    assert opened(tmp_path / "out.bag").messages == expected
+    assert expected != opened(FOLDER / case / "expected.bag").messages
+    found = json.loads(report.read_text())
+    assert found["params"]["angle_rounding"] == "glibc-2.40"
+    assert "default" not in found["param_origins"]["angle_rounding"]
+
+
+def test_another_libm_is_refused_with_those_that_there_are() -> None:
+    done = run("convert", FOLDER / CASES[0] / "input.bag", "--angle-rounding", "musl")
+    assert done.status == 2
+    assert "angle_rounding: expected correct, glibc-2.40, got 'musl' (from --angle-rounding)" in done.stderr
+
+
+def test_a_golden_case_can_ask_for_it(tmp_path: Path) -> None:
+    source, case = FOLDER / CASES[0], tmp_path / "case"
+    case.mkdir()
+    (case / "case.yaml").write_text(
+        f"input: {source / 'input.bag'}\nparams: {source / 'params.yaml'}\narguments: [--angle-rounding, glibc-2.40]\n"
+    )
+    (case / "expected.bag").write_bytes((source / "expected_old_libm.bag").read_bytes())
+    assert run("golden", tmp_path).status == 0
+    (case / "expected.bag").write_bytes((source / "expected.bag").read_bytes())
+    assert run("golden", tmp_path).status == 1
