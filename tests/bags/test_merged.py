@@ -75,6 +75,15 @@ class FakeReader:
         del rule
         yield from self.messages(*selection)
 
+    def counts(
+        self, connections: Collection[Connection], start_ns: int | None = None, stop_ns: int | None = None
+    ) -> dict[int, int]:
+        found = dict.fromkeys((c.id for c in connections if c.message_count is not None), 0)
+        for message in self.messages(connections, start_ns, stop_ns):
+            if message.connection.id in found:
+                found[message.connection.id] += 1
+        return found
+
     def attachments(self) -> Iterator[Attachment]:
         yield Attachment(self.path.name, "", 0, 0, b"")
 

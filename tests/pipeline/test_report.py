@@ -80,10 +80,23 @@ def test_skipped_messages_are_all_counted_and_the_first_ones_listed() -> None:
 
 def test_a_topic_that_cannot_be_carried_over_shows_in_the_exit_status() -> None:
     made = report(used=100)
-    made.topics.append(TopicReport("/x", "a/msg/B", None, "left out", lost=True))
-    assert made.exit_status == 3
-    made.topics[-1].lost = False
+    made.topics.append(TopicReport("/x", "a/msg/B", None, "left out", note="cannot be written", lost=True))
     assert made.exit_status == 0
+    made.topics[-1].skip(3)
+    assert made.exit_status == 3
+    assert (made.skipped_count, made.messages_read) == (3, 4)
+    made.conclude()
+    assert made.warnings == ["3 messages of 1 topic are skipped: /x (3: cannot be written)"]
+
+
+def test_a_topic_that_the_user_dropped_is_no_loss() -> None:
+    made = report(used=100)
+    made.topics.append(TopicReport("/x", "a/msg/B", None, "left out"))
+    made.topics[-1].skip(3)
+    assert (made.exit_status, made.skipped_count, made.messages_read) == (0, 0, 4)
+    assert made.topics[-1].messages_in == 3
+    made.conclude()
+    assert made.warnings == []
 
 
 def test_json_has_no_infinities_and_keeps_every_nanosecond() -> None:

@@ -17,7 +17,17 @@ from .mcap_chunks import ChunkSegment, payload, with_payload
 from .mcap_contents import find_contents, find_declarations
 from .mcap_copies import agreed, whole_by_content, whole_by_index
 from .mcap_records import MESSAGE, OP_MESSAGE, RECORD, RecordFile, parse, split
-from .model import Attachment, Connection, Definition, Metadata, RawMessage, StoredChunk, Summary, worked_on
+from .model import (
+    Attachment,
+    Connection,
+    Definition,
+    Metadata,
+    RawMessage,
+    StoredChunk,
+    Summary,
+    declared_counts,
+    worked_on,
+)
 from .qos import latches
 from .segments import in_time_order, standing_alone
 from .zstd import is_frame, unpacked_messages
@@ -280,6 +290,18 @@ class McapReader:
     def damage(self) -> tuple[Damage, ...]:
         """What is damaged, as far as it was read."""
         return self._log.found
+
+    def counts(
+        self, connections: Collection[Connection], start_ns: int | None = None, stop_ns: int | None = None
+    ) -> dict[int, int]:
+        """Count by the statistics, or for a part of the time by message indexes; see `pc2scan.bags.model.Reader`."""
+        declared = declared_counts(connections) if start_ns is None and stop_ns is None else {}
+        ids = frozenset(connection.id for connection in connections) - declared.keys()
+        if not ids:
+            return declared
+        from .mcap_counts import counts_between  # noqa: PLC0415  # only topics that are skipped need it
+
+        return declared | counts_between(self._file, self._contents.segments, ids, start_ns, stop_ns)
 
     def read_ahead(self, pool: Threads | None, work: Work | None = None) -> None:
         """Read and decompress on these threads, and do this there; see `pc2scan.bags.model.Reader`."""

@@ -177,6 +177,22 @@ class MergedReader:
             for other in self._readers
         )
 
+    def counts(
+        self, connections: Collection[Connection], start_ns: int | None = None, stop_ns: int | None = None
+    ) -> dict[int, int]:
+        """Messages of each connection in all sources together; see `pc2scan.bags.model.Reader`."""
+        found = dict.fromkeys((connection.id for connection in connections), 0)
+        for reader, known in zip(self._readers, self._maps, strict=True):
+            asked = [own for own in reader.connections if known[own.id].id in found]
+            counted = reader.counts(asked, start_ns, stop_ns)
+            for own in asked:
+                merged_id = known[own.id].id
+                if own.id in counted and merged_id in found:
+                    found[merged_id] += counted[own.id]
+                else:
+                    found.pop(merged_id, None)
+        return found
+
     def read_ahead(self, pool: Threads | None, work: Work | None = None) -> None:
         """Read and decompress on these threads, and do this there with the messages under the unified connections."""
         for reader, known in zip(self._readers, self._maps, strict=True):

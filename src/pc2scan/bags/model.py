@@ -7,7 +7,7 @@ from itertools import chain
 from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeAlias
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from .damage import Damage
@@ -168,6 +168,11 @@ def worked_on(messages: list[RawMessage], work: Work | None) -> list[RawMessage]
     if work is not None:
         messages = list(map(work, messages))
     return [m if (data := kept(m.data)) is m.data else m._replace(data=data) for m in messages]
+
+
+def declared_counts(connections: Iterable[Connection]) -> dict[int, int]:
+    """Messages of each connection in the whole recording, by id, where the container declares them."""
+    return {c.id: c.message_count for c in connections if c.message_count is not None}
 
 
 @dataclass(frozen=True, slots=True)
@@ -332,6 +337,25 @@ class Reader(Protocol):
         """The same as `messages`, with whole chunks in the place of their messages where ``rule`` allows it.
 
         The order stays that of `messages`: those of a whole chunk are sorted, and no other one belongs between them.
+        """
+        ...
+
+    def counts(
+        self, connections: Collection[Connection], start_ns: int | None = None, stop_ns: int | None = None
+    ) -> dict[int, int]:
+        """Count messages without reading them, as far as an index allows it.
+
+        Parameters
+        ----------
+        connections
+            Only messages of these.
+        start_ns, stop_ns
+            Only messages with ``start_ns <= log_time_ns < stop_ns``.
+
+        Returns
+        -------
+        dict[int, int]
+            By connection id. A connection that is missing can only be counted by reading its messages.
         """
         ...
 

@@ -248,6 +248,11 @@ class _UnpackedReader:
     ) -> Iterator[RawMessage | StoredChunk]:
         return self._inner.messages_or_chunks(rule, connections, start_ns, stop_ns)
 
+    def counts(
+        self, connections: Collection[Connection], start_ns: int | None = None, stop_ns: int | None = None
+    ) -> dict[int, int]:
+        return self._inner.counts(connections, start_ns, stop_ns)
+
     def read_ahead(self, pool: Threads | None, work: Work | None = None) -> None:
         self._inner.read_ahead(pool, work)
 

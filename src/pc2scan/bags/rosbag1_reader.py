@@ -6,7 +6,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, cast
 
 from .damage import DamageLog
-from .model import Summary, worked_on
+from .model import Summary, declared_counts, worked_on
 from .rosbag1_chunks import Places, decompressed, messages_in, with_payload
 from .rosbag1_contents import read_index
 from .rosbag1_copies import first_uses, whole
@@ -207,6 +207,18 @@ class Rosbag1Reader:
             last_ns=segment.end_ns,
         )
         return left.messages
+
+    def counts(
+        self, connections: Collection[Connection], start_ns: int | None = None, stop_ns: int | None = None
+    ) -> dict[int, int]:
+        """Count by the index, or for a part of the time by the chunks' own; see `pc2scan.bags.model.Reader`."""
+        declared = declared_counts(connections) if start_ns is None and stop_ns is None else {}
+        ids = frozenset(connection.id for connection in connections) - declared.keys()
+        if not ids:
+            return declared
+        from .rosbag1_counts import counts_between  # noqa: PLC0415  # only topics that are skipped need it
+
+        return declared | counts_between(self._file, self._contents.segments, ids, start_ns, stop_ns)
 
     @property
     def damage(self) -> tuple[Damage, ...]:

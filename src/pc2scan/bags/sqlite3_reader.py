@@ -31,7 +31,7 @@ from pc2scan.errors import DamageError, RecordingError
 from . import zstd
 from .damage import RECOVER, DamageLog
 from .limits import MAX_CONNECTIONS
-from .model import Connection, Definition, RawMessage, Summary
+from .model import Connection, Definition, RawMessage, Summary, declared_counts
 from .qos import latches
 from .sqlite3_pages import PageFile, declared_size, rebuilt
 
@@ -203,6 +203,23 @@ class Sqlite3Reader:
     ) -> Iterator[RawMessage | StoredChunk]:
         """The same: the storage has no chunks."""
         return self.messages(connections, start_ns, stop_ns)
+
+    def counts(
+        self, connections: Collection[Connection], start_ns: int | None = None, stop_ns: int | None = None
+    ) -> dict[int, int]:
+        """Count rows, without their data; see `pc2scan.bags.model.Reader`."""
+        if start_ns is None and stop_ns is None:
+            return declared_counts(connections)
+        found = dict.fromkeys((connection.id for connection in connections), 0)
+        conditions, values = _time_conditions(start_ns, stop_ns)
+        sql = f"SELECT topic_id, count(*) FROM messages WHERE {' AND '.join(conditions)} GROUP BY topic_id"  # noqa: S608
+        try:
+            with self._ending():
+                rows = self._query(sql, values).fetchall()
+        except (*_SQLITE_ERRORS, DamageError):
+            # Reading the messages deals with damage.
+            return {}
+        return found | {topic_id: count for topic_id, count in rows if topic_id in found}
 
     def read_ahead(self, pool: Threads | None, work: Work | None = None) -> None:
         """Nothing changes: a database is read in order, by the thread that opened it."""
@@ -418,12 +435,9 @@ class Sqlite3Reader:
         self, topic_ids: list[int], start_ns: int | None, stop_ns: int | None, after: tuple[int, int] | None
     ) -> Iterator[tuple[int, int, int, object]]:
         """Topic, time, id and data of messages by time and id, those behind ``after`` (time and id)."""
-        conditions = [f"topic_id IN ({', '.join('?' * len(topic_ids))})"]
-        values = list(topic_ids)
-        for operator, bound in ((">=", start_ns), ("<", stop_ns)):
-            if bound is not None:
-                conditions.append(f"timestamp {operator} ?")
-                values.append(max(-(2**63), min(bound, 2**63 - 1)))
+        times, bounds = _time_conditions(start_ns, stop_ns)
+        conditions = [f"topic_id IN ({', '.join('?' * len(topic_ids))})", *times]
+        values = [*topic_ids, *bounds]
         if after is not None:
             conditions.append("(timestamp, id) > (?, ?)")
             values += after
@@ -439,6 +453,12 @@ class Sqlite3Reader:
         for topic_id, time_ns, message_id in self._query(sql, values):
             row = self._query("SELECT data FROM messages WHERE id = ?", (message_id,)).fetchone()
             yield topic_id, time_ns, message_id, row and row[0]
+
+
+def _time_conditions(start_ns: int | None, stop_ns: int | None) -> tuple[list[str], list[int]]:
+    """SQL conditions for messages with ``start_ns <= timestamp < stop_ns``, and their values."""
+    bounds = [(sign, bound) for sign, bound in ((">=", start_ns), ("<", stop_ns)) if bound is not None]
+    return [f"timestamp {sign} ?" for sign, _ in bounds], [max(-(2**63), min(bound, 2**63 - 1)) for _, bound in bounds]
 
 
 def _text_of(column: str) -> str:

@@ -108,8 +108,10 @@ def _show_skipped(report: Report, limit: int) -> None:
         several = f" and {len(entries) - 1} more" if len(entries) > 1 else ""
         typer.echo(printable(f"skipped: {topic}, stamp {stamp}{several}: {reason}"), err=True)
         shown += len(entries)
-    if report.skipped_count > shown:
-        typer.echo(f"skipped: {report.skipped_count - shown:,} more (--verbose or --report tell them)", err=True)
+    # Topics that are left out as a whole have a warning of their own.
+    single = sum(topic.skipped for topic in report.topics if topic.action != "left out")
+    if single > shown:
+        typer.echo(f"skipped: {single - shown:,} more (--verbose or --report tell them)", err=True)
     hints = [entry.hint for entry in report.skipped if entry.hint]
     if hints:
         typer.echo(printable(f"hint: {hints[0]}"), err=True)

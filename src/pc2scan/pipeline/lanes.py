@@ -11,6 +11,7 @@ from pc2scan.errors import MessageError, RecordingError
 from pc2scan.messages.definitions import definition
 from pc2scan.messages.tfmessage import encode_transforms
 
+from .frames import is_static
 from .report import TopicReport
 
 if TYPE_CHECKING:
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     from .plan import Route
     from .report import Report
 
-__all__ = ["Lane", "carry_extras", "chunk_rule", "open_lanes", "write_static"]
+__all__ = ["Lane", "carry_extras", "chunk_rule", "count_skipped", "open_lanes", "write_static"]
 
 #: A field takes about a millisecond and 7 kB. Large robots have some thousand.
 _MAX_COMPILED_FIELDS = 20_000
@@ -49,6 +50,16 @@ class Lane:
     sample: bytes = b""
     shrinks_from: int = sys.maxsize
 
+    @property
+    def writes(self) -> bool:
+        """Whether anything goes to the destination; otherwise messages are only counted."""
+        return self.passing_handle >= 0 or self.converted_handle >= 0
+
+    @property
+    def lasts(self) -> bool:
+        """Whether messages from before the cut are still valid in it."""
+        return self.connection.latching or is_static(self.connection.topic)
+
 
 def open_lanes(
     routes: Iterable[Route],
@@ -61,23 +72,13 @@ def open_lanes(
     """Declare every connection of the destination and prepare the work on each of the source's."""
     lanes: dict[int, Lane] = {}
     compiled: dict[tuple[str, Definition], int] = {}
-    entries: dict[tuple[str, str, str | None], TopicReport] = {}
+    entries: dict[tuple[str | None, ...], TopicReport] = {}
     for route in routes:
         connection = route.connection
+        topic = connection.topic
         action = "converted" if route.target else "passed" if route.passes else "left out"
-        entry = entries.get((connection.topic, connection.msgtype, route.target))
-        if entry is None:
-            entry = TopicReport(
-                connection.topic,
-                connection.ros_type,
-                route.target or (connection.topic if route.passes else None),
-                action,
-            )
-            entries[connection.topic, connection.msgtype, route.target] = entry
-            report.topics.append(entry)
-        if action == "left out":
-            continue
-        lane = Lane(connection, entry)
+        entry = TopicReport(topic, connection.ros_type, route.target or (topic if route.passes else None), action)
+        lane = lanes[connection.id] = Lane(connection, entry)
         if route.passes:
             _prepare_passing(lane, target, options, writer, compiled)
         if route.target:
@@ -86,10 +87,33 @@ def open_lanes(
             lane.converted_handle = writer.add_connection(
                 _converted_connection(connection, route.target, conversion.target_type, target)
             )
-            entry.clouds_kept = route.passes
-        if lane.passing_handle >= 0 or lane.converted_handle >= 0:
-            lanes[connection.id] = lane
+            entry.clouds_kept = lane.passing_handle >= 0
+        # Publishers of one topic share an entry if the same becomes of their messages.
+        lane.report = entries.setdefault((topic, connection.msgtype, entry.target, entry.action, entry.note), entry)
+    report.topics += entries.values()
     return lanes
+
+
+def count_skipped(
+    lanes: Mapping[int, Lane], reader: Reader, start_ns: int | None, stop_ns: int | None
+) -> dict[int, Lane]:
+    """Count the messages of the lanes that write nothing, as far as the source's index tells.
+
+    Returns
+    -------
+    dict[int, Lane]
+        All other lanes: those that write, and those whose messages have to be read to be counted.
+    """
+    skipped = [lane for lane in lanes.values() if not lane.writes]
+    counted: dict[int, int] = {}
+    # Latched messages from before the cut would have been written too.
+    for lasts in (False, True):
+        chosen = [lane.connection for lane in skipped if lane.lasts is lasts]
+        if chosen:
+            counted |= reader.counts(chosen, None if lasts else start_ns, stop_ns)
+    for lane in skipped:
+        lane.report.skip(counted.get(lane.connection.id, 0))
+    return {key: lane for key, lane in lanes.items() if key not in counted}
 
 
 def _prepare_passing(
@@ -138,7 +162,7 @@ def _prepare_passing(
                 entry.action = "re-encoded"
                 entry.note = "; ".join(transcoding.notes)
             return
-    if options.on_error == "fail":
+    if options.on_error == "fail" and connection.message_count != 0:
         error.topic = connection.topic
         raise error
     entry.note, entry.lost = error.message, True

@@ -10,12 +10,17 @@ from pc2scan.core.params import ProjectionParams
 from pc2scan.core.project import PointCounts
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from pc2scan.bags.damage import Damage
 
 __all__ = ["Report", "Skipped", "TopicReport"]
 
 #: Skipped messages are listed one by one up to here; all of them are counted.
 MAX_LISTED = 100
+
+#: Topics that are listed in the warning of skipped ones.
+_MAX_WARNED = 5
 
 #: A share of points lost to the default min_height that is worth a warning.
 _NOTABLE_SHARE = 0.25
@@ -61,7 +66,8 @@ class TopicReport:
     note
         Why it was left out, or what is worth knowing; empty otherwise.
     messages_in, messages_out, skipped
-        Messages read, written, and neither; left-out topics are not read and count none.
+        Messages in the source (within ``--start`` and ``--end``), written, and those that should have been written but
+        are missing. Messages of a topic that the user dropped are not missing.
     points
         Of all converted clouds: where every point went.
     empty_scans
@@ -84,6 +90,12 @@ class TopicReport:
     empty_scans: int = 0
     clouds_kept: bool = False
     lost: bool = False
+
+    def skip(self, count: int) -> None:
+        """Count messages of a topic that is left out; they are missing unless the user dropped the topic."""
+        self.messages_in += count
+        if self.lost:
+            self.skipped += count
 
 
 @dataclass(slots=True)
@@ -134,13 +146,17 @@ class Report:
 
     @property
     def exit_status(self) -> int:
-        """0 if all is well; 3 if a source is damaged, messages were skipped, or a topic could not be carried over."""
-        return 3 if self.damage or self.skipped_count or any(topic.lost for topic in self.topics) else 0
+        """0 if all is well; 3 if a source is damaged, or messages of it are missing in the destination."""
+        return 3 if self.damage or self.skipped_count or self._lost_topics() else 0
 
     @property
     def messages_read(self) -> int:
         """Messages of the source that were read, of all topics that are not left out."""
-        return sum(topic.messages_in for topic in self.topics)
+        return sum(topic.messages_in for topic in self.topics if topic.action != "left out")
+
+    def _lost_topics(self) -> list[TopicReport]:
+        """Topics of which messages are missing because they cannot be carried over."""
+        return [topic for topic in self.topics if topic.lost and topic.messages_in]
 
     def skip(self, entry: TopicReport, skipped: Skipped) -> None:
         """Count a skipped message and list it while there is room."""
@@ -162,6 +178,8 @@ class Report:
                 f"range_max is {self.params.range_max:g} m, chosen by {origin}: returns beyond are left out; "
                 "--range-max chooses another"
             )
+        if lost := self._lost_topics():
+            self.warnings.append(_loss_warning(lost))
         for topic in self.topics:
             if topic.action == "converted" and not topic.messages_out:
                 why = "could be converted" if topic.messages_in else "was there to convert (see --start and --end)"
@@ -198,6 +216,17 @@ class Report:
             "bytes_written": self.bytes_written,
             "seconds": round(self.seconds, 3),
         }
+
+
+def _loss_warning(topics: Sequence[TopicReport]) -> str:
+    """Say how many messages of which topics are missing, and why."""
+    count = sum(topic.messages_in for topic in topics)
+    listed = [f"{topic.topic} ({topic.messages_in:,}: {topic.note})" for topic in topics[:_MAX_WARNED]]
+    more = len(topics) - len(listed)
+    return (
+        f"{count:,} message{'s' if count > 1 else ''} of {len(topics)} topic{'s' if len(topics) > 1 else ''} "
+        f"{'are' if count > 1 else 'is'} skipped: {', '.join(listed)}{f' and {more} more' if more else ''}"
+    )
 
 
 def _json_number(value: object) -> object:

@@ -32,7 +32,7 @@ from pc2scan.messages.laserscan import LASERSCAN
 
 from .acceptance import refusal
 from .frames import Frames, read_transforms
-from .lanes import Lane, carry_extras, chunk_rule, open_lanes, write_static
+from .lanes import Lane, carry_extras, chunk_rule, count_skipped, open_lanes, write_static
 from .memory import keep_freed_memory
 from .plan import make_plan
 from .report import Report
@@ -111,6 +111,7 @@ def run(
                 if copying:
                     writer.keep_ids(reader.connections)
                 lanes = open_lanes(plan.routes, conversion, target, options, writer, report)
+                lanes = count_skipped(lanes, reader, span.start_ns, span.stop_ns)
                 if not options.only_scans:
                     carry_extras(reader, target, writer, report)
                 if options.frames.write_static:
@@ -188,7 +189,7 @@ def _target(
 
 def _compare_counts(reader: Reader, lanes: Mapping[int, Lane], options: ConvertOptions, report: Report) -> None:
     """Compare how many messages were read with how many there should be: no loss goes unnoticed."""
-    counts = [lane.connection.message_count for lane in lanes.values()]
+    counts = [lane.connection.message_count for lane in lanes.values() if lane.writes]
     if options.start is not None or options.end is not None or None in counts:
         return
     report.messages_declared = sum(filter(None, counts))

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, NamedTuple, cast
 from pc2scan.bags.model import RawMessage, StoredChunk, kept
 from pc2scan.errors import MessageError
 
-from .frames import is_static
 from .lanes import Lane
 from .ordered import map_in_order
 from .report import Report, Skipped
@@ -129,7 +128,7 @@ def _cut(
     items: Iterator[RawMessage | StoredChunk] = (
         reader.messages(wanted, start, stop) if rule is None else reader.messages_or_chunks(rule, wanted, start, stop)
     )
-    lasting = [c for c in wanted if c.latching or is_static(c.topic)]
+    lasting = [lane.connection for lane in lanes.values() if lane.lasts]
     if start is None or not lasting:
         return items
     return chain(reader.messages(lasting, None, start), items)
@@ -192,6 +191,9 @@ def _write(outcome: _Outcome, writer: Writer, report: Report, on_error: str) -> 
     """Write what a message became, and account for it."""
     lane, (log_time_ns, publish_time_ns, sequence), converted, passing, error = outcome
     entry = lane.report
+    if not lane.writes:
+        entry.skip(1)
+        return
     entry.messages_in += 1
     if passing is not None:
         writer.write(lane.passing_handle, log_time_ns, passing, publish_time_ns, sequence)
