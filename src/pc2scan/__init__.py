@@ -10,6 +10,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from .version import __version__ as __version__
+
 if TYPE_CHECKING:
     from .api import convert as convert
     from .api import diff as diff
@@ -24,8 +26,6 @@ if TYPE_CHECKING:
     from .pipeline.frames import FrameOptions as FrameOptions
     from .pipeline.frames import StaticTransform as StaticTransform
     from .pipeline.report import Report as Report
-
-__version__ = "0.1.0"
 
 __all__ = [
     "Difference",

@@ -82,8 +82,8 @@ def _handle_termination() -> Any:
 
 def _show_version(value: bool) -> None:
     if value:
-        from pc2scan import __version__
         from pc2scan.core.kernel import COMPILED
+        from pc2scan.version import __version__
 
         slower = "" if COMPILED else " (slower than it could be: installed without a C compiler)"
         typer.echo(f"pc2scan {__version__}{slower}")

@@ -13,9 +13,10 @@ from pc2scan.messages.schema import canonical
 from .match import Source, Stream, header_stamp_ns, matched
 from .messages import DECODED, compare_messages
 from .others import compare_others
-from .result import Difference, Place, TopicDifference
+from .result import Difference
 from .rules import Rules
 from .scan_text import is_scan_text, open_scan_text
+from .topic_difference import Place, TopicDifference
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -14,15 +14,15 @@ from pc2scan.messages.transcode import transcoder
 
 from .difference import Change, MessageDifference
 from .match import Stream
-from .result import Place
+from .topic_difference import Place
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from pc2scan.bags.model import Buffer, RawMessage
 
-    from .result import TopicDifference
     from .rules import Rules
+    from .topic_difference import TopicDifference
 
 __all__ = ["compare_others"]
 

@@ -11,9 +11,9 @@ from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
-    from .result import Difference, Place, TopicDifference, Unpaired, ValuesFound
+    from .topic_difference import Place, TopicDifference, Unpaired, ValuesFound
 
 __all__ = ["summary"]
 
@@ -25,28 +25,32 @@ _LONGEST = 100
 _WORDS = {LASERSCAN: ("beam", "scan"), POINTCLOUD2: ("point", "cloud")}
 
 
-def summary(difference: Difference, names: tuple[str, str] = ("A", "B")) -> Iterator[str]:
+def summary(topics: Sequence[TopicDifference], left_aside: int, names: tuple[str, str] = ("A", "B")) -> Iterator[str]:
     """Write one block of lines a topic, and a verdict.
 
     Parameters
     ----------
+    topics
+        What was compared.
+    left_aside
+        How many topics were not.
     names
         What the two sides are called.
     """
-    for topic in difference.topics:
+    for topic in topics:
         yield f"{topic.name} ({topic.msgtype}): {'same' if topic.same else 'different'}"
         lines = list(_lines(topic, names))
         width = max(len(label) for label, _ in lines)
         yield from (f"  {label:<{width}}  {text}" for label, text in lines)
-    apart = [topic for topic in difference.topics if not topic.same]
-    pairs = sum(topic.matched for topic in difference.topics)
+    apart = [topic for topic in topics if not topic.same]
+    pairs = sum(topic.matched for topic in topics)
     if apart:
-        yield f"different: {len(apart)} of {_count(len(difference.topics), 'topic')}"
-        yield from _advice(difference, names)
+        yield f"different: {len(apart)} of {_count(len(topics), 'topic')}"
+        yield from _advice(topics, names)
     else:
-        yield f"same: {_count(len(difference.topics), 'topic')}, {_count(pairs, 'message')}"
-    if difference.left_aside:
-        yield f"not compared: {_count(difference.left_aside, 'other topic')} (--all-topics)"
+        yield f"same: {_count(len(topics), 'topic')}, {_count(pairs, 'message')}"
+    if left_aside:
+        yield f"not compared: {_count(left_aside, 'other topic')} (--all-topics)"
 
 
 def _lines(topic: TopicDifference, names: tuple[str, str]) -> Iterator[tuple[str, str]]:
@@ -105,21 +109,20 @@ def _worst(found: ValuesFound, element: str, names: tuple[str, str]) -> str:
     return f"{element} {worst.index}{angle}, {_where(worst.place)}: {values}"
 
 
-def _advice(difference: Difference, names: tuple[str, str]) -> Iterator[str]:
+def _advice(topics: Sequence[TopicDifference], names: tuple[str, str]) -> Iterator[str]:
     """What the user may have meant."""
     topic_a, topic_b = attrgetter("topic_a"), attrgetter("topic_b")
     alone = [
-        [topic for topic in difference.topics if there(topic) is not None and other(topic) is None]
+        [topic for topic in topics if there(topic) is not None and other(topic) is None]
         for there, other in ((topic_a, topic_b), (topic_b, topic_a))
     ]
     if [len(side) for side in alone] == [1, 1] and alone[0][0].msgtype == alone[1][0].msgtype:
         yield f"hint: the same under another name? --topic {alone[0][0].topic_a}:={alone[1][0].topic_b}"
-    kinds = {name for topic in difference.topics if not topic.same for name in topic.changes}
+    kinds = {name for topic in topics if not topic.same for name in topic.changes}
     only_changes = all(
-        topic.same or (topic.matched == topic.messages_a == topic.messages_b and not topic.values)
-        for topic in difference.topics
+        topic.same or (topic.matched == topic.messages_a == topic.messages_b and not topic.values) for topic in topics
     )
-    if any(topic.messages_a and topic.messages_b and not topic.matched for topic in difference.topics):
+    if any(topic.messages_a and topic.messages_b and not topic.matched for topic in topics):
         yield "hint: no stamp is on both sides; are these of one drive?"
     if only_changes and kinds and kinds <= {"log_time", "seq"}:
         ignored = " ".join(f"--ignore {name}" for name in sorted(kinds))

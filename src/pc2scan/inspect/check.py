@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from os import PathLike
@@ -13,6 +12,7 @@ from pc2scan.bags.merged import as_one
 from pc2scan.bags.registry import open_recordings
 from pc2scan.core.consumers import CONSUMERS, Outcome
 from pc2scan.errors import DecodeError, TopicError, UsageError
+from pc2scan.json_types import json_value
 from pc2scan.messages.laserscan import LASERSCAN, decode_laserscan
 from pc2scan.pipeline.frames import FrameOptions, read_transforms
 from pc2scan.pipeline.plan import find_topic
@@ -149,7 +149,7 @@ class Check:
             "exit_status": self.exit_status,
             "sources": list(self.sources),
             "asked": list(self.asked),
-            "topics": [_plain(asdict(topic)) for topic in self.topics],
+            "topics": [json_value(asdict(topic)) for topic in self.topics],
             "warnings": list(self.warnings),
             "damage": [place.as_dict() for place in self.damage],
         }
@@ -264,12 +264,3 @@ def _topic_check(name: str, scans: ScanTopic, places: ScanFrames | None) -> Topi
 def _consumer_check(consumer: str, judged: Judged, outcome: Outcome) -> ConsumerCheck:
     verdict, stamp_ns = judged.firsts[outcome]
     return ConsumerCheck(consumer, outcome, judged.counts[outcome], verdict, stamp_ns)
-
-
-def _plain(value: Any) -> Any:
-    """JSON has no infinity."""
-    if isinstance(value, dict):
-        return {key: _plain(part) for key, part in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(part) for part in value]
-    return str(value) if isinstance(value, float) and not math.isfinite(value) else value

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.project import PointCounts
+from pc2scan.json_types import json_value
+from pc2scan.version import __version__
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -189,14 +191,12 @@ class Report:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the report as JSON's types; the keys are documented in the README."""
-        from pc2scan import __version__  # noqa: PLC0415  # the package names this module
-
         return {
             "pc2scan": __version__,
             "exit_status": self.exit_status,
             "sources": self.sources,
             "destination": self.destination,
-            "params": {name: _json_number(value) for name, value in asdict(self.params).items()},
+            "params": json_value(asdict(self.params)),
             "param_origins": self.origins,
             "topics": [
                 {
@@ -227,11 +227,6 @@ def _loss_warning(topics: Sequence[TopicReport]) -> str:
         f"{count:,} message{'s' if count > 1 else ''} of {len(topics)} topic{'s' if len(topics) > 1 else ''} "
         f"{'are' if count > 1 else 'is'} skipped: {', '.join(listed)}{f' and {more} more' if more else ''}"
     )
-
-
-def _json_number(value: object) -> object:
-    """JSON has no infinity."""
-    return str(value) if isinstance(value, float) and value in (float("inf"), float("-inf")) else value
 
 
 def _point_warnings(topic: TopicReport, params: ProjectionParams, origins: dict[str, str]) -> list[str]:

@@ -80,9 +80,9 @@ def assert_same_scans() -> Callable[..., None]:
         **rules: Any,
     ) -> None:
         __tracebackhide__ = True
-        import pc2scan  # noqa: PLC0415
+        from pc2scan import diff  # noqa: PLC0415
 
-        difference = pc2scan.diff(expected, actual, atol=atol, rtol=rtol, **rules)
+        difference = diff(expected, actual, atol=atol, rtol=rtol, **rules)
         if not difference.same:
             pytest.fail(difference.text(("expected", "actual")), pytrace=False)
 

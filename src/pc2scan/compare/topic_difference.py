@@ -1,0 +1,241 @@
+"""What differs between a topic of A and one of B, counted pair by pair."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from pc2scan.json_types import json_value
+
+if TYPE_CHECKING:
+    from .difference import MessageDifference
+
+__all__ = ["ChangeFound", "Place", "TopicDifference", "Unpaired", "ValuesFound", "WorstValue"]
+
+#: Messages are listed one by one up to here; all of them are counted.
+MAX_LISTED = 100
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A message: its header's stamp (None where it has none) and its log time in A, or in B if A lacks it."""
+
+    stamp_ns: int | None
+    log_time_ns: int
+
+
+@dataclass(slots=True)
+class Unpaired:
+    """Messages that have no partner, or stand at another place in the order: all counted, the first listed."""
+
+    count: int = 0
+    first: list[Place] = field(default_factory=list)
+
+    def add(self, place: Place) -> None:
+        """Count a message."""
+        self.count += 1
+        if len(self.first) < MAX_LISTED:
+            self.first.append(place)
+
+
+@dataclass(slots=True)
+class ChangeFound:
+    """One kind of change: in how many messages, and the first of them."""
+
+    name: str
+    messages: int
+    place: Place
+    a: str
+    b: str
+
+
+@dataclass(frozen=True, slots=True)
+class WorstValue:
+    """The value that differs most: where, and what it is in A and in B.
+
+    Attributes
+    ----------
+    index
+        Of the beam or the point.
+    angle
+        Of the beam, rad; None for clouds.
+    difference
+        Absolute; infinity where only one of the two is finite, 0 where only the bits differ.
+    """
+
+    place: Place
+    index: int
+    angle: float | None
+    a: float
+    b: float
+    difference: float
+
+
+@dataclass(slots=True)
+class ValuesFound:
+    """Values of one name that differ, over all messages of a topic.
+
+    Attributes
+    ----------
+    changed, shifted
+        Beams or points, as in `pc2scan.core.compare.ArrayDifference`.
+    whole_shifts
+        Messages that are the other side's, one beam over.
+    """
+
+    name: str
+    messages: int = 0
+    changed: int = 0
+    shifted: int = 0
+    whole_shifts: int = 0
+    worst: WorstValue | None = None
+
+    @property
+    def differing(self) -> int:
+        """Beams or points beyond the tolerance."""
+        return self.changed + self.shifted
+
+
+@dataclass(slots=True)
+class TopicDifference:
+    """What differs between a topic of A and one of B.
+
+    Attributes
+    ----------
+    topic_a, topic_b
+        None where one side has no such topic.
+    msgtype
+        In ROS 2's spelling.
+    allow_beams
+        The share of ``elements`` that may differ.
+    messages_a, messages_b, matched, differing
+        Messages: of either side, pairs, and pairs that are not the same.
+    elements
+        Beams or points of the pairs.
+    missing, extra, moved
+        Only in A; only in B; in both, but not at the same place in the order.
+    changes, values
+        What differs within pairs, by name.
+    worst
+        The pair with the most differing beams or points, and how many.
+    """
+
+    topic_a: str | None
+    topic_b: str | None
+    msgtype: str
+    allow_beams: float = 0.0
+    messages_a: int = 0
+    messages_b: int = 0
+    matched: int = 0
+    differing: int = 0
+    elements: int = 0
+    missing: Unpaired = field(default_factory=Unpaired)
+    extra: Unpaired = field(default_factory=Unpaired)
+    moved: Unpaired = field(default_factory=Unpaired)
+    changes: dict[str, ChangeFound] = field(default_factory=dict)
+    values: dict[str, ValuesFound] = field(default_factory=dict)
+    worst: tuple[Place, int] | None = None
+    _worst_rank: tuple[int, float] = (0, 0.0)
+
+    @property
+    def name(self) -> str:
+        """The topic, or both."""
+        if self.topic_a and self.topic_b and self.topic_a != self.topic_b:
+            return f"{self.topic_a} and {self.topic_b}"
+        return self.topic_a or self.topic_b or ""
+
+    def allows(self, found: ValuesFound) -> bool:
+        """Whether values that differ are within the allowed share."""
+        return found.differing <= self.allow_beams * self.elements
+
+    @property
+    def same(self) -> bool:
+        """Whether nothing differs but what is allowed."""
+        unpaired = self.missing.count or self.extra.count or self.moved.count
+        # A topic without messages says nothing, wherever it is declared.
+        present = (self.topic_a is not None and self.topic_b is not None) or not (self.messages_a or self.messages_b)
+        return present and not unpaired and not self.changes and all(map(self.allows, self.values.values()))
+
+    def count_pair(self, place: Place, difference: MessageDifference) -> None:
+        """Take a pair of messages into account."""
+        self.matched += 1
+        self.elements += difference.elements
+        if difference.same:
+            return
+        self.differing += 1
+        for change in difference.changes:
+            self.change(change.name, place, change.a, change.b)
+        rank = (0, 0.0)
+        for values in difference.values:
+            array = values.difference
+            found = self.values.setdefault(values.name, ValuesFound(values.name))
+            found.messages += 1
+            found.changed += array.changed
+            found.shifted += array.shifted
+            found.whole_shifts += bool(array.shift)
+            worst = array.worst
+            if worst is not None and (found.worst is None or worst.difference > found.worst.difference):
+                angle = None if values.beams is None else values.beams[0] + worst.index * values.beams[1]
+                found.worst = WorstValue(place, worst.index, angle, worst.reference, worst.value, worst.difference)
+            rank = max(rank, (array.differing, worst.difference if worst else 0.0))
+        if rank > self._worst_rank:
+            self._worst_rank = rank
+            self.worst = (place, rank[0])
+
+    def change(self, name: str, place: Place, a: str, b: str) -> None:
+        """Count a change; the first of its name is kept as the example."""
+        found = self.changes.get(name)
+        if found is None:
+            self.changes[name] = ChangeFound(name, 1, place, a, b)
+        else:
+            found.messages += 1
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return JSON's types."""
+        return {
+            "topic_a": self.topic_a,
+            "topic_b": self.topic_b,
+            "msgtype": self.msgtype,
+            "same": self.same,
+            "messages_a": self.messages_a,
+            "messages_b": self.messages_b,
+            "matched": self.matched,
+            "differing": self.differing,
+            "elements": self.elements,
+            **{
+                name: {"count": unpaired.count, "first": [_place(place) for place in unpaired.first]}
+                for name, unpaired in (("missing", self.missing), ("extra", self.extra), ("moved", self.moved))
+            },
+            "changes": [
+                {"name": c.name, "messages": c.messages, **_place(c.place), "a": c.a, "b": c.b}
+                for c in self.changes.values()
+            ],
+            "values": [
+                {
+                    "name": v.name,
+                    "messages": v.messages,
+                    "changed": v.changed,
+                    "shifted": v.shifted,
+                    "whole_shifts": v.whole_shifts,
+                    "allowed": self.allows(v),
+                    "worst": None if v.worst is None else _worst(v.worst),
+                }
+                for v in self.values.values()
+            ],
+            "worst": None if self.worst is None else {**_place(self.worst[0]), "differing": self.worst[1]},
+        }
+
+
+def _place(place: Place) -> dict[str, int | None]:
+    return {"stamp_ns": place.stamp_ns, "log_time_ns": place.log_time_ns}
+
+
+def _worst(worst: WorstValue) -> dict[str, Any]:
+    return {
+        **_place(worst.place),
+        "index": worst.index,
+        "angle": None if worst.angle is None else json_value(worst.angle),
+        "a": json_value(worst.a),
+        "b": json_value(worst.b),
+        "difference": json_value(worst.difference),
+    }

@@ -1,0 +1,21 @@
+"""JSON has neither infinity nor NaN; pc2scan writes them as text. Imports nothing of pc2scan."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+__all__ = ["json_value"]
+
+
+def json_value(value: Any) -> Any:
+    """Return a value with every number that is not finite as text, in lists and dictionaries too; tuples become lists.
+
+    >>> json_value({"range_max": float("inf"), "angles": (0.5, float("nan"))})
+    {'range_max': 'inf', 'angles': [0.5, 'nan']}
+    """
+    if isinstance(value, dict):
+        return {key: json_value(part) for key, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [json_value(part) for part in value]
+    return str(value) if isinstance(value, float) and not math.isfinite(value) else value
