@@ -14,6 +14,7 @@ import pytest
 
 from bags.rosbag2_files import topic
 from fuzz.watch import watched
+from pc2scan.bags.sqlite3_logs import side_logs
 from pc2scan.bags.sqlite3_pages import PageFile, declared_size, rebuilt
 from pc2scan.bags.sqlite3_reader import Sqlite3Reader
 from pc2scan.bags.sqlite3_writer import Sqlite3Writer
@@ -191,7 +192,8 @@ def test_a_log_may_name_any_page(tmp_path: Path) -> None:
     data = bytearray(log.read_bytes())
     data[32:36] = b"\xff" * 4
     log.write_bytes(data)
-    with closing(PageFile(path, log)) as pages:
+    logs = side_logs(path)
+    with closing(logs[0].file), closing(PageFile(path, logs)) as pages:
         found = {cell.values[2] for cell in pages.cells() if cell.is_message}
     assert {time_ns for _, time_ns, _ in complete} <= found | {2_000_000}
 

@@ -15,7 +15,7 @@ import pkgutil
 import sqlite3
 import sys
 import tempfile
-from contextlib import closing
+from contextlib import ExitStack, closing
 from dataclasses import replace
 from functools import cache
 from importlib import import_module
@@ -235,6 +235,7 @@ def _copies(data: bytes) -> None:
 
 def _pages(data: bytes) -> None:
     """A database, and as its last bytes its log: as many as the first two bytes say."""
+    from pc2scan.bags.sqlite3_logs import side_logs
     from pc2scan.bags.sqlite3_pages import PageFile, rebuilt
 
     split = len(data) - min(int.from_bytes(data[:2], "little"), max(0, len(data) - 2))
@@ -242,7 +243,11 @@ def _pages(data: bytes) -> None:
     def read(path: Path) -> None:
         log = path.with_name("a.db3-wal")
         log.write_bytes(data[split:])
-        with closing(PageFile(path, log)) as pages:
+        logs = side_logs(path)
+        with ExitStack() as stack:
+            for own in logs:
+                stack.callback(own.file.close)
+            pages = stack.enter_context(closing(PageFile(path, logs)))
             database, _ = rebuilt(pages)
             with closing(database):
                 for (found,) in database.execute("SELECT data FROM messages"):

@@ -11,6 +11,7 @@ from pc2scan.errors import DestinationError, RecordingError
 
 from . import zstd
 from .damage import DamageLog
+from .temporary import private_folder
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Sequence
@@ -192,11 +193,9 @@ class _UnpackedReader:
     """A file that was compressed as a whole, read from a temporary copy."""
 
     def __init__(self, path: Path, form: str, *, verify: bool, strict: bool) -> None:
-        from tempfile import TemporaryDirectory  # noqa: PLC0415  (it loads the compression modules)
-
         self._path = path
         self._log = DamageLog(strict=strict)
-        self._temporary = TemporaryDirectory(prefix="pc2scan-")
+        self._temporary = private_folder(path)
         try:
             unpacked = zstd.unpacked_file(path, Path(self._temporary.name), self._log)
             self._inner = _open(unpacked, form, verify=verify, strict=strict)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import DamageError, RecordingError
@@ -14,9 +13,11 @@ from . import zstd
 from .damage import RECOVER, DamageLog
 from .merged import MergedReader
 from .rosbag2_metadata import METADATA_NAME, RECORD_NAME, located_file, read_info
+from .temporary import private_folder
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
+    from tempfile import TemporaryDirectory
 
     from .damage import Damage
     from .model import Connection, Metadata, Reader, Summary
@@ -132,7 +133,7 @@ class Rosbag2Reader(MergedReader):
     def _open(self, file: Path, *, verify: bool) -> Reader:
         if zstd.is_zstd(file):
             if self._temporary is None:
-                self._temporary = TemporaryDirectory(prefix="pc2scan-")
+                self._temporary = private_folder(self._path)
             unpacked = zstd.unpacked_file(file, Path(self._temporary.name), self._log)
             self._origins[unpacked] = file
             file = unpacked

@@ -15,17 +15,21 @@ from itertools import chain
 from typing import TYPE_CHECKING, NamedTuple
 
 from .files import SourceFile
+from .sqlite3_logs import page_size_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
+
+    from .sqlite3_logs import PageLog
 
 __all__ = ["Cell", "PageFile", "declared_size", "rebuilt"]
 
 _HEADER_SIZE = 100
 _LEAF = 0x0D
-_WAL_HEADER, _WAL_FRAME = 32, 24
-_WAL_MAGICS = (0x377F0682, 0x377F0683)
+
+#: Where the numbers begin under which pages are looked at that are doubtful; no database has as many pages.
+_DOUBTFUL = 1 << 32
 
 #: Text and numbers are looked at up to here; a message's data is read when it is asked for.
 _LONGEST_VALUE = 1 << 20
@@ -87,50 +91,43 @@ def declared_size(head: bytes) -> int | None:
         return None
     (pages,) = struct.unpack_from(">I", head, 28)
     # Writers before SQLite 3.7 did not keep the number up to date; newer ones say that they did.
-    return pages * _page_size(head) if pages and head[24:28] == head[92:96] else None
-
-
-def _page_size(head: bytes) -> int:
-    (size,) = struct.unpack_from(">H", head, 16)
-    size = 65536 if size == 1 else size
-    return size if size >= 512 and size & (size - 1) == 0 else 4096
+    return pages * page_size_of(head) if pages and head[24:28] == head[92:96] else None
 
 
 class PageFile(SourceFile):
-    """The pages of a database, those of its write-ahead log over them.
+    """The pages of a database, those of the logs beside it over them.
 
     Parameters
     ----------
     path
         The database; may be cut off anywhere.
-    wal
-        Its write-ahead log, if there is one. Committed pages count.
+    logs
+        What is beside it, in the order in which it applies. Rows in doubtful pages count where no other page has them.
     """
 
-    def __init__(self, path: Path, wal: Path | None = None) -> None:
+    def __init__(self, path: Path, logs: Sequence[PageLog] = ()) -> None:
         super().__init__(path)
         head = self.read(0, min(self.size, _HEADER_SIZE)).ljust(_HEADER_SIZE, b"\0")
-        self._page_size = _page_size(head)
+        self._page_size = page_size_of(head)
         self._usable = max(self._page_size - head[20], 480)
-        self._log: SourceFile | None = None
-        self._logged: dict[int, int] = {}
-        if wal is not None:
-            self._log = SourceFile(wal)
-            self._logged = _committed(self._log, self._page_size)
+        self._logged: dict[int, tuple[SourceFile, int]] = {}
+        for log in logs:
+            self._logged |= {number: (log.file, place) for number, place in log.places.items()}
         self._stored = range(1, -(-self.size // self._page_size) + 1)
         # A log may name any page; only those that are somewhere are looked at.
         self._only_logged = sorted(number for number in self._logged if number not in self._stored)
+        doubtful = [(log.file, place, number) for log in logs for place, number in log.doubtful.items()]
+        self._doubtful = range(_DOUBTFUL, _DOUBTFUL + len(doubtful))
+        for own, (file, place, number) in zip(self._doubtful, doubtful, strict=True):
+            self._logged[own] = file, place
+            # A page that is nowhere else may be one in which a long row goes on.
+            if number not in self._stored:
+                self._logged.setdefault(number, (file, place))
         self._latest = (0, b"")
-
-    def close(self) -> None:
-        """Release the files."""
-        super().close()
-        if self._log is not None:
-            self._log.close()
 
     def cells(self) -> Iterator[Cell]:
         """All rows that can be made out, in the order of the pages."""
-        for number in chain(self._stored, self._only_logged):
+        for number in chain(self._stored, self._only_logged, self._doubtful):
             page = self._page(number)
             base = _HEADER_SIZE if number == 1 else 0
             if len(page) < base + 8 or page[base] != _LEAF:
@@ -160,8 +157,9 @@ class PageFile(SourceFile):
     def _page(self, number: int) -> bytes:
         if self._latest[0] != number:
             start = (number - 1) * self._page_size
-            if self._log is not None and number in self._logged:
-                page = self._log.read(self._logged[number], self._page_size)
+            if number in self._logged:
+                log, place = self._logged[number]
+                page = log.read(place, self._page_size)
             elif number < 1 or start >= self.size:
                 page = b""
             else:
@@ -210,7 +208,7 @@ class PageFile(SourceFile):
         if local == size or wanted <= local or found < local or start + local + 4 > len(page):
             return parts[0]
         (following,) = struct.unpack_from(">I", page, start + local)
-        for _ in range(len(self._stored) + len(self._only_logged)):  # a chain that leads back to itself has no end
+        for _ in range(len(self._stored) + len(self._logged)):  # a chain that leads back to itself has no end
             if found >= wanted or not following:
                 break
             overflow = self._page(following)
@@ -223,31 +221,6 @@ class PageFile(SourceFile):
             found += len(part)
             (following,) = struct.unpack_from(">I", overflow)
         return b"".join(parts)
-
-
-def _committed(log: SourceFile, page_size: int) -> dict[int, int]:
-    """Where the log has the latest committed content of each page."""
-    if log.size < _WAL_HEADER:
-        return {}
-    head = log.read(0, _WAL_HEADER)
-    magic, _, size = struct.unpack_from(">III", head)
-    if magic not in _WAL_MAGICS or size != page_size:
-        return {}
-    committed: dict[int, int] = {}
-    pending: dict[int, int] = {}
-    position = _WAL_HEADER
-    while position + _WAL_FRAME + page_size <= log.size:
-        frame = log.read(position, _WAL_FRAME)
-        number, pages = struct.unpack_from(">II", frame)
-        # Frames from before the log was last reset have other salts.
-        if frame[8:16] != head[16:24]:
-            break
-        pending[number] = position + _WAL_FRAME
-        if pages:
-            committed |= pending
-            pending = {}
-        position += _WAL_FRAME + page_size
-    return committed
 
 
 def _varint(data: bytes, position: int) -> tuple[int, int] | None:

@@ -1,6 +1,7 @@
 """Reading rosbag2's sqlite3 storage: one ``.db3`` file.
 
-It needs nothing but the standard library, and never writes beside the source.
+SQLite opens nothing but complete databases, and those as immutable: it looks for no log, and locks and writes nothing.
+A database with a log beside it is merged with the log into a temporary copy by `pc2scan.bags.sqlite3_logs`.
 
 The layout's versions differ only in their tables and columns, so these are looked up instead of a version:
 
@@ -18,12 +19,10 @@ Source: rosbag2_storage_sqlite3/sqlite_storage.cpp.
 
 from __future__ import annotations
 
-import shutil
 import sqlite3
 from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.errors import DamageError, RecordingError
@@ -33,19 +32,20 @@ from .damage import RECOVER, DamageLog
 from .limits import MAX_CONNECTIONS
 from .model import Connection, Definition, RawMessage, Summary, declared_counts
 from .qos import latches
+from .sqlite3_logs import missing_pages, page_size_of, side_logs, write_merged
 from .sqlite3_pages import PageFile, declared_size, rebuilt
+from .temporary import making_copy, private_folder, sqlite_is_full
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
+    from tempfile import TemporaryDirectory
 
     from .damage import Damage
     from .model import Attachment, ChunkRule, Metadata, StoredChunk, Work
+    from .sqlite3_logs import PageLog
     from .threads import Threads
 
 __all__ = ["Sqlite3Reader"]
-
-#: What a recorder that died, or is still running, leaves beside the database; the rows in it count.
-_SIDE_FILES = ("-wal", "-journal")
 
 #: SQLite's codes for a database that is not as it must be; ERROR comes of a damaged schema.
 _DAMAGE_CODES = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_ERROR, sqlite3.SQLITE_IOERR_SHORT_READ)
@@ -61,8 +61,8 @@ class Sqlite3Reader:
     Parameters
     ----------
     path
-        The file. Nothing is written to it or beside it: with a write-ahead log or a rollback journal beside
-        it, all of it is copied to a temporary directory, and SQLite recovers the copy.
+        The file. Nothing is written to it or beside it. What a recorder that died left beside it, a write-ahead log
+        or a rollback journal, counts.
     message_compression
         ``zstd`` if every message is compressed by itself. ``none`` still looks at the first message, because
         only metadata.yaml, which may not be there, tells otherwise.
@@ -81,14 +81,17 @@ class Sqlite3Reader:
     def __init__(self, path: Path, *, message_compression: str = "none", strict: bool = False) -> None:
         self._path = path
         self._log = DamageLog(strict=strict)
+        self._logs: list[PageLog] = []
         self._copy: TemporaryDirectory[str] | None = None
         self._database: sqlite3.Connection | None = None
         self._pages: PageFile | None = None
         self._bytes_read = 0
         try:
             self._size = path.stat().st_size
+            self._logs = side_logs(path)
+            self._note_logs()
             try:
-                self._refuse_cut()
+                self._refuse_incomplete()
                 self._database = self._open()
                 start_ns, end_ns = self._survey(message_compression)
             except DamageError as err:
@@ -240,18 +243,35 @@ class Sqlite3Reader:
         if self._pages is not None:
             self._pages.close()
             self._pages = None
+        for log in self._logs:
+            log.file.close()
         if self._copy is not None:
             self._copy.cleanup()
             self._copy = None
 
-    def _refuse_cut(self) -> None:
-        """Raise if the file is shorter than it says itself. SQLite would notice only where something is missing."""
-        if self._side_files():
-            return
+    def _note_logs(self) -> None:
+        """Take note of what is wrong with the logs."""
+        for log in self._logs:
+            for problem in log.problems:
+                error = DamageError(problem.what, path=log.file.path, hint=RECOVER)
+                self._log.note(error, offset=problem.offset, bytes_lost=problem.bytes_lost)
+
+    def _missing_bytes(self) -> int:
+        """How many bytes the database is shorter than it, or a log, says. SQLite notices only what it reads."""
         with self._path.open("rb") as file:
-            declared = declared_size(file.read(100))
-        if declared is not None and declared > self._size:
-            raise self._damage(f"is cut off: it has {self._size} of {declared} bytes")
+            head = file.read(100)
+        size = page_size_of(head)
+        if any(log.page_count is not None for log in self._logs):
+            return missing_pages(self._size // size, self._logs) * size
+        return max(0, (declared_size(head) or 0) - self._size)
+
+    def _refuse_incomplete(self) -> None:
+        """Raise if pages are missing, in the file itself or in its logs."""
+        if missing := self._missing_bytes():
+            raise self._damage(f"is cut off: it has {self._size} of {self._size + missing} bytes")
+        for log in self._logs:
+            if log.broken:
+                raise self._damage(f"{log.file.path.name} is damaged")
 
     def _recover(self, problem: RecordingError) -> None:
         """Go on with the rows that can be found without SQLite's trees."""
@@ -261,37 +281,40 @@ class Sqlite3Reader:
             raise problem
         if self._database is not None:
             self._database.close()
-        wal = _beside(self._path, "-wal")
-        self._pages = PageFile(self._path, wal if _has_content(wal) else None)
-        self._database, last_ns = rebuilt(self._pages)
+        self._pages = PageFile(self._path, self._logs)
+        try:
+            self._database, last_ns = rebuilt(self._pages)
+        except sqlite3.Error as err:
+            raise self._error(err) from err
         self._index = None
         if last_ns is None and not self._database.execute("SELECT 1 FROM topics").fetchone():
             raise self._damage(f"nothing of it can be recovered: {problem.message}")
-        with self._path.open("rb") as file:
-            declared = declared_size(file.read(100)) or 0
-        self._log.note(problem, bytes_lost=max(0, declared - self._size), first_ns=last_ns)
-
-    def _side_files(self) -> list[Path]:
-        return [side for name in _SIDE_FILES if _has_content(side := _beside(self._path, name))]
+        self._log.note(problem, bytes_lost=self._missing_bytes(), first_ns=last_ns)
 
     def _open(self) -> sqlite3.Connection:
         """Open without a trace: an immutable database is neither locked nor recovered."""
-        side_files = self._side_files()
-        path, mode = self._path, "mode=ro&immutable=1"
-        if side_files:
-            self._copy = TemporaryDirectory(prefix="pc2scan-")
-            for original in (self._path, *side_files):
-                shutil.copyfile(original, f"{self._copy.name}/{original.name}")
-            # Recovery writes; it may, here.
-            path, mode = Path(self._copy.name, self._path.name), "mode=rw"
+        path = self._path
+        if any(log.page_count is not None for log in self._logs):
+            path = self._merged_copy()
         # Readers are handed to other threads, one thread at a time.
-        database = sqlite3.connect(f"{path.absolute().as_uri()}?{mode}", uri=True, check_same_thread=False)
+        database = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro&immutable=1", uri=True, check_same_thread=False)
         # One byte that is not UTF-8 in a topic's name must not make the recording unreadable.
         database.text_factory = lambda raw: raw.decode("utf-8", "replace")
         # No value is longer than the file that it is in, nor than SQLite has numbers for.
-        longest = 1_000_000 + sum(side.stat().st_size for side in side_files) + self._size
+        longest = 1_000_000 + sum(log.file.size for log in self._logs) + self._size
         database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, min(longest, 2**31 - 1))
+        # No statement of the recording's own may open another file, or call what has effects.
+        database.setlimit(sqlite3.SQLITE_LIMIT_ATTACHED, 0)
+        database.execute("PRAGMA trusted_schema = OFF")
         return database
+
+    def _merged_copy(self) -> Path:
+        """Copy the database with the pages of its logs; as large as both at most."""
+        self._copy = private_folder(self._path)
+        target = Path(self._copy.name, "merged.db3")
+        with making_copy(self._path, target.parent):
+            write_merged(self._path, self._logs, target)
+        return target
 
     @contextmanager
     def _ending(self) -> Iterator[None]:
@@ -317,6 +340,8 @@ class Sqlite3Reader:
         return DamageError(message, path=self._path, topic=topic, hint=RECOVER)
 
     def _error(self, err: Exception) -> RecordingError:
+        if isinstance(err, sqlite3.Error) and err.sqlite_errorcode == sqlite3.SQLITE_FULL:
+            return sqlite_is_full(self._path)
         message = f"SQLite cannot read it: {str(err) or type(err).__name__}"
         # Disks that fail and memory that is short are no damage.
         if not isinstance(err, sqlite3.Error) or err.sqlite_errorcode in _DAMAGE_CODES:
@@ -464,11 +489,3 @@ def _time_conditions(start_ns: int | None, stop_ns: int | None) -> tuple[list[st
 def _text_of(column: str) -> str:
     """A column as text: SQLite lets any value into any column."""
     return f"coalesce(CAST({column} AS TEXT), '')"
-
-
-def _beside(path: Path, suffix: str) -> Path:
-    return path.with_name(path.name + suffix)
-
-
-def _has_content(path: Path) -> bool:
-    return path.is_file() and path.stat().st_size > 0

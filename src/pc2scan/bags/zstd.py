@@ -8,6 +8,7 @@ from pc2scan.errors import DamageError, RecordingError
 
 from .damage import RECOVER
 from .limits import MAX_FILE_RATIO, MAX_UNPACKED, allowed_bytes
+from .temporary import making_copy
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -65,7 +66,7 @@ def unpacked_file(path: Path, folder: Path, log: DamageLog) -> Path:
         If the result does not fit.
     """
     target = folder / without_suffix(path.name)
-    try:
+    with making_copy(path, folder):
         broken = _unpack(path, target)
         if broken is not None:
             offset, reason = broken
@@ -76,12 +77,6 @@ def unpacked_file(path: Path, folder: Path, log: DamageLog) -> Path:
             )
             # Once more, with small pieces about the damage: a piece that fails leaves nothing behind.
             _unpack(path, target, broken_at=offset)
-    except OSError as err:
-        raise RecordingError(
-            f"cannot be decompressed: {err.strerror}",
-            path=path,
-            hint=f"it is unpacked in {folder.parent}; the environment variable TMPDIR names another place",
-        ) from err
     return target
 
 

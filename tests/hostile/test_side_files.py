@@ -1,0 +1,129 @@
+"""What lies beside a database: no file but pc2scan's own is created, changed, renamed or deleted for it."""
+
+from __future__ import annotations
+
+import shutil
+import sqlite3
+import struct
+from contextlib import closing
+from typing import TYPE_CHECKING
+
+import pytest
+
+from builders import CONTENT, write_db3
+from hostile.bounded import run_bounded
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+_MAGIC = bytes.fromhex("d9d505f920a163d7")
+
+#: Every command that opens a recording, with what it takes beside that.
+COMMANDS: dict[str, tuple[str, ...]] = {
+    "info": (),
+    "tf": (),
+    "check": (),
+    "repair": ("-o", "OUT/fixed.mcap"),
+    "convert": ("-o", "OUT/scans.mcap"),
+    "diff": ("SRC",),
+}
+
+
+def state(folder: Path) -> dict[str, tuple[str, bytes]]:
+    """All entries of a folder: the files' contents, and where links lead."""
+    return {
+        str(entry.relative_to(folder)): (str(entry.readlink()), b"") if entry.is_symlink() else ("", entry.read_bytes())
+        for entry in folder.rglob("*")
+        if entry.is_symlink() or entry.is_file()
+    }
+
+
+def run(folder: Path, command: str, source: Path, *args: str) -> int:
+    """Run a command whose output is in a folder of its own, and hold it to having changed nothing else."""
+    out = folder / "out"
+    out.mkdir(exist_ok=True)
+    others = folder / "others"
+    before = state(others)
+    words = [word.replace("SRC", str(source)).replace("OUT", str(out)) for word in (*COMMANDS[command], *args)]
+    done = run_bounded(folder, command, source, *words)
+    assert state(others) == before
+    return done.status
+
+
+def journal(database: Path, *, names: Path) -> bytes:
+    """A rollback journal that undoes nothing, of a transaction over several databases: one more file knows its end."""
+    head = database.read_bytes()[:100]
+    (page,) = struct.unpack_from(">H", head, 16)
+    count = database.stat().st_size // page
+    header = (_MAGIC + struct.pack(">IIIII", 0, 0, count, 512, page)).ljust(512, b"\0")
+    name = str(names).encode()
+    return header + struct.pack(">I", 0x40000000 // page + 1) + name + struct.pack(">II", len(name), sum(name)) + _MAGIC
+
+
+def recording(folder: Path) -> Path:
+    """A database in a folder in which nothing may change."""
+    (folder / "others").mkdir()
+    return write_db3(folder / "others" / "drive.db3", CONTENT)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_file_that_a_journal_names_stays(command: str, tmp_path: Path) -> None:
+    source = recording(tmp_path)
+    victim = tmp_path / "others" / "victim"
+    victim.write_text("years of work")
+    source.with_name("drive.db3-journal").write_bytes(journal(source, names=victim))
+    run(tmp_path, command, source)
+    assert victim.read_text() == "years of work"
+
+
+def test_a_journal_that_names_a_file_is_reported(tmp_path: Path) -> None:
+    source = recording(tmp_path)
+    source.with_name("drive.db3-journal").write_bytes(journal(source, names=tmp_path / "not" / "there"))
+    done = run_bounded(tmp_path, "convert", source, "-o", tmp_path / "out.mcap")
+    assert done.status == 3
+    assert "drive.db3-journal, byte 0: names the file" in done.stderr
+    strict = run_bounded(tmp_path, "convert", source, "-o", tmp_path / "strict.mcap", "--strict")
+    assert strict.status == 1
+    assert not (tmp_path / "strict.mcap").exists()
+
+
+@pytest.mark.parametrize("suffix", ["-journal", "-wal", "-shm"])
+@pytest.mark.parametrize("kind", ["link to a file", "link to nothing", "link to a directory", "text", "empty"])
+def test_whatever_lies_beside_a_database_stays(suffix: str, kind: str, tmp_path: Path) -> None:
+    source = recording(tmp_path)
+    side = source.with_name(f"drive.db3{suffix}")
+    other = tmp_path / "others" / "letters"
+    other.write_text("years of work " * 99)
+    if kind == "link to a file":
+        side.symlink_to(other)
+    elif kind == "link to nothing":
+        side.symlink_to(tmp_path / "others" / "nowhere")
+    elif kind == "link to a directory":
+        side.symlink_to(tmp_path)
+    else:
+        side.write_text("not a log" * 99 if kind == "text" else "")
+    assert run(tmp_path, "convert", source) in (0, 3)
+
+
+@pytest.mark.parametrize("name", ["a?mode=rwc.db3", "a#b.db3", "a%41.db3", "file:a.db3", ":memory:"])
+def test_names_that_mean_something_to_sqlite(name: str, tmp_path: Path) -> None:
+    source = recording(tmp_path)
+    source = source.rename(source.with_name(name))
+    assert run(tmp_path, "info", source) == 0
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_log_is_read_and_stays(command: str, tmp_path: Path) -> None:
+    source = recording(tmp_path)
+    live = tmp_path / "live.db3"
+    shutil.copyfile(source, live)
+    with closing(sqlite3.connect(live)) as database:
+        database.execute("PRAGMA journal_mode = WAL")
+        database.execute(
+            "INSERT INTO messages(topic_id, timestamp, data) SELECT topic_id, timestamp, data FROM messages"
+        )
+        database.commit()
+        shutil.copyfile(live, source)
+        shutil.copyfile(f"{live}-wal", f"{source}-wal")
+    # There are no scans to check.
+    assert run(tmp_path, command, source) == (2 if command == "check" else 0)
