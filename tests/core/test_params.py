@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -119,6 +120,7 @@ def test_defaults_are_upstreams() -> None:
         ({"scan_time": "automatic"}, "scan_time"),
         ({"time_increment": math.inf}, "time_increment"),
         ({"time_increment": math.nan}, "time_increment"),
+        ({"angle_rounding": "glibc-2.41"}, "angle_rounding"),
     ],
 )
 def test_values_that_cannot_be_are_refused_by_name(values: dict[str, float], named: str) -> None:
@@ -126,6 +128,50 @@ def test_values_that_cannot_be_are_refused_by_name(values: dict[str, float], nam
         ProjectionParams(**values)  # type: ignore[arg-type]
     assert caught.value.name == named
     assert named in caught.value.message
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "told"),
+    [
+        ("beams", 1.5, "beams is 1.5, it must be a whole number"),
+        ("beams", True, "beams is True, it must be a whole number"),
+        ("min_points", 1.0, "min_points is 1.0, it must be a whole number"),
+        ("use_inf", "false", "use_inf is 'false', it must be true or false"),
+        ("use_inf", 1, "use_inf is 1, it must be true or false"),
+        ("target_frame", 5, "target_frame is 5, it must be text"),
+        ("target_frame", None, "target_frame is None, it must be text"),
+        ("reduce", 1, "reduce is 1, it must be one of min, max, mean, median, kth"),
+        ("min_height", "a", "min_height is 'a', it must be a number"),
+        ("min_height", False, "min_height is False, it must be a number"),
+        ("min_height", np.array([1.0, 2.0]), "min_height is array([1., 2.]), it must be a number"),
+        ("range_max", 10**400, "it must be a number"),
+        ("scan_time", [0.1], "scan_time is [0.1], it must be a number or auto"),
+        ("scan_time", np.array([1, 2]), "scan_time is array([1, 2]), it must be a number or auto"),
+        ("time_increment", "0.1", "time_increment is '0.1', it must be a number or auto"),
+    ],
+)
+def test_values_of_another_type_are_refused(name: str, value: Any, told: str) -> None:
+    with pytest.raises(ParameterError) as caught:
+        ProjectionParams(**{name: value})
+    assert caught.value.name == name
+    assert caught.value.message.startswith(f"{name} is ")
+    assert caught.value.message.endswith(told)
+    assert len(caught.value.message) < 200
+
+
+def test_numpys_numbers_are_taken_as_pythons() -> None:
+    """Compared with the default of the other limit, a float32 would overflow; warnings are errors here."""
+    values: dict[str, Any] = {
+        "min_height": np.float32(-1), "max_height": np.float16(2), "range_max": np.float32(30),
+        "range_min": np.int64(1), "beams": np.uint16(90), "use_inf": np.bool_(False),
+        "target_frame": np.str_("base_link"),
+    }  # fmt: skip
+    params = ProjectionParams(**values)
+    assert params == ProjectionParams(**{name: value.item() for name, value in values.items()})
+    for name in values:
+        assert type(getattr(params, name)) is type(getattr(ProjectionParams(), name))
+    with pytest.raises(ParameterError, match="min_height is NaN"):
+        ProjectionParams(min_height=np.float32("nan"))  # type: ignore[arg-type]
 
 
 def test_too_many_beams_are_counted_in_the_message() -> None:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import numbers
+from contextlib import suppress
 from dataclasses import dataclass, fields
-from typing import Literal
+from typing import Any, Literal
 
 from pc2scan.errors import ParameterError
 
@@ -27,6 +29,13 @@ CHOICES: dict[str, tuple[str, ...]] = {
 
 #: Parameters that may be measured in the recording instead of given.
 MEASURED = ("scan_time", "time_increment")
+
+#: What the values of each type are called in errors.
+_EXPECTED = {float: "a number", bool: "true or false", int: "a whole number", str: "text"}
+#: Python's type, and NumPy's by the names that versions 1 and 2 have for it, without importing NumPy.
+_TRUTHS = {"bool", "bool_"}
+#: A value is shown up to here, characters.
+_LONGEST = 80
 
 #: What ``no_return: range-max-minus`` stays below ``range_max``, metres. Source of the number: nav2_costmap_2d's
 #: ObstacleLayer::laserScanValidInfCallback puts infinite ranges there, so that they clear and do not mark.
@@ -95,7 +104,7 @@ class ProjectionParams:
     Raises
     ------
     ParameterError
-        If a value is NaN or cannot be (an increment that is not positive, an empty sector, range
+        If a value has another type, is NaN or cannot be (an increment that is not positive, an empty sector, range
         or height band, more than `MAX_BEAMS` beams, a word that is not one of the choices).
     """
 
@@ -145,7 +154,8 @@ class ProjectionParams:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            value = getattr(self, field.name)
+            value = _typed(field.name, type(field.default), getattr(self, field.name))
+            object.__setattr__(self, field.name, value)
             if isinstance(value, float) and math.isnan(value):
                 raise ParameterError(f"{field.name} is NaN", name=field.name)
         self._check_words()
@@ -173,10 +183,6 @@ class ProjectionParams:
             value = getattr(self, name)
             if value not in choices and not (name == "no_return" and not value):
                 raise ParameterError(f"{name} is {value!r}, it must be one of {', '.join(choices)}", name=name)
-        for name in MEASURED:
-            value = getattr(self, name)
-            if isinstance(value, str) and value != "auto":
-                raise ParameterError(f"{name} is {value!r}, it must be a number or auto", name=name)
 
     def _check_beams(self) -> None:
         if self.beams == 1 or self.beams > MAX_BEAMS:
@@ -246,3 +252,28 @@ class ProjectionParams:
             case "zero":
                 return 0.0
         return math.inf
+
+
+def _typed(name: str, kind: type, value: Any) -> float | bool | str:
+    """Return a value as the Python type that its parameter has.
+
+    NumPy's numbers become Python's: compared with limits that they cannot hold, they would overflow. Nothing else is
+    converted; true is no number, and 1.0 no whole one.
+    """
+    words = ("auto",) if name in MEASURED else CHOICES.get(name, ())
+    if isinstance(value, str):
+        if kind is str or value in words:
+            return str(value)
+    elif type(value).__name__ in _TRUTHS:
+        if kind is bool:
+            return bool(value)
+    elif isinstance(value, numbers.Integral) and kind is int:
+        return int(value)
+    elif isinstance(value, numbers.Real) and kind is float:
+        # A whole number of 309 digits is no number that a parameter can have.
+        with suppress(OverflowError):
+            return float(value)
+    expected = f"one of {', '.join(words)}" if kind is str and words else " or ".join((_EXPECTED[kind], *words))
+    text = repr(value)
+    shown = text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."
+    raise ParameterError(f"{name} is {shown}, it must be {expected}", name=name)

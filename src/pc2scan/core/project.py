@@ -22,10 +22,13 @@ import numpy as np
 
 from . import kernel
 from .params import ProjectionParams
+from .points import coordinates_of, values_of
 from .reduce import extremes, means, winners
 from .rule import rule_of
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from numpy.typing import ArrayLike, NDArray
 
 __all__ = ["PointCounts", "ProjectedScan", "Projector", "project"]
@@ -212,21 +215,24 @@ def _counts(total: int, fates: tuple[int, int, int, int, int]) -> PointCounts:
 
 
 def project(
-    points: ArrayLike, params: ProjectionParams | None = None, *, intensities: ArrayLike | None = None
+    points: ArrayLike | Mapping[str, ArrayLike],
+    params: ProjectionParams | None = None,
+    *,
+    intensities: ArrayLike | None = None,
 ) -> ProjectedScan:
     """Project a cloud to a scan, as pointcloud_to_laserscan does it unless the parameters say otherwise.
 
     Parameters
     ----------
     points
-        (M, 3) or (H, W, 3), integers or floats: x, y and z in metres, in the scan's frame. They are rounded
-        to float32, as upstream reads them. NaN drops a point; infinite coordinates are stopped only by the
-        limits.
+        (M, 3) or (H, W, 3), integers or floats: x, y and z in metres, in the scan's frame. Or a structured array
+        or a mapping with x, y and z, each (M,) or (H, W). They are rounded to float32, as upstream reads them. NaN
+        drops a point, and so does a mask; infinite coordinates are stopped only by the limits.
     params
         The projection's parameters, upstream's defaults if None. Those **drop everything at or below z = 0**.
     intensities
-        (M,) or (H, W) real numbers, one for each point: the scan gets those of the points that it shows. None: the
-        scan has none, whatever ``params.intensity_field`` says.
+        (M,) or (H, W) real numbers, one for each point: the scan gets those of the points that it shows, NaN where
+        they are masked. None: the scan has none, whatever ``params.intensity_field`` says.
 
     Returns
     -------
@@ -236,9 +242,9 @@ def project(
     Raises
     ------
     ValueError
-        If ``points`` or ``intensities`` have another shape.
+        If ``points`` or ``intensities`` have another shape, or x, y or z is missing.
     TypeError
-        If ``points`` are not real numbers.
+        If ``points`` or ``intensities`` are not real numbers.
 
     Examples
     --------
@@ -247,11 +253,6 @@ def project(
     >>> float(scan.ranges.min()), scan.counts.used, scan.counts.height
     (2.0024983882904053, 1, 1)
     """
-    array = np.asarray(points)
-    if array.ndim not in {2, 3} or array.shape[-1] != 3:
-        raise ValueError(f"points have the shape {array.shape}, expected (M, 3) or (H, W, 3)")
-    if array.dtype.kind not in "biuf":
-        raise TypeError(f"points are of type {array.dtype}, expected integers or floats")
-    projector = Projector(ProjectionParams() if params is None else params)
-    values = None if intensities is None else np.asarray(intensities)
-    return projector(array[..., 0], array[..., 1], array[..., 2], intensities=values)
+    x, y, z = coordinates_of(points)
+    values = None if intensities is None else values_of(intensities)
+    return Projector(params or ProjectionParams())(x, y, z, intensities=values)
