@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,6 +21,37 @@ def float32(value: float) -> float:
     """The nearest float32; inf beyond the largest one."""
     with np.errstate(over="ignore"):
         return float(np.float32(value))
+
+
+def reference_moved(
+    points: Iterable[Iterable[float]], rotation: NDArray[Any], translation: NDArray[Any]
+) -> NDArray[np.float32]:
+    """Points, (N, 3), transformed as tf2_sensor_msgs does it: rounded to float32 after every operation."""
+    rows = [tuple(np.float32(value) for value in row) for row in rotation]
+    offsets = [np.float32(value) for value in translation]
+    moved = []
+    with np.errstate(all="ignore"):
+        for point in points:
+            x, y, z = (np.float32(value) for value in point)
+            moved.append([((a * x + b * y) + c * z) + t for (a, b, c), t in zip(rows, offsets, strict=True)])
+    return np.array(moved, np.float32).reshape(-1, 3)
+
+
+def reference_rotation(quaternion: Iterable[float]) -> NDArray[np.float32]:
+    """Eigen's ``Quaternion<float>::toRotationMatrix``, in its words."""
+    x, y, z, w = (np.float32(value) for value in quaternion)
+    one, two = np.float32(1), np.float32(2)
+    tx, ty, tz = two * x, two * y, two * z
+    twx, twy, twz = tx * w, ty * w, tz * w
+    txx, txy, txz = tx * x, ty * x, tz * x
+    tyy, tyz, tzz = ty * y, tz * y, tz * z
+    rows = [
+        [one - (tyy + tzz), txy - twz, txz + twy],
+        [txy + twz, one - (txx + tzz), tyz - twx],
+        [txz - twy, tyz + twx, one - (txx + tyy)],
+    ]
+    assert all(value.dtype == np.float32 for row in rows for value in row)
+    return np.array(rows)
 
 
 def reference_scan(

@@ -123,9 +123,14 @@ def test_points_on_edges_fall_into_the_beam_of_their_exact_angle(name: str, monk
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
-def test_transformed_points_are_summed_in_one_order(dtype: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("together", [False, True], ids=["apart", "together"])
+def test_transformed_points_are_summed_in_one_order(
+    dtype: Any, together: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     rng = np.random.default_rng(10)
-    x, y, z = rng.normal(scale=20, size=(3, 50_000)).astype(dtype)
+    cloud = rng.normal(scale=20, size=(3, 50_000)).astype(dtype)
+    # Coordinates that follow each other are taken eight at a time where the processor can.
+    x, y, z = np.ascontiguousarray(cloud.T).T if together else cloud
     moved = np.linalg.qr(rng.normal(size=(3, 3)))[0], rng.normal(size=3)
     projector = Projector(ProjectionParams(min_height=-3.0, max_height=3.0, angle_increment=1e-4))
     compiled = projector(x, y, z, moved)
@@ -158,9 +163,11 @@ def test_every_datatype_of_a_field_is_read(order: str, moves: bool, monkeypatch:
             assert scan.counts.used
 
 
-def test_points_one_behind_the_other_are_taken_as_any_others(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("moves", [False, True])
+def test_points_one_behind_the_other_are_taken_as_any_others(moves: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever is between them and behind the last, in rows or not, and where none or all of them are dropped."""
     rng = np.random.default_rng(12)
+    moved = (np.linalg.qr(rng.normal(size=(3, 3)))[0], np.array([0.1, 0.2, 0.3])) if moves else None
     projector = Projector(ProjectionParams(min_height=-1.0, max_height=1.0, range_max=30.0, angle_increment=0.01))
     shapes = [(count,) for count in range(42)] + [(2500,), (1, 30), (7, 5), (3, 1000)]
     for step in (12, 13, 16, 22, 32, 48):
@@ -175,10 +182,10 @@ def test_points_one_behind_the_other_are_taken_as_any_others(monkeypatch: pytest
                     axis[rng.random(shape) < 0.1] = rng.choice([np.nan, np.inf, -np.inf, 0.0])
             for lift in (0.0, 5.0):
                 z += np.float32(lift)
-                compiled = projector(x, y, z)
+                compiled = projector(x, y, z, moved)
                 with monkeypatch.context() as patch:
                     patch.setattr(kernel, "project", plain.project)
-                    scan = projector(x, y, z)
+                    scan = projector(x, y, z, moved)
                 np.testing.assert_array_equal(scan.ranges, compiled.ranges)
                 assert scan.counts == compiled.counts
 
@@ -199,7 +206,7 @@ def test_nothing_behind_the_last_point_is_read(step: int) -> None:
 
 
 def test_arrays_that_do_not_fit_together_are_refused() -> None:
-    rule, move, ranges = np.zeros(13), np.zeros(12), np.zeros(4, np.float32)
+    rule, move, ranges = np.zeros(13), np.zeros(12, np.float32), np.zeros(4, np.float32)
     one, two, double = np.zeros(1, np.float32), np.zeros(2, np.float32), np.zeros(1)
     cube, small, long = np.zeros((1, 1, 1), np.float32), np.zeros(1, np.float16), np.zeros(1, np.int64)
     fixed = ranges.copy()
@@ -217,7 +224,7 @@ def test_arrays_that_do_not_fit_together_are_refused() -> None:
             kernel.project(*xyz, rule, None, ranges, 1.0, 1.0)
         with pytest.raises(ValueError, match="coordinates"):
             kernel.gather(*xyz, rule, None, 1, slots, one, numbers)
-    triples = [(rule[:12], None, ranges), (rule, move[:11], ranges), (rule, None, rule)]
+    triples = [(rule[:12], None, ranges), (rule, move[:11], ranges), (rule, rule, ranges), (rule, None, rule)]
     for others in triples:
         with pytest.raises(ValueError, match="length or item size"):
             kernel.project(one, one, one, *others, 1.0, 1.0)

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
+from core.reference import reference_moved, reference_rotation
 from pc2scan.core.rigid import (
     IDENTITY_POSE,
     Rigid,
@@ -180,8 +181,26 @@ def test_interpolate_is_lerp_and_slerp() -> None:
     assert same(interpolate(first, last, 0.5), Rigid.from_rpy(0, 0, 0.4, (2, 2, 0)), 1e-15)
 
 
-@pytest.mark.parametrize("dtype", [np.float32, np.float64, np.int16])
-def test_apply_rounds_once_to_the_inputs_type(dtype: type[np.generic]) -> None:
+@given(quaternions())
+def test_the_float32_matrix_is_eigens(quaternion: Quaternion) -> None:
+    rotation, translation = Rigid(np.array(quaternion), np.array([1e-50, 0.1, 1e39])).as_float32()
+    np.testing.assert_array_equal(rotation, reference_rotation(quaternion))
+    assert rotation.dtype == translation.dtype == np.float32
+    assert translation.tolist() == [0, np.float32(0.1), math.inf]
+
+
+def test_apply_to_float32_rounds_as_tf2_sensor_msgs() -> None:
+    rng = np.random.default_rng(5)
+    points = (rng.normal(size=(2000, 3)) * 50).astype(np.float32)
+    rigid = Rigid.from_rpy(0.3, -1.2, 2.5, (10.1, -3.3, 0.7))
+    moved = reference_moved(points.tolist(), reference_rotation(rigid.quaternion.tolist()), rigid.translation)
+    result = rigid.apply(points)
+    assert result.dtype == np.float32
+    np.testing.assert_array_equal(result, moved)
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.int16])
+def test_apply_to_other_types_is_float64(dtype: type[np.generic]) -> None:
     rng = np.random.default_rng(5)
     points = (rng.normal(size=(2000, 3)) * 50).astype(dtype)
     rigid = Rigid.from_rpy(0.3, -1.2, 2.5, (10.1, -3.3, 0.7))
@@ -193,8 +212,8 @@ def test_apply_rounds_once_to_the_inputs_type(dtype: type[np.generic]) -> None:
             for rows in [list(zip(rigid.matrix.tolist(), rigid.translation.tolist(), strict=True))]
         ]
     )
-    assert result.dtype == (np.float32 if dtype == np.float32 else np.float64)
-    np.testing.assert_array_equal(result, exact.astype(result.dtype))
+    assert result.dtype == np.float64
+    np.testing.assert_array_equal(result, exact)
 
 
 def test_apply_takes_strided_views_and_leaves_them_alone() -> None:

@@ -2,8 +2,9 @@
 
    Points are taken a block at a time, small enough for the first-level cache: load and drop by height, one loop, or
    eight at a time; then squares, angles and slots, loops without branches that compilers turn into vector
-   instructions; then the minimum of each slot. Compiled with -ffp-contract=off: a fused multiply-add rounds otherwise
-   than upstream does. */
+   instructions; then the minimum of each slot. Points are transformed in float32, every product and every sum rounded,
+   from left to right, as tf2_sensor_msgs does it. Compiled with -ffp-contract=off: a fused multiply-add rounds
+   otherwise than upstream does. */
 
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
@@ -274,10 +275,20 @@ static void prepare_eight(void) {
     eight_at_once = __builtin_cpu_supports("avx2") && __builtin_cpu_supports("popcnt");
 }
 
+/* One coordinate of eight points, transformed: a row of the rotation, and its part of the translation. */
+__attribute__((target("avx2,popcnt"))) static inline __m256 turn_eight(__m256 x, __m256 y, __m256 z, const float *row,
+                                                                       const float *offset) {
+    __m256 sum = _mm256_mul_ps(x, _mm256_broadcast_ss(row));
+    sum = _mm256_add_ps(sum, _mm256_mul_ps(y, _mm256_broadcast_ss(row + 1)));
+    sum = _mm256_add_ps(sum, _mm256_mul_ps(z, _mm256_broadcast_ss(row + 2)));
+    return _mm256_add_ps(sum, _mm256_broadcast_ss(offset));
+}
+
 /* Take points of one row, eight at a time, as long as what is read of them stays in front of the last one: x, y and z
-   are float32 that follow each other, with four bytes behind them. Returns how many were taken. */
-__attribute__((target("avx2,popcnt"))) static Py_ssize_t load_eight(Scan *scan, const char *from, Py_ssize_t step,
-                                                                    Py_ssize_t count) {
+   are float32 that follow each other, with four bytes behind them. Returns how many were taken. Inlined, so that
+   compilers know of each call whether it has to move the points. */
+__attribute__((target("avx2,popcnt"), always_inline)) static inline Py_ssize_t load_eight(
+    Scan *scan, const char *from, Py_ssize_t step, Py_ssize_t count, const float *move) {
     const __m256 lowest = _mm256_set1_ps((float)scan->rule.lowest), highest = _mm256_set1_ps((float)scan->rule.highest);
     Py_ssize_t taken = 0;
     int64_t nans = 0, kept = 0;
@@ -292,8 +303,14 @@ __attribute__((target("avx2,popcnt"))) static Py_ssize_t load_eight(Scan *scan, 
                                            _mm_loadu_ps((const float *)other), 1);
         }
         const __m256 xy = _mm256_unpacklo_ps(pair[0], pair[1]), yx = _mm256_unpacklo_ps(pair[2], pair[3]);
-        const __m256 x = _mm256_shuffle_ps(xy, yx, 0x44), y = _mm256_shuffle_ps(xy, yx, 0xee);
-        const __m256 z = _mm256_shuffle_ps(_mm256_unpackhi_ps(pair[0], pair[1]), _mm256_unpackhi_ps(pair[2], pair[3]), 0x44);
+        __m256 x = _mm256_shuffle_ps(xy, yx, 0x44), y = _mm256_shuffle_ps(xy, yx, 0xee);
+        __m256 z = _mm256_shuffle_ps(_mm256_unpackhi_ps(pair[0], pair[1]), _mm256_unpackhi_ps(pair[2], pair[3]), 0x44);
+        if (move) {
+            const __m256 sx = x, sy = y, sz = z;
+            x = turn_eight(sx, sy, sz, move, move + 9);
+            y = turn_eight(sx, sy, sz, move + 3, move + 10);
+            z = turn_eight(sx, sy, sz, move + 6, move + 11);
+        }
         const __m256 nan = _mm256_or_ps(_mm256_cmp_ps(x, y, _CMP_UNORD_Q), _mm256_cmp_ps(z, z, _CMP_UNORD_Q));
         const __m256 inside = _mm256_and_ps(_mm256_cmp_ps(z, lowest, _CMP_GE_OQ), _mm256_cmp_ps(z, highest, _CMP_LE_OQ));
         const int keep = _mm256_movemask_ps(_mm256_andnot_ps(nan, inside));
@@ -311,11 +328,21 @@ __attribute__((target("avx2,popcnt"))) static Py_ssize_t load_eight(Scan *scan, 
     scan->height += taken - nans - kept;
     return taken;
 }
+
+__attribute__((target("avx2,popcnt"))) static Py_ssize_t load_eight_still(Scan *scan, const char *from, Py_ssize_t step,
+                                                                          Py_ssize_t count) {
+    return load_eight(scan, from, step, count, NULL);
+}
+
+__attribute__((target("avx2,popcnt"))) static Py_ssize_t load_eight_moved(Scan *scan, const char *from, Py_ssize_t step,
+                                                                          Py_ssize_t count, const float *move) {
+    return load_eight(scan, from, step, count, move);
+}
 #endif
 
 /* Take points of one row. Inlined, so that compilers know of each call what it reads and whether it has to move. */
 static inline void load(Scan *scan, const char *x, const char *y, const char *z, const Axis axis[3], int64_t number,
-                        Py_ssize_t count, const int common, const double *move) {
+                        Py_ssize_t count, const int common, const float *move) {
     const Py_ssize_t dx = axis[0].step, dy = axis[1].step, dz = axis[2].step;
     while (count > 0) {
         const int filled = scan->filled;
@@ -323,16 +350,11 @@ static inline void load(Scan *scan, const char *x, const char *y, const char *z,
         float *restrict to_x = scan->x + filled, *restrict to_y = scan->y + filled, *restrict to_z = scan->z + filled;
         for (int i = 0; i < take; i++) {
             PREFETCH(x);
-            if (move) {
-                double sx = read_as(x, &axis[0], common), sy = read_as(y, &axis[1], common), sz = read_as(z, &axis[2], common);
-                to_x[i] = (float)(sx * move[0] + sy * move[1] + sz * move[2] + move[9]);
-                to_y[i] = (float)(sx * move[3] + sy * move[4] + sz * move[5] + move[10]);
-                to_z[i] = (float)(sx * move[6] + sy * move[7] + sz * move[8] + move[11]);
-            } else {
-                to_x[i] = (float)read_as(x, &axis[0], common);
-                to_y[i] = (float)read_as(y, &axis[1], common);
-                to_z[i] = (float)read_as(z, &axis[2], common);
-            }
+            const float sx = (float)read_as(x, &axis[0], common), sy = (float)read_as(y, &axis[1], common);
+            const float sz = (float)read_as(z, &axis[2], common);
+            to_x[i] = move ? sx * move[0] + sy * move[1] + sz * move[2] + move[9] : sx;
+            to_y[i] = move ? sx * move[3] + sy * move[4] + sz * move[5] + move[10] : sy;
+            to_z[i] = move ? sx * move[6] + sy * move[7] + sz * move[8] + move[11] : sz;
             x += dx, y += dy, z += dz;
         }
         if (!scan->smallest)
@@ -353,7 +375,7 @@ static int in_common(const Axis axis[3]) {
     return floats ? FLOATS : doubles ? DOUBLES : MIXED;
 }
 
-static void load_rows(Scan *scan, const Axis axis[3], Py_ssize_t rows, Py_ssize_t columns, const double *move) {
+static void load_rows(Scan *scan, const Axis axis[3], Py_ssize_t rows, Py_ssize_t columns, const float *move) {
     const int common = in_common(axis);
     for (Py_ssize_t row = 0; row < rows; row++) {
         const char *x = axis[0].data + row * axis[0].row_step;
@@ -363,9 +385,10 @@ static void load_rows(Scan *scan, const Axis axis[3], Py_ssize_t rows, Py_ssize_
         Py_ssize_t taken = 0;
 #ifdef EIGHT
         /* Points of twelve bytes have the next one behind them. */
-        if (eight_at_once && common == FLOATS && !move && scan->smallest && y - x == 4 && z - x == 8 &&
-            axis[0].step >= 12 && axis[1].step == axis[0].step && axis[2].step == axis[0].step)
-            taken = load_eight(scan, x, axis[0].step, columns);
+        if (eight_at_once && common == FLOATS && scan->smallest && y - x == 4 && z - x == 8 && axis[0].step >= 12 &&
+            axis[1].step == axis[0].step && axis[2].step == axis[0].step)
+            taken = move ? load_eight_moved(scan, x, axis[0].step, columns, move)
+                         : load_eight_still(scan, x, axis[0].step, columns);
         x += taken * axis[0].step, y += taken * axis[1].step, z += taken * axis[2].step;
         number += taken;
 #endif
@@ -451,7 +474,7 @@ static int take(Cloud *cloud, PyObject *xyz[3], PyObject *rule, PyObject *move) 
         goto failed;
     }
     if (move != Py_None) {
-        if (contiguous(move, &cloud->move, PyBUF_SIMPLE, 8, 12) < 0) goto failed;
+        if (contiguous(move, &cloud->move, PyBUF_SIMPLE, 4, 12) < 0) goto failed;
         cloud->moves = 1;
     }
     return 0;

@@ -27,7 +27,7 @@ def project(
     y: NDArray[Any],
     z: NDArray[Any],
     rule: NDArray[np.float64],
-    moved: NDArray[np.float64] | None,
+    moved: NDArray[np.float32] | None,
     ranges: NDArray[np.float32],
     limit: float,
     empty: float,
@@ -41,7 +41,7 @@ def project(
     rule
         (13,), of `rule_of`.
     moved
-        (12,): a transform to apply first, in float64: the rotation by rows, then the translation.
+        (4, 3): a transform to apply first, in float32: the rows of the rotation, then the translation.
     ranges
         (N,), overwritten: the smallest range of each of N beams, metres.
     limit, empty
@@ -68,7 +68,7 @@ def gather(
     y: NDArray[Any],
     z: NDArray[Any],
     rule: NDArray[np.float64],
-    moved: NDArray[np.float64] | None,
+    moved: NDArray[np.float32] | None,
     beams: int,
     slots: NDArray[np.int32],
     ranges: NDArray[np.float32],
@@ -134,7 +134,7 @@ def _returns(
     y: NDArray[Any],
     z: NDArray[Any],
     rule: NDArray[np.float64],
-    moved: NDArray[np.float64] | None,
+    moved: NDArray[np.float32] | None,
     beams: int,
     fates: NDArray[np.int64],
 ) -> Iterator[tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.intp]]]:
@@ -143,9 +143,9 @@ def _returns(
     x, y, z = (part.reshape(-1) for part in (x, y, z))
     for start in range(0, x.size, BLOCK):
         px, py, pz = (part[start : start + BLOCK] for part in (x, y, z))
+        px, py, pz = (part.astype(np.float32, copy=False) for part in (px, py, pz))
         if moved is not None:
             px, py, pz = _move(px, py, pz, moved)
-        px, py, pz = (part.astype(np.float32, copy=False) for part in (px, py, pz))
         known = ~(np.isnan(px) | np.isnan(py) | np.isnan(pz))
         level = np.flatnonzero(known & (pz >= np.float32(lowest)) & (pz <= np.float32(highest)))
         # float64 holds the squares of float32 exactly, and libm's hypotf adds them in float64.
@@ -188,11 +188,10 @@ def angles(x: NDArray[np.float32], y: NDArray[np.float32], out: NDArray[np.float
 
 
 def _move(
-    x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], moved: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], ...]:
+    x: NDArray[np.float32], y: NDArray[np.float32], z: NDArray[np.float32], moved: NDArray[np.float32]
+) -> tuple[NDArray[np.float32], ...]:
     """Coordinates, transformed. Written out: a matrix product may sum in any order."""
-    rotation, translation = moved[:9].reshape(3, 3), moved[9:]
-    x, y, z = (part.astype(np.float64, copy=False) for part in (x, y, z))
+    *rotation, translation = moved
     return tuple(
         x * row[0] + y * row[1] + z * row[2] + offset for row, offset in zip(rotation, translation, strict=True)
     )

@@ -33,8 +33,8 @@ if TYPE_CHECKING:
 
 __all__ = ["PointCounts", "ProjectedScan", "Projector", "project"]
 
-#: Rotation (3, 3) and translation (3,), float64: ``target = rotation @ source + translation``.
-Transform: TypeAlias = "tuple[NDArray[np.float64], NDArray[np.float64]]"
+#: Rotation (3, 3) and translation (3,), rounded to float32: ``target = rotation @ source + translation``.
+Transform: TypeAlias = "tuple[NDArray[np.floating[Any]], NDArray[np.floating[Any]]]"
 
 
 #: sensor_msgs/PointField's datatypes, in either byte order; what else NumPy has is converted first.
@@ -142,9 +142,8 @@ class Projector:
             Coordinates in metres, of one shape, (M,) or (H, W): integers or floats of any size, byte order,
             alignment and strides. They are rounded to float32.
         target_from_source
-            A transform to apply first, in float64, to the coordinates as they are; what it returns is
-            rounded to float32.
-
+            A transform to apply to the rounded coordinates, in float32: every product and every sum is rounded,
+            from left to right, as tf2_sensor_msgs does it. See `Rigid.as_float32`.
         intensities
             A value for every point, of the same shape and any real type; None: the scan has no intensities.
 
@@ -166,13 +165,12 @@ class Projector:
             raise ValueError(f"intensities have the shape {intensities.shape}, expected that of x, {x.shape}")
         usual = x.dtype == y.dtype == z.dtype == _FLOAT32
         if not usual and not all(array.dtype.str[1:] in _READ_AS_IS for array in (x, y, z)):
-            # What is rounded to float32 first, and what only after the transform, decides about the last bit.
-            wanted = np.float32 if target_from_source is None else np.float64
             with np.errstate(over="ignore"):
-                x, y, z = (array.astype(wanted) for array in (x, y, z))
+                x, y, z = (array.astype(np.float32) for array in (x, y, z))
         moved = None
         if target_from_source is not None:
-            moved = np.concatenate([part.ravel() for part in target_from_source], dtype=np.float64)
+            moved = np.empty((4, 3), np.float32)
+            moved[:3], moved[3] = target_from_source
         params = self.params
         beams = self._beams
         if params.reduce == "min" and params.min_points == 1 and intensities is None:

@@ -91,6 +91,6 @@ class CloudToScan:
 
     def _projected(self, cloud: PointCloud2, place: Place) -> ProjectedScan:
         moved = place.target_from_source
-        transform = None if moved is None else (moved.matrix, moved.translation)
+        transform = None if moved is None else moved.as_float32()
         name = self.params.intensity_field
         return self._project(*cloud.xyz(), transform, cloud.field(name) if name else None)
