@@ -12,7 +12,8 @@
     ├── OutputError                the destination cannot be written
     └── MessageError               one message cannot be converted (skipped, or fatal with ``fail``)
         ├── DecodeError            its bytes are not what its type says
-        └── TransformError         no transform for its frame and stamp
+        ├── TransformError         no transform for its frame and stamp
+        └── UnwritableError        the destination's format cannot hold its log time or its size
 
 Anything else that escapes is a bug and keeps its traceback. This module imports nothing of pc2scan.
 """
@@ -35,6 +36,7 @@ __all__ = [
     "RecordingError",
     "TopicError",
     "TransformError",
+    "UnwritableError",
     "UsageError",
     "stamp_text",
 ]
@@ -151,3 +153,7 @@ class DecodeError(MessageError):
 
 class TransformError(MessageError):
     """There is no transform between two frames at a stamp."""
+
+
+class UnwritableError(MessageError):
+    """The destination's format has no room for a message's log time or size."""

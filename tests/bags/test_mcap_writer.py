@@ -26,7 +26,7 @@ import pc2scan
 from pc2scan.bags.mcap_reader import McapReader
 from pc2scan.bags.mcap_writer import McapWriter
 from pc2scan.bags.model import Attachment, Definition, Metadata
-from pc2scan.errors import DestinationError, OutputError, RecordingError
+from pc2scan.errors import DestinationError, OutputError, RecordingError, UnwritableError
 
 if TYPE_CHECKING:
     from pc2scan.bags.model import Reader, Writer
@@ -344,7 +344,7 @@ def test_an_existing_file_is_not_overwritten(tmp_path: Path) -> None:
 def test_numbers_that_do_not_fit(tmp_path: Path, log_time: int, publish_time: int, sequence: int) -> None:
     writer = McapWriter(tmp_path / "a.mcap")
     handle = writer.add_connection(connection("/odd"))
-    with pytest.raises(OutputError, match="unsigned") as caught:
+    with pytest.raises(UnwritableError, match="unsigned") as caught:
         writer.write(handle, log_time, b"", publish_time, sequence)
     assert caught.value.topic == "/odd"
     with pytest.raises(OutputError, match="unsigned"):

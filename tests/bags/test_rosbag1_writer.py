@@ -23,7 +23,7 @@ from pc2scan.bags import rosbag1_writer
 from pc2scan.bags.model import Attachment, Definition, Metadata
 from pc2scan.bags.rosbag1_reader import Rosbag1Reader
 from pc2scan.bags.rosbag1_writer import Rosbag1Writer
-from pc2scan.errors import DestinationError, OutputError
+from pc2scan.errors import DestinationError, OutputError, UnwritableError
 from support import RECORDINGS, needs_shared
 
 if TYPE_CHECKING:
@@ -320,7 +320,7 @@ def test_times_that_a_bag_cannot_hold_are_refused(tmp_path: Path, time_ns: int) 
     writer = Rosbag1Writer(tmp_path / "a.bag")
     handle = writer.add_connection(connection())
     writer.write(handle, 2**32 * SECOND - 1, b"last", 0)
-    with pytest.raises(OutputError, match=f"log time {time_ns} ns is outside the 0 to 4294967295 s") as raised:
+    with pytest.raises(UnwritableError, match=f"log time {time_ns} ns is outside the 0 to 4294967295 s") as raised:
         writer.write(handle, time_ns, b"", 0)
     assert raised.value.path == writer.path
     writer.finish()
@@ -331,7 +331,7 @@ def test_a_message_that_no_chunk_can_hold_is_refused(tmp_path: Path, monkeypatch
     writer = Rosbag1Writer(tmp_path / "a.bag")
     handle = writer.add_connection(connection())
     monkeypatch.setattr(rosbag1_writer, "UINT32_MAX", 1000)
-    with pytest.raises(OutputError, match="a message of 990 bytes does not fit into a ROS 1 bag"):
+    with pytest.raises(UnwritableError, match="a message of 990 bytes does not fit into a ROS 1 bag"):
         writer.write(handle, 1, bytes(990), 1)
     writer.abort()
 

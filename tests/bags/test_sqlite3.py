@@ -14,7 +14,7 @@ import zstandard
 from pc2scan.bags.model import Connection, Definition
 from pc2scan.bags.sqlite3_reader import Sqlite3Reader
 from pc2scan.bags.sqlite3_writer import Sqlite3Writer
-from pc2scan.errors import OutputError, RecordingError
+from pc2scan.errors import OutputError, RecordingError, UnwritableError
 
 if TYPE_CHECKING:
     from collections.abc import Generator
@@ -379,7 +379,7 @@ def test_what_cannot_be_written_is_an_output_error(tmp_path: Path) -> None:
     writer = Sqlite3Writer(tmp_path / "x.db3")
     with pytest.raises(OutputError, match="File exists"):
         Sqlite3Writer(tmp_path / "x.db3")
-    with pytest.raises(OutputError, match="too large"):
+    with pytest.raises(UnwritableError, match="too large"):
         writer.write(1, 2**63, b"", 0)
     writer.abort()
     writer.abort()

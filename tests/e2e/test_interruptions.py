@@ -218,7 +218,16 @@ def test_a_folder_that_vanishes(large: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "elsewhere" / "out.bag").exists()
 
 
-@pytest.mark.parametrize("change", ["appended", "cut", "written over", "removed"])
+def overwritten(path: Path, *, set_back: bool) -> None:
+    """Write over the first bytes in place; the modification time can be what it was before."""
+    before = path.stat()
+    with path.open("rb+") as file:
+        file.write(b"more")
+    if set_back:
+        os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
+
+
+@pytest.mark.parametrize("change", ["appended", "cut", "written over", "written over, time set back", "removed"])
 def test_a_source_that_changes_while_it_is_read(change: str, large: Path, tmp_path: Path) -> None:
     source = tmp_path / "source" / "drive.bag"
     source.parent.mkdir()
@@ -229,18 +238,34 @@ def test_a_source_that_changes_while_it_is_read(change: str, large: Path, tmp_pa
         assert half_done(process, output)
         if change == "removed":
             source.unlink()
+        elif change.startswith("written over"):
+            overwritten(source, set_back="set back" in change)
         else:
             with source.open("rb+") as file:
                 if change == "appended":
                     file.seek(0, os.SEEK_END)
-                if change == "cut":
-                    file.truncate(2_000_000)
-                else:
                     file.write(b"more")
+                else:
+                    file.truncate(2_000_000)
         _, stderr = process.communicate(timeout=60)
     assert process.returncode == 1, stderr
     assert "Traceback" not in stderr
     assert "drive.bag" in stderr
+    assert list(output.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["metadata.yaml", "drive_0.mcap"])
+def test_a_directory_whose_file_is_written_over(name: str, large: Path, tmp_path: Path) -> None:
+    source = tmp_path / "drive"
+    pc2scan.convert(large, source, compression="none", keep_clouds=True)
+    output = tmp_path / "output"
+    output.mkdir()
+    with started(source, output / "out.bag") as process:
+        assert half_done(process, output)
+        overwritten(source / name, set_back=True)
+        _, stderr = process.communicate(timeout=60)
+    assert process.returncode == 1, stderr
+    assert "drive: was changed while it was read" in stderr
     assert list(output.iterdir()) == []
 
 

@@ -24,14 +24,17 @@ _Result = TypeVar("_Result")
 _LENT_BYTES = range(1 << 18, 1 << 24)
 
 
-def state_of(path: Path) -> tuple[tuple[str, int, int, int], ...]:
-    """What tells whether a recording was changed: of each of its files the name, inode, size and time of change."""
+def state_of(path: Path) -> tuple[tuple[str, int, int, int, int], ...]:
+    """What shows whether a recording was changed: of each file the name, inode, size and both times of change.
+
+    Anyone can set a file's modification time back (``cp -p``, ``rsync -t``, ``touch -r``), but not its ctime.
+    """
     try:
         files = sorted(path.iterdir()) if path.is_dir() else [path]
         states = [(file.name, file.stat()) for file in files]
     except OSError:
         return ()
-    return tuple((name, state.st_ino, state.st_size, state.st_mtime_ns) for name, state in states)
+    return tuple((name, state.st_ino, state.st_size, state.st_mtime_ns, state.st_ctime_ns) for name, state in states)
 
 
 class SourceFile:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from mcap import records
 from mcap.opcode import Opcode
 
-from pc2scan.errors import DestinationError, OutputError
+from pc2scan.errors import DestinationError, OutputError, UnwritableError
 
 from .crc32 import crc32
 from .files import FreeIds, NewFile
@@ -178,13 +178,13 @@ class McapWriter:
 
         Raises
         ------
-        OutputError
-            If a time is negative or beyond 64 bits, or the sequence beyond 32.
+        UnwritableError
+            If a time is negative or beyond 64 bits, or the sequence beyond 32; nothing is written then.
         """
         try:
             head = MESSAGE.pack(OP_MESSAGE, 22 + len(data), handle, sequence, log_time_ns, publish_time_ns)
         except struct.error as err:
-            raise OutputError(
+            raise UnwritableError(
                 f"log time {log_time_ns} ns, publish time {publish_time_ns} ns or sequence {sequence} "
                 "cannot be written: MCAP has unsigned numbers of 64, 64 and 32 bits",
                 path=self._path,

@@ -394,9 +394,10 @@ def _refuse_repeated(readers: Sequence[Reader]) -> None:
 def _refuse_mixed_generations(readers: Sequence[Reader]) -> None:
     found: dict[int, Path] = {}
     for reader in readers:
-        for connection in reader.connections:
-            if connection.generation is not None:
-                found.setdefault(connection.generation, reader.path)
+        generations = {connection.generation for connection in reader.connections} - {None}
+        # A source that holds both by itself is one recording all the same.
+        if len(generations) == 1:
+            found.setdefault(generations.pop() or 0, reader.path)
     if len(found) > 1:
         raise UsageError(
             f"{found[1]} is a ROS 1 recording and {found[2]} is a ROS 2 recording; they cannot become one",

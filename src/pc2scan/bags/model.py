@@ -18,6 +18,9 @@ Buffer = bytes | memoryview
 #: The id of a connection that no recording has yet.
 NEW_ID = -1
 
+#: The latest log time that rosbag2 can hold; it writes this for the start of a recording without messages.
+MAX_ROSBAG2_NS = 2**63 - 1
+
 #: Latched, as rosbag2 (metadata version 8) writes it: keep last 1, reliable, transient local, automatic
 #: liveliness, every duration infinite. Topics that are not latched get none: ``ros2 bag play`` then
 #: publishes with its default.
@@ -221,12 +224,15 @@ class ChunkRule:
         another one is not taken.
     declarations
         Schema and Channel records of the destination, byte for byte. A chunk may repeat these and has no others.
+    last_ns
+        The latest log time that the destination can hold; None if that is any that the source can.
     """
 
     container: str
     compressions: frozenset[str]
     connection_ids: frozenset[int]
     declarations: frozenset[bytes] = frozenset()
+    last_ns: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -406,7 +412,7 @@ class Writer(Protocol):
         ...
 
     def write(self, handle: int, log_time_ns: int, data: Buffer, publish_time_ns: int, sequence: int = 0) -> None:
-        """Append a message."""
+        """Append a message; ``UnwritableError``, and nothing is written, if the format cannot hold it."""
         ...
 
     def write_chunk(self, chunk: StoredChunk) -> None:

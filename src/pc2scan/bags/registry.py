@@ -11,6 +11,7 @@ from pc2scan.errors import DestinationError, RecordingError
 
 from . import zstd
 from .damage import DamageLog
+from .model import MAX_ROSBAG2_NS
 from .temporary import private_folder
 
 if TYPE_CHECKING:
@@ -358,6 +359,17 @@ class Destination:
     def chunks(self) -> str:
         """Whose chunks its messages lie in: ``rosbag1`` or ``mcap``; empty for none."""
         return {"sqlite3": "", "mcap": "mcap"}.get(self.storage, self.container)
+
+    @property
+    def times_ns(self) -> tuple[int, int]:
+        """The first and the last log time that it can hold."""
+        if self.storage == "sqlite3":
+            return -MAX_ROSBAG2_NS - 1, MAX_ROSBAG2_NS
+        return 0, {"rosbag1": (1 << 32) * 1_000_000_000 - 1, "mcap": (1 << 64) - 1}.get(self.container, MAX_ROSBAG2_NS)
+
+    def same_kind(self, source: Summary) -> bool:
+        """Whether the source is in this kind of container, so that whatever serialisation it holds fits."""
+        return self.container == ("rosbag2" if source.container == "sqlite3" else source.container)
 
     @property
     def generation(self) -> int:

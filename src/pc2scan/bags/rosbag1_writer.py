@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
-from pc2scan.errors import DestinationError, OutputError
+from pc2scan.errors import DestinationError, OutputError, UnwritableError
 
 from . import rosbag1_lz4
 from .files import FreeIds, NewFile
@@ -158,13 +158,15 @@ class Rosbag1Writer:
 
         Raises
         ------
+        UnwritableError
+            If the time or the message is more than the format can hold; nothing is written then.
         OutputError
-            If the time or the message is more than the format can hold, or the file cannot be written.
+            If the file cannot be written.
         """
         del publish_time_ns, sequence
         seconds, nanoseconds = divmod(log_time_ns, SECOND_NS)
         if not 0 <= seconds <= UINT32_MAX:
-            raise OutputError(
+            raise UnwritableError(
                 f"log time {log_time_ns} ns is outside the 0 to {UINT32_MAX} s that a ROS 1 bag can hold",
                 path=self.path,
             )
@@ -173,7 +175,7 @@ class Rosbag1Writer:
         declaration = b"" if handle in self._declared else self._connections[handle]
         needed = len(declaration) + USUAL_LAYOUT.layout.size + len(data)
         if needed > UINT32_MAX:
-            raise OutputError(
+            raise UnwritableError(
                 f"a message of {len(data)} bytes does not fit into a ROS 1 bag, whose chunks have at most "
                 f"{UINT32_MAX} bytes",
                 path=self.path,

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import os
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path, PureWindowsPath
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -34,11 +34,12 @@ from .qos import latches
 from .yaml import MAX_CHARACTERS, dump_yaml, load_yaml
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterable, Iterator, Mapping
 
     from .damage import DamageLog
 
 __all__ = [
+    "MAGICS",
     "METADATA_NAME",
     "NEWEST_VERSION",
     "RECORD_NAME",
@@ -58,6 +59,9 @@ RECORD_NAME = "rosbag2"
 ROOT = "rosbag2_bagfile_information"
 NEWEST_VERSION = 9
 _SUFFIXES = {".db3": "sqlite3", ".mcap": "mcap"}
+
+#: How the files of each storage begin.
+MAGICS = {"sqlite3": b"SQLite format 3\0", "mcap": b"\x89MCAP0\r\n"}
 
 _WITHOUT_METADATA = f"move {METADATA_NAME} away to have the files beside it read without it"
 
@@ -114,7 +118,8 @@ def read_info(folder: Path, log: DamageLog) -> BagInfo:
         with path.open(encoding="utf-8") as file:
             # One more than allowed: what is too long is refused, not read.
             text = file.read(MAX_CHARACTERS + 1)
-        return _parsed_info(load_yaml(text))
+        info = _parsed_info(load_yaml(text))
+        return info if info.storage else replace(info, storage=_shown_storage(folder, info.files))
     except UnicodeDecodeError as err:
         log.note(DamageError(f"is not UTF-8: {err.reason}", path=path, hint=_WITHOUT_METADATA))
     except OSError as err:
@@ -157,6 +162,23 @@ def _storage_of(name: str) -> str | None:
     return _SUFFIXES.get(Path(zstd.without_suffix(name)).suffix)
 
 
+def _shown_storage(folder: Path, names: Iterable[str]) -> str:
+    """The storage of files whose metadata.yaml does not name it: by content, or by name where that is compressed."""
+    for name in names:
+        try:
+            path = located_file(folder, name)
+        except DamageError:
+            continue
+        with path.open("rb") as file:
+            head = file.read(16)
+        for storage, magic in MAGICS.items():
+            if head.startswith(magic):
+                return storage
+        if found := _storage_of(path.name):
+            return found
+    raise ValueError(f"storage_identifier of {ROOT} is empty, and no file shows which storage it is")
+
+
 def _parts(name: str) -> list[str]:
     # Text and numbers take turns, so that only like is compared with like.
     return re.split(r"(\d+)", name, flags=re.ASCII)
@@ -182,7 +204,7 @@ def _parsed_info(document: Any) -> BagInfo:
     if not 1 <= version <= NEWEST_VERSION:
         raise UnsupportedError(f"has version {version}; 1 to {NEWEST_VERSION} are known")
     storage = _get(root, "storage_identifier", str, ROOT)
-    if storage not in _SUFFIXES.values():
+    if storage not in ("", *_SUFFIXES.values()):
         raise UnsupportedError(f"has storage {storage!r}; {' and '.join(sorted(_SUFFIXES.values()))} can be read")
     files = [_file_name(path) for path in _get(root, "relative_file_paths", list, ROOT)]
     if not files:

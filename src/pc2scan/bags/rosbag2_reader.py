@@ -12,7 +12,7 @@ from pc2scan.errors import DamageError, RecordingError
 from . import zstd
 from .damage import RECOVER, DamageLog
 from .merged import MergedReader
-from .rosbag2_metadata import METADATA_NAME, RECORD_NAME, located_file, read_info
+from .rosbag2_metadata import MAGICS, METADATA_NAME, RECORD_NAME, located_file, read_info
 from .temporary import private_folder
 
 if TYPE_CHECKING:
@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from .model import Connection, Metadata, Reader, Summary
 
 __all__ = ["Rosbag2Reader"]
-
-_MAGICS = {"sqlite3": b"SQLite format 3\0", "mcap": b"\x89MCAP0\r\n"}
 
 
 class Rosbag2Reader(MergedReader):
@@ -183,7 +181,7 @@ def _refuse_others(file: Path, storage: str) -> None:
             head = stream.read(16)
     except OSError as err:
         raise RecordingError(f"cannot be read: {err.strerror}", path=file) from err
-    if not head.startswith(_MAGICS[storage]):
+    if not head.startswith(MAGICS[storage]):
         found = f"begins with {head!r:.40}" if head else "is empty"
         raise DamageError(f"is no {storage} file: it {found}", path=file, hint=RECOVER)
 

@@ -6,9 +6,9 @@ import os
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from pc2scan.errors import OutputError
+from pc2scan.errors import OutputError, UnwritableError
 
-from .model import Connection, Metadata
+from .model import MAX_ROSBAG2_NS, Connection, Metadata
 from .qos import parsed_qos, respelled_qos
 from .rosbag2_metadata import METADATA_NAME, NEWEST_VERSION, RECORD_NAME, ROOT
 from .yaml import dump_yaml
@@ -21,9 +21,6 @@ if TYPE_CHECKING:
     from .threads import Threads
 
 __all__ = ["Rosbag2Writer"]
-
-#: What rosbag2 writes for the start of a recording without messages.
-_NEVER_NS = 2**63 - 1
 
 
 class Rosbag2Writer:
@@ -119,7 +116,19 @@ class Rosbag2Writer:
         return self._storage.declarations()
 
     def write(self, handle: int, log_time_ns: int, data: Buffer, publish_time_ns: int, sequence: int = 0) -> None:
-        """Append a message."""
+        """Append a message.
+
+        Raises
+        ------
+        UnwritableError
+            If its log time is more than the format can hold; nothing is written then.
+        """
+        if log_time_ns > MAX_ROSBAG2_NS:
+            raise UnwritableError(
+                f"log time {log_time_ns} ns is beyond the {MAX_ROSBAG2_NS} ns that rosbag2 can hold",
+                path=self._path,
+                topic=self._connections[handle].topic,
+            )
         self._storage.write(handle, log_time_ns, data, publish_time_ns, sequence)
         self._counts[handle] += 1
         self._extend(log_time_ns, log_time_ns)
@@ -183,7 +192,7 @@ class Rosbag2Writer:
         }
 
     def _extent(self) -> dict[str, Any]:
-        first_ns, last_ns = self._span_ns or (_NEVER_NS, _NEVER_NS)
+        first_ns, last_ns = self._span_ns or (MAX_ROSBAG2_NS, MAX_ROSBAG2_NS)
         return {
             "duration": {"nanoseconds": last_ns - first_ns},
             "starting_time": {"nanoseconds_since_epoch": first_ns},

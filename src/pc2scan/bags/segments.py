@@ -128,6 +128,7 @@ def standing_alone(
             and segment.uncompressed_size >= MIN_WHOLE_BYTES
             and (start_ns is None or start_ns <= segment.start_ns)
             and (stop_ns is None or segment.end_ns < stop_ns)
+            and (rule.last_ns is None or segment.end_ns <= rule.last_ns)
         ):
             alone.append(segment)
         latest = max(latest, (segment.end_ns, segment.offset))

@@ -50,6 +50,9 @@ __all__ = ["Sqlite3Reader"]
 #: SQLite's codes for a database that is not as it must be; ERROR comes of a damaged schema.
 _DAMAGE_CODES = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_ERROR, sqlite3.SQLITE_IOERR_SHORT_READ)
 
+#: Messages that are looked at for one in CDR, to find out whether they are compressed one by one.
+_LOOKED_AT = 1000
+
 #: A name that is not UTF-8 in the schema makes an error message that Python cannot decode, and lengths that lie make
 #: SQLite ask for more memory than there is.
 _SQLITE_ERRORS = (sqlite3.Error, UnicodeDecodeError, MemoryError)
@@ -64,7 +67,7 @@ class Sqlite3Reader:
         The file. Nothing is written to it or beside it. What a recorder that died left beside it, a write-ahead log
         or a rollback journal, counts.
     message_compression
-        ``zstd`` if every message is compressed by itself. ``none`` still looks at the first message, because
+        ``zstd`` if every message is compressed by itself. ``none`` still looks at the first message in CDR, because
         only metadata.yaml, which may not be there, tells otherwise.
 
     strict
@@ -109,7 +112,7 @@ class Sqlite3Reader:
         self._summary = Summary(
             container="sqlite3",
             storage="",
-            compression=("zstd" if self._compressed else "none",),
+            compression=("zstd" if self._packed_topics else "none",),
             size_bytes=self._size,
             message_count=sum(connection.message_count or 0 for connection in self._connections),
             start_ns=start_ns,
@@ -122,7 +125,7 @@ class Sqlite3Reader:
         self._index = self._timestamp_index()
         with self._ending():
             self._connections, start_ns, end_ns = self._read_connections()
-        self._compressed = message_compression == "zstd" or self._first_is_compressed()
+        self._packed_topics = self._find_packed(declared=message_compression == "zstd")
         return start_ns, end_ns
 
     @property
@@ -173,7 +176,7 @@ class Sqlite3Reader:
                             f"a message has topic_id {topic_id!r:.40} and timestamp {time_ns!r:.40}", path=self._path
                         )
                     after = (time_ns, message_id)
-                    if isinstance(data, bytes) and not self._compressed:
+                    if isinstance(data, bytes) and topic_id not in self._packed_topics:
                         self._bytes_read += len(data)
                         yield RawMessage(known[topic_id], time_ns, data, time_ns)
                     elif (message := self._unpacked(known[topic_id], time_ns, message_id, data)) is not None:
@@ -451,10 +454,20 @@ class Sqlite3Reader:
                 found.setdefault((msgtype, None), definition)
         return found
 
-    def _first_is_compressed(self) -> bool:
-        """Whether the first message is a zstd frame. A CDR message begins with a zero byte and is none."""
-        row = self._query("SELECT substr(data, 1, 4) FROM messages LIMIT 1").fetchone()
-        return row is not None and row[0] == zstd.MAGIC
+    def _find_packed(self, *, declared: bool) -> frozenset[int]:
+        """The topics whose messages are compressed one by one.
+
+        Without a declaration the first CDR message decides: CDR begins with a zero byte, and never looks like a zstd
+        frame. Messages in other serialisations may begin with any bytes, and stay as they are.
+        """
+        if declared:
+            return frozenset(connection.id for connection in self._connections)
+        cdr = frozenset(connection.id for connection in self._connections if connection.serialization == "cdr")
+        rows = self._query("SELECT topic_id, substr(data, 1, 4) FROM messages LIMIT ?", (_LOOKED_AT,))
+        for topic_id, head in rows:
+            if topic_id in cdr:
+                return cdr if head == zstd.MAGIC else frozenset()
+        return frozenset()
 
     def _rows(
         self, topic_ids: list[int], start_ns: int | None, stop_ns: int | None, after: tuple[int, int] | None

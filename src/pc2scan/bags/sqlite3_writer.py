@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import zstandard
 
-from pc2scan.errors import OutputError
+from pc2scan.errors import OutputError, UnwritableError
 
 from .staging import sync_file
 from .write_ahead import WriteAhead
@@ -138,7 +138,18 @@ class Sqlite3Writer:
         publish_time_ns: int,  # noqa: ARG002 - the storage has one time a message
         sequence: int = 0,  # noqa: ARG002 - and no sequence number
     ) -> None:
-        """Append a message."""
+        """Append a message.
+
+        Raises
+        ------
+        UnwritableError
+            If its log time does not fit 64 bits with a sign; nothing is written then.
+        """
+        if not -(2**63) <= log_time_ns < 2**63:
+            raise UnwritableError(
+                f"log time {log_time_ns} ns is too large for SQLite, whose numbers have 63 bits and a sign",
+                path=self._path,
+            )
         insert = partial(self._insert_message, handle, log_time_ns)
         if self._compresses:
             # A view would keep alive the whole chunk that it was read from.

@@ -65,11 +65,15 @@ def open_lanes(
     routes: Iterable[Route],
     conversion: Conversion,
     target: Destination,
+    same_kind: bool,
     options: ConvertOptions,
     writer: Writer,
     report: Report,
 ) -> dict[int, Lane]:
-    """Declare every connection of the destination and prepare the work on each of the source's."""
+    """Declare every connection of the destination and prepare the work on each of the source's.
+
+    ``same_kind`` tells whether the source is in the same kind of container as the destination.
+    """
     lanes: dict[int, Lane] = {}
     compiled: dict[tuple[str, Definition], int] = {}
     entries: dict[tuple[str | None, ...], TopicReport] = {}
@@ -80,7 +84,7 @@ def open_lanes(
         entry = TopicReport(topic, connection.ros_type, route.target or (topic if route.passes else None), action)
         lane = lanes[connection.id] = Lane(connection, entry)
         if route.passes:
-            _prepare_passing(lane, target, options, writer, compiled)
+            _prepare_passing(lane, target, same_kind, options, writer, compiled)
         if route.target:
             lane.convert = conversion.for_topic(connection.topic, connection.serialization, target.serialization)
             lane.shrinks_from = conversion.shrinks_from
@@ -119,6 +123,7 @@ def count_skipped(
 def _prepare_passing(
     lane: Lane,
     target: Destination,
+    same_kind: bool,
     options: ConvertOptions,
     writer: Writer,
     compiled: dict[tuple[str, Definition], int],
@@ -129,7 +134,11 @@ def _prepare_passing(
     """
     connection = lane.connection
     entry = lane.report
-    if connection.generation == target.generation and (connection.definition.data or options.repair):
+    foreign = connection.generation is None
+    # A container holds whatever the same kind of container held: nothing of it needs to be understood.
+    as_it_is = (same_kind and (foreign or options.repair)) or (foreign and target.container == "mcap")
+    defined_already = connection.definition.data or options.repair
+    if as_it_is or (connection.generation == target.generation and defined_already):
         lane.passing_handle = writer.add_connection(connection)
         return
     # Only recordings that lack definitions, or change generation, pay for loading this.
@@ -139,11 +148,10 @@ def _prepare_passing(
     if connection.generation == target.generation:
         lane.passing_handle = writer.add_connection(defined(connection, distro))
         return
-    if connection.generation is None:
-        if target.container == "mcap":
-            lane.passing_handle = writer.add_connection(connection)
-            return
-        error: MessageError = MessageError(f"{connection.serialization} messages fit only into an .mcap file")
+    if foreign:
+        error: MessageError = MessageError(
+            f"messages serialised as {connection.serialization!r} fit only into an .mcap file"
+        )
     else:
         try:
             transcoding = transcoder(connection, target.generation, distro=distro)
@@ -194,7 +202,7 @@ def chunk_rule(lanes: Mapping[int, Lane], target: Destination, writer: Writer) -
         for lane in lanes.values()
         if lane.convert is None and lane.encode is None and lane.passing_handle == lane.connection.id
     )
-    return ChunkRule(target.chunks, target.chunk_compressions, untouched, writer.declarations())
+    return ChunkRule(target.chunks, target.chunk_compressions, untouched, writer.declarations(), target.times_ns[1])
 
 
 def carry_extras(reader: Reader, target: Destination, writer: Writer, report: Report) -> None:

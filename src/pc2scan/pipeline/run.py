@@ -93,7 +93,8 @@ def run(
     if not sources:
         raise UsageError("no source given")
     with ExitStack() as stack:
-        states = [state_of(source) for source in sources]
+        inputs = (*sources, *options.frames.tf_from)
+        states = [state_of(path) for path in inputs]
         readers = open_recordings(sources, stack, verify=options.verify, strict=options.strict)
         reader = as_one(readers)
         plan = _plan(reader, options)
@@ -110,12 +111,15 @@ def run(
                 copying = target.chunks == reader.summary.chunks != ""
                 if copying:
                     writer.keep_ids(reader.connections)
-                lanes = open_lanes(plan.routes, conversion, target, options, writer, report)
+                same_kind = target.same_kind(reader.summary)
+                lanes = open_lanes(plan.routes, conversion, target, same_kind, options, writer, report)
                 lanes = count_skipped(lanes, reader, span.start_ns, span.stop_ns)
                 if not options.only_scans:
                     carry_extras(reader, target, writer, report)
                 if options.frames.write_static:
-                    write_static(options.frames, span.first_ns, target, writer, report)
+                    earliest_ns, latest_ns = target.times_ns
+                    begin_ns = max(earliest_ns, min(span.first_ns, latest_ns))
+                    write_static(options.frames, begin_ns, target, writer, report)
                 pool = _threads(options, stack)
                 if pool is not None:
                     writer.compress_ahead(pool)
@@ -123,7 +127,7 @@ def run(
                 stream(reader, lanes, options, span, rule, pool, writer, report, progress)
                 if conversion.target_type == LASERSCAN:
                     report.warnings += _refusals(lanes.values(), target.serialization)
-                _refuse_changed(sources, states)
+                _refuse_changed(inputs, states)
                 report.damage += [damage for each in (reader, *others) for damage in each.damage]
                 _compare_counts(reader, lanes, options, report)
                 writer.finish()

@@ -10,7 +10,7 @@ from itertools import chain
 from typing import TYPE_CHECKING, NamedTuple, cast
 
 from pc2scan.bags.model import RawMessage, StoredChunk, kept
-from pc2scan.errors import MessageError
+from pc2scan.errors import MessageError, UnwritableError
 
 from .lanes import Lane
 from .ordered import map_in_order
@@ -195,13 +195,16 @@ def _write(outcome: _Outcome, writer: Writer, report: Report, on_error: str) -> 
         entry.skip(1)
         return
     entry.messages_in += 1
-    if passing is not None:
-        writer.write(lane.passing_handle, log_time_ns, passing, publish_time_ns, sequence)
-    if converted is not None:
-        writer.write(lane.converted_handle, log_time_ns, converted.data, publish_time_ns, sequence)
-        lane.sample = lane.sample or converted.data
-        entry.points += converted.counts
-        entry.empty_scans += converted.empty
+    try:
+        if passing is not None:
+            writer.write(lane.passing_handle, log_time_ns, passing, publish_time_ns, sequence)
+        if converted is not None:
+            writer.write(lane.converted_handle, log_time_ns, converted.data, publish_time_ns, sequence)
+            lane.sample = lane.sample or converted.data
+            entry.points += converted.counts
+            entry.empty_scans += converted.empty
+    except UnwritableError as err:
+        error = err
     if error is not None:
         error.topic = lane.connection.topic
         if on_error == "fail":
