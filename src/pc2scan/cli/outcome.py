@@ -87,7 +87,6 @@ def show(report: Report, *, verbose: bool = False) -> None:
     typer.echo()
     for note in report.notes:
         typer.echo(printable(f"note: {note}"))
-    _show_skipped(report, limit=len(report.skipped) if verbose else SHOWN)
     typer.echo(
         printable(
             f"{report.destination}: {size(report.bytes_written)} from {size(report.bytes_read)} "
@@ -119,6 +118,7 @@ def _show_skipped(report: Report, limit: int) -> None:
 
 def conclude(report: Report, *, verbose: bool = False) -> typer.Exit:
     """Show what the user should know whatever was asked for; return the end of the command, to be raised."""
+    _show_skipped(report, limit=len(report.skipped) if verbose else SHOWN)
     show_recovery(report, limit=len(report.damage) if verbose else SHOWN)
     for warning in report.warnings:
         warn(warning)

@@ -150,7 +150,7 @@ def _prepare_passing(
         return
     if foreign:
         error: MessageError = MessageError(
-            f"messages serialised as {connection.serialization!r} fit only into an .mcap file"
+            f"{connection.serialization or 'unspecified'} messages fit only into an .mcap file"
         )
     else:
         try:
