@@ -6,15 +6,18 @@ import os
 import resource
 import shutil
 import signal
+import sqlite3
 import subprocess
 import time
+from contextlib import closing
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+import zstandard
 
 import pc2scan
-from builders import CONTENT, POINTS, T0, Recording, cloud, item, write_rosbag1, write_rosbag2
+from builders import CONTENT, POINTS, T0, Recording, cloud, item, write_db3, write_rosbag1, write_rosbag2
 from e2e.command import COMMAND, run
 from pc2scan.errors import RecordingError
 
@@ -158,6 +161,55 @@ def test_a_full_disk(kind: str, large: Path, small_disk: Path) -> None:
     assert str(small_disk / name) in done.stderr
     assert done.stdout == ""
     assert list(small_disk.iterdir()) == []
+
+
+def packed(folder: Path) -> Path:
+    """A recording that is compressed as a whole, and unpacks to 10 MB."""
+    path = folder / "drive.bag.zst"
+    path.write_bytes(zstandard.compress(b"#ROSBAG V2.0\n" + bytes(10_000_000)))
+    return path
+
+
+def with_log(folder: Path) -> Path:
+    """A database of 10 MB with a write-ahead log."""
+    live, path = folder / "live.db3", write_db3(folder / "drive.db3", CONTENT)
+    shutil.copyfile(path, live)
+    with closing(sqlite3.connect(live)) as database:
+        database.execute("INSERT INTO messages(topic_id, timestamp, data) VALUES (1, 1, zeroblob(10000000))")
+        database.commit()
+        database.execute("PRAGMA journal_mode = WAL")
+        database.execute("INSERT INTO messages(topic_id, timestamp, data) VALUES (1, 2, x'00')")
+        database.commit()
+        shutil.copyfile(live, path)
+        shutil.copyfile(f"{live}-wal", f"{path}-wal")
+    return path
+
+
+def unsorted(folder: Path) -> Path:
+    """A database with many messages and no index that has them in order."""
+    path = write_db3(folder / "drive.db3", CONTENT)
+    with closing(sqlite3.connect(path)) as database:
+        database.executescript(
+            "DROP INDEX timestamp_idx; INSERT INTO messages(topic_id, timestamp, data) WITH RECURSIVE n(i) AS "
+            "(SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 400000) SELECT 1, i * 7919 % 400000, x'00' FROM n;"
+        )
+    return path
+
+
+@pytest.mark.parametrize("source", [packed, with_log, unsorted])
+def test_no_room_for_temporary_files(
+    source: Callable[[Path], Path], small_disk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = source(tmp_path)
+    before = sorted(tmp_path.iterdir())
+    monkeypatch.setenv("TMPDIR", str(small_disk))
+    done = run("convert", path, "-o", tmp_path / "out.mcap")
+    assert done.status == 1, done.stderr
+    assert str(path) in done.stderr
+    assert str(small_disk) in done.stderr
+    assert "TMPDIR" in done.stderr
+    assert list(small_disk.iterdir()) == []
+    assert sorted(tmp_path.iterdir()) == before
 
 
 @pytest.mark.parametrize("kind", FULL)

@@ -6,6 +6,7 @@ import json
 import os
 import random
 import shutil
+import sqlite3
 import subprocess
 from contextlib import closing
 from dataclasses import replace
@@ -396,3 +397,55 @@ def test_damage_of_every_kind_is_survived(recording: Recording, tmp_path: Path) 
         for version in damaged(data, number, cuts=15, flips=30):
             path.write_bytes(version)
             count_of(path)
+
+
+# --- What a recorder that died left beside a database ---
+
+
+@pytest.fixture
+def with_log(recording: Recording, tmp_path: Path) -> tuple[Path, int]:
+    """A database half of whose messages are in its write-ahead log, and how many there are."""
+    live, path = write_db3(tmp_path / "live.db3", recording), tmp_path / "drive.db3"
+    with closing(sqlite3.connect(live, isolation_level=None)) as database:
+        database.execute("PRAGMA journal_mode = WAL")
+        database.execute("PRAGMA wal_autocheckpoint = 0")
+        rows = database.execute("SELECT topic_id, timestamp, data FROM messages").fetchall()
+        # A recorder's transactions hold many messages each.
+        for at in range(0, len(rows), 8):
+            database.execute("BEGIN")
+            database.executemany("INSERT INTO messages(topic_id, timestamp, data) VALUES (?, ?, ?)", rows[at : at + 8])
+            database.execute("COMMIT")
+        shutil.copyfile(live, path)
+        shutil.copyfile(f"{live}-wal", f"{path}-wal")
+    return path, 2 * len(rows)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.99])
+def test_a_flipped_byte_in_a_log_loses_nothing_behind_it(
+    share: float, with_log: tuple[Path, int], tmp_path: Path
+) -> None:
+    source, count = with_log
+    log = Path(f"{source}-wal")
+    data = bytearray(log.read_bytes())
+    data[int(len(data) * share)] ^= 0x10
+    log.write_bytes(data)
+    done = run("repair", source, "-o", tmp_path / "fixed")
+    assert done.status == 3, done.stderr
+    assert f"damaged: {log}, byte " in done.stderr
+    rows, _ = read_all(tmp_path / "fixed")
+    assert abs(len(rows) - count) <= 1
+    assert "damaged: " in run("info", source).stderr
+    strict = run("convert", source, "-o", tmp_path / "strict", "--strict")
+    assert strict.status == 1
+    assert not (tmp_path / "strict").exists()
+
+
+def test_a_cut_log_is_reported(with_log: tuple[Path, int], tmp_path: Path) -> None:
+    source, count = with_log
+    log = Path(f"{source}-wal")
+    cut(log, 0.7)
+    done = run("repair", source, "-o", tmp_path / "fixed")
+    assert done.status == 3, done.stderr
+    assert f"damaged: {log}, byte " in done.stderr
+    rows, _ = read_all(tmp_path / "fixed")
+    assert count // 2 < len(rows) < count

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-    from .sqlite3_logs import PageLog
+    from .sqlite3_page_log import PageLog
 
 __all__ = ["Cell", "PageFile", "declared_size", "rebuilt"]
 

@@ -32,7 +32,7 @@ from .damage import RECOVER, DamageLog
 from .limits import MAX_CONNECTIONS
 from .model import Connection, Definition, RawMessage, Summary, declared_counts
 from .qos import latches
-from .sqlite3_logs import missing_pages, page_size_of, side_logs, write_merged
+from .sqlite3_logs import missing_bytes, side_logs, write_merged
 from .sqlite3_pages import PageFile, declared_size, rebuilt
 from .temporary import making_copy, private_folder, sqlite_is_full
 
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
     from .damage import Damage
     from .model import Attachment, ChunkRule, Metadata, StoredChunk, Work
-    from .sqlite3_logs import PageLog
+    from .sqlite3_page_log import PageLog
     from .threads import Threads
 
 __all__ = ["Sqlite3Reader"]
@@ -261,20 +261,19 @@ class Sqlite3Reader:
 
     def _missing_bytes(self) -> int:
         """How many bytes the database is shorter than it, or a log, says. SQLite notices only what it reads."""
-        with self._path.open("rb") as file:
-            head = file.read(100)
-        size = page_size_of(head)
-        if any(log.page_count is not None for log in self._logs):
-            return missing_pages(self._size // size, self._logs) * size
-        return max(0, (declared_size(head) or 0) - self._size)
+        missing = missing_bytes(self._logs)
+        if missing is None:
+            with self._path.open("rb") as file:
+                missing = max(0, (declared_size(file.read(100)) or 0) - self._size)
+        return missing
 
     def _refuse_incomplete(self) -> None:
         """Raise if pages are missing, in the file itself or in its logs."""
-        if missing := self._missing_bytes():
-            raise self._damage(f"is cut off: it has {self._size} of {self._size + missing} bytes")
         for log in self._logs:
             if log.broken:
-                raise self._damage(f"{log.file.path.name} is damaged")
+                raise self._damage(f"its pages do not fit together, because {log.file.path.name} is damaged")
+        if missing := self._missing_bytes():
+            raise self._damage(f"is cut off: it has {self._size} of {self._size + missing} bytes")
 
     def _recover(self, problem: RecordingError) -> None:
         """Go on with the rows that can be found without SQLite's trees."""
