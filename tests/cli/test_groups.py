@@ -1,6 +1,6 @@
 # The annotations of groups must be objects, so this module does without the import that makes them text.
 import inspect
-from dataclasses import dataclass, field, fields
+from dataclasses import fields
 from typing import Annotated, Any
 
 import pytest
@@ -15,13 +15,11 @@ from pc2scan.core.params import ProjectionParams
 from pc2scan.pipeline.parameters import PARAMETERS
 
 
-@dataclass(frozen=True, kw_only=True)
 class Inner(Group):
-    words: Annotated[list[str], typer.Option("--word", "-w")] = field(default_factory=list)
+    words: Annotated[list[str], typer.Option("--word", "-w")]
     count: Annotated[int, typer.Option(min=0)] = 3
 
 
-@dataclass(frozen=True, kw_only=True)
 class Outer(Group):
     inner: Inner
     loud: Annotated[bool, typer.Option("--loud")] = False
@@ -54,6 +52,16 @@ def test_the_rules_of_options_in_groups_hold() -> None:
     text, _ = run("--help")
     assert all(name in text for name in ("Do it.", "--word", "--count", "--loud", "[default: 3"))
     assert "--inner" not in text
+
+
+def test_an_option_without_a_default_is_required_unless_it_is_a_list() -> None:
+    class Strict(Group):
+        count: Annotated[int, typer.Option()]
+        words: Annotated[list[str], typer.Option()]
+
+    assert {p.name: p.default for p in Strict.parameters()} == {"count": inspect.Parameter.empty, "words": []}
+    nothing = [p for p in inspect.signature(flat(convert)).parameters.values() if p.default is p.empty]
+    assert [p.name for p in nothing] == ["sources"]
 
 
 def test_lists_are_not_shared_between_calls() -> None:

@@ -1,15 +1,15 @@
 """Options in groups: a command takes a few groups, typer gets one parameter for each option.
 
-A group is a dataclass whose fields are options (``Annotated[type, typer.Option(...)]``) or other groups. A command
-takes it as one parameter: ``def convert(..., *, output: Output)``. `flat` makes the function that typer reads.
+The attributes of a group are options (``Annotated[type, typer.Option(...)]``) or other groups. A command takes it as
+one parameter: ``def convert(..., *, output: Output)``. `flat` makes the function that typer reads.
 """
 
 from __future__ import annotations
 
-from dataclasses import MISSING, dataclass, fields
 from functools import wraps
 from inspect import Parameter, Signature, signature
-from typing import TYPE_CHECKING, Any, TypeGuard, get_type_hints
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, TypeGuard, get_args, get_origin, get_type_hints
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -18,33 +18,29 @@ if TYPE_CHECKING:
 __all__ = ["Group", "flat"]
 
 
-@dataclass(frozen=True)
-class Group:
-    """The base of all groups.
+class Group(SimpleNamespace):
+    """The base of all groups; the values of the class are the defaults, and a list needs none to be empty.
 
-    The annotations of a subclass must be objects, not text: its module does without ``from __future__ import
-    annotations``. Reading text would take longer than all else that is done with an option.
+    The annotations must be objects, not text: the module of a group does without ``from __future__ import
+    annotations``. Reading text would take longer than all else that is done with an option, and making dataclasses
+    longer still.
     """
 
     @classmethod
     def parameters(cls) -> Iterable[Parameter]:
         """One keyword-only parameter for each option, those of the groups in it included."""
-        for field in fields(cls):
-            if _is_group(field.type):
-                yield from field.type.parameters()
+        for name, kind in cls.__annotations__.items():
+            if _is_group(kind):
+                yield from kind.parameters()
             else:
-                default = field.default if field.default_factory is MISSING else field.default_factory()
-                yield Parameter(field.name, Parameter.KEYWORD_ONLY, default=default, annotation=field.type)
+                nothing: Any = [] if get_origin(get_args(kind)[0]) is list else Parameter.empty
+                yield Parameter(name, Parameter.KEYWORD_ONLY, default=getattr(cls, name, nothing), annotation=kind)
 
     @classmethod
     def gathered(cls, values: Mapping[str, Any]) -> Self:
         """Make the group of the values that were typed; other names in ``values`` are ignored."""
-        return cls(
-            **{
-                field.name: field.type.gathered(values) if _is_group(field.type) else values[field.name]
-                for field in fields(cls)
-            }
-        )
+        kinds = cls.__annotations__.items()
+        return cls(**{name: kind.gathered(values) if _is_group(kind) else values[name] for name, kind in kinds})
 
 
 def _is_group(kind: object) -> TypeGuard[type[Group]]:

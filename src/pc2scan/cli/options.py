@@ -4,7 +4,6 @@ No ``from __future__ import annotations`` here: see `pc2scan.cli.groups.Group`.
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
 from enum import StrEnum
 from inspect import Parameter
 from pathlib import Path
@@ -70,7 +69,6 @@ TfTopics = Annotated[
 ]
 
 
-@dataclass(frozen=True, kw_only=True)
 class Topics(Group):
     """Which topics are converted, which are written, and from when to when."""
 
@@ -84,7 +82,7 @@ class Topics(Group):
             "Default: every PointCloud2 topic; one becomes /scan, several <topic>/scan.",
             rich_help_panel=_TOPICS,
         ),
-    ] = field(default_factory=list)
+    ]
     keep: Annotated[
         list[str],
         typer.Option(
@@ -93,7 +91,7 @@ class Topics(Group):
             help="Of the topics that are not converted, write only these (names or globs). Repeatable.",
             rich_help_panel=_TOPICS,
         ),
-    ] = field(default_factory=list)
+    ]
     drop: Annotated[
         list[str],
         typer.Option(
@@ -102,7 +100,7 @@ class Topics(Group):
             help="Leave these topics out (names or globs). Repeatable.",
             rich_help_panel=_TOPICS,
         ),
-    ] = field(default_factory=list)
+    ]
     keep_clouds: Annotated[
         bool, typer.Option("--keep-clouds", help="Write the converted clouds too.", rich_help_panel=_TOPICS)
     ] = False
@@ -124,7 +122,6 @@ class Topics(Group):
     ] = None
 
 
-@dataclass(frozen=True)
 class ParameterOptions(Group):
     """One option for each parameter of the projection.
 
@@ -173,10 +170,9 @@ class ParameterOptions(Group):
                 option = parameter.negation if value is False else parameter.option
                 number = parameter.kind == "float" and isinstance(value, str)
                 settings.append(Setting(name, plain_scalar(value) if number else value, option))
-        return cls(tuple(settings))
+        return cls(settings=tuple(settings))
 
 
-@dataclass(frozen=True, kw_only=True)
 class Projection(Group):
     """The parameters of the projection, wherever they are given."""
 
@@ -205,7 +201,7 @@ class Projection(Group):
             help="A parameter in ROS's notation. Repeatable; beats the file, and an option below beats it.",
             rich_help_panel=_PARAMS,
         ),
-    ] = field(default_factory=list)
+    ]
     preset: Annotated[
         str | None,
         typer.Option(
@@ -218,7 +214,6 @@ class Projection(Group):
     given: ParameterOptions
 
 
-@dataclass(frozen=True, kw_only=True)
 class TfSources(Group):
     """Where transforms are."""
 
@@ -230,8 +225,8 @@ class TfSources(Group):
             help="Take transforms from this recording too. Repeatable.",
             rich_help_panel=_FRAMES,
         ),
-    ] = field(default_factory=list)
-    tf_topic: TfTopics = field(default_factory=list)
+    ]
+    tf_topic: TfTopics
 
     def options(self) -> "FrameOptions":
         """What the library takes."""
@@ -240,11 +235,10 @@ class TfSources(Group):
         return FrameOptions(tf_topics=tuple(self.tf_topic), tf_from=tuple(self.tf_from))
 
 
-@dataclass(frozen=True, kw_only=True)
 class Frames(Group):
     """Frames, and the transforms between them."""
 
-    static_tf: StaticTf = field(default_factory=list)
+    static_tf: StaticTf
     static_tf_file: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="A YAML list of such transforms.", rich_help_panel=_FRAMES),
@@ -292,7 +286,6 @@ class Channel(StrEnum):
     viewpoint = "viewpoint"
 
 
-@dataclass(frozen=True, kw_only=True)
 class Reverse(Group):
     """The way back, from scans to clouds."""
 
@@ -320,7 +313,7 @@ class Reverse(Group):
             help="Further fields of the cloud: distances, stamps, viewpoint. Repeatable.",
             rich_help_panel=_REVERSE,
         ),
-    ] = field(default_factory=list)
+    ]
     range_cutoff: Annotated[
         float | None,
         typer.Option(
@@ -344,7 +337,6 @@ class Reverse(Group):
         )
 
 
-@dataclass(frozen=True, kw_only=True)
 class Running(Group):
     """How the work is done."""
 
@@ -386,7 +378,6 @@ class Running(Group):
     ] = False
 
 
-@dataclass(frozen=True, kw_only=True)
 class Conversion(Group):
     """Everything that decides what is converted, and into what; not how it is written, nor what is reported."""
 
@@ -440,7 +431,6 @@ class Conversion(Group):
         return options, resolved.origin
 
 
-@dataclass(frozen=True, kw_only=True)
 class Output(Group):
     """How the destination is written."""
 
@@ -497,7 +487,6 @@ class Output(Group):
         )
 
 
-@dataclass(frozen=True, kw_only=True)
 class Reporting(Group):
     """What is shown and written about a conversion."""
 

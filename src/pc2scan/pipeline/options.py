@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from decimal import Decimal, InvalidOperation
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.core.params import ProjectionParams
@@ -54,6 +53,8 @@ class TimeBound:
         UsageError
             If it is none of these.
         """
+        from decimal import Decimal, InvalidOperation  # noqa: PLC0415  # only a conversion with a cut pays for it
+
         digits = text.removeprefix("@")
         if re.fullmatch(r"\d+(\.\d*)?|\.\d+", digits):
             try:
