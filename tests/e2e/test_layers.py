@@ -47,7 +47,7 @@ THIRD_PARTY = {
     "core": {"numpy"},
     "tf": {"numpy"},
     "messages": {"numpy", "rosbags"},
-    "bags": {"rosbags", "mcap", "lz4", "zstandard", "ruamel"},
+    "bags": {"numpy", "rosbags", "mcap", "lz4", "zstandard", "ruamel"},
     "pipeline": {"numpy", "ruamel"},
     "inspect": {"numpy"},
     "compare": {"numpy"},
