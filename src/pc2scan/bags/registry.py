@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import stat
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,6 +13,7 @@ from pc2scan.errors import DestinationError, RecordingError
 from . import zstd
 from .damage import DamageLog
 from .model import MAX_ROSBAG2_NS
+from .staging import LEFTOVERS, working_names
 from .temporary import private_folder
 
 if TYPE_CHECKING:
@@ -126,7 +128,7 @@ def sniff(path: Path) -> str:
         with path.open("rb") as file:
             head = file.read(64)
     except FileNotFoundError as err:
-        raise RecordingError("there is nothing of this name", path=path) from err
+        raise RecordingError("there is nothing of this name", path=path, hint=_interrupted(path)) from err
     except OSError as err:
         raise RecordingError(f"cannot be read: {err.strerror}", path=path) from err
     if head.startswith(zstd.MAGIC):
@@ -265,6 +267,16 @@ class _UnpackedReader:
     def close(self) -> None:
         self._inner.close()
         self._temporary.cleanup()
+
+
+def _interrupted(path: Path) -> str | None:
+    """What to do about a recording that is not there because the run that was writing it was killed."""
+    partial, old, _ = working_names(path) or (path, path, path)
+    if old.exists():
+        return f"an interrupted run has set it aside: mv {shlex.quote(str(old))} {shlex.quote(str(path))}"
+    if partial.exists():
+        return f"an interrupted run left a part of it: pc2scan repair {shlex.quote(str(partial))}"
+    return None
 
 
 def _sniff_directory(path: Path) -> str:
@@ -458,14 +470,16 @@ def _one_of(option: str, value: str, allowed: Sequence[str], path: Path) -> str:
 def default_destination(sources: Sequence[Path], summaries: Sequence[Summary], mark: str = "_scan") -> Path:
     """Name a destination beside the first source, in its format: ``drive.bag`` becomes ``drive_scan.bag``.
 
-    ``mark`` is what is put behind the name. A bare ``.db3`` file becomes a rosbag2 directory. `default_storage` tells
-    the storage that goes with it.
+    ``mark`` is put behind the name. What an interrupted run left is named like its destination. A bare ``.db3`` file
+    becomes a rosbag2 directory. `default_storage` returns the storage that goes with it.
     """
     source = sources[0]
     if source.name in {"", ".."}:
         source = source.resolve()
     container = summaries[0].container
     stem = source.name
+    for leftover in LEFTOVERS:
+        stem = stem.removesuffix(leftover) or stem
     if container != "rosbag2":
         for suffix in _SOURCE_SUFFIXES:
             stem = stem[: -len(suffix)] if stem.lower().endswith(suffix) and len(stem) > len(suffix) else stem

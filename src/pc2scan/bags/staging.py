@@ -11,31 +11,41 @@ from typing import TYPE_CHECKING
 from pc2scan.errors import DestinationError, OutputError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
-__all__ = ["staged", "sync_directory", "sync_file"]
+__all__ = ["LEFTOVERS", "prepared", "staged", "sync_directory", "sync_file", "working_names"]
 
 _PARTIAL = ".pc2scan-partial"
 _OLD = ".pc2scan-old"
+_LOCK = f"{_PARTIAL}.lock"
+
+#: Endings of what a run that was killed leaves beside its destination.
+LEFTOVERS = (_PARTIAL, _OLD)
 
 #: What a directory may hold to be taken for a recording that --overwrite may replace.
 _RECORDING_SUFFIXES = (".mcap", ".db3", ".zstd", ".zst", ".db3-wal", ".db3-shm", ".db3-journal")
 
 
+def working_names(dst: Path) -> tuple[Path, ...]:
+    """Return the paths beside a destination that a run creates, renames and removes while it writes it.
+
+    What is read must have none of them: see `pc2scan.bags.overlap`.
+    """
+    return tuple(dst.with_name(dst.name + ending) for ending in (_PARTIAL, _OLD, _LOCK)) if dst.name else ()
+
+
 @contextmanager
-def staged(dst: Path, *, overwrite: bool, sources: Sequence[Path] = ()) -> Iterator[Path]:
+def staged(dst: Path, *, overwrite: bool) -> Iterator[Path]:
     """Give a path to write to, and make it the destination at the end.
 
     Parameters
     ----------
     dst
-        The file or directory that is to appear.
+        The file or directory that is to appear. Neither it nor one of its `working_names` is something that is read.
     overwrite
         Whether a file or a recording's directory that is there may be replaced. It stays untouched until the
         new one is complete.
-    sources
-        What is being read, and must neither be replaced nor contain the destination.
 
     Yields
     ------
@@ -46,25 +56,54 @@ def staged(dst: Path, *, overwrite: bool, sources: Sequence[Path] = ()) -> Itera
     Raises
     ------
     DestinationError
-        If ``dst`` exists and ``overwrite`` is false (checked first, and again by the final step), is a source
-        or lies in one, cannot be replaced, has no parent directory, or is being written by another run.
+        If ``dst`` exists and ``overwrite`` is false (checked first, and again by the final step), cannot be replaced,
+        has no parent directory, or is being written by another run.
     OutputError
         If its directory or the result cannot be written.
     """
-    _check_parent(dst)
-    _check_sources(dst, sources)
-    partial = dst.with_name(dst.name + _PARTIAL)
-    with _only_run(partial, dst):
-        # What is here now was left by a run that died: a living one holds the lock.
-        try:
-            _remove(partial)
+
+    def check() -> bool:
+        with _cleaning_up(dst):
             _restore(dst)
-        except OSError as err:
-            raise OutputError(f"what an interrupted run left cannot be removed: {err.strerror}", path=dst) from err
         _check_existing(dst, overwrite=overwrite)
+        return overwrite
+
+    with prepared(dst, check) as (partial, commit):
+        yield partial
+        commit()
+
+
+@contextmanager
+def prepared(dst: Path, check: Callable[[], bool]) -> Iterator[tuple[Path, Callable[[], None]]]:
+    """Give a path to write to, and a function that makes it the destination.
+
+    Parameters
+    ----------
+    dst
+        See `staged`.
+    check
+        Raises if ``dst`` may not be written, and returns whether what is there may be replaced. Called once, at the
+        beginning; what appears later is replaced only if it returned true.
+
+    Yields
+    ------
+    path, function
+        Where nothing is; and what to call once it is complete. Without that call it is removed.
+
+    Raises
+    ------
+    DestinationError, OutputError
+        See `staged`.
+    """
+    _check_parent(dst)
+    partial = dst.with_name(dst.name + _PARTIAL)
+    with _only_run(dst):
+        # What is here now was left by a run that died: a living one holds the lock.
+        with _cleaning_up(dst):
+            _remove(partial)
+        overwrite = check()
         try:
-            yield partial
-            _commit(partial, dst, overwrite=overwrite)
+            yield partial, lambda: _commit(partial, dst, overwrite=overwrite)
         finally:
             with suppress(OSError):
                 _remove(partial)
@@ -96,20 +135,20 @@ def _check_parent(dst: Path) -> None:
         raise DestinationError("its directory does not exist", path=dst, hint=f"create it: mkdir -p {parent}")
     if not parent.is_dir():
         raise DestinationError(f"{parent} is not a directory", path=dst)
+    # Even a link there is not to be replaced: /dev/stdout is one.
+    place = os.path.realpath(parent)
+    if place == "/dev" or place.startswith(("/proc/", "/sys/")):
+        raise DestinationError(f"{parent} holds devices, not files", path=dst, hint="name a file in another directory")
     if not os.access(parent, os.W_OK | os.X_OK):
         raise OutputError("its directory is not writable", path=dst)
 
 
-def _check_sources(dst: Path, sources: Sequence[Path]) -> None:
-    target = dst.resolve()
-    for source in sources:
-        origin = source.resolve()
-        if target == origin or (dst.exists() and source.exists() and dst.samefile(source)):
-            raise DestinationError("is a source", path=dst, hint="sources are never changed; choose another name")
-        if target.is_relative_to(origin):
-            raise DestinationError(f"lies inside the source {source}", path=dst, hint="choose a place outside")
-        if origin.is_relative_to(target):
-            raise DestinationError(f"contains the source {source}", path=dst, hint="choose another name")
+@contextmanager
+def _cleaning_up(dst: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as err:
+        raise OutputError(f"what an interrupted run left cannot be removed: {err.strerror}", path=dst) from err
 
 
 def _restore(dst: Path) -> None:
@@ -127,10 +166,11 @@ def _check_existing(dst: Path, *, overwrite: bool) -> None:
         return
     if not overwrite:
         raise _exists(dst)
+    # Of a link only the link is replaced; but a device behind it is what was meant.
+    if dst.exists() and not dst.is_file() and not dst.is_dir():
+        raise DestinationError("is neither a file nor a directory, and cannot be overwritten", path=dst)
     if dst.is_symlink() or dst.is_file():
         return
-    if not dst.is_dir():
-        raise DestinationError("is neither a file nor a directory, and cannot be overwritten", path=dst)
     foreign = next((entry for entry in sorted(dst.iterdir()) if not _belongs_to_recording(entry)), None)
     if foreign is not None:
         raise DestinationError(
@@ -149,9 +189,9 @@ def _exists(dst: Path) -> DestinationError:
 
 
 @contextmanager
-def _only_run(partial: Path, dst: Path) -> Iterator[None]:
+def _only_run(dst: Path) -> Iterator[None]:
     """Hold the lock that tells a living run from a dead one; the kernel releases it when the process ends."""
-    lock = partial.with_name(partial.name + ".lock")
+    lock = dst.with_name(dst.name + _LOCK)
     try:
         descriptor = _locked(lock)
     except BlockingIOError as err:
@@ -173,9 +213,9 @@ def _locked(lock: Path) -> int:
     try:
         import fcntl  # noqa: PLC0415  (not on Windows)
     except ImportError:
-        return os.open(lock, os.O_RDWR | os.O_CREAT, 0o644)
+        return _opened(lock)
     while True:
-        descriptor = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        descriptor = _opened(lock)
         try:
             try:
                 fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -185,13 +225,33 @@ def _locked(lock: Path) -> int:
                 # Some network file systems cannot lock. That is no reason not to write there.
                 return descriptor
             with suppress(FileNotFoundError):
-                if os.path.samestat(os.fstat(descriptor), lock.stat()):
+                if os.path.samestat(os.fstat(descriptor), lock.lstat()):
                     return descriptor
         except BaseException:
             os.close(descriptor)
             raise
         # The run that held it ended, and removed it, between our opening and our locking it.
         os.close(descriptor)
+
+
+def _opened(lock: Path) -> int:
+    """Open a lock file, or create it; never through a link, and never a file that has a content to lose."""
+    flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_NOFOLLOW", 0)
+    try:
+        descriptor = os.open(lock, flags, 0o644)
+    except OSError as err:
+        if lock.is_symlink():
+            raise _no_lock(lock, "a symbolic link") from err
+        raise
+    status = os.fstat(descriptor)
+    if not stat.S_ISREG(status.st_mode) or status.st_size:
+        os.close(descriptor)
+        raise _no_lock(lock, "no lock of pc2scan: it has a content")
+    return descriptor
+
+
+def _no_lock(lock: Path, what: str) -> DestinationError:
+    return DestinationError(f"is where the run's lock would be, and is {what}", path=lock, hint="move it away")
 
 
 def _commit(partial: Path, dst: Path, *, overwrite: bool) -> None:

@@ -24,7 +24,7 @@ COMMANDS = ("convert", "check", "info", "tf", "repair", "diff", "golden")
 
 EPILOG = (
     "Exit status: 0 done, 1 failed and nothing written, 2 wrong usage, "
-    "3 written but with messages skipped or from a damaged source. "
+    "3 written but with messages skipped, from a damaged source, or without the report. "
     "check: 0 accepted, 1 not. diff and golden: 0 the same, 1 different, 2 not comparable."
 )
 

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from .options import Conversion, Output, Reporting
-from .outcome import check_report_file, conclude, show, write_report
+from .outcome import conclude, show
 
 __all__ = ["convert"]
 
@@ -41,7 +41,6 @@ def convert(
     PointCloud2 becomes LaserScan as ROS's pointcloud_to_laserscan does it. Every other topic passes through.
     Nothing is dropped in silence: what could not be converted is counted, listed, and reflected in the exit status.
     """
-    check_report_file(reporting.report)
     options, origins = conversion.options(ros_distro=output.ros_distro)
 
     from pc2scan.pipeline.run import run
@@ -49,9 +48,15 @@ def convert(
     from .progress import progress_bar
 
     with progress_bar(enabled=not reporting.quiet) as progress:
-        result = run(sources, destination, options, output.options(), origins=origins, progress=progress)
-    if reporting.report is not None:
-        write_report(result, reporting.report)
+        result = run(
+            sources,
+            destination,
+            options,
+            output.options(report=reporting.report),
+            origins=origins,
+            also_read=conversion.read_files(),
+            progress=progress,
+        )
     if not reporting.quiet:
         show(result, verbose=reporting.verbose)
     raise conclude(result, verbose=reporting.verbose)

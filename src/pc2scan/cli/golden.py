@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pc2scan.errors import OutputError
-
 from .options import Json
 from .render import print_json, printable
 from .unusable import exit_status_2
@@ -35,6 +33,9 @@ def golden(
     junit: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write the results as JUnit XML, for CI systems.")
     ] = None,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace the file of --junit, whatever it is.")
+    ] = False,
     as_json: Json = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Do not show cases that passed.")] = False,
 ) -> None:
@@ -49,28 +50,32 @@ def golden(
     with exit_status_2():
         from pc2scan.golden.case import case_folders
         from pc2scan.golden.check import check_case
+        from pc2scan.golden.junit import junit_file
         from pc2scan.golden.result import GoldenReport
 
         from .in_process import run_command
 
-        if junit is not None and not junit.parent.is_dir():
-            raise OutputError("cannot be written: its directory does not exist", path=junit)
         report = GoldenReport(str(folder))
-        for name, case in case_folders(folder, pattern):
-            result = check_case(name, case, run_command, update=update)
-            report.cases.append(result)
-            if not as_json:
-                _show(result, quiet=quiet)
-        if junit is not None:
-            _write_junit(report, junit)
+        cases = case_folders(folder, pattern)
+        with junit_file(junit, [case for _, case in cases], overwrite=overwrite) as write_junit:
+            for name, case in cases:
+                result = check_case(name, case, run_command, update=update)
+                report.cases.append(result)
+                if not as_json:
+                    _show(result, quiet=quiet)
+            _conclude(report, as_json=as_json)
+            write_junit(report)
+    raise typer.Exit(report.exit_status)
+
+
+def _conclude(report: GoldenReport, *, as_json: bool) -> None:
     if as_json:
         print_json(report.as_dict())
-    else:
-        counted = [f"{number} {outcome.value}" for outcome, number in report.counts.items() if number]
-        typer.echo(f"{', '.join(counted)} in {report.seconds:.1f} s")
-        if report.exit_status == 1:
-            typer.echo("hint: if this is meant, --update makes it the expected output")
-    raise typer.Exit(report.exit_status)
+        return
+    counted = [f"{number} {outcome.value}" for outcome, number in report.counts.items() if number]
+    typer.echo(f"{', '.join(counted)} in {report.seconds:.1f} s")
+    if report.exit_status == 1:
+        typer.echo("hint: if this is meant, --update makes it the expected output")
 
 
 def _show(result: CaseResult, *, quiet: bool) -> None:
@@ -79,12 +84,3 @@ def _show(result: CaseResult, *, quiet: bool) -> None:
     typer.echo(printable(f"{result.outcome.value:<8}{result.name}"))
     for line in result.lines:
         typer.echo(printable(f"    {line}"))
-
-
-def _write_junit(report: GoldenReport, path: Path) -> None:
-    from pc2scan.golden.junit import junit_xml
-
-    try:
-        path.write_text(junit_xml(report), "utf-8")
-    except OSError as err:
-        raise OutputError(f"cannot be written: {err.strerror}", path=path) from err

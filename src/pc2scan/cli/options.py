@@ -430,6 +430,11 @@ class Conversion(Group):
         )
         return options, resolved.origin
 
+    def read_files(self) -> dict[str, Path]:
+        """The files that are read for the options, by option; the library knows of the recordings itself."""
+        named = {"--params-file": self.projection.params_file, "--static-tf-file": self.frames.static_tf_file}
+        return {option: path for option, path in named.items() if path is not None}
+
 
 class Output(Group):
     """How the destination is written."""
@@ -471,10 +476,13 @@ class Output(Group):
         ),
     ] = ""
     overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace DST if it exists.", rich_help_panel=_OUTPUT)
+        bool,
+        typer.Option(
+            "--overwrite", help="Replace DST, and the file of --report, if they exist.", rich_help_panel=_OUTPUT
+        ),
     ] = False
 
-    def options(self) -> "OutputOptions":
+    def options(self, *, report: Path | None = None) -> "OutputOptions":
         """What the library takes."""
         from pc2scan.pipeline.run import OutputOptions
 
@@ -484,6 +492,7 @@ class Output(Group):
             profile=self.profile,
             metadata_version=self.metadata_version,
             overwrite=self.overwrite,
+            report=report,
         )
 
 
@@ -491,7 +500,12 @@ class Reporting(Group):
     """What is shown and written about a conversion."""
 
     report: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write what happened as JSON.", rich_help_panel=_REPORT)
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Write what happened as JSON; over an older report, but over no other file.",
+            rich_help_panel=_REPORT,
+        ),
     ] = None
     quiet: Annotated[
         bool, typer.Option("--quiet", "-q", help="Show warnings and errors only.", rich_help_panel=_REPORT)

@@ -1,4 +1,4 @@
-"""What a conversion did, as tables on standard output, as notes on standard error, and as a file."""
+"""What a conversion did, as tables on standard output and as notes on standard error."""
 
 from __future__ import annotations
 
@@ -6,37 +6,16 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from pc2scan.errors import OutputError, UsageError, stamp_text
+from pc2scan.errors import stamp_text
 from pc2scan.pipeline.parameters import PARAMETERS
 
 from .damage import SHOWN, show_recovery
 from .render import count, printable, size, table, warn
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from pc2scan.pipeline.report import Report, Skipped
 
-__all__ = ["check_report_file", "conclude", "show", "write_report"]
-
-
-def check_report_file(report: Path | None) -> None:
-    """Refuse, before anything is done, a report that could not be written afterwards."""
-    if report is not None and not report.parent.is_dir():
-        raise UsageError("the report cannot be written: its directory does not exist", path=report)
-
-
-def write_report(report: Report, path: Path) -> None:
-    """Write the report beside its name and rename it, so that a half-written one is never read."""
-    import json
-
-    text = json.dumps(report.as_dict(), indent=2) + "\n"
-    partial = path.with_name(f"{path.name}.pc2scan-partial")
-    try:
-        partial.write_text(text, "utf-8")
-        partial.replace(path)
-    except OSError as err:
-        raise OutputError(f"the report cannot be written: {err.strerror}", path=path) from err
+__all__ = ["conclude", "show"]
 
 
 def show(report: Report, *, verbose: bool = False) -> None:

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from .options import Compression, Storage
-from .outcome import check_report_file, conclude, show, write_report
+from .outcome import conclude, show
 from .render import print_json
 
 __all__ = ["repair"]
@@ -35,9 +35,14 @@ def repair(
     compression: Annotated[
         Compression | None, typer.Option(help="Compression of DST.  [default: SRC's]", show_default=False)
     ] = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace DST if it exists.")] = False,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace DST, and the file of --report, if they exist.")
+    ] = False,
     no_verify: Annotated[bool, typer.Option("--no-verify", help="Do not compare the CRCs of an MCAP source.")] = False,
-    report: Annotated[Path | None, typer.Option(metavar="FILE", help="Write what happened as JSON.")] = None,
+    report: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Write what happened as JSON; over an older report, but over no other file."),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print what happened as JSON.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Show damage, warnings and errors only.")] = False,
 ) -> None:
@@ -45,19 +50,15 @@ def repair(
 
     Exit status 0 if nothing was damaged (DST is then a sound copy), 3 if something was. SRC is never changed.
     """
-    check_report_file(report)
-
     from pc2scan.pipeline.options import ConvertOptions
     from pc2scan.pipeline.run import OutputOptions, run
 
     from .progress import progress_bar
 
-    form = OutputOptions(storage=storage, compression=compression, overwrite=overwrite)
+    form = OutputOptions(storage=storage, compression=compression, overwrite=overwrite, report=report)
     options = ConvertOptions(repair=True, verify=not no_verify)
     with progress_bar(enabled=not (quiet or as_json)) as progress:
         result = run([source], output, options, form, progress=progress)
-    if report is not None:
-        write_report(result, report)
     if as_json:
         print_json(result.as_dict())
     elif not quiet:

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pc2scan.bags.overlap import Input
 from pc2scan.bags.yaml import load_yaml
 from pc2scan.compare.rules import Rules
 from pc2scan.errors import UsageError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from pathlib import Path
 
 __all__ = ["EXPECTED_TEXT", "KEYS", "Case", "case_folders", "is_case", "load_case"]
 
@@ -61,6 +62,12 @@ class Case:
     def new_expected(self) -> Path:
         """Where the expected output is to be written: in the form that it has, or as text where text can hold it."""
         return self.expected or self.folder / ("expected.mcap" if self.all_topics else EXPECTED_TEXT)
+
+    def read_files(self) -> list[Input]:
+        """Return what its conversion reads: its recordings, parameters and settings, and files that arguments name."""
+        values = [Path(part.partition("=")[2] if part.startswith("-") else part) for part in self.arguments]
+        paths = [*self.inputs, *filter(None, (self.params,)), self.folder / _SETTINGS]
+        return [Input(path, "file of a case") for path in (*paths, *(path for path in values if path.exists()))]
 
 
 def is_case(folder: Path) -> bool:

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, NamedTuple
 
+from pc2scan.bags.overlap import Input, Output, refuse_overlap
+from pc2scan.bags.text_output import text_output
 from pc2scan.compare.diff import diff, open_source
 from pc2scan.compare.scan_text import render
 from pc2scan.errors import OutputError, Pc2ScanError, RecordingError
@@ -20,7 +23,7 @@ if TYPE_CHECKING:
 
     from .case import Case
 
-__all__ = ["Command", "Ended", "check_case"]
+__all__ = ["Command", "Ended", "check_case", "refuse_output_over_cases"]
 
 #: What the two sides are called.
 NAMES = ("expected", "actual")
@@ -35,6 +38,17 @@ class Ended(NamedTuple):
 
 #: Runs pc2scan with arguments, as the command line does.
 Command = Callable[[Sequence[str]], Ended]
+
+
+def refuse_output_over_cases(output: Output, folders: Sequence[Path]) -> None:
+    """Raise a `DestinationError` if a file that is to be written is one that a case reads, or its expected output."""
+    files = []
+    for folder in folders:
+        # What is wrong with a case is reported where it is checked.
+        with suppress(Pc2ScanError):
+            case = load_case(folder)
+            files += [*case.read_files(), Input(case.new_expected(), "file of a case")]
+    refuse_overlap(files, [output])
 
 
 def check_case(name: str, folder: Path, command: Command, *, update: bool = False) -> CaseResult:
@@ -117,9 +131,7 @@ def _write_expected(case: Case, actual: Path, command: Command) -> None:
         text = render(source.messages())
     finally:
         source.close()
-    partial = path.with_name(f"{path.name}.pc2scan-partial")
-    try:
-        partial.write_text(text, "utf-8", newline="\n")
-        partial.replace(path)
-    except OSError as err:
-        raise OutputError(f"cannot be written: {err.strerror}", path=path) from err
+    refuse_overlap(case.read_files(), [Output(path)])
+    # Whatever has this name in a case is its expected output.
+    with text_output(path, beginning=b"", overwrite=True) as write:
+        write(text)

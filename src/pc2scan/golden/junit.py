@@ -4,17 +4,56 @@ from __future__ import annotations
 
 import re
 import xml.etree.ElementTree as ET  # only written, never parsed
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+from pc2scan.bags.overlap import Output
+from pc2scan.bags.text_output import text_output
+
+from .check import refuse_output_over_cases
 from .result import Outcome
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+    from pathlib import Path
+
     from .result import GoldenReport
 
-__all__ = ["junit_xml"]
+__all__ = ["junit_file", "junit_xml"]
+
+#: What every such file begins with: it may be replaced by another one.
+_BEGINNING = b'<?xml version="1.0" encoding="utf-8"?>\n<testsuites>\n  <testsuite name="pc2scan golden"'
 
 #: What XML 1.0 cannot hold, however it is escaped.
 _UNPRINTABLE = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+
+
+@contextmanager
+def junit_file(
+    path: Path | None, cases: Sequence[Path], *, overwrite: bool
+) -> Iterator[Callable[[GoldenReport], None]]:
+    """Make sure that the file can be written before the first case is checked, and give the function that writes it.
+
+    Parameters
+    ----------
+    path
+        The file; with None nothing is written.
+    cases
+        The folders of the cases: no file of theirs is written over.
+    overwrite
+        Whether a file that is no JUnit XML of pc2scan may be replaced.
+
+    Raises
+    ------
+    DestinationError, OutputError
+        If it may not or cannot be written; by the function too.
+    """
+    if path is None:
+        yield lambda _: None
+        return
+    refuse_output_over_cases(Output(path, "--junit"), cases)
+    with text_output(path, beginning=_BEGINNING, overwrite=overwrite) as write:
+        yield lambda report: write(junit_xml(report))
 
 
 def junit_xml(report: GoldenReport) -> str:

@@ -16,7 +16,10 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.damage import Damage
 
-__all__ = ["Report", "Skipped", "TopicReport"]
+__all__ = ["BEGINNING", "Report", "Skipped", "TopicReport"]
+
+#: What every report begins with as JSON: such a file may be replaced by another report.
+BEGINNING = b'{\n  "pc2scan": "'
 
 #: Skipped messages are listed one by one up to here; all of them are counted.
 MAX_LISTED = 100
@@ -125,6 +128,8 @@ class Report:
     messages_declared
         How many messages the sources say they have, of all topics that are not left out; None where they do not say,
         or only a part was asked for.
+    undelivered
+        Whether the report was to be written as a file and could not be; the recording is written all the same.
     """
 
     sources: list[str]
@@ -137,6 +142,7 @@ class Report:
     notes: list[str] = field(default_factory=list)
     damage: list[Damage] = field(default_factory=list)
     messages_declared: int | None = None
+    undelivered: bool = False
     bytes_read: int = 0
     bytes_written: int = 0
     seconds: float = 0.0
@@ -148,8 +154,11 @@ class Report:
 
     @property
     def exit_status(self) -> int:
-        """0 if all is well; 3 if a source is damaged, or messages of it are missing in the destination."""
-        return 3 if self.damage or self.skipped_count or self._lost_topics() else 0
+        """0 if all is well, 3 if the recording is written but something is not.
+
+        A source is damaged, messages of it are missing in the destination, or the report is not written.
+        """
+        return 3 if self.damage or self.skipped_count or self._lost_topics() or self.undelivered else 0
 
     @property
     def messages_read(self) -> int:
@@ -216,6 +225,12 @@ class Report:
             "bytes_written": self.bytes_written,
             "seconds": round(self.seconds, 3),
         }
+
+    def as_json(self) -> str:
+        """Return the report as the text of its file."""
+        import json  # noqa: PLC0415  # only where it is asked for
+
+        return json.dumps(self.as_dict(), indent=2) + "\n"
 
 
 def _loss_warning(topics: Sequence[TopicReport]) -> str:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from pc2scan.bags.damage import RECOVER, Damage
 from pc2scan.bags.files import state_of
 from pc2scan.bags.merged import as_one
+from pc2scan.bags.overlap import Input, Output, refuse_overlap
 from pc2scan.bags.registry import (
     default_destination,
     default_storage,
@@ -19,9 +20,11 @@ from pc2scan.bags.registry import (
     plan_destination,
 )
 from pc2scan.bags.staging import staged
+from pc2scan.bags.text_output import text_output
 from pc2scan.bags.threads import Threads
 from pc2scan.errors import (
     DamageError,
+    DestinationError,
     OutputError,
     ParameterError,
     RecordingError,
@@ -35,11 +38,11 @@ from .frames import Frames, read_transforms
 from .lanes import Lane, carry_extras, chunk_rule, count_skipped, open_lanes, write_static
 from .memory import keep_freed_memory
 from .plan import make_plan
-from .report import Report
+from .report import BEGINNING, Report
 from .stream import Progress, Span, cores, stream
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
     from pathlib import Path
 
     from pc2scan.bags.model import Connection, Reader, Summary
@@ -68,7 +71,9 @@ class OutputOptions:
     metadata_version
         Of a rosbag2 directory.
     overwrite
-        Whether an existing destination is replaced.
+        Whether an existing destination is replaced, and whatever is in the report's place.
+    report
+        Where the report is written as JSON; None for nowhere.
     """
 
     storage: str | None = None
@@ -76,6 +81,7 @@ class OutputOptions:
     profile: str | None = None
     metadata_version: int = 8
     overwrite: bool = False
+    report: Path | None = None
 
 
 def run(
@@ -85,9 +91,18 @@ def run(
     output: OutputOptions,
     *,
     origins: Mapping[str, str] | None = None,
+    also_read: Mapping[str, Path] | None = None,
     progress: Progress | None = None,
 ) -> Report:
-    """Convert recordings; see `pc2scan.convert`."""
+    """Convert recordings; see `pc2scan.convert`.
+
+    Parameters
+    ----------
+    origins
+        Where the parameters come from, for the report.
+    also_read
+        Files that were read for the request, by option: nothing is written over them.
+    """
     began = time.monotonic()
     keep_freed_memory()
     if not sources:
@@ -103,7 +118,9 @@ def run(
         target = _target(path, destination is not None, reader, summaries, options, output)
         report = Report([str(source) for source in sources], str(path), options.params, dict(origins or {}))
         report.warnings += plan.warnings
-        with staged(path, overwrite=output.overwrite, sources=sources) as partial:
+        _refuse_overlap(sources, options, also_read or {}, path, output)
+        deliver = _report_file(output, stack)
+        with staged(path, overwrite=output.overwrite) as partial:
             span = _span(reader, options)
             conversion, others = _conversion(reader, plan, options, span, stack, report)
             writer = open_writer(target, partial, path.name)
@@ -136,9 +153,45 @@ def run(
                 raise
             report.bytes_written = _size(partial)
         report.bytes_read = reader.summary.size_bytes
-    report.conclude()
-    report.seconds = time.monotonic() - began
+        report.conclude()
+        report.seconds = time.monotonic() - began
+        if deliver is not None:
+            _deliver(report, deliver)
     return report
+
+
+def _refuse_overlap(
+    sources: Sequence[Path],
+    options: ConvertOptions,
+    also_read: Mapping[str, Path],
+    path: Path,
+    output: OutputOptions,
+) -> None:
+    """Compare everything that is read with everything that is written."""
+    named = [*(("--tf-from", other) for other in options.frames.tf_from), *also_read.items()]
+    inputs = [*map(Input, sources), *(Input(file, f"file of {option}") for option, file in named)]
+    report = [] if output.report is None else [Output(output.report, "--report")]
+    refuse_overlap(inputs, [Output(path), *report])
+
+
+def _report_file(output: OutputOptions, stack: ExitStack) -> Callable[[str], None] | None:
+    """Make sure that the report can be written, before anything else is; returns what writes it."""
+    if output.report is None:
+        return None
+    try:
+        return stack.enter_context(text_output(output.report, beginning=BEGINNING, overwrite=output.overwrite))
+    except (DestinationError, OutputError) as err:
+        err.message = f"the report cannot go there: {err.message}"
+        raise
+
+
+def _deliver(report: Report, deliver: Callable[[str], None]) -> None:
+    """Write the report. The recording is there by now, and stays; that its report is not there is reported."""
+    try:
+        deliver(report.as_json())
+    except (DestinationError, OutputError) as err:
+        report.undelivered = True
+        report.warnings.append(f"{err.path}: the report is not written: {err.message}; {report.destination} is")
 
 
 def _refuse_changed(sources: Sequence[Path], states: Sequence[object]) -> None:

@@ -1,0 +1,200 @@
+"""What a run reads, compared with what it writes: no output may replace, remove or hide an input."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import unicodedata
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from pc2scan.errors import DestinationError
+
+from .staging import working_names
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+
+__all__ = ["Input", "Output", "refuse_overlap"]
+
+#: Endings of what SQLite reads beside a database.
+_LOGS = ("-wal", "-journal", "-shm")
+
+#: Links that lead to links: the system follows no more than this many.
+_MAX_LINKS = 40
+
+#: Device and inode.
+_Id = tuple[int, int]
+
+
+class Input(NamedTuple):
+    """A file or folder that a run reads, and what for: ``source``, or the option that names it."""
+
+    path: Path
+    role: str = "source"
+
+
+class Output(NamedTuple):
+    """A file or folder that a run writes, and the option that names it; empty for the recording itself."""
+
+    path: Path
+    option: str = ""
+
+
+def refuse_overlap(inputs: Iterable[Input], outputs: Sequence[Output]) -> None:
+    """Raise if an output of a run is one of its inputs, or another output.
+
+    Files and folders are compared by device and inode, and all links on the way to them count: hard links, symbolic
+    links, links to folders, and names that a file system does not distinguish. With an output count the names that it
+    has while it is written; with a folder what is in it; with a file the logs that SQLite reads beside a database.
+
+    Parameters
+    ----------
+    inputs
+        What is read. Nothing of it has to exist.
+    outputs
+        What is going to be written.
+
+    Raises
+    ------
+    DestinationError
+        If an output is an input, lies inside one, or contains one, or if two outputs do so with each other.
+    """
+    read = _Inputs(inputs)
+    for output in outputs:
+        _refuse_input(output, read)
+    for number, output in enumerate(outputs):
+        for earlier in outputs[:number]:
+            _refuse_output(output, earlier)
+
+
+class _Inputs:
+    """All places of the inputs, by path and by device and inode, and the folders that they are in."""
+
+    def __init__(self, inputs: Iterable[Input]) -> None:
+        self._paths: dict[Path, Input] = {}
+        self._ids: dict[_Id, Input] = {}
+        self._folders: dict[_Id, Input] = {}
+        self._seen: set[Path] = set()
+        for given in inputs:
+            for path in (given.path, *_entries(given.path)):
+                for place in _places(path):
+                    for read in (place, *(place.with_name(place.name + log) for log in _LOGS if place.name)):
+                        self._add(given, read)
+
+    def _add(self, given: Input, path: Path) -> None:
+        for place in _places(path):
+            self._paths.setdefault(place, given)
+            for identity in _ids(place):
+                self._ids.setdefault(identity, given)
+            for folder in place.parents:
+                if folder in self._seen:
+                    break
+                self._seen.add(folder)
+                for identity in _ids(folder):
+                    self._folders.setdefault(identity, given)
+
+    def related(self, path: Path) -> tuple[str, Input] | None:
+        """How a path is related to an input, and to which; None if it has nothing to do with any."""
+        places = list(_places(path))
+        # What does not exist has no inode, but a log that appears beside a database would be read with it.
+        if found := self._paths.get(places[0]) or _first(self._ids, _ids(*places)):
+            return "is", found
+        if found := _first(self._folders, _ids(*places)):
+            return "contains", found
+        if found := _first(self._ids, _ids(*(folder for place in places for folder in place.parents))):
+            return "lies inside", found
+        return None
+
+
+def _refuse_input(output: Output, read: _Inputs) -> None:
+    for path in (output.path, *working_names(output.path)):
+        if (related := read.related(path)) is None:
+            continue
+        relation, found = related
+        if path != output.path:
+            raise _leftover(output, path, found)
+        what = _a(found.role) if relation == "is" else f"the {found.role} {found.path}"
+        raise DestinationError(
+            f"{_subject(output)}{relation} {what}",
+            path=output.path,
+            hint="what is read is never changed; choose another name",
+        )
+
+
+def _leftover(output: Output, path: Path, found: Input) -> DestinationError:
+    """Say that an input has a name that staging uses, and how the user comes out of that."""
+    better = output.path.with_name(f"interrupted_{output.path.name}")
+    rename = f" (mv {shlex.quote(str(path))} {shlex.quote(str(better))})" if not os.path.lexists(better) else ""
+    return DestinationError(
+        f"needs the name {path.name} while it is written, which is {_a(found.role)}",
+        path=output.path,
+        hint=f"choose another name for it, or rename the {found.role} first{rename}",
+    )
+
+
+def _refuse_output(output: Output, earlier: Output) -> None:
+    other = f"the file of {earlier.option}" if earlier.option else "the destination"
+    own, others = ({_key(path) for path in (each.path, *working_names(each.path))} for each in (output, earlier))
+    relation = None
+    if own & others:
+        relation = "is"
+    elif others & _folder_keys(output.path):
+        relation = "lies inside"
+    elif own & _folder_keys(earlier.path):
+        relation = "contains"
+    if relation:
+        raise DestinationError(f"{_subject(output)}{relation} {other}", path=output.path, hint="choose another name")
+
+
+def _subject(output: Output) -> str:
+    return f"the file of {output.option} " if output.option else ""
+
+
+def _entries(path: Path) -> list[Path]:
+    """What is in a folder; nothing for a file, or where nothing can be read."""
+    try:
+        return list(path.iterdir())
+    except OSError:
+        return []
+
+
+def _places(path: Path) -> Iterator[Path]:
+    """Where a path is: its own place, and each one that it leads to if it is a symbolic link."""
+    for _ in range(_MAX_LINKS):
+        path = Path(os.path.realpath(path.parent), path.name) if path.name not in {"", ".."} else path.resolve()
+        yield path
+        try:
+            path = path.parent / path.readlink()
+        except OSError:
+            return
+
+
+def _ids(*paths: Path) -> list[_Id]:
+    """Device and inode of what exists of some paths; of a symbolic link its own and its target's."""
+    found = []
+    for path in paths:
+        for look in (os.lstat, os.stat):
+            with suppress(OSError):
+                status = look(path)
+                found.append((status.st_dev, status.st_ino))
+    return found
+
+
+def _key(path: Path) -> object:
+    """Equal for all that may be one file: a file system may ignore case, and take two spellings for one name."""
+    place = next(_places(path))
+    return tuple(_ids(place.parent)[-1:]) or place.parent, unicodedata.normalize("NFC", place.name).casefold()
+
+
+def _folder_keys(path: Path) -> set[object]:
+    return {_key(folder) for folder in next(_places(path)).parents}
+
+
+def _first(known: dict[_Id, Input], ids: Iterable[_Id]) -> Input | None:
+    return next((known[identity] for identity in ids if identity in known), None)
+
+
+def _a(role: str) -> str:
+    return f"an {role}" if role[0] in "aeiou" else f"a {role}"
