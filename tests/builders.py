@@ -394,8 +394,11 @@ def qos_text(streams: Sequence[Stream], *, by_name: bool = False) -> str:
 # --- Containers ---
 
 
-def write_rosbag1(path: Path, recording: Recording, compression: str = "none") -> Path:
+def write_rosbag1(
+    path: Path, recording: Recording, compression: str = "none", *, chunk_size: int | None = None
+) -> Path:
     writer = Rosbag1LibraryWriter(path)
+    writer.chunk_threshold = chunk_size or writer.chunk_threshold
     if compression != "none":
         writer.set_compression(Rosbag1LibraryWriter.CompressionFormat[compression.upper()])
     with writer:
@@ -427,6 +430,9 @@ class Mcap:
     pack: Callable[[bytes], bytes] = bytes
     joined: bool = False
     by_name: bool = False
+    chunk_size: int = 2_000
+    crcs: bool = True
+    data_crc: bool = False
     attachments: Sequence[tuple[str, str, int, int, bytes]] = field(default=())
     metadata: Sequence[tuple[str, dict[str, str]]] = field(default=())
 
@@ -436,9 +442,11 @@ def write_mcap(path: Path, recording: Recording, form: Mcap = Mcap()) -> Path:
     with path.open("wb") as file:
         writer = McapLibraryWriter(
             file,
-            chunk_size=2_000,
+            chunk_size=form.chunk_size,
             compression=CompressionType[form.compression.upper()],
             use_chunking=form.chunked,
+            enable_crcs=form.crcs,
+            enable_data_crcs=form.data_crc,
         )
         writer.start(profile=form.profile, library="tests")
         schemas: dict[str, int] = {}

@@ -1,0 +1,132 @@
+"""What contradicts itself in a ROS 1 bag, by the format 2.0: nothing of pc2scan is used."""
+
+from __future__ import annotations
+
+import struct
+from collections import Counter
+
+from fuzz.mutants.rosbag1 import FIRST_LINE, Raw, raw_records, time_at, unpack
+
+__all__ = ["contradictions"]
+
+MESSAGE, BAG_HEADER, INDEX_DATA, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
+
+
+class _Bag:
+    """What was met so far."""
+
+    def __init__(self, data: bytes) -> None:
+        self.data = data
+        self.found: list[str] = []
+        self.connections: dict[int, bytes] = {}
+        #: By chunk: its messages as connection, time and place.
+        self.chunks: dict[int, list[tuple[int, int, int]]] = {}
+
+    def number(self, raw: Raw, name: bytes, data: bytes | None = None) -> int:
+        start, stop = raw.values.get(name, (0, 0))
+        if stop - start not in (4, 8):
+            raise ValueError(f"field {name!r} of the record at {raw.start}")
+        return int.from_bytes((self.data if data is None else data)[start:stop], "little")
+
+    def declare(self, raw: Raw, data: bytes) -> None:
+        """Note a connection; all its copies must be the same (the order of fields is of no consequence)."""
+        number = self.number(raw, b"conn", data)
+        topic = data[slice(*raw.values[b"topic"])]
+        content = topic + b"\0" + data[slice(*raw.body)]
+        if self.connections.setdefault(number, content) != content:
+            self.found.append(f"two descriptions of connection {number}")
+
+
+def contradictions(data: bytes) -> list[str]:
+    """List them; empty for a file that could be sound."""
+    bag = _Bag(data)
+    try:
+        _read(bag)
+    except (ValueError, OSError, EOFError, RuntimeError, KeyError, struct.error) as err:
+        bag.found.append(f"{type(err).__name__}: {err}")
+    return bag.found
+
+
+def _read(bag: _Bag) -> None:
+    data = bag.data
+    if not data.startswith(FIRST_LINE):
+        raise ValueError("first line")
+    rows = raw_records(data, len(FIRST_LINE), len(data))
+    kinds = [raw.op for raw in rows]
+    head = rows[0]
+    if kinds[:1] != [BAG_HEADER] or kinds.count(BAG_HEADER) != 1:
+        raise ValueError("no bag header, or several")
+    index = next((raw.start for raw in rows if raw.op in (CONNECTION, CHUNK_INFO)), len(data))
+    expected = (index, kinds.count(CONNECTION), kinds.count(CHUNK_INFO))
+    if expected != tuple(bag.number(head, name) for name in (b"index_pos", b"conn_count", b"chunk_count")):
+        bag.found.append("the bag header")
+    if kinds.count(CHUNK) != kinds.count(CHUNK_INFO):
+        bag.found.append("as many chunk infos as chunks")
+    if MESSAGE in kinds or any(kind not in range(2, 8) for kind in kinds):
+        bag.found.append("a record of a kind that does not belong there")
+    missing: Counter[int] = Counter()
+    current = -1
+    for raw in rows:
+        if raw.op == CHUNK:
+            bag.found += [f"connection {conn} is not indexed behind the chunk at {current}" for conn in +missing]
+            current = raw.start
+            missing = _chunk(bag, raw)
+        elif raw.op == INDEX_DATA:
+            _index(bag, raw, current, missing)
+        elif raw.op == CONNECTION:
+            bag.declare(raw, data)
+        elif raw.op == CHUNK_INFO:
+            _chunk_info(bag, raw)
+    bag.found += [f"connection {conn} is not indexed behind the chunk at {current}" for conn in +missing]
+    used = {conn for messages in bag.chunks.values() for conn, _, _ in messages}
+    bag.found += [f"connection {conn} is described nowhere" for conn in used - bag.connections.keys()]
+
+
+def _chunk(bag: _Bag, raw: Raw) -> Counter[int]:
+    compression = bag.data[slice(*raw.values[b"compression"])].decode()
+    if compression not in ("none", "lz4", "bz2"):
+        raise ValueError(f"compression {compression}")
+    unpacked = unpack(bag.data[slice(*raw.body)], compression)
+    if len(unpacked) != bag.number(raw, b"size"):
+        bag.found.append(f"the size of the chunk at {raw.start}")
+    messages = []
+    for inner in raw_records(unpacked, 0, len(unpacked)):
+        if inner.op == CONNECTION:
+            bag.declare(inner, unpacked)
+        elif inner.op == MESSAGE:
+            conn = bag.number(inner, b"conn", unpacked)
+            bag.number(inner, b"time", unpacked)
+            messages.append((conn, time_at(unpacked, inner.values[b"time"][0]), inner.start))
+        else:
+            bag.found.append(f"a record of kind {inner.op} in the chunk at {raw.start}")
+    bag.chunks[raw.start] = messages
+    return Counter(conn for conn, _, _ in messages)
+
+
+def _index(bag: _Bag, raw: Raw, chunk: int, missing: Counter[int]) -> None:
+    conn, count = bag.number(raw, b"conn"), bag.number(raw, b"count")
+    start, stop = raw.body
+    entries = [
+        (conn, time_at(bag.data, place), int.from_bytes(bag.data[place + 8 : place + 12], "little"))
+        for place in range(start, stop - 11, 12)
+    ]
+    stored = [message for message in bag.chunks.get(chunk, []) if message[0] == conn]
+    if count * 12 != stop - start or sorted(entries) != sorted(stored) or bag.number(raw, b"ver") != 1:
+        bag.found.append(f"the index of connection {conn} behind the chunk at {chunk}")
+    missing[conn] -= count
+
+
+def _chunk_info(bag: _Bag, raw: Raw) -> None:
+    place = bag.number(raw, b"chunk_pos")
+    messages = bag.chunks.get(place)
+    if messages is None:
+        bag.found.append(f"a chunk info of byte {place}, where no chunk is")
+        return
+    start, stop = raw.body
+    counts = dict(struct.iter_unpack("<II", bag.data[start:stop]))
+    times = [time_ns for _, time_ns, _ in messages]
+    span = tuple(time_at(bag.data, raw.values[name][0]) for name in (b"start_time", b"end_time"))
+    if counts != Counter(conn for conn, _, _ in messages) or bag.number(raw, b"count") * 8 != stop - start:
+        bag.found.append(f"the counts of the chunk at {place}")
+    if messages and span != (min(times), max(times)):
+        bag.found.append(f"the times of the chunk at {place}")

@@ -1,0 +1,183 @@
+"""What becomes of a mutant, compared with what becomes of the sound recording, message by message."""
+
+from __future__ import annotations
+
+import random
+import subprocess
+import tempfile
+from collections import Counter
+from contextlib import closing
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from e2e.command import COMMAND, environment
+from fuzz.contradictions.recording import contradictions
+from fuzz.mutants.mutate import Mutant, mutant
+from fuzz.mutants.seeds import Seed, place
+from fuzz.watch import watched
+from hostile.bounded import size_of
+from pc2scan import ProjectionParams
+from pc2scan.bags.registry import open_recording
+from pc2scan.pipeline.options import ConvertOptions, TimeBound
+from pc2scan.pipeline.run import OutputOptions, run
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+__all__ = ["Finding", "Operation", "Outcome", "attempt", "by_command", "mutant_of"]
+
+
+class Outcome(StrEnum):
+    """What became of a mutant."""
+
+    identical = "identical"
+    identical_reported = "identical, damage reported"
+    reported = "different, damage reported"
+    refused = "refused"
+    undetectable = "different, nothing in it contradicts"
+
+
+class Finding(Exception):  # noqa: N818 - it is what the campaign looks for
+    """What must not happen."""
+
+
+@dataclass(frozen=True, slots=True)
+class Operation:
+    """What is done with a mutant; the arguments are those of the command."""
+
+    name: str
+    command: tuple[str, ...]
+    output: str
+    options: ConvertOptions
+
+
+_PARAMS = ProjectionParams(min_height=-2.0, max_height=2.0)
+_HEIGHTS = ("--min-height", "-2", "--max-height", "2")
+_CUT = ("--start", "0.15", "--end", "0.45")
+
+#: Repairs into the same kind of container, and as often everything else.
+_OPERATIONS = (
+    *(Operation("repair", ("repair",), "", ConvertOptions(repair=True)),) * 4,
+    Operation("repair to MCAP", ("repair",), "out.mcap", ConvertOptions(repair=True)),
+    Operation("repair to rosbag2", ("repair",), "out", ConvertOptions(repair=True)),
+    Operation("convert", ("convert", *_HEIGHTS), "out.mcap", ConvertOptions(params=_PARAMS)),
+    Operation(
+        "convert a cut",
+        ("convert", *_HEIGHTS, *_CUT),
+        "out.mcap",
+        ConvertOptions(params=_PARAMS, start=TimeBound.parse(_CUT[1]), end=TimeBound.parse(_CUT[3])),
+    ),
+)
+
+
+def mutant_of(number: int, seeds: Sequence[Seed]) -> tuple[Mutant, Operation]:
+    """The mutant of a number, and what is done with it: the same every time."""
+    rng = random.Random(number)
+    made = mutant(rng.choice(seeds), rng)
+    return made, rng.choice(_OPERATIONS)
+
+
+def attempt(made: Mutant, operation: Operation, folder: Path) -> Outcome:
+    """Repair or convert a mutant, and compare.
+
+    Raises
+    ------
+    Finding
+        If it is not as it must be.
+    """
+    expected = _expected(made.seed, operation, folder.parent)
+    source = place(made.files, made.seed.opened, folder / "source")
+    destination = _destination(operation, source, folder)
+    status: int | None = None
+    with watched(size_of(source)):
+        status = 1
+        status = run([source], destination, operation.options, OutputOptions()).exit_status
+    top = folder / "source"
+    if {str(path.relative_to(top)): path.read_bytes() for path in top.rglob("*") if path.is_file()} != made.files:
+        raise Finding("the source was changed")
+    left = [path.name for path in destination.parent.iterdir()]
+    if status == 1:
+        if left:
+            raise Finding(f"refused, and left {left}")
+        return Outcome.refused
+    if left != [destination.name]:
+        raise Finding(f"it left {left}")
+    found = content_of(destination)
+    same = found == expected
+    if status == 3:
+        return Outcome.identical_reported if same else Outcome.reported
+    if same:
+        return Outcome.identical
+    if told := contradictions(made.files):
+        raise Finding(f"{_difference(expected, found)}, and exit status 0, though: {'; '.join(told)[:400]}")
+    return Outcome.undetectable
+
+
+def by_command(made: Mutant, operation: Operation, folder: Path) -> int:
+    """The same through the real command; returns its exit status."""
+    source = place(made.files, made.seed.opened, folder / "source")
+    destination = _destination(operation, source, folder)
+    arguments = [*COMMAND, operation.command[0], str(source), "-o", str(destination), *operation.command[1:]]
+    done = subprocess.run(arguments, capture_output=True, text=True, timeout=60, env=environment(), check=False)
+    if "Traceback" in done.stderr or done.returncode not in (0, 1, 2, 3):
+        raise Finding(f"the command ends with {done.returncode}: {done.stderr[-600:]}")
+    if done.returncode and not done.stderr.strip():
+        raise Finding(f"the command ends with {done.returncode} without a word")
+    return done.returncode
+
+
+def _destination(operation: Operation, source: Path, folder: Path) -> Path:
+    (folder / "output").mkdir()
+    suffix = source.suffix if source.suffix in (".bag", ".mcap") else ""
+    return folder / "output" / (operation.output or f"out{suffix}")
+
+
+def content_of(path: Path) -> dict[str, Any]:
+    """Everything that an output holds, as it counts."""
+    with closing(open_recording(path, strict=True)) as reader:
+        return {
+            "messages": [
+                (m.connection.topic, m.log_time_ns, m.publish_time_ns, m.sequence, bytes(m.data))
+                for m in reader.messages()
+            ],
+            "topics": sorted(
+                (c.topic, c.msgtype, c.serialization, c.definition.data, c.digest, c.callerid or "", c.latching, c.qos)
+                for c in reader.connections
+            ),
+            "attachments": list(reader.attachments()),
+            "metadata": [(m.name, dict(m.entries)) for m in reader.metadata()],
+        }
+
+
+@lru_cache(maxsize=1)
+def _sound_content() -> dict[tuple[str, str], dict[str, Any]]:
+    return {}
+
+
+def _expected(seed: Seed, operation: Operation, folder: Path) -> dict[str, Any]:
+    """What the sound recording becomes."""
+    known = _sound_content()
+    key = (seed.name, operation.name)
+    if key not in known:
+        with tempfile.TemporaryDirectory(prefix="sound-", dir=folder) as name:
+            source = place(seed.files, seed.opened, Path(name, "source"))
+            destination = _destination(operation, source, Path(name))
+            report = run([source], destination, operation.options, OutputOptions())
+            assert report.exit_status == 0, (seed.name, report.damage)
+            known[key] = content_of(destination)
+    return known[key]
+
+
+def _difference(expected: dict[str, Any], found: dict[str, Any]) -> str:
+    parts = []
+    for key, before in expected.items():
+        old, new = Counter(map(repr, before)), Counter(map(repr, found[key]))
+        gone, come = (old - new).total(), (new - old).total()
+        if gone or come:
+            parts.append(f"{gone} {key} are missing and {come} new ({len(before)} before)")
+        elif before != found[key]:
+            parts.append(f"the order of {key} is another")
+    return ", ".join(parts)

@@ -1,0 +1,223 @@
+"""Fields of an SQLite database, of its write-ahead log and of its rollback journal (https://sqlite.org/fileformat2.html)."""
+
+from __future__ import annotations
+
+import struct
+from typing import TYPE_CHECKING
+
+from fuzz.mutants.layout import Field, Layout, Record
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from fuzz.mutants.layout import Role
+
+__all__ = ["database_layout", "journal_checksum", "journal_layout", "wal_checksums", "wal_layout"]
+
+JOURNAL_MAGIC = bytes.fromhex("d9d505f920a163d7")
+
+#: Place, size, name and role of the values in the header of the file.
+_HEADER: tuple[tuple[int, int, str, Role], ...] = (
+    (0, 16, "magic", "text"),
+    (16, 2, "page_size", "size"),
+    (18, 1, "write_version", "number"),
+    (19, 1, "read_version", "number"),
+    (20, 1, "reserved", "size"),
+    (24, 4, "change_counter", "count"),
+    (28, 4, "pages", "count"),
+    (32, 4, "freelist", "place"),
+    (36, 4, "free_pages", "count"),
+    (40, 4, "schema_cookie", "number"),
+    (44, 4, "schema_format", "number"),
+    (52, 4, "largest_root", "number"),
+    (56, 4, "encoding", "number"),
+    (92, 4, "valid_for", "count"),
+)
+_TABLE_LEAF, _TABLE_INNER, _INDEX_LEAF, _INDEX_INNER = 13, 5, 10, 2
+
+
+def _field(kind: str, role: Role, start: int, size: int) -> Field:
+    # Page numbers do not move when bytes do.
+    return Field(kind, "number" if role == "place" else role, start, start + size, "big")
+
+
+def database_layout(data: bytes) -> Layout:
+    """Lay out a sound database: its header, the headers and cells of its trees' pages, and the records in them."""
+    made = Layout(data)
+    made.fields += [_field(f"header.{name}", role, place, size) for place, size, name, role in _HEADER]
+    page_size = int.from_bytes(data[16:18], "big")
+    page_size = 65_536 if page_size == 1 else page_size
+    for start in range(0, len(data) - page_size + 1, page_size):
+        made.records.append(Record("page", start, start + page_size))
+        header = start + 100 * (start == 0)
+        kind = data[header]
+        if kind in (_TABLE_LEAF, _TABLE_INNER, _INDEX_LEAF, _INDEX_INNER) and int.from_bytes(
+            data[header + 3 : header + 5], "big"
+        ):
+            made.fields += _page(data, start, header, page_size)
+        else:
+            made.fields.append(_field("overflow.next", "place", start, 4))
+            made.fields.append(_field("overflow.content", "payload", start + 4, page_size - 4))
+    return made
+
+
+def _page(data: bytes, start: int, header: int, page_size: int) -> Iterator[Field]:
+    kind = data[header]
+    name = {_TABLE_LEAF: "leaf", _TABLE_INNER: "inner", _INDEX_LEAF: "index", _INDEX_INNER: "index_inner"}[kind]
+    yield _field(f"{name}.kind", "opcode", header, 1)
+    yield _field(f"{name}.freeblock", "number", header + 1, 2)
+    yield _field(f"{name}.cells", "count", header + 3, 2)
+    yield _field(f"{name}.content_start", "number", header + 5, 2)
+    yield _field(f"{name}.fragments", "count", header + 7, 1)
+    pointers = header + 8
+    if kind in (_TABLE_INNER, _INDEX_INNER):
+        yield _field(f"{name}.right", "place", header + 8, 4)
+        pointers += 4
+    for number in range(int.from_bytes(data[header + 3 : header + 5], "big")):
+        pointer = pointers + 2 * number
+        yield _field(f"{name}.cell_place", "number", pointer, 2)
+        yield from _cell(data, start + int.from_bytes(data[pointer : pointer + 2], "big"), kind, name, page_size)
+
+
+def _cell(data: bytes, position: int, kind: int, name: str, page_size: int) -> Iterator[Field]:
+    if kind in (_TABLE_INNER, _INDEX_INNER):
+        yield _field(f"{name}.child", "place", position, 4)
+        position += 4
+    size = 0
+    if kind != _TABLE_INNER:
+        size, stop = varint(data, position)
+        yield _field(f"{name}.payload_size", "length", position, stop - position)
+        position = stop
+    if kind in (_TABLE_LEAF, _TABLE_INNER):
+        _, stop = varint(data, position)
+        yield _field(f"{name}.rowid", "id", position, stop - position)
+        position = stop
+    if kind == _TABLE_INNER:
+        return
+    largest = page_size - 35 if kind == _TABLE_LEAF else (page_size - 12) * 64 // 255 - 23
+    smallest = (page_size - 12) * 32 // 255 - 23
+    local = size
+    if size > largest:
+        local = smallest + (size - smallest) % (page_size - 4)
+        local = local if local <= largest else smallest
+        yield _field(f"{name}.overflow", "place", position + local, 4)
+    yield from _record(data, position, position + local, name)
+
+
+def _record(data: bytes, start: int, stop: int, name: str) -> Iterator[Field]:
+    """Fields of a row: the kinds of its values, and these."""
+    header, position = varint(data, start)
+    yield _field(f"{name}.row_header", "length", start, position - start)
+    content = start + header
+    while position < start + header:
+        kind, following = varint(data, position)
+        yield _field(f"{name}.value_kind", "number", position, following - position)
+        size = (0, 1, 2, 3, 4, 6, 8, 8, 0, 0, 0, 0)[kind] if kind < 12 else (kind - 12) // 2
+        if 0 < size <= stop - content:
+            role: Role = ("time" if size == 8 else "id") if kind < 12 else "name" if kind % 2 else "payload"
+            yield _field(f"{name}.{role}", role, content, size)
+        content, position = content + size, following
+
+
+def varint(data: bytes, position: int) -> tuple[int, int]:
+    """SQLite's number of one to nine bytes, and where it ends."""
+    value = 0
+    for _ in range(8):
+        byte = data[position]
+        position += 1
+        value = value << 7 | byte & 0x7F
+        if byte < 0x80:
+            return value, position
+    return value << 8 | data[position], position + 1
+
+
+def wal_layout(data: bytes) -> Layout:
+    """Lay out a write-ahead log."""
+    made = Layout(data)
+    names: tuple[tuple[str, Role], ...] = (
+        ("magic", "number"),
+        ("version", "number"),
+        ("page_size", "size"),
+        ("checkpoint", "count"),
+        ("salt", "number"),
+        ("salt", "number"),
+        ("checksum", "checksum"),
+        ("checksum", "checksum"),
+    )
+    made.fields += [_field(f"wal.{name}", role, 4 * i, 4) for i, (name, role) in enumerate(names)]
+    page_size = int.from_bytes(data[8:12], "big")
+    parts: tuple[tuple[str, Role], ...] = (
+        ("page", "number"),
+        ("committed_pages", "count"),
+        ("salt", "number"),
+        ("salt", "number"),
+        ("checksum", "checksum"),
+        ("checksum", "checksum"),
+    )
+    for start in range(32, len(data) - page_size - 23, 24 + page_size):
+        made.records.append(Record("frame", start, start + 24 + page_size))
+        made.fields += [_field(f"frame.{name}", role, start + 4 * i, 4) for i, (name, role) in enumerate(parts)]
+        made.fields.append(_field("frame.content", "payload", start + 24, page_size))
+
+    def seal(changed: bytearray, _: Callable[[int], int]) -> None:
+        changed[:] = wal_checksums(bytes(changed), page_size)
+
+    made.seal = seal
+    return made
+
+
+def wal_checksums(data: bytes, page_size: int) -> bytes:
+    """The log with the checksums of its header and of all whole frames as they must be."""
+    changed = bytearray(data)
+    order = ">" if changed[3] & 1 else "<"
+    sums = _wal_sum(order, data[:24], (0, 0))
+    struct.pack_into(">II", changed, 24, *sums)
+    for start in range(32, len(data) - page_size - 23, 24 + page_size):
+        sums = _wal_sum(order, data[start : start + 8] + data[start + 24 : start + 24 + page_size], sums)
+        struct.pack_into(">II", changed, start + 16, *sums)
+    return bytes(changed)
+
+
+def _wal_sum(order: str, data: bytes, sums: tuple[int, int]) -> tuple[int, int]:
+    first, second = sums
+    for a, b in struct.iter_unpack(f"{order}II", data):
+        first = (first + a + second) & 0xFFFF_FFFF
+        second = (second + b + first) & 0xFFFF_FFFF
+    return first, second
+
+
+def journal_layout(data: bytes) -> Layout:
+    """Lay out a rollback journal of one segment."""
+    made = Layout(data)
+    names: tuple[tuple[str, Role], ...] = (
+        ("pages", "count"),
+        ("nonce", "number"),
+        ("database_pages", "count"),
+        ("sector", "size"),
+        ("page_size", "size"),
+    )
+    made.fields.append(Field("journal.magic", "text", 0, 8))
+    made.fields += [_field(f"journal.{name}", role, 8 + 4 * i, 4) for i, (name, role) in enumerate(names)]
+    pages, _, _, sector, page_size = struct.unpack_from(">IIIII", data, 8)
+    for number in range(pages):
+        start = sector + number * (page_size + 8)
+        if start + page_size + 8 > len(data):
+            break
+        made.records.append(Record("journal_page", start, start + page_size + 8))
+        made.fields.append(_field("journal_page.number", "number", start, 4))
+        made.fields.append(_field("journal_page.content", "payload", start + 4, page_size))
+        made.fields.append(_field("journal_page.checksum", "checksum", start + 4 + page_size, 4))
+
+    def seal(changed: bytearray, _: Callable[[int], int]) -> None:
+        (nonce,) = struct.unpack_from(">I", changed, 12)
+        for start in range(sector, len(changed) - page_size - 7, page_size + 8):
+            content = bytes(changed[start + 4 : start + 4 + page_size])
+            struct.pack_into(">I", changed, start + 4 + page_size, journal_checksum(content, nonce))
+
+    made.seal = seal
+    return made
+
+
+def journal_checksum(content: bytes, nonce: int) -> int:
+    """Of one page: every 200th byte from the end, and the nonce."""
+    return (nonce + sum(content[len(content) - 200 :: -200])) & 0xFFFF_FFFF

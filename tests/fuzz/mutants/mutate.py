@@ -1,0 +1,117 @@
+"""One mutant of a seed: which file is changed, and how."""
+
+from __future__ import annotations
+
+import sqlite3
+from contextlib import closing
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import zstandard
+
+from fuzz.mutants import database, layout, mcap, metadata, rosbag1
+from fuzz.mutants.layout import Edit, Layout, Nested
+
+if TYPE_CHECKING:
+    import random
+    from collections.abc import Callable
+
+    from fuzz.mutants.seeds import Seed
+
+__all__ = ["Mutant", "mutant"]
+
+#: Statements that a program other than a recorder may have run: the database is sound afterwards.
+_STATEMENTS = (
+    "DELETE FROM messages WHERE id = {id}",
+    "DELETE FROM messages WHERE id > {id}",
+    "DELETE FROM topics WHERE id = 2",
+    "UPDATE messages SET timestamp = timestamp + 1 WHERE id = {id}",
+    "UPDATE messages SET timestamp = -1 WHERE id = {id}",
+    "UPDATE messages SET topic_id = 1 + topic_id % 3 WHERE id = {id}",
+    "UPDATE messages SET topic_id = 99 WHERE id = {id}",
+    "UPDATE messages SET data = x'' WHERE id = {id}",
+    "UPDATE messages SET data = 'text' WHERE id = {id}",
+    "UPDATE messages SET timestamp = 'noon' WHERE id = {id}",
+    "INSERT INTO messages SELECT id + 1000, topic_id, timestamp, data FROM messages WHERE id = {id}",
+    "UPDATE topics SET name = '/other' WHERE id = 2",
+    "UPDATE topics SET type = 'std_msgs/msg/Empty' WHERE id = 2",
+    "UPDATE topics SET serialization_format = '' WHERE id = 2",
+    "INSERT INTO topics SELECT id + 100, name, type, serialization_format, offered_qos_profiles, '' FROM topics",
+    "DROP INDEX timestamp_idx",
+    "DROP TABLE message_definitions",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Mutant:
+    """A seed with one file changed; ``files`` are all of them."""
+
+    seed: Seed
+    name: str
+    edit: Edit
+    files: dict[str, bytes]
+
+    def __str__(self) -> str:
+        return f"{self.seed.name}: {self.name}: {self.edit.kind} ({self.edit.how})"
+
+
+def mutant(seed: Seed, rng: random.Random) -> Mutant:
+    """Change one thing in one file of a seed."""
+    name = rng.choice(sorted(seed.files))
+    while True:
+        edit = _edit(name, seed, rng)
+        if edit.data != seed.files[name]:
+            return Mutant(seed, name, edit, {**seed.files, name: edit.data})
+
+
+def _edit(name: str, seed: Seed, rng: random.Random) -> Edit:
+    data = seed.files[name]
+    if name.endswith("metadata.yaml"):
+        return metadata.mutate_metadata(data, rng)
+    # With a log or a journal beside it a database is not complete by itself.
+    if (
+        name.endswith((".db3", ".db3.zstd"))
+        and not any(f"{name}-" in other for other in seed.files)
+        and rng.random() < 0.2
+    ):
+        return _statement(data, rng)
+    return layout.mutate(_layout(name, data), rng)
+
+
+@lru_cache(maxsize=64)
+def _layout(name: str, data: bytes) -> Layout:
+    if name.endswith(".zstd"):
+        inner = name.removesuffix(".zstd")
+        # Half of the time the packed bytes themselves are changed.
+        nested = Nested("zstd", 0, len(data), _unpacked, _packed, lambda unpacked: _layout(inner, unpacked))
+        return Layout(data, nested=[nested])
+    of: dict[str, Callable[[bytes], Layout]] = {
+        "bag": rosbag1.layout,
+        "mcap": mcap.layout,
+        "db3": database.database_layout,
+        "db3-wal": database.wal_layout,
+        "db3-journal": database.journal_layout,
+    }
+    return of[name.rsplit(".", 1)[1]](data)
+
+
+def _statement(data: bytes, rng: random.Random) -> Edit:
+    packed = data.startswith(b"\x28\xb5\x2f\xfd")
+    statement = rng.choice(_STATEMENTS)
+    with closing(sqlite3.connect(":memory:")) as made:
+        made.deserialize(_unpacked(data) if packed else data)
+        (count,) = made.execute("SELECT count(*) FROM messages").fetchone()
+        made.execute(statement.format(id=rng.randint(1, count)))
+        made.commit()
+        changed = made.serialize()
+    kind = " ".join(statement.split()[: 2 if statement.startswith("D") else 4]).replace("FROM ", "")
+    return replace(Edit(f"sql.{kind}", "row", "statement", b""), data=_packed(changed) if packed else changed)
+
+
+def _unpacked(data: bytes) -> bytes:
+    return zstandard.ZstdDecompressor().decompress(data, max_output_size=1 << 26)
+
+
+def _packed(data: bytes) -> bytes:
+    return zstandard.ZstdCompressor().compress(data)
