@@ -10,10 +10,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fuzz.contradictions.mcap import Facts
-from fuzz.mutants.database import JOURNAL_MAGIC, journal_checksum, wal_checksums
+from fuzz.mutants.database import JOURNAL_MAGIC, journal_checksum, journal_segments, wal_checksums
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+
+    from fuzz.mutants.database import Segment
 
 __all__ = ["facts_of"]
 
@@ -105,18 +107,25 @@ def _journal(journal: bytes, page_size: int) -> Iterator[str]:
     if len(journal) < 28 or journal[:8] != JOURNAL_MAGIC:
         yield "the journal has no header"
         return
-    pages, nonce, _, sector, size = struct.unpack_from(">IIIII", journal, 8)
-    if size != page_size or sector not in [1 << n for n in range(5, 17)]:
+    _, _, _, _, size = struct.unpack_from(">IIIII", journal, 8)
+    segments = journal_segments(journal)
+    if size != page_size or not segments:
         yield "the journal's header"
         return
-    sound = 0
-    for start in range(sector, len(journal) - size - 7, size + 8):
-        content = journal[start + 4 : start + 4 + size]
-        (checksum,) = struct.unpack_from(">I", journal, start + 4 + size)
-        if checksum != journal_checksum(content, nonce):
-            if sound < pages:
+    for segment in segments:
+        (pages,) = struct.unpack_from(">I", journal, segment.start + 8)
+        if pages != len(segment.pages):
+            yield f"the journal declares {pages} pages at {segment.start}, and has {len(segment.pages)}"
+        for start in segment.pages:
+            if not _journal_page(journal, start, segment):
                 yield f"the checksum of the journal's page at {start}"
-            break
-        sound += 1
-    if sound != pages:
-        yield f"the journal declares {pages} pages, and has {sound}"
+    last = segments[-1]
+    if _journal_page(journal, last.stop, last):
+        yield f"the journal has more pages than the {len(last.pages)} that it declares"
+
+
+def _journal_page(journal: bytes, start: int, segment: Segment) -> bool:
+    """Whether a page with a right checksum begins here."""
+    end = start + 4 + segment.page_size
+    content = journal[start + 4 : end]
+    return journal[end : end + 4] == struct.pack(">I", journal_checksum(content, segment.nonce))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from fuzz.mutants.layout import Field, Layout, Record
@@ -12,7 +13,15 @@ if TYPE_CHECKING:
 
     from fuzz.mutants.layout import Role
 
-__all__ = ["database_layout", "journal_checksum", "journal_layout", "wal_checksums", "wal_layout"]
+__all__ = [
+    "JOURNAL_MAGIC",
+    "database_layout",
+    "journal_checksum",
+    "journal_layout",
+    "journal_segments",
+    "wal_checksums",
+    "wal_layout",
+]
 
 JOURNAL_MAGIC = bytes.fromhex("d9d505f920a163d7")
 
@@ -187,7 +196,7 @@ def _wal_sum(order: str, data: bytes, sums: tuple[int, int]) -> tuple[int, int]:
 
 
 def journal_layout(data: bytes) -> Layout:
-    """Lay out a rollback journal of one segment."""
+    """Lay out a rollback journal: segments of a header, which fills a sector, and pages."""
     made = Layout(data)
     names: tuple[tuple[str, Role], ...] = (
         ("pages", "count"),
@@ -196,26 +205,61 @@ def journal_layout(data: bytes) -> Layout:
         ("sector", "size"),
         ("page_size", "size"),
     )
-    made.fields.append(Field("journal.magic", "text", 0, 8))
-    made.fields += [_field(f"journal.{name}", role, 8 + 4 * i, 4) for i, (name, role) in enumerate(names)]
-    pages, _, _, sector, page_size = struct.unpack_from(">IIIII", data, 8)
-    for number in range(pages):
-        start = sector + number * (page_size + 8)
-        if start + page_size + 8 > len(data):
-            break
-        made.records.append(Record("journal_page", start, start + page_size + 8))
-        made.fields.append(_field("journal_page.number", "number", start, 4))
-        made.fields.append(_field("journal_page.content", "payload", start + 4, page_size))
-        made.fields.append(_field("journal_page.checksum", "checksum", start + 4 + page_size, 4))
+    found = journal_segments(data)
+    for segment in found:
+        made.fields.append(Field("journal.magic", "text", segment.start, segment.start + 8))
+        made.fields += [
+            _field(f"journal.{name}", role, segment.start + 8 + 4 * i, 4) for i, (name, role) in enumerate(names)
+        ]
+        size = segment.page_size
+        for start in segment.pages:
+            made.records.append(Record("journal_page", start, start + size + 8))
+            made.fields.append(_field("journal_page.number", "number", start, 4))
+            made.fields.append(_field("journal_page.content", "payload", start + 4, size))
+            made.fields.append(_field("journal_page.checksum", "checksum", start + 4 + size, 4))
 
-    def seal(changed: bytearray, _: Callable[[int], int]) -> None:
-        (nonce,) = struct.unpack_from(">I", changed, 12)
-        for start in range(sector, len(changed) - page_size - 7, page_size + 8):
-            content = bytes(changed[start + 4 : start + 4 + page_size])
-            struct.pack_into(">I", changed, start + 4 + page_size, journal_checksum(content, nonce))
+    def seal(changed: bytearray, moved: Callable[[int], int]) -> None:
+        for segment in found:
+            (nonce,) = struct.unpack_from(">I", changed, moved(segment.start) + 12)
+            for start in map(moved, segment.pages):
+                end = start + 4 + segment.page_size
+                if end + 4 <= len(changed):
+                    struct.pack_into(">I", changed, end, journal_checksum(bytes(changed[start + 4 : end]), nonce))
 
     made.seal = seal
     return made
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """A part of a journal: where its header and the pages that this declares begin."""
+
+    start: int
+    nonce: int
+    page_size: int
+    pages: tuple[int, ...]
+    stop: int
+
+
+def journal_segments(data: bytes) -> list[Segment]:
+    """Find the segments; those whose headers make no sense end the list."""
+    found: list[Segment] = []
+    start, first = 0, (0, 0)
+    while data[start : start + 8] == JOURNAL_MAGIC and start + 28 <= len(data):
+        pages, nonce, _, sector, page_size = struct.unpack_from(">IIIII", data, start + 8)
+        if found:
+            # The first one counts.
+            sector, page_size = first
+        if sector not in [1 << n for n in range(5, 17)] or page_size not in [1 << n for n in range(9, 17)]:
+            break
+        first = sector, page_size
+        step = page_size + 8
+        begin = start + sector
+        count = min(pages, max(0, len(data) - begin) // step)
+        stop = begin + count * step
+        found.append(Segment(start, nonce, page_size, tuple(range(begin, stop, step)), stop))
+        start = -(-stop // sector) * sector
+    return found
 
 
 def journal_checksum(content: bytes, nonce: int) -> int:
