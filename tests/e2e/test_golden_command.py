@@ -155,6 +155,58 @@ def test_arguments_that_name_files_of_the_case(folder: Path, tmp_path: Path) -> 
     assert done.status == 0, done.stdout
 
 
+#: What a case may not say, however it is spelled; and what the error names.
+NOT_A_CASES = {
+    "[-o, OUT]": "--output",
+    "[-oOUT]": "--output",
+    "[-qo, OUT]": "--output",
+    "[-jo, OUT]": "is not an option",
+    "[--output=OUT]": "--output",
+    "[--out=OUT]": "--out",
+    "['-t=/points', -oOUT]": "--output",
+    "[--no-use-inf, -o, OUT]": "--output",
+    "[--report, OUT]": "--report",
+    "[--report=OUT]": "--report",
+    "[-vqoOUT]": "--output",
+    "[--overwrite]": "--overwrite",
+    "[--help]": "--help",
+    "[-h]": "--help",
+    "[-qh]": "--help",
+    "[--version]": "--version",
+    "[--junit, OUT]": "--junit",
+    "[--json]": "--json",
+    "[-q]": "--quiet",
+    "[other.bag]": "'other.bag' is not an option",
+    "[--, -o, OUT]": "'-o' is not an option",
+    "[--topic]": "--topic",
+}
+
+
+@pytest.mark.parametrize("arguments", NOT_A_CASES)
+@pytest.mark.parametrize("status", [0, 2])
+def test_a_case_does_not_choose_where_anything_is_written(
+    arguments: str, status: int, folder: Path, tmp_path: Path
+) -> None:
+    assert golden(folder, "--update").status == 0
+    out = tmp_path / "OUT"
+    out.write_text("years of work")
+    settings(folder, f"arguments: {arguments.replace('OUT', str(out))}\nexit_status: {status}\n")
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    for options in ((), ("--update",)):
+        done = golden(folder, *options)
+        assert done.status == 2, done.stdout
+        assert "error   hall" in done.stdout
+        assert f"{folder / 'hall' / 'case.yaml'}: arguments: " in done.stdout
+        assert NOT_A_CASES[arguments] in done.stdout
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
+
+
+def test_a_value_that_looks_like_an_option_is_a_value(folder: Path) -> None:
+    settings(folder, "arguments: [--topic, '/points:=/-o', --ros-distro, humble, --profile, ros1]")
+    assert outcomes(folder, "--update") == {"hall": "updated"}
+    assert 'topic "/-o"' in (folder / "hall" / "expected.txt").read_text()
+
+
 def test_an_expected_exit_status(folder: Path) -> None:
     # Without a transform for the frame every cloud is skipped.
     (folder / "hall" / "params.yaml").write_text(PARAMS + "    target_frame: map\n")

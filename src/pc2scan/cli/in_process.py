@@ -5,10 +5,14 @@ from __future__ import annotations
 import signal
 from contextlib import redirect_stderr, redirect_stdout
 from io import StringIO
+from itertools import chain
 from typing import TYPE_CHECKING
 
 import typer
+from typer.core import TyperGroup
+from typer.main import get_command
 
+from pc2scan.errors import UsageError
 from pc2scan.golden.check import Ended
 
 if TYPE_CHECKING:
@@ -17,21 +21,29 @@ if TYPE_CHECKING:
 __all__ = ["run_command"]
 
 
-def run_command(arguments: Sequence[str]) -> Ended:
-    """Run ``pc2scan`` with arguments; what it prints is returned instead.
+#: Options of ``convert`` beside those of `Conversion` that decide what is written, and not where.
+_FORM = ("storage", "compression", "profile", "metadata_version", "ros_distro")
+
+
+def run_command(arguments: Sequence[str], chosen: Sequence[str] = ()) -> Ended:
+    """Run ``pc2scan`` with arguments; what it prints is returned instead. See `pc2scan.golden.check.Command`.
 
     Raises
     ------
+    UsageError
+        If ``chosen`` has more than options that decide what is converted.
     KeyboardInterrupt, SystemExit
         If it was interrupted or terminated: that was meant for the whole process.
     """
     from .app import application
 
+    if chosen:
+        _refuse_others(arguments[0], chosen)
     said = StringIO()
     status = 0
     with redirect_stdout(StringIO()), redirect_stderr(said):
         try:
-            application(*arguments[:1])(list(arguments), prog_name="pc2scan")
+            application(*arguments[:1])([*arguments, *chosen], prog_name="pc2scan")
         except SystemExit as err:
             status = err.code if isinstance(err.code, int) else 1
     if status == 128 + signal.SIGINT:
@@ -40,3 +52,32 @@ def run_command(arguments: Sequence[str]) -> Ended:
         typer.echo(said.getvalue(), err=True, nl=False)
         raise SystemExit(status)
     return Ended(status, said.getvalue())
+
+
+def _refuse_others(name: str, chosen: Sequence[str]) -> None:
+    """Raise unless these are options that decide what is converted, as the command's own parser reads them."""
+    from .app import application
+    from .options import Conversion
+
+    group = get_command(application(name))
+    assert isinstance(group, TyperGroup)
+    command = group.commands[name]
+    outer = group.make_context("pc2scan", [name], resilient_parsing=True)
+    try:
+        values, rest, given = command.make_parser(typer.Context(command, parent=outer)).parse_args(list(chosen))
+    except Exception as err:
+        # Click's own errors have no class that typer would export.
+        if not hasattr(err, "format_message"):
+            raise
+        raise UsageError(err.format_message()) from err
+    arguments = {str(parameter.name) for parameter in given if parameter.param_type_name == "argument"}
+    allowed = {*_FORM, *arguments, *(parameter.name for parameter in Conversion.parameters())}
+    others = dict.fromkeys(parameter.opts[0] for parameter in given if parameter.name not in allowed)
+    if others:
+        raise UsageError(
+            f"{', '.join(others)} may not be in a case",
+            hint="a case decides what is converted, but not where anything is written, nor what is shown",
+        )
+    unnamed = [*chain.from_iterable(values[argument] or () for argument in arguments), *rest]
+    if unnamed:
+        raise UsageError(f"{unnamed[0]!r} is not an option", hint="a case names its recordings in 'input'")

@@ -15,12 +15,12 @@ from pc2scan.errors import UsageError
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-__all__ = ["EXPECTED_TEXT", "KEYS", "Case", "case_folders", "is_case", "load_case"]
+__all__ = ["EXPECTED_TEXT", "KEYS", "SETTINGS", "Case", "case_folders", "is_case", "load_case"]
 
 EXPECTED_TEXT = "expected.txt"
 _EXPECTED = (EXPECTED_TEXT, "expected.bag", "expected.mcap", "expected")
 _INPUTS = ("input.bag", "input.mcap", "input.db3", "input")
-_SETTINGS = "case.yaml"
+SETTINGS = "case.yaml"
 _PARAMS = "params.yaml"
 #: What ``case.yaml`` may say.
 KEYS = ("input", "params", "arguments", "exit_status", "all_topics", "atol", "rtol", "allow_beams", "ignore")
@@ -41,7 +41,7 @@ class Case:
     expected
         ``expected.txt`` (see `pc2scan.compare.scan_text`) or a recording; None where there is none yet.
     arguments
-        Further arguments of ``pc2scan convert``; ``{case}`` in them has become the folder.
+        Further options of ``pc2scan convert``, not yet checked; ``{case}`` in them has become the folder.
     exit_status
         What the conversion is expected to end with.
     all_topics
@@ -66,13 +66,13 @@ class Case:
     def read_files(self) -> list[Input]:
         """Return what its conversion reads: its recordings, parameters and settings, and files that arguments name."""
         values = [Path(part.partition("=")[2] if part.startswith("-") else part) for part in self.arguments]
-        paths = [*self.inputs, *filter(None, (self.params,)), self.folder / _SETTINGS]
+        paths = [*self.inputs, *filter(None, (self.params,)), self.folder / SETTINGS]
         return [Input(path, "file of a case") for path in (*paths, *(path for path in values if path.exists()))]
 
 
 def is_case(folder: Path) -> bool:
     """Whether a folder is a case, complete or not."""
-    return any((folder / name).exists() for name in (_SETTINGS, _PARAMS, *_INPUTS, *_EXPECTED))
+    return any((folder / name).exists() for name in (SETTINGS, _PARAMS, *_INPUTS, *_EXPECTED))
 
 
 def case_folders(folder: Path, pattern: str = "") -> list[tuple[str, Path]]:
@@ -126,7 +126,7 @@ def load_case(folder: Path) -> Case:
     UsageError
         If something is missing, there twice, or its ``case.yaml`` says what cannot be.
     """
-    settings = _settings(folder / _SETTINGS)
+    settings = _settings(folder / SETTINGS)
     return Case(
         folder=folder,
         inputs=_inputs(folder, settings.get("input")),
@@ -140,7 +140,7 @@ def load_case(folder: Path) -> Case:
 
 
 def _error(folder: Path, message: str, hint: str | None = None) -> UsageError:
-    return UsageError(message, path=folder / _SETTINGS, hint=hint)
+    return UsageError(message, path=folder / SETTINGS, hint=hint)
 
 
 def _settings(path: Path) -> dict[str, Any]:
@@ -174,7 +174,7 @@ def _inputs(folder: Path, named: Any) -> tuple[Path, ...]:
     if named is None:
         found = _only(folder, _INPUTS)
         if found is None:
-            raise UsageError("has no input", path=folder, hint=f"{', '.join(_INPUTS)}, or 'input:' in {_SETTINGS}")
+            raise UsageError("has no input", path=folder, hint=f"{', '.join(_INPUTS)}, or 'input:' in {SETTINGS}")
         return (found,)
     names = named if isinstance(named, list) else [named]
     if not names or not all(isinstance(name, str) for name in names):
@@ -210,8 +210,6 @@ def _arguments(folder: Path, value: Any) -> tuple[str, ...]:
     if not isinstance(value, list) or any(isinstance(part, (list, dict)) or part is None for part in value):
         raise _error(folder, f"arguments is {value!r}, it must be a list", "such as [--topic, /points:=/scan]")
     parts = tuple(part if isinstance(part, str) else str(part) for part in value)
-    if taken := [part for part in parts if part.split("=")[0] in ("-o", "--output", "--overwrite")]:
-        raise _error(folder, f"arguments has {taken[0]}, but where the output goes is not a case's to say")
     return tuple(part.replace("{case}", str(folder)) for part in parts)
 
 

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from pc2scan.bags.overlap import Input, Output, refuse_overlap
 from pc2scan.bags.text_output import text_output
 from pc2scan.compare.diff import diff, open_source
 from pc2scan.compare.scan_text import render
-from pc2scan.errors import OutputError, Pc2ScanError, RecordingError
+from pc2scan.errors import OutputError, Pc2ScanError, RecordingError, UsageError
 
-from .case import EXPECTED_TEXT, load_case
+from .case import EXPECTED_TEXT, SETTINGS, load_case
 from .result import CaseResult, Outcome
 
 if TYPE_CHECKING:
@@ -36,8 +36,24 @@ class Ended(NamedTuple):
     messages: str
 
 
-#: Runs pc2scan with arguments, as the command line does.
-Command = Callable[[Sequence[str]], Ended]
+class Command(Protocol):
+    """Runs pc2scan, as the command line does."""
+
+    def __call__(self, arguments: Sequence[str], chosen: Sequence[str] = ()) -> Ended:
+        """Run a command.
+
+        Parameters
+        ----------
+        arguments
+            The command and its arguments.
+        chosen
+            Further options from an untrusted case: they decide what is converted, and nothing else.
+
+        Raises
+        ------
+        UsageError
+            If ``chosen`` has anything else, or what the command does not know.
+        """
 
 
 def refuse_output_over_cases(output: Output, folders: Sequence[Path]) -> None:
@@ -79,7 +95,7 @@ _Checked = tuple[Outcome, Sequence[str], "Difference | None"]
 def _checked(case: Case, command: Command, *, update: bool) -> _Checked:
     with TemporaryDirectory(prefix="pc2scan-golden-") as folder:
         actual = Path(folder) / "actual.mcap"
-        ended = command(_arguments(case, actual, "--compression", "none"))
+        ended = _ended(case, command, actual, "--compression", "none")
         if ended.status != case.exit_status:
             told = f"the conversion ended with {ended.status}, expected is {case.exit_status}"
             return Outcome.failed, [told, *ended.messages.splitlines()], None
@@ -109,20 +125,24 @@ def _compared(case: Case, actual: Path, *, update: bool) -> tuple[Difference | N
     return difference, [] if difference.same else difference.text(NAMES).splitlines()
 
 
-def _arguments(case: Case, destination: Path, *further: str) -> list[str]:
+def _ended(case: Case, command: Command, destination: Path, *further: str) -> Ended:
+    """Run the case's conversion."""
     arguments = ["convert", *map(str, case.inputs), "-o", str(destination), *further]
     if case.params is not None:
         arguments += ["--params-file", str(case.params)]
     if not case.all_topics:
         arguments.append("--only-scans")
-    return [*arguments, *case.arguments]
+    try:
+        return command(arguments, case.arguments)
+    except UsageError as err:
+        raise UsageError(f"arguments: {err.message}", path=case.folder / SETTINGS, hint=err.hint) from err
 
 
 def _write_expected(case: Case, actual: Path, command: Command) -> None:
     """Make what was made the expected output, in the form that it has."""
     path = case.new_expected()
     if path.name != EXPECTED_TEXT:
-        ended = command(_arguments(case, path, "--overwrite"))
+        ended = _ended(case, command, path, "--overwrite")
         if ended.status != case.exit_status:
             raise OutputError(f"cannot be written: {ended.messages.strip()}", path=path)
         return
