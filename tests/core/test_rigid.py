@@ -14,11 +14,11 @@ from core.reference import reference_moved, reference_rotation
 from pc2scan.core.rigid import (
     IDENTITY_POSE,
     Rigid,
+    are_taken,
     interpolate,
     interpolate_poses,
     lerp,
     slerp,
-    unit_quaternions,
 )
 from pc2scan.errors import ParameterError
 
@@ -234,19 +234,18 @@ def test_apply_passes_nan_and_inf_on_without_warnings() -> None:
     assert np.isinf(Rigid.from_rpy(0, 0, -math.pi / 4).apply(points[2:])[0, 0])
 
 
-def test_quaternions_are_normalised_but_unit_ones_stay_as_they_are() -> None:
-    nearly = (0.6, 0.8 + 2e-16, 0.0, 0.0)
-    assert Rigid(np.array(nearly), np.zeros(3)).quaternion.tolist() == list(nearly)
-    for scale in (3.0, 1e-200, 1e200, 5e-320):
+def test_quaternions_stay_as_they_are_where_tf2_takes_them() -> None:
+    for nearly in ((0.6, 0.8 + 2e-16, 0.0, 0.0), (0.0, 0.0, 0.7071, 0.7071), (0.0, 0.0, 0.0, -1.004)):
+        assert Rigid(np.array(nearly), np.zeros(3)).quaternion.tolist() == list(nearly)
+    for scale in (3.0, 1e-200, 1e200, 5e-320, 0.72):
         quaternion = Rigid(np.array([0, 0, scale, scale]), np.zeros(3)).quaternion
         np.testing.assert_allclose(quaternion, [0, 0, math.sqrt(0.5), math.sqrt(0.5)], rtol=1e-3)
         assert np.linalg.norm(quaternion) == pytest.approx(1, abs=1e-15)
 
 
-def test_unit_quaternions_marks_what_has_no_direction() -> None:
-    table = unit_quaternions([(0, 0, 0, w) for w in (2.0, 0.0, math.nan, math.inf)])
-    assert table[0].tolist() == [0, 0, 0, 1]
-    assert np.isnan(table[1:]).all()
+def test_the_limit_of_what_tf2_takes() -> None:
+    given = np.array([(0, 0, 0, w) for w in (1.0, -1.0, 1.00498, 1.00499, 0.99499, 0.99498, 0.0, math.nan, math.inf)])
+    assert are_taken(given).tolist() == [True, True, True, False, True, False, False, False, False]
 
 
 @pytest.mark.parametrize(

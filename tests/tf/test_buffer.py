@@ -7,13 +7,14 @@ import pickle
 import struct
 from bisect import bisect_right
 from dataclasses import FrozenInstanceError
+from itertools import pairwise
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pc2scan.core.rigid import Rigid, TransformRow, interpolate
+from pc2scan.core.rigid import Rigid, TransformRow, interpolate, interpolate_poses
 from pc2scan.errors import RecordingError, TransformError
 from pc2scan.messages.tfmessage import decode_transforms
 from pc2scan.tf.buffer import (
@@ -76,11 +77,22 @@ class TestLookup:
         buffer = built([row("odom", "base", 0, x=0), row("odom", "base", 1, x=1e9)])
         assert x_of(buffer, "odom", "base", at(0.5) + 1) == pytest.approx(500_000_001, abs=1e-3)
 
-    def test_a_sample_is_given_as_it_is(self) -> None:
+    def test_the_ratio_is_that_of_seconds_in_float64(self) -> None:
+        # 1e-9 times 3 is not 3e-9: what tf2 returns, in tests/parity too.
+        buffer = built([row("odom", "base", 0, x=0), ("odom", "base", EPOCH + 7, 1.0, 0, 0, 0, 0, 0, 1)])
+        found = x_of(buffer, "odom", "base", EPOCH + 3)
+        assert found == (1e-9 * 3) / (1e-9 * 7) != 3 / 7
+
+    def test_the_first_and_the_last_sample_are_given_as_they_are(self) -> None:
         rows = [row("odom", "base", second, x=0.1 * second, yaw=0.3 * second) for second in range(5)]
         buffer = built(rows)
-        for entry in rows:
+        for entry in (rows[0], rows[-1]):
             assert buffer.lookup("odom", "base", entry[2]).pose == entry[3:]
+        # Those between them with the ratio 0, which tf2's slerp may round away from them.
+        for entry, after in pairwise(rows[1:]):
+            found = buffer.lookup("odom", "base", entry[2]).pose
+            assert found == interpolate_poses(entry[3:], after[3:], 0.0)
+            assert found == pytest.approx(entry[3:], rel=1e-15)
 
     def test_up_and_down_again(self) -> None:
         buffer = built(
@@ -312,12 +324,21 @@ class TestRejections:
         (rejection,) = built([self.GOOD, entry]).rejections
         assert rejection.reason.startswith("TF_NAN_INPUT: ")
 
-    @pytest.mark.parametrize("norm", [2.0, 1e-200, 1e200, 1.001, -1.0])
-    def test_unnormalised_quaternions_are_normalised(self, norm: float) -> None:
-        buffer = built([row("a", "b", 0, yaw=0.5, norm=norm)])
+    @pytest.mark.parametrize("norm", [1.0, 1.001, 0.998, -1.0])
+    def test_quaternions_that_tf2_takes_stay_as_they_are(self, norm: float) -> None:
+        entry = row("a", "b", 0, yaw=0.5, norm=norm)
+        buffer = built([entry])
         assert buffer.rejected == 0
-        np.testing.assert_allclose(buffer.lookup("a", "b", at(0)).matrix, Rigid.from_rpy(0, 0, 0.5).matrix, atol=1e-15)
-        assert buffer.infos[0].denormalized == (norm in {2.0, 1e-200, 1e200})
+        assert buffer.lookup("a", "b", at(0)).quaternion.tolist() == list(entry[6:])
+
+    @pytest.mark.parametrize("norm", [2.0, 1e-200, 1e200, 1.006, 0.994])
+    def test_quaternions_that_tf2_refuses_are_refused(self, norm: float) -> None:
+        buffer = built([self.GOOD, row("a", "b", 0, yaw=0.5, norm=norm)])
+        (rejection,) = buffer.rejections
+        assert rejection.reason == (
+            "TF_DENORMALIZED_QUATERNION: the squared norm of the quaternion differs from 1 by 0.01 or more"
+        )
+        assert "[b] in [a] was rejected: TF_DENORM" in refusal(buffer, "a", "b", at(0)).message
 
     def test_list_is_bounded_and_in_order_and_the_count_is_not(self) -> None:
         rows = [row("a", f"f{number}", number, norm=0) for number in range(MAX_REJECTIONS + 50)]
@@ -343,7 +364,6 @@ class TestInfos:
             static=False,
             transforms=5,
             received=6,
-            denormalized=0,
             first_ns=at(0),
             last_ns=at(6),
             rate_hz=4 * 1e9 / (6 * SECOND),

@@ -29,16 +29,17 @@ __all__ = [
     "Pose",
     "Rigid",
     "TransformRow",
+    "are_taken",
     "compose_poses",
     "interpolate",
     "interpolate_poses",
     "inverse_pose",
     "lerp",
+    "rotation_matrices",
     "slerp",
-    "unit_quaternions",
 ]
 
-#: Translation x, y, z in metres, then the unit quaternion x, y, z, w.
+#: Translation x, y, z in metres, then the quaternion x, y, z, w, as published: not quite of unit length.
 Pose: TypeAlias = tuple[float, float, float, float, float, float, float]
 
 #: A stamped transform as a message carries it, ``parent_from_child``: parent, child, stamp_ns, then a pose
@@ -50,44 +51,36 @@ _QUATERNION, _PRODUCTS, _SUMS, _MATRIX = (struct.Struct(f"={count}f") for count 
 
 IDENTITY_POSE: Pose = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
-#: Squared norms this close to 1 are rounding. Such quaternions stay as they are: dividing them would move
-#: their last bits, and with them the branch that tf2's slerp takes for nearly equal rotations.
-_ROUNDING = 1e-12
+#: tf2 takes quaternions as they are while their squared norm differs from 1 by less than this, and refuses others.
+NORM_TOLERANCE = 10e-3
 
 
-def unit_quaternions(quaternions: ArrayLike) -> NDArray[np.float64]:
-    """Normalise quaternions.
-
-    Parameters
-    ----------
-    quaternions
-        (..., 4), in the order x, y, z, w.
-
-    Returns
-    -------
-    ndarray
-        (..., 4) float64, a copy. Quaternions that are unit to within rounding are unchanged; those that
-        are zero, or have a component that is NaN or infinite, become NaN.
-    """
-    given = np.array(quaternions, dtype=np.float64)
+def are_taken(quaternions: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Whether tf2 takes quaternions, (N, 4) x, y, z, w. Those with a NaN or an infinite component it does not."""
+    x, y, z, w = quaternions.T
     with np.errstate(all="ignore"):
-        squared = np.einsum("...i,...i->...", given, given)[..., None]
-        # Scaled first: the square of 1e-200 is 0, and that of 1e200 is inf.
-        scaled = given / np.abs(given).max(axis=-1, keepdims=True)
-        unit = scaled / np.sqrt(np.einsum("...i,...i->...", scaled, scaled))[..., None]
-        return np.where(np.abs(squared - 1) <= _ROUNDING, given, unit)
+        # tf2's order of operations: near the limit it decides.
+        return np.asarray(np.abs(w * w + x * x + y * y + z * z - 1.0) < NORM_TOLERANCE)
+
+
+# tf2 never normalises, so that its order of operations is in every last bit. What follows keeps to it.
 
 
 def compose_poses(a_from_b: Pose, b_from_c: Pose) -> Pose:
     """``a_from_c``: the second transform, then the first."""
     ax, ay, az, ai, aj, ak, ar = a_from_b
     x, y, z, i, j, k, r = b_from_c
-    # v + 2 w (u x v) + 2 u x (u x v), with u, w the vector and the scalar part of the unit quaternion.
-    cx, cy, cz = 2 * (aj * z - ak * y), 2 * (ak * x - ai * z), 2 * (ai * y - aj * x)
+    # quatRotate: the quaternion times the vector, times the conjugate.
+    ti, tj, tk, tr = (
+        ar * x + aj * z - ak * y,
+        ar * y + ak * x - ai * z,
+        ar * z + ai * y - aj * x,
+        -ai * x - aj * y - ak * z,
+    )
     return (
-        ax + x + ar * cx + aj * cz - ak * cy,
-        ay + y + ar * cy + ak * cx - ai * cz,
-        az + z + ar * cz + ai * cy - aj * cx,
+        ti * ar - tr * ai - tj * ak + tk * aj + ax,
+        tj * ar - tr * aj - tk * ai + ti * ak + ay,
+        tk * ar - tr * ak - ti * aj + tj * ai + az,
         ar * i + ai * r + aj * k - ak * j,
         ar * j + aj * r + ak * i - ai * k,
         ar * k + ak * r + ai * j - aj * i,
@@ -98,7 +91,7 @@ def compose_poses(a_from_b: Pose, b_from_c: Pose) -> Pose:
 def inverse_pose(a_from_b: Pose) -> Pose:
     """``b_from_a``."""
     x, y, z, i, j, k, r = a_from_b
-    turned = compose_poses((0.0, 0.0, 0.0, -i, -j, -k, r), (-x, -y, -z, 0.0, 0.0, 0.0, 1.0))
+    turned = compose_poses((-0.0, -0.0, -0.0, -i, -j, -k, r), (-x, -y, -z, 0.0, 0.0, 0.0, 1.0))
     return (*turned[:3], -i, -j, -k, r)
 
 
@@ -108,27 +101,26 @@ def interpolate_poses(first: Pose, last: Pose, ratio: float) -> Pose:
     x0, y0, z0, i0, j0, k0, r0 = first
     x1, y1, z1, i1, j1, k1, r1 = last
     half_angle, sign = _half_angle((i0, j0, k0, r0), (i1, j1, k1, r1))
-    weight0, weight1 = 1.0, 0.0
     if half_angle != 0:
         scale = 1 / math.sin(half_angle)
-        weight0 = math.sin(kept * half_angle) * scale
-        weight1 = math.sin(ratio * half_angle) * scale * sign
+        from_first, from_last = math.sin(kept * half_angle), math.sin(ratio * half_angle) * sign
+        i0 = (i0 * from_first + i1 * from_last) * scale
+        j0 = (j0 * from_first + j1 * from_last) * scale
+        k0 = (k0 * from_first + k1 * from_last) * scale
+        r0 = (r0 * from_first + r1 * from_last) * scale
     return (
         kept * x0 + ratio * x1,
         kept * y0 + ratio * y1,
         kept * z0 + ratio * z1,
-        weight0 * i0 + weight1 * i1,
-        weight0 * j0 + weight1 * j1,
-        weight0 * k0 + weight1 * k1,
-        weight0 * r0 + weight1 * r1,
+        i0,
+        j0,
+        k0,
+        r0,
     )
 
 
 def _half_angle(first: Sequence[float], last: Sequence[float]) -> tuple[float, float]:
-    """Half the angle between two rotations on the shorter way, and the sign that the second one needs for it.
-
-    Sums run in tf2's order: its quotient decides to the last bit whether two rotations count as equal.
-    """
+    """Half the angle between two rotations on the shorter way, and the sign that the second one needs for it."""
     i0, j0, k0, r0 = first
     i1, j1, k1, r1 = last
     dot = i0 * i1 + j0 * j1 + k0 * k1 + r0 * r1
@@ -144,14 +136,14 @@ def slerp(first: ArrayLike, last: ArrayLike, ratio: ArrayLike) -> NDArray[np.flo
     Parameters
     ----------
     first, last
-        (4,) unit quaternions x, y, z, w.
+        (4,) quaternions x, y, z, w.
     ratio
         0 is the first, 1 is the last; a scalar or an array of any shape.
 
     Returns
     -------
     ndarray
-        ``ratio.shape + (4,)`` float64 unit quaternions. Where the two are equal to within the resolution of
+        ``ratio.shape + (4,)`` float64 quaternions. Where the two are equal to within the resolution of
         arccos (about 1.5e-8 rad) all are ``first``.
 
     Notes
@@ -189,6 +181,26 @@ def lerp(first: ArrayLike, last: ArrayLike, ratio: ArrayLike) -> NDArray[np.floa
     return np.asarray((1 - ratios) * np.asarray(first, np.float64) + ratios * np.asarray(last, np.float64))
 
 
+def rotation_matrices(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rotation matrices (3, 3, ...) of quaternions (4, ...) x, y, z, w of any length.
+
+    Source of the rule: ``tf2::Matrix3x3::setRotation``, in its order of operations.
+    """
+    x, y, z, w = quaternions
+    scale = 2.0 / (x * x + y * y + z * z + w * w)
+    xs, ys, zs = x * scale, y * scale, z * scale
+    wx, wy, wz = w * xs, w * ys, w * zs
+    xx, xy, xz = x * xs, x * ys, x * zs
+    yy, yz, zz = y * ys, y * zs, z * zs
+    return np.array(
+        [
+            [1.0 - (yy + zz), xy - wz, xz + wy],
+            [xy + wz, 1.0 - (xx + zz), yz - wx],
+            [xz - wy, yz + wx, 1.0 - (xx + yy)],
+        ]
+    )
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Rigid:
     """A rigid transform, ``target_from_source``: ``p_target = rotation p_source + translation``.
@@ -196,7 +208,8 @@ class Rigid:
     Parameters
     ----------
     quaternion
-        (4,) x, y, z, w: the axes of ``source`` seen from ``target``. Normalised here; float64, read-only.
+        (4,) x, y, z, w: the axes of ``source`` seen from ``target``; float64, read-only. Kept as it is where tf2 takes
+        it, which is while its squared norm differs from 1 by less than 0.01; normalised where tf2 would refuse it.
     translation
         (3,) the origin of ``source`` in ``target``, metres. float64, read-only.
 
@@ -219,7 +232,10 @@ class Rigid:
             if length == 4:
                 if not given.any():
                     raise ParameterError("quaternion is zero, it has no direction", name=name)
-                given = unit_quaternions(given)
+                if not are_taken(given[None])[0]:
+                    # Scaled first: the square of 1e-200 is 0, and that of 1e200 is inf.
+                    scaled = given / np.abs(given).max()
+                    given = scaled / np.sqrt(scaled @ scaled)
             given.flags.writeable = False
             object.__setattr__(self, name, given)
 
@@ -230,7 +246,7 @@ class Rigid:
 
     @classmethod
     def from_pose(cls, pose: Pose) -> Rigid:
-        """Take a pose that is known to be finite and of a unit quaternion; nothing is checked."""
+        """Take a pose that is known to be finite and of a quaternion that tf2 takes; nothing is checked."""
         rigid = object.__new__(cls)
         both = np.array(pose)
         both.flags.writeable = False
@@ -272,14 +288,7 @@ class Rigid:
     @property
     def matrix(self) -> NDArray[np.float64]:
         """The rotation, (3, 3) float64; its columns are the axes of ``source`` seen from ``target``."""
-        i, j, k, r = self.quaternion.tolist()
-        return np.array(
-            [
-                [1 - 2 * (j * j + k * k), 2 * (i * j - k * r), 2 * (i * k + j * r)],
-                [2 * (i * j + k * r), 1 - 2 * (i * i + k * k), 2 * (j * k - i * r)],
-                [2 * (i * k - j * r), 2 * (j * k + i * r), 1 - 2 * (i * i + j * j)],
-            ]
-        )
+        return rotation_matrices(self.quaternion)
 
     @property
     def rpy(self) -> tuple[float, float, float]:

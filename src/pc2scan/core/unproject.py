@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from pc2scan.errors import DecodeError, ParameterError, TransformError
 
-from .rigid import slerp
+from .rigid import rotation_matrices, slerp
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -270,7 +270,7 @@ def deskew(scan: UnprojectedScan, start: Transform, end: Transform) -> Unproject
     # Upstream multiplies by the reciprocal, which is not always the quotient.
     step = 1.0 / (scan.beam_count - 1) if scan.beam_count > 1 else 0.0
     ratio = scan.beams.astype(np.float64) * step
-    matrix = _matrices(slerp(q_start, q_end, ratio).T)
+    matrix = rotation_matrices(slerp(q_start, q_end, ratio).T)
     origin = (1.0 - ratio)[:, np.newaxis] * t_start + ratio[:, np.newaxis] * t_end
     viewpoint = scan.viewpoint
     return scan.with_xyz(
@@ -340,35 +340,10 @@ def _checked(transform: Transform, beam: str) -> tuple[NDArray[np.float64], NDAr
     return quaternion, translation
 
 
-# The order of operations below is tf2's: the last bit of float64 sums depends on it, and through rounding
-# now and then a float32 coordinate.
-
-
-def _dot4(a: NDArray[np.float64], b: NDArray[np.float64]) -> Any:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]
-
-
-def _matrices(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rotation matrices (3, 3, N) of quaternions (4, N), which need not be normalised."""
-    x, y, z, w = quaternions
-    scale = 2.0 / _dot4(quaternions, quaternions)
-    xs, ys, zs = x * scale, y * scale, z * scale
-    wx, wy, wz = w * xs, w * ys, w * zs
-    xx, xy, xz = x * xs, x * ys, x * zs
-    yy, yz, zz = y * ys, y * zs, z * zs
-    return np.array(
-        [
-            [1.0 - (yy + zz), xy - wz, xz + wy],
-            [xy + wz, 1.0 - (xx + zz), yz - wx],
-            [xz - wy, yz + wx, 1.0 - (xx + yy)],
-        ]
-    )
-
-
 def _transformed(
     xyz: NDArray[np.float32], matrix: NDArray[np.float64], origin: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Rotate and translate points (N, 3), each by its own matrix (3, 3, N) and origin (N, 3)."""
+    """Rotate and translate points (N, 3), each by its own matrix (3, 3, N) and origin (N, 3), in tf2's order."""
     x, y, z = xyz.T.astype(np.float64)
     rows = [row[0] * x + row[1] * y + row[2] * z for row in matrix]
     return np.stack(rows, axis=1) + origin

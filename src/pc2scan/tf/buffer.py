@@ -4,24 +4,30 @@ The rules are those of tf2 0.7.6 (``BufferCore``, ``TimeCache``, ``StaticCache``
 transforms up:
 
 - One leading slash of a frame's name is stripped. Names are otherwise compared as they are.
+- Quaternions are taken as published while their squared norm differs from 1 by less than 0.01. Others are refused.
 - A child has one parent at a time. Between two samples with different parents the earlier sample holds,
   unchanged, up to the later one.
-- Between two samples of one parent: translation by lerp, rotation by slerp. At a sample's stamp: that sample.
+- Between two samples of one parent: translation by lerp, rotation by slerp; at the older one's stamp too, with the
+  ratio 0. The ratio is that of two durations, each as seconds in float64. The first and the last sample hold at their
+  stamps as they are.
 - A child whose first accepted transform was static is static for good: its last transform holds at any
   time. Any other child is dynamic for good; what arrives for it as static is a sample like the others.
 - Samples may arrive in any order. Of several with one stamp the first to arrive is kept.
 - Transforms need be known only up to the common ancestor. Nothing is extrapolated.
+- Both frames are walked up to the root, or to the first frame whose parent is not known at the time, unless one is the
+  other's ancestor: the transforms above the common ancestor are in both walks and cancel out but for rounding.
 - A stamp of 0 asks for the latest time that every frame of the chain has.
 
 Where it departs from tf2, on purpose:
 
 - Nothing expires (tf2 keeps 10 s), and chains may be longer than tf2's 1000 frames.
-- Quaternions are normalised, and only zero ones refused. tf2 refuses those whose squared norm is off by 0.01
-  or more, and takes the others as they are.
 - Infinite components are refused like NaN.
 - A walk towards the root that runs into a loop is refused. tf2 answers where it meets the other frame before
   it notices, with a transform that depends on the direction of the question.
-- Lookups strip the leading slash too, and may be told a tolerance.
+- Lookups strip the leading slash too, and take a tolerance.
+
+Every operation is done in tf2's order (see `pc2scan.core.rigid`), so that lookups are equal to tf2's to the bit.
+ROS 2's tf2 takes the ratio of nanoseconds, which differs in the last bits of float64.
 """
 
 from __future__ import annotations
@@ -35,14 +41,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pc2scan.core.rigid import (
-    IDENTITY_POSE,
-    Rigid,
-    compose_poses,
-    interpolate_poses,
-    inverse_pose,
-    unit_quaternions,
-)
+from pc2scan.core.rigid import IDENTITY_POSE, Rigid, are_taken, compose_poses, interpolate_poses, inverse_pose
 from pc2scan.errors import RecordingError, TransformError
 
 if TYPE_CHECKING:
@@ -71,16 +70,14 @@ MAX_NAMES = 20
 MAX_FRAMES = 100_000
 MAX_PAIRS = 200_000
 
-#: tf2 refuses quaternions whose squared norm differs from 1 by this or more.
-TF2_NORM_TOLERANCE = 10e-3
-
-_ACCEPTED, _NO_CHILD, _NO_PARENT, _SELF, _NOT_FINITE, _ZERO = range(6)
+_ACCEPTED, _NO_CHILD, _NO_PARENT, _SELF, _NOT_FINITE, _ZERO, _DENORMALIZED = range(7)
 _REASONS = {
     _NO_CHILD: "TF_NO_CHILD_FRAME_ID: child_frame_id is empty",
     _NO_PARENT: "TF_NO_FRAME_ID: frame_id is empty",
     _SELF: "TF_SELF_TRANSFORM: frame_id and child_frame_id are the same",
     _NOT_FINITE: "TF_NAN_INPUT: a component is NaN or infinite",
     _ZERO: "TF_DENORMALIZED_QUATERNION: the quaternion is zero",
+    _DENORMALIZED: "TF_DENORMALIZED_QUATERNION: the squared norm of the quaternion differs from 1 by 0.01 or more",
 }
 
 _SEE_TF = "`pc2scan tf` shows the frames of a recording and the times they are known for"
@@ -125,8 +122,6 @@ class FrameInfo:
         Samples that are kept.
     received
         Transforms that were accepted, repeated stamps and overwritten static ones included.
-    denormalized
-        Of those, the ones that tf2 would have refused for the norm of their quaternion.
     first_ns, last_ns
         Earliest and latest stamp.
     rate_hz
@@ -142,7 +137,6 @@ class FrameInfo:
     static: bool
     transforms: int
     received: int
-    denormalized: int
     first_ns: int
     last_ns: int
     rate_hz: float | None
@@ -180,7 +174,7 @@ class FrameHistory:
     stamps_ns
         (N,) int64, increasing, N > 0.
     poses
-        (N, 7) float64: translation x, y, z in metres, then unit quaternion x, y, z, w.
+        (N, 7) float64: translation x, y, z in metres, then quaternion x, y, z, w, as published.
     parents
         (N,) int32, indices of frames.
     sole_parent
@@ -228,11 +222,12 @@ class FrameHistory:
         first = self._pose(older)
         if self.static or stamp_ns is None or older + 1 == len(self.stamps_ns):
             return first
-        begin_ns = self.stamps_ns.item(older)
-        if stamp_ns <= begin_ns or (self.sole_parent < 0 and self.parents[older] != self.parents[older + 1]):
+        # The first sample has no older one; what lies in front of it is within the tolerance.
+        if stamp_ns <= self.first_ns or (self.sole_parent < 0 and self.parents[older] != self.parents[older + 1]):
             return first
-        span_ns = self.stamps_ns.item(older + 1) - begin_ns
-        return interpolate_poses(first, self._pose(older + 1), (stamp_ns - begin_ns) / span_ns)
+        begin_ns, end_ns = self.stamps_ns[older : older + 2].tolist()
+        ratio = _float_seconds(stamp_ns - begin_ns) / _float_seconds(end_ns - begin_ns)
+        return interpolate_poses(first, self._pose(older + 1), ratio)
 
     def _pose(self, sample: int) -> Pose:
         x, y, z, i, j, k, r = self.poses[sample].tolist()
@@ -252,23 +247,90 @@ class _Query:
 
 
 @dataclass(frozen=True, slots=True)
-class _Chain:
-    """The way between two frames: both sides up to the common ancestor, exclusive."""
+class _Side:
+    """The links on the way up from a frame, with what is the same at any time multiplied once.
 
-    target_side: tuple[FrameHistory, ...]
-    source_side: tuple[FrameHistory, ...]
+    Attributes
+    ----------
+    links
+        All of them, in this order.
+    begin
+        The product of the first ones, which are static.
+    rest
+        The others.
+    """
+
+    links: tuple[FrameHistory, ...]
+    begin: Pose
+    rest: tuple[FrameHistory, ...]
+
+    @classmethod
+    def of(cls, links: tuple[FrameHistory, ...]) -> _Side:
+        """Multiply the static links that come first."""
+        static = tuple(takewhile(lambda link: link.static, links))
+        return cls(links, _multiplied(static, None, IDENTITY_POSE), links[len(static) :])
+
+    def pose_at(self, time_ns: int | None) -> Pose:
+        """``ancestor_from_frame`` at a time; None asks for each link's latest."""
+        return _multiplied(self.rest, time_ns, self.begin)
+
+
+#: What tf2 multiplies with where the frame itself is the top of its walk: the same but for the signs of zeros.
+_INVERSE_OF_NOTHING = inverse_pose(IDENTITY_POSE)
+
+
+@dataclass(frozen=True, slots=True)
+class _Chain:
+    """The way between two frames.
+
+    Attributes
+    ----------
+    target_side, source_side
+        The links up to the common ancestor.
+    above
+        Those above it.
+    fixed
+        What is found by static links alone, by the number of known links above.
+    """
+
+    target_side: _Side
+    source_side: _Side
+    above: tuple[FrameHistory, ...]
+    fixed: dict[int, Rigid] = field(default_factory=dict)
 
     @property
     def links(self) -> tuple[FrameHistory, ...]:
-        """Both sides."""
-        return self.source_side + self.target_side
+        """Those that have to be known."""
+        return self.source_side.links + self.target_side.links
 
-    def target_from_source(self, time_ns: int | None) -> Pose:
-        """Multiply the links' transforms at a time; None asks for each link's latest."""
-        source_pose = _multiplied(self.source_side, time_ns)
-        if not self.target_side:
-            return source_pose
-        return compose_poses(inverse_pose(_multiplied(self.target_side, time_ns)), source_pose)
+    def target_from_source(self, time_ns: int | None) -> Rigid:
+        """Multiply the links' transforms at a time; None asks for each link's latest.
+
+        Source of the rule: ``BufferCore::walkToTopParent`` and ``TransformAccum``.
+        """
+        known = tuple(takewhile(lambda link: link.gap_ns(time_ns) == 0, self.above))
+        if not (self.source_side.links and self.target_side.links):
+            # Of an ancestor of the other frame, only whether its own parent is known has a say: in the signs of zeros.
+            known = known[:1]
+            moves = False
+        else:
+            moves = not all(link.static for link in known)
+        if moves or self.source_side.rest or self.target_side.rest:
+            return Rigid.from_pose(self._multiplied(known, time_ns))
+        if len(known) not in self.fixed:
+            self.fixed[len(known)] = Rigid.from_pose(self._multiplied(known, time_ns))
+        return self.fixed[len(known)]
+
+    def _multiplied(self, known: tuple[FrameHistory, ...], time_ns: int | None) -> Pose:
+        source_pose, target_pose = self.source_side.pose_at(time_ns), self.target_side.pose_at(time_ns)
+        if not self.target_side.links:
+            return source_pose if known else compose_poses(_INVERSE_OF_NOTHING, source_pose)
+        if not self.source_side.links:
+            return inverse_pose(target_pose) if known else compose_poses(inverse_pose(target_pose), IDENTITY_POSE)
+        for link in known:
+            pose = link.pose_at(time_ns)
+            source_pose, target_pose = compose_poses(pose, source_pose), compose_poses(pose, target_pose)
+        return compose_poses(inverse_pose(target_pose), source_pose)
 
 
 @dataclass(frozen=True, slots=True)
@@ -314,7 +376,6 @@ class TransformBuffer:
     _offsets: NDArray[np.int64] = field(repr=False)
     _static: NDArray[np.bool_] = field(repr=False)
     _received: NDArray[np.int64] = field(repr=False)
-    _denormalized: NDArray[np.int64] = field(repr=False)
     _numbers: dict[str, int] = field(repr=False)
     _histories: dict[int, FrameHistory | None] = field(default_factory=dict, repr=False)
     _chains: dict[tuple[int, int], _Chain | None] = field(default_factory=dict, repr=False)
@@ -348,6 +409,14 @@ class TransformBuffer:
             If a name is empty or unknown, there is no connection at that time, the stamp lies outside
             a frame's samples, or the way up from a frame ends in a loop.
         """
+        return self.lookup_stamped(target, source, stamp_ns, tolerance_ns)[0]
+
+    def lookup_stamped(self, target: str, source: str, stamp_ns: int, tolerance_ns: int = 0) -> tuple[Rigid, int]:
+        """Return what `lookup` does, and the stamp of the transform, as tf2 has it.
+
+        That is ``stamp_ns``; if this is 0, the latest time that every frame of the chain has, or 0 if no frame of it
+        is dynamic.
+        """
         target, source = _stripped(target), _stripped(source)
         for name, role in ((target, "target_frame"), (source, "source_frame")):
             if not name:
@@ -357,7 +426,7 @@ class TransformBuffer:
                     hint="--source-frame names the frame of clouds whose frame_id is empty",
                 )
         if target == source:
-            return Rigid.identity()
+            return Rigid.identity(), stamp_ns
         query = _Query(
             target,
             source,
@@ -367,7 +436,7 @@ class TransformBuffer:
             tolerance_ns,
         )
         time_ns = stamp_ns or self._latest_common_time(query)
-        return Rigid.from_pose(self._chain(query, time_ns).target_from_source(time_ns))
+        return self._chain(query, time_ns).target_from_source(time_ns), time_ns or 0
 
     @cached_property
     def infos(self) -> tuple[FrameInfo, ...]:
@@ -511,11 +580,16 @@ class TransformBuffer:
         common = next((frame for frame in target_walk.frames if frame in source_walk.frames), None)
         if common is None:
             return None
-        return _Chain(self._below(common, target_walk), self._below(common, source_walk))
+        target_side, _ = self._parted(target_walk, common)
+        source_side, above = self._parted(source_walk, common)
+        return _Chain(_Side.of(target_side), _Side.of(source_side), above)
 
-    def _below(self, ancestor: int, walk: _Walk) -> tuple[FrameHistory, ...]:
-        frames = takewhile(lambda frame: frame != ancestor, walk.frames)
-        return tuple(link for frame in frames if (link := self._history(frame)) is not None)
+    def _parted(self, walk: _Walk, ancestor: int) -> tuple[tuple[FrameHistory, ...], tuple[FrameHistory, ...]]:
+        """The links of a walk below an ancestor, and from it on."""
+        frames = list(walk.frames)
+        links = [self._history(frame) for frame in frames]
+        below = frames.index(ancestor)
+        return tuple(link for link in links[:below] if link), tuple(link for link in links[below:] if link)
 
     def _latest_common_time(self, query: _Query) -> int | None:
         """The earliest of the latest stamps on the way; None where no frame on it is dynamic.
@@ -593,7 +667,6 @@ class TransformBuffer:
             static=link.static,
             transforms=count,
             received=int(self._received[child]),
-            denormalized=int(self._denormalized[child]),
             first_ns=link.first_ns,
             last_ns=link.last_ns,
             rate_hz=(count - 1) * 1e9 / (link.last_ns - link.first_ns) if count > 1 else None,
@@ -670,9 +743,8 @@ class TransformBuilder:
         """Sort what was added and set aside what cannot be used. More may be added afterwards."""
         records = np.frombuffer(self._records, self._DTYPE)
         pairs = np.array(self._pair_table, np.int32).reshape(-1, 3)
-        poses = records["pose"].copy()
-        denormalized = _refused_by_tf2(poses[:, 3:])
-        reasons = _normalize(poses, pairs[records["pair"], 2])
+        poses = records["pose"]
+        reasons = _reasons(poses, pairs[records["pair"], 2])
 
         good = np.flatnonzero(reasons == _ACCEPTED)
         frames, parents, children = self._renumbered(pairs[records["pair"][good], :2])
@@ -689,7 +761,6 @@ class TransformBuilder:
             _offsets=np.searchsorted(children[order], np.arange(len(frames) + 1)),
             _static=is_static,
             _received=np.bincount(children, minlength=len(frames)),
-            _denormalized=np.bincount(children[denormalized[good]], minlength=len(frames)),
             _numbers={name: number for number, name in enumerate(frames)},
         )
 
@@ -717,20 +788,16 @@ class TransformBuilder:
         return tuple(rejections)
 
 
-def _refused_by_tf2(quaternions: NDArray[np.float64]) -> NDArray[np.bool_]:
-    with np.errstate(all="ignore"):
-        squared = (quaternions * quaternions).sum(axis=1)
-        # Negated, because NaN is refused too.
-        return np.asarray(~(np.abs(squared - 1) < TF2_NORM_TOLERANCE))
-
-
-def _normalize(poses: NDArray[np.float64], reasons: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Normalise the quaternions in place; return why each transform is unusable, or `_ACCEPTED`."""
+def _reasons(poses: NDArray[np.float64], reasons: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Why each transform is unusable, or `_ACCEPTED`; ``reasons`` are those that the names alone give."""
     finite = np.isfinite(poses).all(axis=1)
     with np.errstate(invalid="ignore"):  # a NaN may be one that signals
         zero = ~poses[:, 3:].any(axis=1)
-    poses[:, 3:] = unit_quaternions(poses[:, 3:])
-    return np.select([reasons != _ACCEPTED, ~finite, zero], [reasons, _NOT_FINITE, _ZERO], _ACCEPTED).astype(np.int32)
+    return np.select(
+        [reasons != _ACCEPTED, ~finite, zero, ~are_taken(poses[:, 3:])],
+        [reasons, _NOT_FINITE, _ZERO, _DENORMALIZED],
+        _ACCEPTED,
+    ).astype(np.int32)
 
 
 def _first_of_each(children: NDArray[np.int32], flags: NDArray[np.bool_], count: int) -> NDArray[np.bool_]:
@@ -756,12 +823,17 @@ def _kept_order(
     return order[np.concatenate(([True], changes))] if len(order) else order
 
 
-def _multiplied(side: Sequence[FrameHistory], time_ns: int | None) -> Pose:
-    """From the first link's child up to the last link's parent."""
-    pose = IDENTITY_POSE
-    for link in side:
+def _multiplied(links: Iterable[FrameHistory], time_ns: int | None, pose: Pose) -> Pose:
+    """Go on from a pose in the first link's child up to the last link's parent."""
+    for link in links:
         pose = compose_poses(link.pose_at(time_ns), pose)
     return pose
+
+
+def _float_seconds(duration_ns: int) -> float:
+    """Seconds as ``ros::Duration::toSec`` rounds them."""
+    seconds, nanoseconds = divmod(duration_ns, 1_000_000_000)
+    return seconds + 1e-9 * nanoseconds
 
 
 def _read_only(values: NDArray[Any]) -> NDArray[Any]:
