@@ -99,3 +99,10 @@ def test_a_word_or_a_number_of_an_option_is_what_it_looks_like() -> None:
     values: dict[str, Any] = dict.fromkeys(PARAMETERS)
     given = shared.ParameterOptions.gathered({**values, "scan_time": "0.1", "time_increment": "auto"})
     assert [(s.name, s.value) for s in given.settings] == [("scan_time", 0.1), ("time_increment", "auto")]
+
+
+@pytest.mark.parametrize(("text", "value"), [("030", 30.0), ("1e2", 100.0), (".inf", float("inf")), ("x", "x")])
+def test_a_number_is_read_as_python_does_or_else_as_ros_does(text: str, value: object) -> None:
+    values: dict[str, Any] = dict.fromkeys(PARAMETERS)
+    given = shared.ParameterOptions.gathered({**values, "angle_max": text, "target_frame": "010"})
+    assert [(s.name, s.value) for s in given.settings] == [("target_frame", "010"), ("angle_max", value)]

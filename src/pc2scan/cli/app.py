@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+from contextlib import contextmanager
 from importlib import import_module
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,8 +14,10 @@ from pc2scan.errors import Pc2ScanError
 
 from .groups import flat
 from .render import error_text
+from .usage import NoArgsIsHelpError, TyperUsageError, in_our_words
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
     from types import FrameType
 
 __all__ = ["COMMANDS", "application"]
@@ -51,12 +54,18 @@ class _Command(TyperCommand):
 class _Group(TyperGroup):
     """Errors are handled here, inside the group, so that a test's CliRunner sees what a user sees."""
 
+    def make_context(self, info_name: Any, args: list[str], *rest: Any, **extra: Any) -> Any:
+        """Read the options in front of the command."""
+        with _usage_errors(args):
+            return super().make_context(info_name, args, *rest, **extra)
+
     def invoke(self, ctx: Any) -> Any:
         """Run the command; user errors become a message and an exit status, bugs keep their traceback."""
         # A termination must unwind the stack, so that nothing half-written stays behind.
         previous = _handle_termination()
         try:
-            return super().invoke(ctx)
+            with _usage_errors([*ctx._protected_args, *ctx.args]):  # noqa: SLF001  # as the base class reads them
+                return super().invoke(ctx)
         except Pc2ScanError as err:
             typer.echo(error_text(err), err=True)
             raise typer.Exit(err.exit_status) from err
@@ -66,6 +75,21 @@ class _Group(TyperGroup):
         finally:
             if previous is not None:
                 signal.signal(signal.SIGTERM, previous)
+
+
+@contextmanager
+def _usage_errors(typed: Sequence[str]) -> Iterator[None]:
+    """What Typer finds wrong is shown as all other errors are."""
+    # Copied, since Typer takes arguments out of its list as it reads them.
+    typed = tuple(typed)
+    try:
+        yield
+    except NoArgsIsHelpError:
+        raise
+    except TyperUsageError as err:
+        ours = in_our_words(err, typed)
+        typer.echo(error_text(ours), err=True)
+        raise typer.Exit(ours.exit_status) from err
 
 
 def _handle_termination() -> Any:

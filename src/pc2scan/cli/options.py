@@ -3,7 +3,7 @@
 No ``from __future__ import annotations`` here: see `pc2scan.cli.groups.Group`.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from enum import StrEnum
 from inspect import Parameter
 from pathlib import Path
@@ -46,6 +46,9 @@ _REVERSE = "The way back"
 _RUN = "Run"
 _OUTPUT = "Output"
 _REPORT = "Report"
+
+#: How the numbers of parameters are read.
+_NUMBERS: Mapping[str, Callable[[str], float]] = {"int": int, "float": float}
 
 Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 StaticTf = Annotated[
@@ -136,7 +139,6 @@ class ParameterOptions(Group):
     @classmethod
     def parameters(cls) -> Iterator[Parameter]:
         """The options, as `PARAMETERS` has them."""
-        kinds = {"bool": bool, "int": int, "float": float, "str": str}
         for name, parameter in PARAMETERS.items():
             boolean = parameter.kind == "bool"
             default = str(parameter.default).lower() if boolean else str(parameter.default)
@@ -156,9 +158,8 @@ class ParameterOptions(Group):
                 metavar=metavar,
                 rich_help_panel=_PARAMS if parameter.upstreams else _SLAM,
             )
-            # A number that may also be a word is read as text.
-            kind = str if parameter.words else kinds[parameter.kind]
-            yield Parameter(name, Parameter.KEYWORD_ONLY, default=option, annotation=kind)
+            # Numbers are read below, so that one that is wrong is reported as one in a file is.
+            yield Parameter(name, Parameter.KEYWORD_ONLY, default=option, annotation=bool if boolean else str)
 
     @classmethod
     def gathered(cls, values: Mapping[str, Any]) -> Self:
@@ -168,9 +169,17 @@ class ParameterOptions(Group):
             value = values[name]
             if value is not None:
                 option = parameter.negation if value is False else parameter.option
-                number = parameter.kind == "float" and isinstance(value, str)
-                settings.append(Setting(name, plain_scalar(value) if number else value, option))
+                number = _NUMBERS.get(parameter.kind)
+                settings.append(Setting(name, _read(number, value) if number else value, option))
         return cls(settings=tuple(settings))
+
+
+def _read(number: Callable[[str], float], text: str) -> object:
+    """Read a number as Python does, or else as a parameter file does."""
+    try:
+        return number(text)
+    except ValueError:
+        return plain_scalar(text)
 
 
 class Projection(Group):

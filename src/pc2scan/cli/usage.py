@@ -1,0 +1,56 @@
+"""What Typer finds wrong with a command line, in the words and the form of all other errors."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+# Typer has these in no public place; it is held to versions in which they are here.
+from typer._click.exceptions import BadOptionUsage, BadParameter, MissingParameter, NoArgsIsHelpError, NoSuchOption
+from typer._click.exceptions import UsageError as TyperUsageError
+
+from pc2scan.errors import UsageError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+__all__ = ["NoArgsIsHelpError", "TyperUsageError", "in_our_words"]
+
+#: Typer's words for what a value is not, and ours.
+_KINDS = {
+    "a valid int": "a whole number",
+    "a valid int range": "a whole number",
+    "a valid float": "a number",
+    "a valid float range": "a number",
+}
+
+
+def in_our_words(err: TyperUsageError, typed: Sequence[str]) -> UsageError:
+    """Make one of our errors of one of Typer's; ``typed`` are the arguments, the command's name included."""
+    # Where the parser itself gives up, Typer does not say for which command.
+    command = err.ctx.command_path if err.ctx else " ".join(("pc2scan", *typed[:1]))
+    hint = f"{command} --help shows what it takes"
+    if isinstance(err, NoSuchOption):
+        if err.possibilities:
+            hint = f"did you mean {' or '.join(sorted(err.possibilities))}?"
+        return UsageError(f"there is no option {err.option_name}", hint=hint)
+    if isinstance(err, MissingParameter) and err.param is not None:
+        return UsageError(f"{err.param.human_readable_name} is missing", hint=hint)
+    text = err.message.rstrip(".")
+    if isinstance(err, BadParameter) and err.param is not None:
+        value, is_not, kind = text.rpartition(" is not ")
+        spellings = err.param.opts if err.param.param_type_name == "option" else [err.param.human_readable_name]
+        return UsageError(f"{_spelling(spellings, typed)}: {value}{is_not}{_KINDS.get(kind, kind)}", hint=hint)
+    if isinstance(err, BadOptionUsage):
+        return UsageError(f"{err.option_name} {text.removeprefix(f'Option {err.option_name!r} ')}", hint=hint)
+    text, _, near = text.partition(". Did you mean ")
+    return UsageError(text[:1].lower() + text[1:], hint=f"did you mean {near}" if near else hint)
+
+
+def _spelling(spellings: Sequence[str], typed: Sequence[str]) -> str:
+    """The spelling of an option that was typed last, since the last one counts: ``-j``, ``-j4``, ``--jobs=4``."""
+    for word in reversed(typed):
+        for spelling in spellings:
+            joined = spelling + "=" if spelling.startswith("--") else spelling
+            if word == spelling or word.startswith(joined):
+                return spelling
+    return spellings[0]
