@@ -15,6 +15,8 @@ from typer.main import get_command
 from pc2scan.errors import UsageError
 from pc2scan.golden.check import Ended
 
+from .usage import TyperUsageError, in_our_words
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -65,14 +67,12 @@ def _refuse_others(name: str, chosen: Sequence[str]) -> None:
     outer = group.make_context("pc2scan", [name], resilient_parsing=True)
     try:
         values, rest, given = command.make_parser(typer.Context(command, parent=outer)).parse_args(list(chosen))
-    except Exception as err:
-        # Click's own errors have no class that typer would export.
-        if not hasattr(err, "format_message"):
-            raise
-        raise UsageError(err.format_message()) from err
+    except TyperUsageError as err:
+        raise in_our_words(err, [name, *chosen]) from err
     arguments = {str(parameter.name) for parameter in given if parameter.param_type_name == "argument"}
     allowed = {*_FORM, *arguments, *(parameter.name for parameter in Conversion.parameters())}
-    others = dict.fromkeys(parameter.opts[0] for parameter in given if parameter.name not in allowed)
+    # The spellings of --help come in any order.
+    others = dict.fromkeys(max(parameter.opts, key=len) for parameter in given if parameter.name not in allowed)
     if others:
         raise UsageError(
             f"{', '.join(others)} may not be in a case",
