@@ -8,11 +8,14 @@ Importing this module is cheap: what it offers is loaded on first use.
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
 
 from .version import __version__ as __version__
 
+# As typing has it. Loading that module would be most of what importing this one takes.
+TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from typing import Any
+
     from .api import convert as convert
     from .api import diff as diff
     from .compare.result import Difference as Difference

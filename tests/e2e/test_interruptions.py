@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
+import re
 import resource
 import shutil
 import signal
 import sqlite3
 import subprocess
+import sys
 import time
 from contextlib import closing
 from typing import TYPE_CHECKING, Any
@@ -405,3 +407,27 @@ def test_a_destination_inside_the_source(tmp_path: Path) -> None:
     assert done.status == 2
     assert "lies inside the source" in done.stderr
     assert sorted(path.name for path in source.iterdir()) == ["drive_0.db3", "metadata.yaml"]
+
+
+@pytest.mark.usefixtures("with_interrupts")
+@pytest.mark.parametrize("module", ["typer._click", "pc2scan.errors", "pc2scan.core.presets", "numpy"])
+def test_an_interruption_while_modules_are_loaded(module: str, large: Path, tmp_path: Path) -> None:
+    """Quiet from the first modules on; what the interpreter itself loads before is not ours."""
+    command = [sys.executable, "-X", "importtime", *COMMAND[1:], "convert", str(large), "-o", str(tmp_path / "out.bag")]
+    loaded = re.compile(rf"import time:.*\b{re.escape(module)}$")
+    ours = False
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        for line in process.stderr:
+            # The line comes when the module has been loaded.
+            ours = ours or line.rstrip().endswith("pc2scan.cli")
+            if ours and loaded.match(line.rstrip()):
+                break
+        process.send_signal(signal.SIGINT)
+        stdout, stderr = process.communicate(timeout=60)
+    assert ours
+    assert process.returncode == 130, stderr
+    said = [line for line in stderr.splitlines() if not line.startswith("import time:")]
+    assert said in ([], ["interrupted: nothing was written"])
+    assert stdout == ""
+    assert list(tmp_path.iterdir()) == []

@@ -5,15 +5,12 @@ from __future__ import annotations
 import sqlite3
 import struct
 from contextlib import closing
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
 from builders import CONTENT, write_db3
 from hostile.bounded import run_bounded
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 _NO_MESSAGES = "ALTER TABLE messages RENAME TO kept;"
 _ROWS = "id, topic_id, timestamp, data"
@@ -41,6 +38,78 @@ def test_tables_that_are_made_up(name: str, tmp_path: Path) -> None:
     done = run_bounded(tmp_path, "convert", changed(tmp_path, ENDLESS[name]))
     assert done.status == 1, done.stdout
     assert "drive.db3" in done.stderr
+
+
+#: Rows that do not store a column have its default value, however many there are.
+UNFOLDING = {
+    "data": "ALTER TABLE messages RENAME TO kept; CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, "
+    "timestamp INTEGER); WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 8000) "
+    "INSERT INTO messages(topic_id, timestamp) SELECT 4, i FROM n; "
+    "ALTER TABLE messages ADD COLUMN data BLOB DEFAULT x'LONG';",
+    "name": "DROP TABLE topics; CREATE TABLE topics(id INTEGER PRIMARY KEY, type TEXT, serialization_format TEXT); "
+    "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 8000) "
+    "INSERT INTO topics(id, type, serialization_format) SELECT i, 'a/msg/A', 'cdr' FROM n; "
+    "ALTER TABLE topics ADD COLUMN name TEXT DEFAULT 'LONG';",
+}
+
+
+@pytest.mark.parametrize("name", UNFOLDING)
+@pytest.mark.parametrize("command", ["info", "repair"])
+def test_a_default_value_that_unfolds(name: str, command: str, tmp_path: Path) -> None:
+    source = changed(tmp_path, UNFOLDING[name].replace("LONG", "00" * 1_000_000))
+    output = ("-o", tmp_path / "out.mcap") if command == "repair" else ()
+    done = run_bounded(tmp_path, command, source, *output)
+    assert done.status == 1, done.stdout
+    assert f"has a column {name!r} with a default value" in done.stderr
+
+
+def with_shared_pages(source: Path) -> None:
+    """Add rows to the only one of a table, all of which lead to the same chain of pages."""
+    with closing(sqlite3.connect(source)) as database:
+        (root,) = database.execute("SELECT rootpage FROM sqlite_master WHERE name = 'messages'").fetchone()
+    data = bytearray(source.read_bytes())
+    place = (root - 1) * 4096
+    assert struct.unpack_from(">BxxH", data, place) == (0x0D, 1)
+    (at,) = struct.unpack_from(">H", data, place + 8)
+    # Its length, its id in one byte, and what lies in the page itself.
+    cell = data[place + at : place + 4096]
+    assert cell[3] == 1
+    cells = [cell[:3] + bytes([number]) + cell[4:] for number in range(1, 8)]
+    page = b"".join(reversed(cells)).rjust(4096, b"\0")
+    places = [4096 - sum(map(len, cells[: number + 1])) for number in range(7)]
+    head = struct.pack(">BHHHB", 0x0D, 0, 7, places[-1], 0) + struct.pack(">7H", *places)
+    data[place : place + 4096] = head + page[len(head) :]
+    source.write_bytes(data)
+
+
+@pytest.mark.parametrize("cut", [0, 1])
+def test_rows_that_share_their_pages(cut: int, tmp_path: Path) -> None:
+    # So long that as little of it as possible lies in the table's own page.
+    size = 489 + 250 * 4092 - 14
+    source = changed(
+        tmp_path,
+        f"DELETE FROM messages; DROP INDEX timestamp_idx; PRAGMA page_size = 4096; VACUUM; INSERT INTO messages"
+        f"(id, topic_id, timestamp, data) VALUES (1, 4, 1000000000000000000, zeroblob({size}));",
+    )
+    with_shared_pages(source)
+    if cut:
+        # Found page by page.
+        source.write_bytes(source.read_bytes() + bytes(4096))
+        with source.open("r+b") as file:
+            file.seek(28)
+            file.write(struct.pack(">I", 10_000))
+    done = run_bounded(tmp_path, "repair", source, "-o", tmp_path / "out.mcap")
+    assert done.status == 1, done.stdout
+    assert "has more values than the bytes of its file can hold" in done.stderr
+
+
+def test_a_row_of_an_undescribed_topic_with_text_for_a_time(tmp_path: Path) -> None:
+    commands: dict[str, tuple[str | Path, ...]] = {"info": (), "tf": (), "repair": ("-o", tmp_path / "out.mcap")}
+    source = Path(__file__).with_name("files") / "st.db3"
+    for command, further in commands.items():
+        done = run_bounded(tmp_path, command, source, *further)
+        assert done.status in (0, 3)
+        assert "1 messages are of topic 9, which is not described (1 message lost)" in done.stderr
 
 
 OTHER_KINDS = [

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import struct
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,10 +27,12 @@ from builders import (
 )
 from e2e.outputs import opened
 from hostile.bounded import run_bounded
+from pc2scan.messages.pointcloud2 import PointField, encode_pointcloud2
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from pathlib import Path
+
+FILES = Path(__file__).with_name("files")
 
 
 def links(count: int, *, loop: bool = False) -> Iterator[bytes]:
@@ -118,6 +122,36 @@ def test_clouds_of_values_that_are_no_places(tmp_path: Path) -> None:
     assert not np.isnan(first).any()
     np.testing.assert_array_equal(first, second)
     assert run_bounded(tmp_path, "info", source).status == 0
+
+
+@pytest.mark.parametrize("heights", [(1e20, 1e20), (3.4e38, -3.4e38), (1e20, float(np.nextafter(1e20, 2e20)))])
+def test_heights_that_are_too_large_for_a_histogram(heights: tuple[float, ...], tmp_path: Path) -> None:
+    grid = np.array([(1, 0, z) for z in heights], np.float32)
+    items = [item(POINTS, T0 + n, lambda g, _: cloud(grid, g)) for n in range(2)]
+    source = write_mcap(tmp_path / "a.mcap", Recording((POINTS,), tuple(items)))
+    for path in (source, FILES / "one_height.mcap"):
+        done = run_bounded(tmp_path, "info", path)
+        assert done.status == 0
+        assert "heights (z)" in done.stdout
+        assert done.stderr == ""
+
+
+def test_float64_heights_whose_difference_is_no_number(tmp_path: Path) -> None:
+    points = np.array([(1, 0, 1.7e308), (1, 0, -1.7e308), (1, 0, 2)], np.float64)
+    data = encode_pointcloud2(
+        serialization="cdr",
+        sequence=0,
+        stamp_ns=T0,
+        frame_id="lidar",
+        fields=[PointField(name, 8 * place, 8) for place, name in enumerate("xyz")],
+        point_step=24,
+        data=points.tobytes(),
+    )
+    source = write_mcap(tmp_path / "a.mcap", Recording((POINTS,), (Item(POINTS, T0, {2: data}),)))
+    done = run_bounded(tmp_path, "info", source, "--json")
+    assert done.status == 0
+    assert done.stderr == ""
+    assert not {"Infinity", "NaN"} & set(re.findall(r"\w+", done.stdout))
 
 
 def test_scans_of_values_that_are_no_distances(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ import io
 import sqlite3
 import struct
 from contextlib import closing
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import lz4.frame
@@ -23,7 +24,8 @@ from pc2scan.messages.pointcloud2 import PointField, encode_pointcloud2
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
+
+FILES = Path(__file__).with_name("files")
 
 #: More than the bounds allow, and of zeros: a few kilobytes when compressed.
 HUGE = 400_000_000
@@ -80,6 +82,24 @@ def test_a_chunk_that_unfolds_to_more_than_may_be(kind: str, command: str, tmp_p
     # The front of the chunk is kept, and no message of it is whole.
     assert done.status in (0, 1, 2, 3)
     assert "may be" in done.stdout + done.stderr
+
+
+def test_a_bag_of_three_kilobytes(tmp_path: Path) -> None:
+    """Its chunk declares, and holds, four gigabytes; chunks that could be copied were decompressed to see that."""
+    source = FILES / "bzbomb.bag"
+    for destination in ("out.bag", "out.mcap"):
+        done = run_bounded(tmp_path, "repair", source, "-o", tmp_path / destination)
+        assert done.status == 3
+        assert "declares 4294967295 bytes, in a bag of 3262 at most" in done.stderr
+
+
+@pytest.mark.parametrize("kind", ["bag-lz4", "bag-bz2", "mcap-zstd", "mcap-lz4"])
+def test_a_chunk_that_could_be_copied(kind: str, tmp_path: Path) -> None:
+    name, generation, make = BOMBS[kind]
+    source = make(tmp_path / name, zero_cloud(HUGE, generation))
+    done = run_bounded(tmp_path, "repair", source, "-o", tmp_path / f"out-{name}")
+    assert done.status == 3
+    assert "may be" in done.stderr
 
 
 @pytest.mark.parametrize("kind", ["mcap-zstd", "mcap-lz4", "bag-lz4"])

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import os
+import stat
 from contextlib import suppress
 from typing import TYPE_CHECKING, TypeVar
 
@@ -10,12 +12,14 @@ from pc2scan.errors import OutputError, RecordingError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
+    from io import TextIOWrapper
     from pathlib import Path
+    from typing import BinaryIO
 
     from ._map import Map
     from .model import Buffer
 
-__all__ = ["FreeIds", "NewFile", "SourceFile", "state_of"]
+__all__ = ["FreeIds", "NewFile", "SourceFile", "opened_bytes", "opened_text", "state_of"]
 
 _Result = TypeVar("_Result")
 
@@ -37,6 +41,42 @@ def state_of(path: Path) -> tuple[tuple[str, int, int, int, int], ...]:
     return tuple((name, state.st_ino, state.st_size, state.st_mtime_ns, state.st_ctime_ns) for name, state in states)
 
 
+def opened_bytes(path: Path) -> BinaryIO:
+    """Open a file to read it, if it is one: a FIFO would wait for a writer, and a device has no end.
+
+    Raises
+    ------
+    OSError
+        If it is not there or may not be read, or is neither a file nor a directory.
+    """
+    return open(path, "rb", opener=_opened)
+
+
+def opened_text(path: Path) -> TextIOWrapper:
+    """Open a file of UTF-8 text as `opened_bytes` does."""
+    return open(path, encoding="utf-8", opener=_opened)
+
+
+def _opened(path: str, flags: int) -> int:
+    # Looked at before it is opened, which alone acts upon some devices, and after: it may have been replaced.
+    _refuse_special(os.stat(path), path)  # noqa: PTH116  # an opener's paths are text
+    descriptor = os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
+    try:
+        _refuse_special(os.fstat(descriptor), path)
+    except OSError:
+        os.close(descriptor)
+        raise
+    return descriptor
+
+
+def _refuse_special(found: os.stat_result, path: str) -> None:
+    """Raise if this is no file. Of a directory, opening it does."""
+    kinds = {stat.S_ISFIFO: "FIFO", stat.S_ISSOCK: "socket", stat.S_ISCHR: "device", stat.S_ISBLK: "device"}
+    for is_kind, name in kinds.items():
+        if is_kind(found.st_mode):
+            raise OSError(errno.EINVAL, f"it is a {name}, not a file; save it as a file first", path)
+
+
 class SourceFile:
     """A file's bytes by their place: what is not there is an error, never a short answer.
 
@@ -56,7 +96,7 @@ class SourceFile:
         self._descriptor = -1
         self._map: Map | None = None
         try:
-            self._descriptor = os.open(path, os.O_RDONLY)
+            self._descriptor = _opened(str(path), os.O_RDONLY | getattr(os, "O_CLOEXEC", 0))
             self.size = os.fstat(self._descriptor).st_size
         except OSError as err:
             self.close()

@@ -12,6 +12,7 @@ from pc2scan.errors import DestinationError, RecordingError
 
 from . import zstd
 from .damage import DamageLog
+from .files import opened_bytes
 from .model import MAX_ROSBAG2_NS
 from .staging import LEFTOVERS, working_names
 from .temporary import private_folder
@@ -122,10 +123,9 @@ def sniff(path: Path) -> str:
         mode = path.stat().st_mode
         if stat.S_ISDIR(mode):
             return _sniff_directory(path)
-        # Opening a FIFO would wait for a writer, and a device has no end.
         if not stat.S_ISREG(mode):
             raise RecordingError("is neither a file nor a directory", path=path, hint="save it as a file first")
-        with path.open("rb") as file:
+        with opened_bytes(path) as file:
             head = file.read(64)
     except FileNotFoundError as err:
         raise RecordingError("there is nothing of this name", path=path, hint=_interrupted(path)) from err
@@ -296,7 +296,7 @@ def _unpacked_head(path: Path) -> bytes:
     import zstandard  # noqa: PLC0415  (only compressed recordings need it)
 
     try:
-        with path.open("rb") as file:
+        with opened_bytes(path) as file:
             return zstandard.ZstdDecompressor().stream_reader(file).read(64)
     except (OSError, zstandard.ZstdError) as err:
         raise RecordingError(f"cannot be decompressed: {err}", path=path) from err

@@ -46,19 +46,18 @@ def payload(file: BagFile, segment: Segment) -> bytes:
 
 def with_payload(file: BagFile, segment: Segment, use: Callable[[Buffer], _Result]) -> _Result:
     """Call ``use`` with a chunk, decompressed; it may be lent only, see `SourceFile.lend`."""
-    if segment.uncompressed_size > (allowed := allowed_bytes(file.size)):
-        raise Damaged(
-            f"it declares {segment.uncompressed_size} bytes, in a bag of {file.size} at most {allowed} may be"
-        )
 
     def unpacked(data: memoryview) -> _Result:
-        return use(decompressed(data, segment.compression, segment.uncompressed_size))
+        return use(decompressed(file, segment, data))
 
     return file.lend(segment.offset, segment.length, unpacked)
 
 
-def decompressed(data: Buffer, compression: str, size: int) -> Buffer:
-    """Decompress a chunk that must come to ``size`` bytes; one byte more is never produced but to tell."""
+def decompressed(file: BagFile, segment: Segment, data: Buffer) -> Buffer:
+    """Decompress a chunk's ``data`` to the size that it declares; one byte more shows an excess."""
+    compression, size = segment.compression, segment.uncompressed_size
+    if size > (allowed := allowed_bytes(file.size)):
+        raise Damaged(f"it declares {size} bytes, in a bag of {file.size} at most {allowed} may be")
     if compression == "none":
         return _checked(data, size)
     try:

@@ -153,7 +153,7 @@ class Rosbag1Reader:
 
         def load_whole(segment: Segment, rule: ChunkRule) -> list[RawMessage] | StoredChunk:
             stored = self._file.read(segment.offset, segment.length)
-            chunk = decompressed(stored, segment.compression, segment.uncompressed_size)
+            chunk = decompressed(self._file, segment, stored)
             places = Places()
             messages = messages_in(chunk, wanted, start_ns, stop_ns, places)
             return whole(segment, stored, chunk, messages, places, rule, needed[segment]) or messages

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import os
 import re
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PureWindowsPath
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -29,6 +30,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from pc2scan.errors import DamageError, RecordingError
 
 from . import zstd
+from .files import opened_text
 from .model import Connection
 from .qos import latches
 from .yaml import MAX_CHARACTERS, dump_yaml, load_yaml
@@ -115,7 +117,7 @@ def read_info(folder: Path, log: DamageLog) -> BagInfo:
     try:
         if not os.path.lexists(path):
             return _guessed_info(folder)
-        with path.open(encoding="utf-8") as file:
+        with opened_text(path) as file:
             # One more than allowed: what is too long is refused, not read.
             text = file.read(MAX_CHARACTERS + 1)
         info = _parsed_info(load_yaml(text))
@@ -149,10 +151,12 @@ def located_file(folder: Path, name: str) -> Path:
     """
     plain = zstd.without_suffix(name)
     for candidate in (name, plain, *(plain + suffix for suffix in zstd.SUFFIXES)):
-        if (folder / candidate).is_file():
-            return folder / candidate
+        # A name may be longer than names can be.
+        with suppress(OSError):
+            if (folder / candidate).is_file():
+                return folder / candidate
     raise DamageError(
-        f"{METADATA_NAME} names {name}, which is not in the directory",
+        f"{METADATA_NAME} names {name:.300}, which is not in the directory",
         path=folder,
         hint=f"copy the missing file, or move {METADATA_NAME} away to read the files that are there",
     )

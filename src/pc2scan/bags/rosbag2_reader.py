@@ -11,6 +11,7 @@ from pc2scan.errors import DamageError, RecordingError
 
 from . import zstd
 from .damage import RECOVER, DamageLog
+from .files import opened_bytes
 from .merged import MergedReader
 from .rosbag2_metadata import MAGICS, METADATA_NAME, RECORD_NAME, located_file, read_info
 from .temporary import private_folder
@@ -177,7 +178,7 @@ class Rosbag2Reader(MergedReader):
 def _refuse_others(file: Path, storage: str) -> None:
     """Raise if a file is not of the storage that it should be of."""
     try:
-        with file.open("rb") as stream:
+        with opened_bytes(file) as stream:
             head = stream.read(16)
     except OSError as err:
         raise RecordingError(f"cannot be read: {err.strerror}", path=file) from err

@@ -72,22 +72,36 @@ def decompressed_prefix(data: Buffer, compression: str, declared: int) -> bytes:
     if compression == "bz2":
         import bz2  # noqa: PLC0415  # heavy
 
-        return _fed(bz2.BZ2Decompressor(), memoryview(data), limit, (OSError, EOFError, MemoryError))
+        bunzip2 = bz2.BZ2Decompressor()
+        return _fed(bunzip2, bunzip2.decompress, memoryview(data), limit, (OSError, EOFError, MemoryError))
     if compression == "zstd":
         import zstandard  # noqa: PLC0415  (only recordings that need it pay for it)
 
-        decoder = zstandard.ZstdDecompressor().decompressobj()
-        return _fed(decoder, memoryview(data), limit, (zstandard.ZstdError, MemoryError))
+        unzstd = zstandard.ZstdDecompressor().decompressobj()
+        # A piece is at most some dozen blocks of 128 KB.
+        return _fed(
+            unzstd,
+            lambda piece, _: unzstd.decompress(piece),
+            memoryview(data),
+            limit,
+            (zstandard.ZstdError, MemoryError),
+        )
     return b""
 
 
-def _fed(decoder: Any, data: memoryview, limit: int, failures: tuple[type[Exception], ...]) -> bytes:
+def _fed(
+    decoder: Any,
+    decompress: Callable[[bytes, int], bytes],
+    data: memoryview,
+    limit: int,
+    failures: tuple[type[Exception], ...],
+) -> bytes:
+    """Decompress piece by piece; ``decompress`` takes a piece and how many bytes it may return."""
     parts = []
     size = 0
-    decompress: Callable[[bytes], bytes] = decoder.decompress
     for start in range(0, len(data), _PIECE):
         try:
-            part = decompress(bytes(data[start : start + _PIECE]))
+            part = decompress(bytes(data[start : start + _PIECE]), limit - size)
         except failures:
             break
         if part:

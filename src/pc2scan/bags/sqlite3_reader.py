@@ -19,6 +19,7 @@ Source: rosbag2_storage_sqlite3/sqlite_storage.cpp.
 
 from __future__ import annotations
 
+import re
 import sqlite3
 from contextlib import contextmanager
 from itertools import chain
@@ -37,7 +38,7 @@ from .sqlite3_pages import PageFile, declared_size, rebuilt
 from .temporary import making_copy, private_folder, sqlite_is_full
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Sequence
+    from collections.abc import Collection, Iterable, Iterator, Sequence
     from tempfile import TemporaryDirectory
 
     from .damage import Damage
@@ -46,6 +47,9 @@ if TYPE_CHECKING:
     from .threads import Threads
 
 __all__ = ["Sqlite3Reader"]
+
+#: A column's default value takes the place of every value that is not stored: it must not be long, nor computed.
+_SHORT_DEFAULT = re.compile(r"[+-]?\w{1,20}|'[^']{0,40}'|\"[^\"]{0,40}\"")
 
 #: SQLite's codes for a database that is not as it must be; ERROR comes of a damaged schema.
 _DAMAGE_CODES = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_ERROR, sqlite3.SQLITE_IOERR_SHORT_READ)
@@ -92,6 +96,8 @@ class Sqlite3Reader:
         try:
             self._size = path.stat().st_size
             self._logs = side_logs(path)
+            #: Bytes that all values together can take.
+            self._most = 1_000_000 + self._size + sum(log.file.size for log in self._logs)
             self._note_logs()
             try:
                 self._refuse_incomplete()
@@ -166,7 +172,8 @@ class Sqlite3Reader:
         expected = sum(own.message_count or 0 for own in known.values())
         while True:
             try:
-                for topic_id, time_ns, message_id, data in self._rows(list(known), start_ns, stop_ns, after):
+                rows = self._rows(list(known), start_ns, stop_ns, after)
+                for topic_id, time_ns, message_id, data in self._stored(rows):
                     # Pages of a damaged tree may lead back to themselves.
                     expected -= 1
                     if expected < 0:
@@ -303,8 +310,7 @@ class Sqlite3Reader:
         # One byte that is not UTF-8 in a topic's name must not make the recording unreadable.
         database.text_factory = lambda raw: raw.decode("utf-8", "replace")
         # No value is longer than the file that it is in, nor than SQLite has numbers for.
-        longest = 1_000_000 + sum(log.file.size for log in self._logs) + self._size
-        database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, min(longest, 2**31 - 1))
+        database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, min(self._most, 2**31 - 1))
         # No statement of the recording's own may open another file, or call what has effects.
         database.setlimit(sqlite3.SQLITE_LIMIT_ATTACHED, 0)
         database.execute("PRAGMA trusted_schema = OFF")
@@ -350,8 +356,25 @@ class Sqlite3Reader:
             return self._damage(message)
         return RecordingError(message, path=self._path)
 
+    def _stored(self, rows: Iterable[tuple[Any, ...]]) -> Iterator[Any]:
+        """Rows as they are, up to the size of the file: rows that share pages may have any number of values."""
+        left = self._most
+        for row in rows:
+            left -= sum(len(value) for value in row if isinstance(value, str | bytes))
+            if left < 0:
+                raise RecordingError("has more values than the bytes of its file can hold", path=self._path)
+            yield row
+
     def _columns(self, table: str) -> set[str]:
-        return {row[1] for row in self._query(f"PRAGMA table_info({table})")}
+        found = set()
+        for _, name, _, _, default, _ in self._query(f"PRAGMA table_info({table})"):
+            if default is not None and not _SHORT_DEFAULT.fullmatch(default):
+                raise RecordingError(
+                    f"table {table} has a column {name!r:.40} with a default value, rosbag2's have none",
+                    path=self._path,
+                )
+            found.add(name)
+        return found
 
     def _check_tables(self) -> None:
         needed = {
@@ -396,8 +419,8 @@ class Sqlite3Reader:
         }
         connections: list[Connection] = []
         starts, ends = [], []
-        for topic_id, topic, msgtype, serialization, qos, digest in self._query(
-            f"SELECT id, {columns} FROM topics ORDER BY id"  # noqa: S608 - constants
+        for topic_id, topic, msgtype, serialization, qos, digest in self._stored(
+            self._query(f"SELECT id, {columns} FROM topics ORDER BY id")  # noqa: S608 - constants
         ):
             count, first_ns, last_ns = counts.get(topic_id, (0, None, None))
             if len(connections) == MAX_CONNECTIONS or not isinstance(topic_id, int):
@@ -425,12 +448,13 @@ class Sqlite3Reader:
         described = {connection.id for connection in connections}
         for topic_id, (count, first_ns, last_ns) in counts.items():
             if topic_id not in described:
+                timed = isinstance(first_ns, int) and isinstance(last_ns, int)
                 self._log.note(
-                    self._damage(f"{count} messages are of topic {topic_id}, which is not described"),
+                    self._damage(f"{count} messages are of topic {topic_id!r:.40}, which is not described"),
                     key=("topic", topic_id),
                     messages_lost=count,
-                    first_ns=first_ns,
-                    last_ns=last_ns,
+                    first_ns=first_ns if timed else None,
+                    last_ns=last_ns if timed else None,
                 )
         return tuple(connections), min(starts, default=None), max(ends, default=None)
 
@@ -441,11 +465,12 @@ class Sqlite3Reader:
         if not {"topic_type", "encoding", "encoded_message_definition"} <= columns:
             return found
         digest = _text_of("type_description_hash") if "type_description_hash" in columns else "''"
-        for msgtype, encoding, data, own_digest in self._query(
+        rows = self._query(
             f"SELECT {_text_of('topic_type')}, {_text_of('encoding')}, "  # noqa: S608 - constants
             f"CAST(encoded_message_definition AS BLOB), {digest} FROM message_definitions ORDER BY id LIMIT ?",
             (MAX_CONNECTIONS,),
-        ):
+        )
+        for msgtype, encoding, data, own_digest in self._stored(rows):
             # rosbag2 says "unknown" where it did not find the definition.
             if data and encoding not in {"", "unknown"}:
                 definition = Definition(encoding, data)

@@ -131,8 +131,13 @@ def _check_parent(dst: Path) -> None:
     if dst.name in {"", ".."}:
         raise DestinationError("is not a name that a recording can have", path=dst)
     parent = dst.parent
-    if not parent.exists():
+    try:
+        exists = parent.exists()
+    except OSError as err:
+        raise DestinationError(f"its directory cannot be there: {err.strerror}", path=dst) from err
+    if not exists:
         raise DestinationError("its directory does not exist", path=dst, hint=f"create it: mkdir -p {parent}")
+    _check_length(dst)
     if not parent.is_dir():
         raise DestinationError(f"{parent} is not a directory", path=dst)
     # Even a link there is not to be replaced: /dev/stdout is one.
@@ -141,6 +146,19 @@ def _check_parent(dst: Path) -> None:
         raise DestinationError(f"{parent} holds devices, not files", path=dst, hint="name a file in another directory")
     if not os.access(parent, os.W_OK | os.X_OK):
         raise OutputError("its directory is not writable", path=dst)
+
+
+def _check_length(dst: Path) -> None:
+    """Raise if the file system cannot hold the name, or those of the files beside it while it is written."""
+    limit = 255
+    # Not on every system, nor known of every file system.
+    with suppress(OSError, ValueError, AttributeError):
+        limit = os.pathconf(dst.parent, "PC_NAME_MAX")
+    allowed = limit - len(_LOCK)
+    if (length := len(os.fsencode(dst.name))) > allowed:
+        raise DestinationError(
+            f"its name has {length} bytes, at most {allowed} are possible", path=dst, hint="choose a shorter name"
+        )
 
 
 @contextmanager

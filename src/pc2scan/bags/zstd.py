@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from pc2scan.errors import DamageError, RecordingError
 
 from .damage import RECOVER
+from .files import opened_bytes
 from .limits import MAX_FILE_RATIO, MAX_UNPACKED, allowed_bytes
 from .temporary import making_copy
 
@@ -42,7 +43,7 @@ SUFFIXES = (".zstd", ".zst")
 def is_zstd(path: Path) -> bool:
     """Whether a file is compressed as a whole, by its content."""
     try:
-        with path.open("rb") as file:
+        with opened_bytes(path) as file:
             return file.read(4) == MAGIC
     except OSError as err:
         raise RecordingError(f"cannot be read: {err.strerror}", path=path) from err
@@ -85,7 +86,7 @@ def _unpack(path: Path, target: Path, broken_at: int | None = None) -> tuple[int
     import zstandard  # noqa: PLC0415  (only compressed recordings need it)
 
     offset = 0
-    with path.open("rb") as packed, target.open("wb") as out:
+    with opened_bytes(path) as packed, target.open("wb") as out:
         complete = True
         decoder = zstandard.ZstdDecompressor().decompressobj()
         allowed = MAX_UNPACKED + MAX_FILE_RATIO * path.stat().st_size

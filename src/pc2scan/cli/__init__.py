@@ -7,6 +7,13 @@ __all__ = ["main"]
 
 def main() -> None:
     """Run the ``pc2scan`` command."""
+    from .interrupts import quiet_interrupts
+
+    with quiet_interrupts():
+        _run()
+
+
+def _run() -> None:
     import gc
     import os
     import sys

@@ -13,6 +13,7 @@ from typer.core import TyperCommand, TyperGroup
 from pc2scan.errors import Pc2ScanError
 
 from .groups import flat
+from .interrupts import interruptible
 from .render import error_text
 from .usage import NoArgsIsHelpError, TyperUsageError, in_our_words
 
@@ -64,7 +65,8 @@ class _Group(TyperGroup):
         # A termination must unwind the stack, so that nothing half-written stays behind.
         previous = _handle_termination()
         try:
-            with _usage_errors([*ctx._protected_args, *ctx.args]):  # noqa: SLF001  # as the base class reads them
+            words = [*ctx._protected_args, *ctx.args]  # noqa: SLF001  # as the base class reads them
+            with interruptible(), _usage_errors(words):
                 return super().invoke(ctx)
         except Pc2ScanError as err:
             typer.echo(error_text(err), err=True)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pc2scan.bags.files import opened_bytes, opened_text
 from pc2scan.bags.limits import allowed_bytes
 from pc2scan.bags.model import Connection, RawMessage
 from pc2scan.errors import DecodeError, RecordingError, UsageError, stamp_text
@@ -74,7 +75,7 @@ class ScanText:
 def is_scan_text(path: Path) -> bool:
     """Whether a file is one that `render` wrote."""
     try:
-        with path.open("rb") as file:
+        with opened_bytes(path) as file:
             return file.read(len(_FIRST_LINE)) == _FIRST_LINE.encode()
     except OSError:
         # What is wrong with it is told by those who open recordings.
@@ -220,7 +221,8 @@ def open_scan_text(path: Path) -> ScanText:
         If it cannot be read, or is not what `render` writes; the message names the line.
     """
     try:
-        text = path.read_text("utf-8")
+        with opened_text(path) as file:
+            text = file.read()
     except (OSError, UnicodeDecodeError) as err:
         raise RecordingError(f"cannot be read: {err}", path=path) from err
     reading = _Lines(text)

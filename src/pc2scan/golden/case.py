@@ -7,8 +7,9 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pc2scan.bags.files import opened_text
 from pc2scan.bags.overlap import Input
-from pc2scan.bags.yaml import load_yaml
+from pc2scan.bags.yaml import MAX_CHARACTERS, load_yaml
 from pc2scan.compare.rules import Rules
 from pc2scan.errors import UsageError
 
@@ -93,12 +94,15 @@ def case_folders(folder: Path, pattern: str = "") -> list[tuple[str, Path]]:
     UsageError
         If there is no folder, or no case in it, or none with such a name.
     """
-    if not folder.is_dir():
-        raise UsageError("is not a folder", path=folder, hint="name the folder that holds the cases")
-    if is_case(folder):
-        found = [(folder.resolve().name, folder)]
-    else:
-        found = [(case.relative_to(folder).as_posix(), case) for case in _below(folder)]
+    try:
+        if not folder.is_dir():
+            raise UsageError("is not a folder", path=folder, hint="name the folder that holds the cases")
+        if is_case(folder):
+            found = [(folder.resolve().name, folder)]
+        else:
+            found = [(case.relative_to(folder).as_posix(), case) for case in _below(folder)]
+    except OSError as err:
+        raise UsageError(f"cannot be read: {err.strerror}", path=err.filename or folder) from err
     if not found:
         raise UsageError(
             "no cases in it", path=folder, hint="a case is a folder with input.bag (or .mcap, ...) and params.yaml"
@@ -126,7 +130,13 @@ def load_case(folder: Path) -> Case:
     UsageError
         If something is missing, there twice, or its ``case.yaml`` says what cannot be.
     """
-    settings = _settings(folder / SETTINGS)
+    try:
+        return _loaded(folder, _settings(folder / SETTINGS))
+    except OSError as err:
+        raise UsageError(f"cannot be read: {err.strerror}", path=err.filename or folder) from err
+
+
+def _loaded(folder: Path, settings: dict[str, Any]) -> Case:
     return Case(
         folder=folder,
         inputs=_inputs(folder, settings.get("input")),
@@ -145,7 +155,9 @@ def _error(folder: Path, message: str, hint: str | None = None) -> UsageError:
 
 def _settings(path: Path) -> dict[str, Any]:
     try:
-        text = path.read_text("utf-8")
+        with opened_text(path) as file:
+            # One more than allowed: what is too long is refused, not read.
+            text = file.read(MAX_CHARACTERS + 1)
     except FileNotFoundError:
         return {}
     except (OSError, UnicodeDecodeError) as err:

@@ -29,6 +29,9 @@ __all__ = ["CloudInfo", "FileInfo", "Info", "Spread", "TopicInfo", "info"]
 #: Bars of the histogram of heights.
 _BINS = 12
 
+#: Coordinates of float64 beyond this count as infinite.
+_LARGEST = 1e300
+
 #: Points that are looked at in all clouds of a topic together; of larger clouds every second, third, ... is.
 _MAX_POINTS = 2_000_000
 
@@ -317,18 +320,25 @@ def _measure(result: CloudInfo, points: NDArray[np.float64]) -> None:
     result.x, result.y, result.z = (_spread(axis[valid]) for axis in (x, y, z))
     with np.errstate(over="ignore"):
         result.range = _spread(np.hypot(x[valid], y[valid]))
-    heights = z[valid & np.isfinite(z)]
+    heights = _plain(z[valid])
     if heights.size:
         low, high = np.percentile(heights, [0.5, 99.5])
-        if high <= low:
-            low, high = low - 0.5, high + 0.5
+        # So wide that the edges of the bars are different numbers.
+        least = max(1e-9 * max(abs(low), abs(high)), 0.0 if high > low else 1.0)
+        if high - low < least:
+            low, high = low - least / 2, high + least / 2
         counts, edges = np.histogram(np.clip(heights, low, high), _BINS, (low, high))
         result.height_edges = tuple(float(edge) for edge in edges)
         result.height_counts = tuple(int(count) for count in counts)
 
 
+def _plain(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Values that can be computed with: finite, and so far from the largest number that their differences are too."""
+    return values[np.abs(values) < _LARGEST]
+
+
 def _spread(values: NDArray[np.float64]) -> Spread | None:
-    finite = values[np.isfinite(values)]
+    finite = _plain(values)
     if not finite.size:
         return None
     return Spread(*(float(value) for value in np.percentile(finite, [0, 5, 50, 95, 100])))

@@ -40,6 +40,7 @@ __all__ = [
     "closure",
     "fielddefs",
     "known",
+    "least_bytes",
     "md5sum",
     "parse",
     "render",
@@ -63,6 +64,9 @@ MAX_DEPTH = 64
 MAX_FIELDS = 2_000
 #: Fields of one message when everything nested is written out, the elements of sequences once.
 MAX_LEAVES = 100_000
+#: A message in a sequence may have so many fields, and so many more for each byte that it takes: fields without bytes
+#: take time, and any number of them fits into a short message.
+MAX_LEAVES_BESIDE_BYTES, MAX_LEAVES_A_BYTE = 64, 4
 
 RENAMED = {"roslib/msg/Header": HEADER, "tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}
 #: What ROS 2's IDL generator puts into a message without fields, since IDL has no empty struct.
@@ -472,6 +476,12 @@ def closure(root: str, lookup: Callable[[str], Struct | None]) -> Schema:
             nested = 1 if field.type in PRIMITIVES else visit(field.type, (*path, name))
             if field.shape == "sequence" and field.type not in PRIMITIVES and _empty(schema, field.type):
                 raise DecodeError(f"{name}: {field.name} is a sequence of messages without fields")
+            if (
+                field.shape == "sequence"
+                and nested > MAX_LEAVES_BESIDE_BYTES
+                and nested > MAX_LEAVES_BESIDE_BYTES + MAX_LEAVES_A_BYTE * least_bytes(schema, field.type, 1)
+            ):
+                raise DecodeError(f"{name}: {field.name} is a sequence of messages with {nested} fields and few bytes")
             total += _width(field) * nested
             if total > MAX_LEAVES:
                 raise DecodeError(f"{root}: more than {MAX_LEAVES} fields when written out")
@@ -497,6 +507,44 @@ def _empty(schema: Schema, name: str) -> bool:
         field.shape != "sequence" and field.type not in PRIMITIVES and _empty(schema, field.type)
         for field in schema[name].fields
     )
+
+
+#: Bytes of the primitives that have a fixed size.
+_WIDTHS = {"bool": 1, "byte": 1, "char": 1, "float32": 4, "float64": 8} | {
+    f"{sign}int{bits}": bits // 8 for sign in ("", "u") for bits in (8, 16, 32, 64)
+}
+
+
+def least_bytes(schema: Mapping[str, Struct], name: str, generation: int) -> int:
+    """Count the bytes that every message of a type takes: sequences and strings empty, no padding.
+
+    Parameters
+    ----------
+    schema
+        Has the type and all that it is made of; no type contains itself.
+    generation
+        Whose wire format: 1 or 2.
+    """
+    known: dict[str, int] = {}
+
+    def least(name: str) -> int:
+        if name not in known:
+            fields = _fields(name, schema[name], generation)
+            # ROS 2 puts one byte into a message without fields.
+            known[name] = sum(map(of_field, fields)) if fields else generation - 1
+        return known[name]
+
+    def of_field(field: Field) -> int:
+        if field.shape == "sequence":
+            return 4
+        if field.type == "string":
+            # ROS 2's have a NUL at the end.
+            size = 3 + generation
+        else:
+            size = _WIDTHS[field.type] if field.type in PRIMITIVES else least(field.type)
+        return size * field.size if field.shape == "array" else size
+
+    return least(name)
 
 
 def _check_name(owner: str, names: Iterable[str]) -> None:

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.model import Buffer, Connection
 
+    from .bounded import BoundedTypes
     from .schema import Schema, Struct
 
 __all__ = ["DEFAULT_DISTRO", "DISTROS", "Transcoding", "defined", "transcoder"]
@@ -205,6 +206,7 @@ class _Plan:
     digest: str
     store: Any
     root: str
+    types: BoundedTypes
     lock: Lock
     notes: tuple[str, ...]
     fields: int
@@ -242,7 +244,17 @@ def _planned(msgtype: str, definition: Definition, source: int, distro: str) -> 
         digest = schemas.md5sum(schema) if target == 1 else schemas.rihs01(schema)
     store, names = _compile(schema)
     fields = sum(len(struct.fields) for struct in schema.values())
-    return _Plan(ros1_type(root) if target == 1 else root, text, digest, store, names[root], Lock(), notes, fields)
+    return _Plan(
+        ros1_type(root) if target == 1 else root,
+        text,
+        digest,
+        store,
+        names[root],
+        _bounded(store, schema, names, source),
+        Lock(),
+        notes,
+        fields,
+    )
 
 
 def _store(generation: int, distro: str) -> str:
@@ -293,6 +305,29 @@ def _compile(schema: Schema) -> tuple[Any, dict[str, str]]:
     return store, names
 
 
+def _bounded(store: Any, schema: Schema, names: Mapping[str, str], source: int) -> BoundedTypes:
+    """Let the conversion know how many bytes each type takes at least."""
+    from .bounded import BoundedTypes  # noqa: PLC0415
+
+    root = next(iter(schema))
+    repeated = {
+        field.type
+        for struct in schema.values()
+        for field in struct.fields
+        if field.shape == "sequence" and field.type not in schemas.PRIMITIVES
+    }
+    words = any(
+        field.shape == "sequence" and field.type == "string" for struct in schema.values() for field in struct.fields
+    )
+    return BoundedTypes(
+        {made: store.get_msgdef(made) for made in names.values()},
+        names[root],
+        schemas.least_bytes(schema, root, source),
+        {names[name]: schemas.least_bytes(schema, name, source) for name in repeated},
+        makes_objects=words or bool(repeated),
+    )
+
+
 # --- declaring ---
 
 
@@ -315,21 +350,22 @@ def _declared(connection: Connection, plan: _Plan) -> Connection:
 # --- encoding ---
 
 
+#: A larger message in the byte order that nobody uses is refused if it has sequences of messages or strings: it is
+#: re-encoded by way of Python's objects, which take a hundred times as much memory.
+_MAX_BIG_ENDIAN = 1_000_000
+
+
 class _Encoder:
     """Re-encodes one connection's messages."""
 
-    __slots__ = ("_convert", "_errors", "_plan", "_sizer", "_topic")
+    __slots__ = ("_convert", "_errors", "_plan", "_topic")
 
     def __init__(self, plan: _Plan, source: int, topic: str) -> None:
         from rosbags.serde import SerdeError  # noqa: PLC0415
 
         self._plan = plan
         self._topic = topic
-        compiled = plan.store.get_msgdef(plan.root)
-        if source == 1:
-            self._convert, self._sizer = self._to_cdr, (compiled.getsize_ros1_to_cdr, 0)
-        else:
-            self._convert, self._sizer = self._to_ros1, (compiled.getsize_cdr_to_ros1, 4)
+        self._convert = self._to_cdr if source == 1 else self._to_ros1
         # What rosbags lets through, besides its own: it leaves some checks to slices, structs and asserts.
         self._errors = (
             SerdeError,
@@ -344,35 +380,16 @@ class _Encoder:
 
     def __call__(self, data: Buffer) -> Buffer:
         """Re-encode one message."""
-        plan = self._plan
         try:
-            with plan.lock:
-                # Every element takes a byte at least. Without this bound a damaged count keeps rosbags'
-                # loop over nested messages running for minutes before it notices.
-                plan.store.max_sequence_length = max(len(data), 1)
-                return self._convert(memoryview(data))
+            return self._convert(memoryview(data))
         except self._errors as err:
+            told = str(err).replace(repr(self._plan.root), "it") or type(err).__name__
             raise DecodeError(
-                f"{plan.msgtype} of {len(data)} bytes cannot be re-encoded: {self._reason(data, err)}",
-                topic=self._topic,
+                f"{self._plan.msgtype} of {len(data)} bytes cannot be re-encoded: {told}", topic=self._topic
             ) from err
 
-    def _reason(self, data: Buffer, err: BaseException) -> str:
-        """Say how many bytes the fields take, where that can be told; otherwise what rosbags says."""
-        sizer, start = self._sizer
-        told = str(err).replace(repr(self._plan.root), "it") or type(err).__name__
-        if start and data[1] == 0:
-            return told  # sizes would be read in the wrong byte order
-        try:
-            with self._plan.lock:
-                size = start + sizer(data[start:], 0, None, 0, self._plan.store)[0]
-        except self._errors:
-            size = len(data)
-        return told if size == len(data) else f"its fields take {size}"
-
     def _to_cdr(self, data: memoryview) -> memoryview:
-        message: memoryview = self._plan.store.ros1_to_cdr(data, self._plan.root)
-        return message
+        return self._plan.types.ros1_to_cdr(data)
 
     def _to_ros1(self, data: memoryview) -> memoryview:
         if len(data) < 4 or data[0] != 0 or data[1] > 1:
@@ -381,9 +398,13 @@ class _Encoder:
                 "expected a CDR header (0001 or 0000, then two bytes)",
                 topic=self._topic,
             )
-        store, root = self._plan.store, self._plan.root
+        plan = self._plan
         if data[1] == 0:
             # Big-endian, which rosbags' direct conversion does not take.
-            data = store.serialize_cdr(store.deserialize_cdr(data, root), root, little_endian=True)
-        message: memoryview = store.cdr_to_ros1(data, root)
-        return message
+            if len(data) > _MAX_BIG_ENDIAN and plan.types.makes_objects:
+                raise ValueError(f"it is big-endian, and longer than the {_MAX_BIG_ENDIAN} bytes allowed for that")
+            store, root = plan.store, plan.root
+            with plan.lock:
+                store.max_sequence_length = max(len(data), 1)
+                data = store.serialize_cdr(store.deserialize_cdr(data, root), root, little_endian=True)
+        return plan.types.cdr_to_ros1(data)

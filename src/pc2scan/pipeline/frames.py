@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from pc2scan.bags.files import opened_text
 from pc2scan.errors import DecodeError, ParameterError, Pc2ScanError, RecordingError, UsageError
 from pc2scan.messages.tfmessage import TF_TYPES, decode_transforms
 
@@ -271,7 +272,8 @@ def load_static_transforms(path: Path) -> tuple[StaticTransform, ...]:
     try:
         if path.stat().st_size > _MAX_FILE_BYTES:
             raise UsageError(f"{path.stat().st_size} bytes are no list of transforms", path=path)
-        document = YAML(typ="safe", pure=True).load(path.read_text("utf-8"))
+        with opened_text(path) as file:
+            document = YAML(typ="safe", pure=True).load(file.read(_MAX_FILE_BYTES))
     except OSError as err:
         raise UsageError(f"cannot be read: {err.strerror}", path=path) from err
     except (YAMLError, UnicodeDecodeError, RecursionError) as err:

@@ -6,6 +6,7 @@ import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, get_args
 
+from pc2scan.bags.files import opened_bytes
 from pc2scan.errors import ParameterError
 
 from .parameters import (
@@ -116,7 +117,7 @@ def load_params_file(path: Path, *, node: str | None = None) -> ParamsFile:
 
 def _read_text(path: Path) -> str:
     try:
-        with path.open("rb") as file:
+        with opened_bytes(path) as file:
             data = file.read(MAX_FILE_BYTES + 1)
     except FileNotFoundError as err:
         raise ParameterError(f"{path}: there is no such file") from err
