@@ -12,7 +12,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from pc2scan.core.unproject import RejectedBeams, UnprojectedScan, UnprojectParams, deskew, unproject
+from pc2scan.core.unproject import RejectedBeams, UnprojectedScan, UnprojectParams, deskew, last_beam_ns, unproject
 from pc2scan.errors import DecodeError, ParameterError, TransformError
 from support import GOLDEN
 
@@ -406,6 +406,24 @@ def test_with_xyz_needs_no_viewpoint_channels() -> None:
     moved = points_of(f32(1)).with_xyz([[1, 2, 3]], viewpoint=(7, 8, 9))
     assert moved.viewpoint is None
     assert moved.xyz.tolist() == [[1, 2, 3]]
+
+
+# --- the last beam's time ---
+
+
+def test_the_last_beams_time_is_a_float32_product_rounded_to_nanoseconds() -> None:
+    # float32(0.1) is 0.100000001490..., and 359 times that, as float32, 35.9000015258...
+    assert last_beam_ns(360, 0.1) == 35_900_001_526
+    assert last_beam_ns(2, 0.1) == 100_000_001
+    assert last_beam_ns(2, -0.1) == -100_000_001
+    assert last_beam_ns(1, 0.1) == last_beam_ns(0, 0.1) == last_beam_ns(1000, 0.0) == 0
+    assert (last_beam_ns(2, 5e-10), last_beam_ns(2, 6e-10)) == (0, 1)
+
+
+@pytest.mark.parametrize("increment", [math.nan, math.inf, -math.inf, 3e38, 2.2e9, -2.2e9])
+def test_times_that_no_duration_holds_are_an_error(increment: float) -> None:
+    with pytest.raises(DecodeError, match="time_increment is"):
+        last_beam_ns(2, increment)
 
 
 # --- deskew ----------------------------------------------------------------------------------------------

@@ -19,6 +19,7 @@ from pc2scan.bags.model import Connection, RawMessage
 from pc2scan.cli.in_process import run_command
 from pc2scan.compare.rules import Rules
 from pc2scan.compare.scan_text import render
+from pc2scan.core import kernel, plain
 from pc2scan.golden.case import load_case
 from pc2scan.golden.check import check_case
 from support import GOLDEN, ROOT
@@ -30,41 +31,67 @@ if TYPE_CHECKING:
     from e2e.outputs import Found
 
 #: The project's own copies.
-FOLDER = ROOT / "fixtures" / "golden"
-CASES = sorted(path.name for path in GOLDEN.iterdir() if path.is_dir())
-OWN = sorted(path.name for path in FOLDER.iterdir() if path.is_dir())
-TRANSFORMED = {"tf_static", "tf_dynamic", "scan_tf"}
+FOLDERS = (ROOT / "fixtures" / "golden", ROOT / "fixtures" / "golden_exact")
+OWN = {path.name: path for folder in FOLDERS for path in sorted(folder.iterdir()) if path.is_dir()}
+CASES = OWN | {path.name: path for path in sorted(GOLDEN.iterdir()) if path.is_dir()}
+MOVED = {"tf_static", "tf_dynamic", "scan_tf", "tf_tilted_2", "tf_typed_1", "tf_chain_0"}
+MOVED |= {"reverse_tilted_0", "reverse_deskew_1"}
 
 
 def test_every_kind_of_case_is_there() -> None:
-    assert set(CASES) > TRANSFORMED
-    assert len(CASES) >= 16
+    assert set(CASES) > MOVED
+    assert len(CASES) >= 30
+    assert all("target_frame" in (CASES[name] / "params.yaml").read_text() for name in MOVED)
 
 
 @cache
 def expected(name: str) -> list[Found]:
-    found = opened(GOLDEN / name / "expected.bag")
+    found = opened(CASES[name] / "expected.bag")
     assert found.messages
     return found.messages
 
 
+def conversion(name: str, destination: Path, *options: str) -> list[str]:
+    """The command line of a case."""
+    arguments = load_case(CASES[name]).arguments
+    line = [CASES[name] / "input.bag", "-o", destination, "--params-file", CASES[name] / "params.yaml"]
+    return ["convert", *map(str, line), "--only-scans", *arguments, *options]
+
+
 def converted(name: str, destination: Path, *options: str) -> None:
-    case = GOLDEN / name
-    done = run(
-        "convert", case / "input.bag", "-o", destination, "--params-file", case / "params.yaml", "--quiet", *options
-    )
-    assert done.status == 0, done.stderr
+    done = run(*conversion(name, destination, "--quiet", *options))
+    assert done.status == load_case(CASES[name]).exit_status, done.stderr
 
 
 def is_reverse(name: str) -> bool:
-    return "laserscan_to_pointcloud" in YAML(typ="safe").load(GOLDEN / name / "params.yaml")
+    return "laserscan_to_pointcloud" in YAML(typ="safe").load(CASES[name] / "params.yaml")
 
 
 @pytest.mark.parametrize("name", CASES)
 def test_equal_to_the_byte(name: str, tmp_path: Path) -> None:
     destination = tmp_path / "out.bag"
-    converted(name, destination, "--only-scans")
+    converted(name, destination)
     assert opened(destination).messages == expected(name)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_equal_to_the_byte_without_compiled_loops(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    used = set()
+
+    def spied(loop: str) -> Callable[..., Any]:
+        def call(*args: Any) -> Any:
+            used.add(loop)
+            return getattr(plain, loop)(*args)
+
+        return call
+
+    for loop in ("angles", "gather", "project"):
+        monkeypatch.setattr(kernel, loop, spied(loop))
+    destination = tmp_path / "out.bag"
+    ended = run_command(conversion(name, destination))
+    assert ended.status == load_case(CASES[name]).exit_status, ended
+    assert opened(destination).messages == expected(name)
+    assert used == (set() if is_reverse(name) else {"project"})
 
 
 FIELDS = ("angle_min", "angle_max", "angle_increment", "time_increment", "scan_time", "range_min", "range_max")
@@ -84,13 +111,15 @@ def parts_of(data: bytes, msgtype: str, generation: int) -> dict[str, Any]:
     return parts | {"fields": fields, "shape": shape, "flags": flags, "data": message.data.tobytes()}
 
 
-@pytest.mark.parametrize("name", ["fine_full_circle", "nan_and_inf_points", "scan_intensity", "tf_dynamic"])
+@pytest.mark.parametrize(
+    "name", ["fine_full_circle", "nan_and_inf_points", "scan_intensity", "tf_dynamic", "tf_chain_1"]
+)
 @pytest.mark.parametrize("options", [(), ("--storage", "sqlite3"), ("--profile", "ros2")], ids=str)
 def test_equal_to_the_bit_in_ros2_containers(name: str, options: tuple[str, ...], tmp_path: Path) -> None:
     if name not in CASES:
         pytest.skip(f"{name} is not among the golden cases")
     destination = tmp_path / ("out.mcap" if "--profile" in options else "out")
-    converted(name, destination, "--only-scans", *options)
+    converted(name, destination, *options)
     output = opened(destination)
     msgtype = CLOUD if is_reverse(name) else SCAN
     assert output.generation == 2
@@ -104,12 +133,14 @@ def test_equal_to_the_bit_in_ros2_containers(name: str, options: tuple[str, ...]
 # --- the same by `pc2scan golden` ---
 
 
-def test_the_projects_cases_pass_in_one_command() -> None:
-    done = run("golden", FOLDER, "--json")
+@pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)
+def test_the_projects_cases_pass_in_one_command(folder: Path) -> None:
+    done = run("golden", folder, "--json")
     assert done.status == 0, done.stdout
     found = json.loads(done.stdout)
-    assert found["passed"] == len(OWN) == len(found["cases"])
-    assert {case["name"] for case in found["cases"]} == set(OWN)
+    names = {name for name, path in OWN.items() if path.parent == folder}
+    assert found["passed"] == len(names) == len(found["cases"])
+    assert {case["name"] for case in found["cases"]} == names
     # A comparison of nothing would pass, too.
     for case in found["cases"]:
         (topic,) = case["difference"]["topics"]
@@ -118,7 +149,7 @@ def test_the_projects_cases_pass_in_one_command() -> None:
 
 
 def test_no_case_has_a_tolerance() -> None:
-    assert [load_case(FOLDER / name).rules for name in OWN] == [Rules()] * len(OWN)
+    assert [load_case(folder).rules for folder in OWN.values()] == [Rules()] * len(OWN)
 
 
 def checked(folder: Path) -> str:
@@ -128,7 +159,7 @@ def checked(folder: Path) -> str:
 def with_expected(name: str, folder: Path, change: Callable[[Any], None]) -> Path:
     """A copy of a case with another expected first message, as text; ``change`` edits its float32 values."""
     case = folder / name
-    shutil.copytree(FOLDER / name, case)
+    shutil.copytree(OWN[name], case)
     msgtype = CLOUD if is_reverse(name) else SCAN
     topic, connection = ("/cloud", CLOUD) if msgtype == CLOUD else ("/scan", SCAN)
     messages = []
@@ -159,6 +190,8 @@ def test_every_case_notices_a_bit(name: str, tmp_path: Path) -> None:
 
 def test_transformed_clouds_are_numbered_as_upstream_does() -> None:
     # tf2 gives a transformed cloud the transform's header, whose sequence number is 0; `seq` is not ignored.
-    reference = [deserialized(found.data, CLOUD, 1) for found in expected("scan_tf")]
-    assert {message.header.seq for message in reference} == {0}
-    assert "seq" not in load_case(FOLDER / "scan_tf").rules.ignore
+    # laser_geometry keeps the scan's.
+    for name, numbers in (("scan_tf", [0] * 6), ("reverse_tilted_0", [0] * 8), ("reverse_deskew_0", [*range(8)])):
+        reference = [deserialized(found.data, CLOUD, 1) for found in expected(name)]
+        assert [message.header.seq for message in reference] == numbers
+        assert "seq" not in load_case(OWN[name]).rules.ignore

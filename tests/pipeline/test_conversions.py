@@ -198,6 +198,62 @@ def test_deskewing_one_beam_and_none() -> None:
     assert decode_pointcloud2(none.data, "ros1").points == 0
 
 
+def header_of(made: Converted) -> tuple[int, int, str]:
+    read = decode_pointcloud2(made.data, "ros1")
+    return read.sequence, read.stamp_ns, read.frame_id
+
+
+def test_a_transformed_cloud_has_the_header_of_the_transform_and_a_deskewed_one_that_of_the_scan() -> None:
+    known = frames("odom", *(("odom", "laser", second * SECOND, 1.0, 0.5) for second in (4, 5, 6)))
+    for stamp_ns, expected_ns in ((5 * SECOND, 5 * SECOND), (0, 6 * SECOND)):
+        message = scan([2.0] * 3, stamp_ns)
+        assert header_of(once(ScanToCloud(None, known), message, "ros1", "ros1")) == (0, expected_ns, "odom")
+        assert header_of(once(ScanToCloud(None, known, deskewed=True), message, "ros1", "ros1")) == (
+            9,
+            stamp_ns,
+            "odom",
+        )
+        assert header_of(once(ScanToCloud(None, Frames()), message, "ros1", "ros1")) == (9, stamp_ns, "laser")
+
+
+def test_a_stamp_of_zero_stays_where_every_transform_is_static() -> None:
+    builder = TransformBuilder()
+    builder.add([("odom", "laser", 5 * SECOND, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)], static=True)
+    made = once(ScanToCloud(None, Frames("odom", "", builder.build(), 0)), scan([2.0], 0), "ros1", "ros1")
+    assert header_of(made) == (0, 0, "odom")
+
+
+@pytest.mark.parametrize(
+    ("stamp_ns", "increment", "message"),
+    [
+        (0, -0.1, "its last beam would be at -0.200000003, before ROS's time begins"),
+        (SECOND, -0.6, "its last beam would be at -0.200000048, before ROS's time begins"),
+        (SECOND, math.nan, "time_increment is nan s: the last of 3 beams would be nan s after the first"),
+        (SECOND, 2e9, "time_increment is 2000000000.0 s: the last of 3 beams would be 4000000000.0 s after the first"),
+    ],
+)
+def test_last_beams_beyond_ros_time_are_an_error(stamp_ns: int, increment: float, message: str) -> None:
+    known = frames("odom", ("odom", "laser", SECOND, 1.0, 0.0))
+    with pytest.raises(DecodeError, match=message) as caught:
+        once(
+            ScanToCloud(None, known, deskewed=True), scan([2.0] * 3, stamp_ns, time_increment=increment), "ros1", "ros1"
+        )
+    assert caught.value.stamp_ns == stamp_ns
+
+
+def test_nans_that_signal_draw_no_warning_and_are_nans_like_any_other() -> None:
+    signalling = np.array([0x7F800001, 0xFFBFFFFF, 0x3F800000], np.uint32).view(np.float32)
+    known = frames("odom", ("odom", "laser", 5 * SECOND, 1.0, 0.5))
+    every = UnprojectParams(distances=True, stamps=True, viewpoint=True)
+    for deskewed in (False, True):
+        message = scan(signalling, intensities=signalling[::-1].copy())
+        made = once(ScanToCloud(every, known, deskewed=deskewed), message, "ros1", "ros1")
+        assert (made.counts.used, made.counts.nan) == (1, 2)
+        (intensity,) = decode_pointcloud2(made.data, "ros1").field("intensity").view(np.uint32)
+        # The bits are the scan's: a signalling NaN stays one.
+        assert intensity == 0x7F800001
+
+
 def test_deskewing_needs_the_time_of_the_last_beam_too() -> None:
     known = frames("odom", ("odom", "laser", 5 * SECOND, 1.0, 0.0))
     with pytest.raises(TransformError, match="too late"):

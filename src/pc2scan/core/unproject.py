@@ -20,7 +20,18 @@ from .rigid import rotation_matrices, slerp
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["RejectedBeams", "Transform", "UnprojectParams", "UnprojectedScan", "deskew", "unproject"]
+__all__ = [
+    "RejectedBeams",
+    "Transform",
+    "UnprojectParams",
+    "UnprojectedScan",
+    "deskew",
+    "last_beam_ns",
+    "unproject",
+]
+
+#: ROS 1 holds the seconds of a duration in 32 bits.
+_LONGEST = 2**31
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -214,8 +225,9 @@ def unproject(
         )
     lowest, highest = _float32(range_min, range_max)
     cutoff = params.range_cutoff if params.range_cutoff >= 0 else highest
-    # In float64, as upstream: a cutoff need not be a float32 number.
-    distances = np.asarray(ranges, np.float32).astype(np.float64)
+    # In float64, as upstream: a cutoff need not be a float32 number. A NaN may be one that signals.
+    with np.errstate(invalid="ignore"):
+        distances = np.asarray(ranges, np.float32).astype(np.float64)
     at_least = distances >= lowest
     kept = at_least & (distances < cutoff)
     beams = np.flatnonzero(kept).astype(np.int32)
@@ -237,6 +249,37 @@ def unproject(
             points["stamps"] = beams * _float32(time_increment)[0]
     points.flags.writeable = False
     return UnprojectedScan(points, beams, len(ranges), _rejected(distances, at_least, kept))
+
+
+def last_beam_ns(beams: int, time_increment: float) -> int:
+    """When the last beam of a scan was measured, nanoseconds after the first one; negative for ``time_increment < 0``.
+
+    Source of the rule: ``transformLaserScanToPointCloud_`` of laser_geometry 1.6.7, which takes the product in float32,
+    and ``ros::Duration::fromSec``, which rounds it to nanoseconds. ROS 2's takes it in float64.
+
+    Parameters
+    ----------
+    beams
+        How many there are.
+    time_increment
+        Seconds from beam to beam; float32 in the message and rounded to it here.
+
+    Raises
+    ------
+    DecodeError
+        If that is no number, or longer than a ROS 1 duration can be.
+    """
+    with np.errstate(all="ignore"):
+        seconds = float(np.float32(max(beams - 1, 0)) * np.float32(time_increment))
+    if not -_LONGEST <= seconds < _LONGEST:
+        raise DecodeError(
+            f"time_increment is {time_increment} s: the last of {beams} beams would be {seconds} s after the first, "
+            f"the limit is {_LONGEST} s"
+        )
+    whole = math.floor(seconds)
+    rest = (seconds - whole) * 1e9
+    nanoseconds = math.floor(rest)
+    return whole * 1_000_000_000 + nanoseconds + (rest - nanoseconds >= 0.5)
 
 
 def deskew(scan: UnprojectedScan, start: Transform, end: Transform) -> UnprojectedScan:

@@ -166,6 +166,20 @@ class Frames:
             return Place(target or source, None)
         return Place(target, self.buffer.lookup(target, source, stamp_ns, self.tolerance_ns))
 
+    def transform_stamp(self, frame_id: str, stamp_ns: int) -> int:
+        """The stamp of the transform that `place` gives, in nanoseconds.
+
+        That is the message's; for a message with the stamp 0, the time that this was looked up for.
+
+        Raises
+        ------
+        TransformError
+            As `place` does.
+        """
+        if stamp_ns or self.buffer is None:
+            return stamp_ns
+        return self.buffer.latest_common_ns(self.target_frame, self.source_frame or frame_id)
+
 
 def tf_connections(connections: Sequence[Connection], topics: Sequence[str] = ()) -> list[Connection]:
     """The connections that carry transforms.

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import sys
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.core.project import PointCounts
-from pc2scan.core.unproject import UnprojectedScan, UnprojectParams, deskew, unproject
-from pc2scan.errors import DecodeError
+from pc2scan.core.unproject import UnprojectedScan, UnprojectParams, deskew, last_beam_ns, unproject
+from pc2scan.errors import DecodeError, stamp_text
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
 from pc2scan.messages.pointcloud2 import DATATYPES, POINTCLOUD2, PointField, encode_pointcloud2
 
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from pc2scan.bags.model import Buffer
+    from pc2scan.core.rigid import Rigid
 
     from .frames import Frames
 
@@ -72,13 +73,12 @@ class ScanToCloud:
         except DecodeError as err:
             err.stamp_ns = scan.stamp_ns
             raise
-        frame_id, points, moved = self._placed(scan, points)
+        header, points = self._placed(scan, points)
         message = encode_pointcloud2(
             serialization=target,
-            # tf2 gives a transformed cloud the transform's header, whose sequence number is 0.
-            sequence=0 if moved else scan.sequence,
-            stamp_ns=scan.stamp_ns,
-            frame_id=frame_id,
+            sequence=header.sequence,
+            stamp_ns=header.stamp_ns,
+            frame_id=header.frame_id,
             fields=_fields(points.points.dtype),
             point_step=points.points.dtype.itemsize,
             data=points.points.tobytes(),
@@ -93,18 +93,41 @@ class ScanToCloud:
         )
         return Converted(message, counts, empty=not len(points.points))
 
-    def _placed(self, scan: LaserScan, points: UnprojectedScan) -> tuple[str, UnprojectedScan, bool]:
-        """The target frame's name, the points in it, and whether they were transformed."""
+    def _placed(self, scan: LaserScan, points: UnprojectedScan) -> tuple[_Header, UnprojectedScan]:
+        """The cloud's header, and the points in its frame."""
         place = self._frames.place(scan.frame_id, scan.stamp_ns)
+        own = _Header(scan.sequence, scan.stamp_ns, place.frame_id)
         start = place.target_from_source
         if start is None:
-            return place.frame_id, points, False
-        if not self._deskewed:
-            return place.frame_id, points.with_xyz(start.apply(points.xyz), start.translation), True
-        # Source of the rule: laser_geometry takes the last beam's time as stamp + (beams - 1) * time_increment.
-        lasts = max(points.beam_count - 1, 0) * scan.time_increment
-        end = self._frames.place(scan.frame_id, scan.stamp_ns + int(lasts * 1e9)).target_from_source
-        return place.frame_id, deskew(points, start, end or start), True
+            return own, points
+        if self._deskewed:
+            return own, deskew(points, start, self._end(scan) or start)
+        # Source of the rule: tf2_sensor_msgs gives a cloud the header of the transform, which has no sequence number.
+        stamp_ns = self._frames.transform_stamp(scan.frame_id, scan.stamp_ns)
+        moved = points.with_xyz(start.apply(points.xyz), start.translation)
+        return _Header(0, stamp_ns, place.frame_id), moved
+
+    def _end(self, scan: LaserScan) -> Rigid | None:
+        """Where the sensor was when the last beam was measured."""
+        try:
+            end_ns = scan.stamp_ns + last_beam_ns(len(scan.ranges), scan.time_increment)
+            if end_ns < 0:
+                raise DecodeError(
+                    f"its last beam would be at {stamp_text(end_ns)}, before ROS's time begins",
+                    hint="its time_increment is negative and its stamp is 0 or nearly so",
+                )
+        except DecodeError as err:
+            err.stamp_ns = scan.stamp_ns
+            raise
+        return self._frames.place(scan.frame_id, end_ns).target_from_source
+
+
+class _Header(NamedTuple):
+    """The header of a cloud."""
+
+    sequence: int
+    stamp_ns: int
+    frame_id: str
 
 
 def _fields(dtype: np.dtype[np.void]) -> list[PointField]:

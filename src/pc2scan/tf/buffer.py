@@ -409,34 +409,24 @@ class TransformBuffer:
             If a name is empty or unknown, there is no connection at that time, the stamp lies outside
             a frame's samples, or the way up from a frame ends in a loop.
         """
-        return self.lookup_stamped(target, source, stamp_ns, tolerance_ns)[0]
-
-    def lookup_stamped(self, target: str, source: str, stamp_ns: int, tolerance_ns: int = 0) -> tuple[Rigid, int]:
-        """Return what `lookup` does, and the stamp of the transform, as tf2 has it.
-
-        That is ``stamp_ns``; if this is 0, the latest time that every frame of the chain has, or 0 if no frame of it
-        is dynamic.
-        """
-        target, source = _stripped(target), _stripped(source)
-        for name, role in ((target, "target_frame"), (source, "source_frame")):
-            if not name:
-                raise TransformError(
-                    f"Invalid argument passed to lookupTransform argument {role}: frame_ids cannot be empty",
-                    stamp_ns=stamp_ns,
-                    hint="--source-frame names the frame of clouds whose frame_id is empty",
-                )
-        if target == source:
-            return Rigid.identity(), stamp_ns
-        query = _Query(
-            target,
-            source,
-            self._number(target, "target_frame", stamp_ns),
-            self._number(source, "source_frame", stamp_ns),
-            stamp_ns,
-            tolerance_ns,
-        )
+        query = self._query(target, source, stamp_ns, tolerance_ns)
+        if query is None:
+            return Rigid.identity()
         time_ns = stamp_ns or self._latest_common_time(query)
-        return self._chain(query, time_ns).target_from_source(time_ns), time_ns or 0
+        return self._chain(query, time_ns).target_from_source(time_ns)
+
+    def latest_common_ns(self, target: str, source: str) -> int:
+        """The time that `lookup` takes for a stamp of 0, which tf2 writes into its answer.
+
+        0 if every frame on the way is static.
+
+        Raises
+        ------
+        TransformError
+            As `lookup` does.
+        """
+        query = self._query(target, source, 0, 0)
+        return 0 if query is None else self._latest_common_time(query) or 0
 
     @cached_property
     def infos(self) -> tuple[FrameInfo, ...]:
@@ -497,6 +487,27 @@ class TransformBuffer:
             parent if (parents == parent).all() else -1,
             int(stamps[0]),
             int(stamps[-1]),
+        )
+
+    def _query(self, target: str, source: str, stamp_ns: int, tolerance_ns: int) -> _Query | None:
+        """The lookup with its names checked; None if both are the same."""
+        target, source = _stripped(target), _stripped(source)
+        for name, role in ((target, "target_frame"), (source, "source_frame")):
+            if not name:
+                raise TransformError(
+                    f"Invalid argument passed to lookupTransform argument {role}: frame_ids cannot be empty",
+                    stamp_ns=stamp_ns,
+                    hint="--source-frame names the frame of clouds whose frame_id is empty",
+                )
+        if target == source:
+            return None
+        return _Query(
+            target,
+            source,
+            self._number(target, "target_frame", stamp_ns),
+            self._number(source, "source_frame", stamp_ns),
+            stamp_ns,
+            tolerance_ns,
         )
 
     def _number(self, name: str, role: str, stamp_ns: int) -> int:
