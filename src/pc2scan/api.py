@@ -11,7 +11,7 @@ from .compare.diff import TopicPair
 from .compare.diff import diff as compare
 from .compare.rules import Rules
 from .core.params import ProjectionParams
-from .pipeline.frames import FrameOptions
+from .pipeline.frames import FrameOptions, recorded_transforms
 from .pipeline.options import ConvertOptions
 from .pipeline.run import OutputOptions, Progress, run
 
@@ -152,6 +152,8 @@ def diff(
     rtol: float | Mapping[str, float] = 0.0,
     allow_beams: float = 0.0,
     ignore: Iterable[str] = (),
+    explain: bool = False,
+    clouds: str | PathLike[str] | None = None,
 ) -> Difference:
     """Compare the scans and clouds of two recordings, as ``pc2scan diff`` does.
 
@@ -165,6 +167,11 @@ def diff(
         Whether the other topics are compared too: matched by log time, byte for byte.
     atol, rtol, allow_beams, ignore
         See `pc2scan.compare.rules.Rules`; a tolerance that is a number is for all values.
+    explain
+        Whether to find out how many differing beams another libm explains: `Explanation` at each topic's ``libm``.
+    clouds
+        The recording with the clouds that the scans were made of; None: ``a``, or where it has none, ``b``. Given,
+        differing beams are explained.
 
     Returns
     -------
@@ -191,4 +198,12 @@ def diff(
         ignore=frozenset(ignore),
     )
     pairs = [TopicPair.parse(topic) for topic in topics]
-    return compare(Path(a), None if b is None else Path(b), topics=pairs, all_topics=all_topics, rules=rules)
+    return compare(
+        Path(a),
+        None if b is None else Path(b),
+        topics=pairs,
+        all_topics=all_topics,
+        rules=rules,
+        transforms_of=recorded_transforms if explain or clouds is not None else None,
+        clouds=None if clouds is None else Path(clouds),
+    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -14,6 +15,7 @@ from .unusable import exit_status_2
 __all__ = ["diff"]
 
 _RULES = "What counts as the same"
+_LIBM = "What another libm explains"
 
 
 def diff(
@@ -75,6 +77,23 @@ def diff(
             rich_help_panel=_RULES,
         ),
     ] = [],  # noqa: B006
+    explain: Annotated[
+        bool,
+        typer.Option(
+            "--explain",
+            help="Find out how many differing beams of scans another libm explains: exactly, by the clouds of the "
+            "scans in A or B or --clouds; or at most, by the scans alone.",
+            rich_help_panel=_LIBM,
+        ),
+    ] = False,
+    clouds: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="SRC",
+            help="The recording with the clouds that the scans were made of, and the transforms; implies --explain.",
+            rich_help_panel=_LIBM,
+        ),
+    ] = None,
     as_json: Json = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Tell by the exit status only.")] = False,
 ) -> None:
@@ -98,7 +117,12 @@ def diff(
             ignore=frozenset(ignore),
         )
         pairs = [TopicPair.parse(topic) for topic in topics]
-        result = compare(a, b, topics=pairs, all_topics=all_topics, rules=rules)
+        compared = partial(compare, a, b, topics=pairs, all_topics=all_topics, rules=rules)
+        if explain or clouds is not None:
+            from pc2scan.pipeline.frames import recorded_transforms
+
+            compared = partial(compared, transforms_of=recorded_transforms, clouds=clouds)
+        result = compared()
     if as_json:
         print_json(result.as_dict())
     elif not quiet:

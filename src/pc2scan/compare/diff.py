@@ -8,21 +8,26 @@ from typing import TYPE_CHECKING
 
 from pc2scan.bags.registry import open_recording
 from pc2scan.errors import TopicError, UsageError
+from pc2scan.messages.laserscan import LASERSCAN
+from pc2scan.messages.pointcloud2 import POINTCLOUD2
 from pc2scan.messages.schema import canonical
 
+from .libm import Clouds, Explainer
 from .match import Source, Stream, header_stamp_ns, matched
 from .messages import DECODED, compare_messages
 from .others import compare_others
 from .result import Difference
 from .rules import Rules
-from .scan_text import is_scan_text, open_scan_text
+from .scan_text import ScanText, is_scan_text, open_scan_text
 from .topic_difference import Place, TopicDifference
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
     from pc2scan.bags.model import Connection, RawMessage
+
+    from .libm import Lookup
 
 __all__ = ["TopicPair", "diff", "diff_sources", "open_source"]
 
@@ -50,9 +55,24 @@ class TopicPair:
 
 
 def diff(
-    a: Path, b: Path | None, *, topics: Sequence[TopicPair] = (), all_topics: bool = False, rules: Rules | None = None
+    a: Path,
+    b: Path | None,
+    *,
+    topics: Sequence[TopicPair] = (),
+    all_topics: bool = False,
+    rules: Rules | None = None,
+    transforms_of: Callable[[Path], Lookup] | None = None,
+    clouds: Path | None = None,
 ) -> Difference:
-    """Compare two recordings; see `pc2scan.diff`."""
+    """Compare two recordings; see `pc2scan.diff`.
+
+    Parameters
+    ----------
+    transforms_of
+        Reads a recording's transforms. Given, differing beams are explained; see `pc2scan.compare.libm`.
+    clouds
+        Where the clouds of the scans are; None: in ``a``, or where it has none, in ``b``.
+    """
     if b is None and not (topics and all(pair.a != pair.b for pair in topics)):
         raise UsageError(
             "one recording is compared with itself only by two topics of it",
@@ -65,7 +85,17 @@ def diff(
             source = open_source(path)
             stack.callback(source.close)
             sources.append(source)
-        return diff_sources(sources[0], sources[1], topics=topics, all_topics=all_topics, rules=rules)
+        found = None
+        if transforms_of is not None:
+            holders = [source for source in sources if not isinstance(source, ScanText)]
+            if clouds is not None:
+                holders = [open_recording(clouds, strict=True)]
+                stack.callback(holders[0].close)
+            holders = [source for source in holders if any(c.ros_type == POINTCLOUD2 for c in source.connections)]
+            if clouds is not None and not holders:
+                raise TopicError("there are no clouds: it has no PointCloud2 topic", path=clouds)
+            found = Clouds(holders, transforms_of)
+        return diff_sources(sources[0], sources[1], topics=topics, all_topics=all_topics, rules=rules, clouds=found)
 
 
 def open_source(path: Path) -> Source:
@@ -86,8 +116,9 @@ def diff_sources(
     topics: Sequence[TopicPair] = (),
     all_topics: bool = False,
     rules: Rules | None = None,
+    clouds: Clouds | None = None,
 ) -> Difference:
-    """Compare what is open already.
+    """Compare what is open already; with ``clouds`` differing beams are explained.
 
     Raises
     ------
@@ -101,7 +132,7 @@ def diff_sources(
     asked = _named(a, b, topics) if topics else _sides(a, b, decoded=True)
     others = [] if topics and not all_topics else _sides(a, b, decoded=False, without=topics)
     for pair in asked:
-        _compare([pair], rules, result)
+        _compare([pair], rules, result, clouds)
     if all_topics:
         _compare(others, rules, result)
     else:
@@ -153,7 +184,9 @@ def _sides(a: Source, b: Source, *, decoded: bool, without: Sequence[TopicPair] 
     return pairs
 
 
-def _compare(pairs: Sequence[tuple[Stream, Stream]], rules: Rules, result: Difference) -> None:
+def _compare(
+    pairs: Sequence[tuple[Stream, Stream]], rules: Rules, result: Difference, clouds: Clouds | None = None
+) -> None:
     """Compare topics: scans and clouds one after the other, all others in one pass."""
     others = []
     for one, other in pairs:
@@ -163,7 +196,10 @@ def _compare(pairs: Sequence[tuple[Stream, Stream]], rules: Rules, result: Diffe
         if all(kinds) and (kinds[0] != kinds[1] or len(kinds[0]) > 1):
             entry.change("type", Place(None, 0), ", ".join(kinds[0]), ", ".join(kinds[1]))
         elif entry.msgtype in DECODED:
-            _compare_decoded(one, other, entry, rules)
+            explainer = Explainer(clouds, rules) if clouds is not None and entry.msgtype == LASERSCAN else None
+            _compare_decoded(one, other, entry, rules, explainer)
+            if explainer is not None:
+                entry.libm = explainer.found
         else:
             others.append(((one, other), entry))
     if others:
@@ -176,7 +212,9 @@ def _entry(one: Stream, other: Stream, rules: Rules) -> TopicDifference:
     return TopicDifference(names[0], names[1], canonical(connection.msgtype), rules.allow_beams)
 
 
-def _compare_decoded(one: Stream, other: Stream, entry: TopicDifference, rules: Rules) -> None:
+def _compare_decoded(
+    one: Stream, other: Stream, entry: TopicDifference, rules: Rules, explainer: Explainer | None
+) -> None:
     """Compare scans or clouds, pair by pair."""
     for pair in matched(one, other):
         entry.messages_a += pair.a is not None
@@ -185,7 +223,7 @@ def _compare_decoded(one: Stream, other: Stream, entry: TopicDifference, rules: 
             place = _place(pair.a)
             if pair.moved and "order" not in rules.ignore:
                 entry.moved.add(place)
-            entry.count_pair(place, compare_messages(pair.a, pair.b, rules))
+            entry.count_pair(place, compare_messages(pair.a, pair.b, rules, explainer))
         elif pair.a is not None:
             entry.missing.add(_place(pair.a))
         elif pair.b is not None:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.model import RawMessage
 
+    from .libm import Explainer
     from .rules import Rules
 
 __all__ = ["DECODED", "compare_messages"]
@@ -25,7 +26,9 @@ __all__ = ["DECODED", "compare_messages"]
 DECODED = frozenset({LASERSCAN, POINTCLOUD2})
 
 
-def compare_messages(a: RawMessage, b: RawMessage, rules: Rules) -> MessageDifference:
+def compare_messages(
+    a: RawMessage, b: RawMessage, rules: Rules, explainer: Explainer | None = None
+) -> MessageDifference:
     """Compare two messages of one type of `DECODED`.
 
     Parameters
@@ -34,6 +37,8 @@ def compare_messages(a: RawMessage, b: RawMessage, rules: Rules) -> MessageDiffe
         ``a`` is the reference of relative tolerances. The stamps are equal already: messages are matched by them.
     rules
         What counts as the same.
+    explainer
+        Takes pairs of scans whose ranges differ into account.
 
     Notes
     -----
@@ -41,7 +46,7 @@ def compare_messages(a: RawMessage, b: RawMessage, rules: Rules) -> MessageDiffe
     """
     times = [Change("log_time", str(a.log_time_ns), str(b.log_time_ns))] if a.log_time_ns != b.log_time_ns else []
     try:
-        difference = _decoded(a, b, rules)
+        difference = _decoded(a, b, rules, explainer)
     except DecodeError as err:
         alike = a.connection.serialization == b.connection.serialization and a.data == b.data
         unreadable = Change("bytes", f"{len(a.data)} bytes", f"{len(b.data)} bytes; not decoded: {err.message}")
@@ -50,12 +55,15 @@ def compare_messages(a: RawMessage, b: RawMessage, rules: Rules) -> MessageDiffe
     return MessageDifference(difference.elements, changes, difference.values)
 
 
-def _decoded(a: RawMessage, b: RawMessage, rules: Rules) -> MessageDifference:
+def _decoded(a: RawMessage, b: RawMessage, rules: Rules, explainer: Explainer | None) -> MessageDifference:
     numbered = a.connection.generation == b.connection.generation == 1
     if a.connection.ros_type == LASERSCAN:
         scan, other = (decode_laserscan(m.data, m.connection.serialization) for m in (a, b))
         changes = (*_header_changes(scan, other, numbered=numbered), *scan_changes(scan, other))
-        return MessageDifference(len(scan.ranges), changes, tuple(scan_values(scan, other, rules)))
+        values = tuple(scan_values(scan, other, rules))
+        if explainer is not None and any(value.name == "ranges" for value in values):
+            explainer.add(scan, other)
+        return MessageDifference(len(scan.ranges), changes, values)
     cloud, second = (decode_pointcloud2(m.data, m.connection.serialization) for m in (a, b))
     changes = (*_header_changes(cloud, second, numbered=numbered), *cloud_changes(cloud, second))
     return MessageDifference(cloud.points, changes, tuple(cloud_values(cloud, second, rules)))

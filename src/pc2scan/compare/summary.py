@@ -6,6 +6,7 @@ import math
 from operator import attrgetter
 from typing import TYPE_CHECKING
 
+from pc2scan.core.rounding import CORRECT, GLIBC
 from pc2scan.errors import stamp_text
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
@@ -13,6 +14,7 @@ from pc2scan.messages.pointcloud2 import POINTCLOUD2
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from .libm import Explanation
     from .topic_difference import Place, TopicDifference, Unpaired, ValuesFound
 
 __all__ = ["summary"]
@@ -76,6 +78,8 @@ def _lines(topic: TopicDifference, names: tuple[str, str]) -> Iterator[tuple[str
         yield found.name, _values(found, topic, element, message)
         if found.worst is not None:
             yield "", f"worst {_worst(found, element, names)}"
+    if topic.libm is not None:
+        yield from (("" if number else "libm", text) for number, text in enumerate(_libm(topic.libm, names)))
     if topic.worst is not None and topic.differing > 1:
         place, differing = topic.worst
         yield f"worst {message}", f"{_where(place)}: {_count(differing, element)}"
@@ -109,6 +113,38 @@ def _worst(found: ValuesFound, element: str, names: tuple[str, str]) -> str:
     return f"{element} {worst.index}{angle}, {_where(worst.place)}: {values}"
 
 
+def _libm(found: Explanation, names: tuple[str, str]) -> Iterator[str]:
+    """How many differing beams another libm explains, and how that was found out."""
+    if found.scans:
+        text = (
+            f"{found.explained:,} of {_count(found.beams, 'differing beam')} explained by the clouds on "
+            f"{', '.join(sorted(found.cloud_topics))} ({_count(found.scans, 'scan')})"
+        )
+        if found.glibc:
+            old, new = names if found.glibc == "a" else names[::-1]
+            text += f": angles of glibc 2.31 to 2.40 in {old}, correct ones in {new}"
+        yield text
+        if rest := found.beams - found.explained:
+            yield f"{rest:,} differ for another reason"
+        for name, returns, fits in zip(names, found.returns.tolist(), found.fitting.tolist(), strict=True):
+            yield (
+                f"{name}: of {_count(returns, 'return')} {fits[GLIBC]:,} fit the points with glibc's angles, "
+                f"{fits[CORRECT]:,} with correct ones"
+            )
+    if found.scans_alone:
+        possible = found.next_door + found.hidden
+        rest = found.beams_alone - possible
+        yield (
+            f"at most {possible:,} of {_count(found.beams_alone, 'differing beam')} explained, by the scans alone: "
+            f"{found.next_door:,} read what a neighbour reads in the other scan, {found.hidden:,} what it may hide"
+            + (f"; {rest:,} differ for another reason" if rest else "")
+        )
+    if found.beams_not_judged:
+        yield f"{_count(found.beams_not_judged, 'differing beam')} not judged: the beams look elsewhere"
+    for reason, scans in found.reasons.most_common(_SHOWN):
+        yield f"{_count(scans, 'scan')} not compared with clouds: {reason}"
+
+
 def _advice(topics: Sequence[TopicDifference], names: tuple[str, str]) -> Iterator[str]:
     """What the user may have meant."""
     topic_a, topic_b = attrgetter("topic_a"), attrgetter("topic_b")
@@ -124,6 +160,8 @@ def _advice(topics: Sequence[TopicDifference], names: tuple[str, str]) -> Iterat
     )
     if any(topic.messages_a and topic.messages_b and not topic.matched for topic in topics):
         yield "hint: no stamp is on both sides; are these of one drive?"
+    if any(topic.libm is not None and topic.libm.explained > topic.libm.beams / 2 for topic in topics):
+        yield "hint: scans with the angles of glibc 2.31 to 2.40: pc2scan convert --angle-rounding glibc-2.40"
     if only_changes and kinds and kinds <= {"log_time", "seq"}:
         ignored = " ".join(f"--ignore {name}" for name in sorted(kinds))
         yield f"hint: nothing else differs between {names[0]} and {names[1]}: {ignored}"

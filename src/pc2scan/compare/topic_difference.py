@@ -9,6 +9,7 @@ from pc2scan.json_types import json_value
 
 if TYPE_CHECKING:
     from .difference import MessageDifference
+    from .libm import Explanation
 
 __all__ = ["ChangeFound", "Place", "TopicDifference", "Unpaired", "ValuesFound", "WorstValue"]
 
@@ -118,6 +119,8 @@ class TopicDifference:
         What differs within pairs, by name.
     worst
         The pair with the most differing beams or points, and how many.
+    libm
+        What another libm explains of ranges that differ; None if that was not asked.
     """
 
     topic_a: str | None
@@ -135,6 +138,7 @@ class TopicDifference:
     changes: dict[str, ChangeFound] = field(default_factory=dict)
     values: dict[str, ValuesFound] = field(default_factory=dict)
     worst: tuple[Place, int] | None = None
+    libm: Explanation | None = None
     _worst_rank: tuple[int, float] = (0, 0.0)
 
     @property
@@ -223,6 +227,7 @@ class TopicDifference:
                 for v in self.values.values()
             ],
             "worst": None if self.worst is None else {**_place(self.worst[0]), "differing": self.worst[1]},
+            "libm": None if self.libm is None else self.libm.as_dict(),
         }
 
 

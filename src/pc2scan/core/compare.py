@@ -17,7 +17,7 @@ from pc2scan.errors import UsageError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["EXACT", "ArrayDifference", "Tolerance", "Worst", "compare_arrays"]
+__all__ = ["EXACT", "ArrayDifference", "Tolerance", "Worst", "compare_arrays", "differing"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,6 +147,13 @@ def compare_arrays(
         shifted = int(np.count_nonzero(_explained(a, b, rows, tolerance, limits)))
         shift = _whole_shift(a, b, tolerance, limits)
     return ArrayDifference(elements, total - shifted, shifted, shift, _worst(a, b, differs))
+
+
+@np.errstate(invalid="ignore", over="ignore")
+def differing(reference: NDArray[Any], value: NDArray[Any], tolerance: Tolerance = EXACT) -> NDArray[np.bool_]:
+    """Return which elements `compare_arrays` counts as differing; both ``(n,)`` of one dtype but for the byte order."""
+    kind = reference.dtype.newbyteorder("=")
+    return ~_same(np.ascontiguousarray(reference, kind), np.ascontiguousarray(value, kind), tolerance)
 
 
 def _same(a: NDArray[Any], b: NDArray[Any], tolerance: Tolerance) -> NDArray[np.bool_]:

@@ -10,7 +10,7 @@ from pc2scan.errors import DecodeError, ParameterError, Pc2ScanError, RecordingE
 from pc2scan.messages.tfmessage import TF_TYPES, decode_transforms
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
     from pathlib import Path
 
     from pc2scan.bags.model import Connection, Reader
@@ -24,6 +24,7 @@ __all__ = [
     "StaticTransform",
     "load_static_transforms",
     "read_transforms",
+    "recorded_transforms",
     "tf_connections",
 ]
 
@@ -266,6 +267,26 @@ def read_transforms(readers: Iterable[Reader], options: FrameOptions) -> tuple[T
         f"{r.count} transforms from {r.parent!r} to {r.child!r} are not usable: {r.reason}" for r in buffer.rejections
     ]
     return buffer, told
+
+
+def recorded_transforms(path: Path) -> Callable[[str, str, int], Rigid]:
+    """Read a recording's transforms as a conversion without options does; return the lookup of one at a stamp.
+
+    Returns
+    -------
+    callable
+        ``lookup(target, source, stamp_ns)``; raises TransformError if there is no transform.
+    """
+    from pc2scan.bags.registry import open_recording  # noqa: PLC0415  # only who has no reader yet pays for it
+    from pc2scan.core.params import ProjectionParams  # noqa: PLC0415
+
+    reader = open_recording(path)
+    try:
+        buffer, _ = read_transforms([reader], FrameOptions())
+    finally:
+        reader.close()
+    tolerance_ns = round(ProjectionParams().transform_tolerance * 1e9)
+    return lambda target, source, stamp_ns: buffer.lookup(target, source, stamp_ns, tolerance_ns)
 
 
 def load_static_transforms(path: Path) -> tuple[StaticTransform, ...]:

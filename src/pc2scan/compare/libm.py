@@ -1,0 +1,301 @@
+"""How many differing beams another libm explains: exactly, by the scans' clouds; or at most, by the scans alone."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, NamedTuple, Protocol
+
+import numpy as np
+
+from pc2scan.core.compare import differing
+from pc2scan.core.rounding import CORRECT, GLIBC, Readings, marks, prove
+from pc2scan.errors import MessageError, UsageError
+from pc2scan.messages.pointcloud2 import POINTCLOUD2, decode_pointcloud2
+
+from .match import Stream, header_stamp_ns
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from pc2scan.bags.model import RawMessage
+    from pc2scan.core.compare import Tolerance
+    from pc2scan.core.rigid import Rigid
+    from pc2scan.core.rounding import Proof
+    from pc2scan.messages.laserscan import LaserScan
+    from pc2scan.messages.pointcloud2 import PointCloud2
+
+    from .match import Source
+    from .rules import Rules
+
+__all__ = ["Clouds", "Explainer", "Explanation", "Lookup"]
+
+#: Points at a time, so that memory is bounded whatever the cloud.
+_BLOCK = 65_536
+#: What both messages must have in common to have the same beams.
+_ANGLES = ("angle_min", "angle_max", "angle_increment")
+
+
+class Lookup(Protocol):
+    """Where frames are."""
+
+    def __call__(self, target: str, source: str, stamp_ns: int, /) -> Rigid:
+        """What takes points of ``source`` to ``target``; raise TransformError if there is no transform."""
+        ...
+
+
+@dataclass(slots=True, eq=False)
+class Explanation:
+    """What another libm explains of the ranges of a topic that differ.
+
+    Attributes
+    ----------
+    cloud_topics, scans, beams
+        The clouds that were found; the scans that differ and have one, and their differing beams.
+    a_glibc, b_glibc
+        Beams of these that are explained if A has the angles of glibc 2.31 to 2.40 and B correct ones; and if it is the
+        other way round.
+    returns, fitting
+        Sums of those of `pc2scan.core.rounding.Proof`: returns of A and B, and how many of them are points of the
+        clouds where one rounding of angles or the other puts them.
+    scans_alone, beams_alone
+        The scans that differ and have no cloud, and their differing beams.
+    next_door, hidden
+        Beams of these as in `pc2scan.core.rounding.Marks`.
+    beams_not_judged
+        Differing beams of scans whose beams look elsewhere.
+    reasons
+        Why scans were not compared with clouds: how many for each reason.
+    """
+
+    cloud_topics: set[str] = field(default_factory=set)
+    scans: int = 0
+    beams: int = 0
+    a_glibc: int = 0
+    b_glibc: int = 0
+    returns: NDArray[np.intp] = field(default_factory=lambda: np.zeros(2, np.intp))
+    fitting: NDArray[np.intp] = field(default_factory=lambda: np.zeros((2, 2), np.intp))
+    scans_alone: int = 0
+    beams_alone: int = 0
+    next_door: int = 0
+    hidden: int = 0
+    beams_not_judged: int = 0
+    reasons: Counter[str] = field(default_factory=Counter)
+
+    @property
+    def glibc(self) -> str:
+        """The side that has the angles of glibc 2.31 to 2.40, ``a`` or ``b``; empty if both have the same angles.
+
+        All returns decide about that, not only those that differ: each scan fits the points with the angles that it
+        was made with.
+        """
+        # Positive if the side fits glibc's angles better.
+        a, b = (self.fitting[:, GLIBC] - self.fitting[:, CORRECT]).tolist()
+        if a >= 0 >= b and a > b:
+            return "a"
+        return "b" if b >= 0 >= a and b > a else ""
+
+    @property
+    def explained(self) -> int:
+        """Differing beams that the clouds explain."""
+        return {"a": self.a_glibc, "b": self.b_glibc, "": 0}[self.glibc]
+
+    def as_dict(self) -> dict[str, object]:
+        """Return JSON's types."""
+        return {
+            "clouds": {
+                "topics": sorted(self.cloud_topics),
+                "scans": self.scans,
+                "beams": self.beams,
+                "explained": self.explained,
+                "glibc": self.glibc or None,
+                **{
+                    side: {"returns": int(returns), "fit_glibc": int(fits[GLIBC]), "fit_correct": int(fits[CORRECT])}
+                    for side, returns, fits in zip("ab", self.returns, self.fitting, strict=True)
+                },
+            },
+            "scans_alone": {
+                "scans": self.scans_alone,
+                "beams": self.beams_alone,
+                "next_door": self.next_door,
+                "hidden": self.hidden,
+            },
+            "beams_not_judged": self.beams_not_judged,
+            "reasons": dict(self.reasons),
+        }
+
+
+class Clouds:
+    """The clouds of recordings, found by their stamps.
+
+    Parameters
+    ----------
+    sources
+        Open recordings.
+    transforms_of
+        Reads the transforms of one of them, by its path; called when the first cloud in another frame is found.
+    """
+
+    def __init__(self, sources: Sequence[Source], transforms_of: Callable[[Path], Lookup]) -> None:
+        self._streams: list[_Clouds] = []
+        for source in sources:
+            topics = {c.topic for c in source.connections if c.ros_type == POINTCLOUD2}
+            for topic in sorted(topics):
+                connections = tuple(c for c in source.connections if c.topic == topic and c.ros_type == POINTCLOUD2)
+                self._streams.append(_Clouds(Stream(source, connections)))
+        self._transforms_of = transforms_of
+        self._transforms: dict[Path, Lookup] = {}
+        self._places: dict[int, list[tuple[_Clouds, _Place]]] | None = None
+
+    def __bool__(self) -> bool:
+        return bool(self._streams)
+
+    def of(self, scan: LaserScan) -> Iterator[tuple[str, Iterator[tuple[NDArray[np.float32], NDArray[np.float32]]]]]:
+        """Clouds with the scan's stamp: the topic, and x and y in the scan's frame, part by part.
+
+        Raises
+        ------
+        MessageError
+            If one cannot be decoded, or there is no transform.
+        UsageError
+            If the transforms are those of several robots.
+        """
+        if self._places is None:
+            self._places = self._found()
+        for clouds, place in self._places.get(scan.stamp_ns, ()):
+            message = clouds.at(place)
+            cloud = decode_pointcloud2(message.data, message.connection.serialization)
+            yield message.connection.topic, _points(cloud, self._transform(clouds.stream.source, cloud, scan))
+
+    def _found(self) -> dict[int, list[tuple[_Clouds, _Place]]]:
+        places: dict[int, list[tuple[_Clouds, _Place]]] = {}
+        for clouds in self._streams:
+            for stamp_ns, place in clouds.places():
+                known = places.setdefault(stamp_ns, [])
+                # Of one drive in two recordings, the first one's clouds do.
+                if not known or known[0][0].stream.source is clouds.stream.source:
+                    known.append((clouds, place))
+        return places
+
+    def _transform(self, source: Source, cloud: PointCloud2, scan: LaserScan) -> Rigid | None:
+        # As upstream: transformed only if the names differ.
+        if cloud.frame_id.removeprefix("/") == scan.frame_id.removeprefix("/"):
+            return None
+        lookup = self._transforms.get(source.path)
+        if lookup is None:
+            lookup = self._transforms[source.path] = self._transforms_of(source.path)
+        return lookup(scan.frame_id, cloud.frame_id, cloud.stamp_ns)
+
+
+class _Place(NamedTuple):
+    """Where a message is: its number in the stream, and among those of its log time."""
+
+    number: int
+    log_time_ns: int
+    position: int
+
+
+class _Clouds:
+    """The clouds of one topic, taken one after the other where they are asked for in order."""
+
+    def __init__(self, stream: Stream) -> None:
+        self.stream = stream
+        self._following: Iterator[tuple[int, RawMessage]] = iter(())
+        self._next = -1
+
+    def places(self) -> Iterator[tuple[int, _Place]]:
+        """Every cloud's stamp, and where it is."""
+        last_ns, position = -1, 0
+        for number, message in enumerate(self.stream.messages()):
+            position = position + 1 if message.log_time_ns == last_ns else 0
+            last_ns = message.log_time_ns
+            stamp_ns = header_stamp_ns(message)
+            if stamp_ns is not None:
+                yield stamp_ns, _Place(number, last_ns, position)
+
+    def at(self, place: _Place) -> RawMessage:
+        """Return a cloud."""
+        if self._next < 0:
+            self._following, self._next = enumerate(self.stream.messages()), 0
+        # To seek one by one would decompress a chunk for each cloud in it.
+        if place.number >= self._next:
+            for number, message in self._following:
+                if number == place.number:
+                    self._next = number + 1
+                    return message
+        return self.stream.at(place.log_time_ns, place.position)
+
+
+def _points(cloud: PointCloud2, moved: Rigid | None) -> Iterator[tuple[NDArray[np.float32], NDArray[np.float32]]]:
+    columns = [column.reshape(-1) for column in cloud.xyz()]
+    for start in range(0, columns[0].size, _BLOCK):
+        with np.errstate(all="ignore"):
+            part = np.stack([column[start : start + _BLOCK].astype(np.float32) for column in columns], axis=1)
+            if moved is not None:
+                part = moved.apply(part)
+        yield part[:, 0], part[:, 1]
+
+
+class Explainer:
+    """Explains pairs of scans of one topic, one after the other, and sums up.
+
+    Parameters
+    ----------
+    clouds
+        Where the clouds are.
+    rules
+        What counts as differing.
+    """
+
+    def __init__(self, clouds: Clouds, rules: Rules) -> None:
+        self._clouds = clouds
+        self._tolerance: Tolerance = rules.tolerance("ranges")
+        self.found = Explanation()
+
+    def add(self, a: LaserScan, b: LaserScan) -> None:
+        """Take a pair of scans into account, as many beams on both sides."""
+        apart = differing(a.ranges, b.ranges, self._tolerance)
+        beams = int(apart.sum())
+        if not beams:
+            return
+        found = self.found
+        if elsewhere := [name for name in _ANGLES if getattr(a, name) != getattr(b, name)]:
+            found.beams_not_judged += beams
+            found.reasons[f"{elsewhere[0]} differs"] += 1
+            return
+        # Copies: reading the cloud may end what lent the scans' bytes.
+        sides = a.ranges.astype(np.float32), b.ranges.astype(np.float32)
+        readings = Readings(a.angle_min, a.angle_max, a.angle_increment, a.range_min, a.range_max, *sides, apart)
+        proof, topic, reason = self._proof(a, readings)
+        if proof is None:
+            alone = marks(readings)
+            found.scans_alone += 1
+            found.beams_alone += beams
+            found.next_door += alone.next_door
+            found.hidden += alone.hidden
+            found.reasons[reason] += 1
+            return
+        found.cloud_topics.add(topic)
+        found.scans += 1
+        found.beams += beams
+        found.a_glibc += int(proof.a_glibc.sum())
+        found.b_glibc += int(proof.b_glibc.sum())
+        found.returns += proof.returns
+        found.fitting += proof.fitting
+
+    def _proof(self, scan: LaserScan, readings: Readings) -> tuple[Proof | None, str, str]:
+        """The proof by the cloud that fits best, and its topic; or why there is none."""
+        best: tuple[Proof | None, str] = (None, "")
+        reason = "there is no cloud with its stamp" if self._clouds else "there are no clouds (--clouds names some)"
+        try:
+            for topic, points in self._clouds.of(scan):
+                proof = prove(readings, points)
+                reason = "its beams are numbered in no way that is known"
+                if proof is not None and (best[0] is None or proof.fitting.sum() > best[0].fitting.sum()):
+                    best = (proof, topic)
+        except (MessageError, UsageError) as err:
+            reason = err.message
+        return (*best, reason)

@@ -1,0 +1,205 @@
+"""What another rounding of angles (another libm) changes in a scan: its marks in two scans, and its proof in a cloud.
+
+Angles that differ by their last bit put a point that lies that close to the edge of a beam into the neighbouring beam.
+Nothing else changes. So of two scans of closest returns that differ only by that, the smaller of two readings is of a
+point that is in this beam with one rounding, and in the next one with the other.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from . import kernel, plain
+from .layout import TURN, BeamLayout, beam_count
+from .rule import centered_beams, upstream_beams
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from numpy.typing import NDArray
+
+__all__ = ["CORRECT", "GLIBC", "Marks", "Proof", "Readings", "marks", "prove"]
+
+#: Roundings of angles, as indices: correct ones, and those of glibc 2.31 to 2.40.
+CORRECT, GLIBC = 0, 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Readings:
+    """Two scans with the same beams.
+
+    Attributes
+    ----------
+    angle_min, angle_max, angle_increment, range_min, range_max
+        As both messages have them, radians and metres.
+    a, b
+        (N,) float32, metres: what the beams read.
+    differing
+        (N,): which beams count as differing.
+    """
+
+    angle_min: float
+    angle_max: float
+    angle_increment: float
+    range_min: float
+    range_max: float
+    a: NDArray[np.float32]
+    b: NDArray[np.float32]
+    differing: NDArray[np.bool_]
+
+    @np.errstate(all="ignore")  # a header's limits may be anything
+    def returns(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """What the beams read, infinity where that stands for no return."""
+        a, b = (
+            np.where(np.isfinite(side) & (side >= self.range_min) & (side <= self.range_max), side, np.float32(np.inf))
+            for side in (self.a, self.b)
+        )
+        return a, b
+
+    def rules(self) -> list[NDArray[np.float64]]:
+        """The rules by which the beams may have been numbered: upstream's geometry, the centered one, both or none."""
+        count, low, high, step = len(self.a), self.angle_min, self.angle_max, self.angle_increment
+        if not (np.isfinite([low, high, step]).all() and step > 0 and low < high):
+            return []
+        beams = []
+        if beam_count(low, high, step) == count:
+            beams.append(upstream_beams(BeamLayout(count, low, high, step)))
+        # As a float64, for the quotient may be beyond the integers.
+        if np.rint((high - low) / step) + 1 == count:
+            # A circle's last beam and first one are neighbours, but for what rounding the increment leaves.
+            full_circle = count * step >= TURN * (1 - 2.0**-22) - step / 1000
+            beams.append(centered_beams(BeamLayout(count, low, high, step, full_circle)))
+        return [np.array([-np.inf, np.inf, 0.0, np.inf, *numbers, 0.0]) for numbers in beams]
+
+
+class Marks(NamedTuple):
+    """What two scans alone tell of their differing beams.
+
+    Attributes
+    ----------
+    next_door
+        The smaller reading is, to the bit, that of a neighbouring beam of the other scan.
+    hidden
+        It may be there, behind a closer return, or outside of the scan.
+    """
+
+    next_door: int
+    hidden: int
+
+
+def marks(readings: Readings) -> Marks:
+    """Count the differing beams that another rounding can have changed, as far as the scans alone tell."""
+    a, b = readings.returns()
+    equal = np.zeros(a.size, bool)
+    closer = np.zeros(a.size, bool)
+    for one, other in ((a, b), (b, a)):
+        smaller = one < other
+        # The point that made the reading is in a neighbouring beam of the other scan, which reads it or less.
+        for beams, neighbours in ((slice(1, None), slice(None, -1)), (slice(None, -1), slice(1, None))):
+            equal[beams] |= smaller[beams] & (other[neighbours] == one[beams])
+            closer[beams] |= smaller[beams] & (other[neighbours] < one[beams])
+        # The first and the last beam have the world outside for a neighbour.
+        closer[[0, -1]] |= smaller[[0, -1]]
+    next_door = readings.differing & equal
+    return Marks(int(next_door.sum()), int((readings.differing & closer & ~next_door).sum()))
+
+
+class Proof(NamedTuple):
+    """What the points of a cloud tell of two scans.
+
+    Attributes
+    ----------
+    a_glibc, b_glibc
+        (N,): differing beams that are explained if A has the angles of glibc 2.31 to 2.40 and B correct ones; and if it
+        is the other way round.
+    returns
+        (2,): how many returns A and B have.
+    fitting
+        (2, 2): how many of them are points of the cloud in that beam, by side and by the rounding of the points'
+        angles. A scan that was made of the cloud with one rounding has all of them there.
+    """
+
+    a_glibc: NDArray[np.bool_]
+    b_glibc: NDArray[np.bool_]
+    returns: NDArray[np.intp]
+    fitting: NDArray[np.intp]
+
+
+def prove(readings: Readings, points: Iterable[tuple[NDArray[np.float32], NDArray[np.float32]]]) -> Proof | None:
+    """Compare two scans with the points that they were made of.
+
+    A differing beam is explained if the smaller reading is the range, to the bit, of a point that is in the beam with
+    one rounding of angles and in another one with the other; if that one reads as little or less in the other scan; and
+    if the larger reading, unless it is no return, is the range of a point in the beam. So nothing need be known of
+    which points were accepted.
+
+    Parameters
+    ----------
+    points
+        x and y in the scans' frame, metres, part by part.
+
+    Returns
+    -------
+    Proof or None
+        By upstream's geometry or the centered one, whichever finds more of the returns among the points. None if the
+        scans have neither.
+    """
+    rules = readings.rules()
+    if not rules:
+        return None
+    returns = readings.returns()
+    looks = [_Look(rule, returns) for rule in rules]
+    with np.errstate(all="ignore"):
+        for x, y in points:
+            reach = np.sqrt(np.square(x, dtype=np.float64) + np.square(y, dtype=np.float64)).astype(np.float32)
+            seen = np.isfinite(reach)
+            angles = np.empty((2, np.count_nonzero(seen)), np.float32)
+            for rounding in (CORRECT, GLIBC):
+                kernel.angles(x[seen], y[seen], angles[rounding], rounding == GLIBC)
+            for look in looks:
+                look.add(angles, reach[seen])
+    fitting = [look.there.sum(axis=-1) for look in looks]
+    best = int(np.argmax([fits.max(axis=-1).sum() for fits in fitting]))
+    a_glibc, b_glibc = (
+        looks[best].explained(roundings) & readings.differing for roundings in ((GLIBC, CORRECT), (CORRECT, GLIBC))
+    )
+    return Proof(a_glibc, b_glibc, np.isfinite(returns).sum(axis=-1), fitting[best])
+
+
+class _Look:
+    """What the points of a cloud are to two scans, if beams are numbered by a rule."""
+
+    def __init__(self, rule: NDArray[np.float64], returns: tuple[NDArray[np.float32], NDArray[np.float32]]) -> None:
+        self._rule = rule
+        self._returns = returns
+        # Behind the beams: the points that are in none.
+        self._nearest = [np.append(side, np.zeros(2, np.float32)) for side in returns]
+        #: By side, rounding and beam: whether a point is there at the beam's reading, and whether one moves.
+        self.there, self._moving = np.zeros((2, 2, 2, returns[0].size), bool)
+
+    def add(self, angles: NDArray[np.float32], reach: NDArray[np.float32]) -> None:
+        """Take points into account: their angles by rounding, (2, M), and their ranges."""
+        beams = self._returns[0].size
+        slots = [plain.slots_of(angle, self._rule, beams) for angle in angles]
+        apart = slots[0] != slots[1]
+        for side, reading in enumerate(self._returns):
+            for rounding, slot in enumerate(slots):
+                inside = slot < beams
+                hit = inside.copy()
+                hit[inside] = reading[slot[inside]] == reach[inside]
+                self.there[side, rounding, slot[hit]] = True
+                # In the other scan the point is in another beam, which so reads its range or less.
+                moves = hit & apart & (self._nearest[1 - side][slots[1 - rounding]] <= reach)
+                self._moving[side, rounding, slot[moves]] = True
+
+    def explained(self, roundings: tuple[int, int]) -> NDArray[np.bool_]:
+        """Return the beams that are explained if each side has that rounding."""
+        result = np.zeros(self._returns[0].size, bool)
+        for side, other in ((0, 1), (1, 0)):
+            smaller = self._returns[side] < self._returns[other]
+            known = np.isinf(self._returns[other]) | self.there[other, roundings[other]]
+            result |= smaller & self._moving[side, roundings[side]] & known
+        return result

@@ -1,0 +1,110 @@
+"""How many differing beams another libm explains, over the scans of a topic."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from builders import POINTS, T0, Item, Recording, cloud, item, points_of, write_mcap
+from pc2scan.bags.registry import open_recording
+from pc2scan.compare.libm import Clouds, Explainer, Explanation
+from pc2scan.compare.rules import Rules
+from pc2scan.core.rounding import CORRECT, GLIBC
+from pc2scan.messages.laserscan import LaserScan
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+
+def no_transforms(path: Path) -> Any:
+    raise AssertionError(path)
+
+
+def scan(ranges: list[float], **changes: Any) -> LaserScan:
+    values: dict[str, Any] = {
+        "sequence": 0, "stamp_ns": 5, "frame_id": "lidar", "angle_min": -1.0, "angle_max": 1.0, "angle_increment": 0.5,
+        "time_increment": 0.0, "scan_time": 0.1, "range_min": 0.0, "range_max": 30.0, "ranges": np.array(ranges, "<f4"),
+    }  # fmt: skip
+    return LaserScan(**{**values, **changes})
+
+
+def explained(*pairs: tuple[LaserScan, LaserScan], rules: Rules | None = None) -> Explanation:
+    explainer = Explainer(Clouds([], no_transforms), rules or Rules())
+    for a, b in pairs:
+        explainer.add(a, b)
+    return explainer.found
+
+
+def test_equal_scans_need_no_explanation() -> None:
+    found = explained((scan([1, 2, 3, 4]), scan([1, 2, 3, 4])))
+    assert (found.scans, found.scans_alone, found.beams, found.beams_alone, found.reasons) == (0, 0, 0, 0, {})
+
+
+def test_by_scans_alone() -> None:
+    found = explained((scan([9, 2, 5, 9]), scan([9, 5, 2, 9])), (scan([4, 4, 4, 4]), scan([4, 3, 4, 4])))
+    assert (found.scans_alone, found.beams_alone, found.next_door, found.hidden) == (2, 3, 2, 0)
+    assert (found.scans, found.explained, found.glibc) == (0, 0, "")
+    assert found.reasons == {"there are no clouds (--clouds names some)": 2}
+
+
+def test_what_is_within_the_tolerance_does_not_differ() -> None:
+    rules = Rules(atol={"ranges": 0.5})
+    assert explained((scan([1, 2, 3, 4]), scan([1.2, 2, 9, 4])), rules=rules).beams_alone == 1
+
+
+def test_beams_that_look_elsewhere_are_not_judged() -> None:
+    found = explained((scan([1, 2, 3, 4]), scan([2, 1, 3, 4], angle_min=-0.9)))
+    assert (found.beams_not_judged, found.beams_alone, found.reasons) == (2, 0, {"angle_min differs": 1})
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "glibc"),
+    [
+        ((9, 10), (10, 9), "a"),
+        ((10, 9), (9, 10), "b"),
+        # Only one side has a point that tells.
+        ((9, 10), (9, 9), "a"),
+        ((9, 9), (10, 9), "a"),
+        # Both were made with the same angles, or none tells.
+        ((10, 9), (10, 9), ""),
+        ((9, 10), (9, 10), ""),
+        ((9, 9), (9, 9), ""),
+    ],
+)
+def test_all_returns_decide_which_side_has_which_angles(a: tuple[int, int], b: tuple[int, int], glibc: str) -> None:
+    found = Explanation(scans=1, beams=9, a_glibc=3, b_glibc=4)
+    found.fitting[:, CORRECT], found.fitting[:, GLIBC] = (a[0], b[0]), (a[1], b[1])
+    assert found.glibc == glibc
+    assert found.explained == {"a": 3, "b": 4, "": 0}[glibc]
+
+
+def test_a_recording_without_clouds_has_none() -> None:
+    source: Any = SimpleNamespace(connections=[SimpleNamespace(topic="/scan", ros_type="sensor_msgs/msg/LaserScan")])
+    assert not Clouds([source], no_transforms)
+
+
+@pytest.mark.parametrize("order", [range(12), range(11, -1, -1), (3, 3, 0, 7, 6, 11, 2)])
+def test_clouds_are_found_in_any_order(order: Sequence[int], tmp_path: Path) -> None:
+    """Three of them at each log time."""
+
+    def cloud_of(step: int) -> Item:
+        def encoded(generation: int, _: int) -> bytes:
+            return cloud(points_of(step), generation, stamp_ns=1000 + step)
+
+        return item(POINTS, T0 + step // 3, encoded)
+
+    path = write_mcap(tmp_path / "a.mcap", Recording((POINTS,), tuple(map(cloud_of, range(12)))))
+    with closing(open_recording(path)) as reader:
+        clouds = Clouds([reader], no_transforms)
+        assert clouds
+        assert not list(clouds.of(scan([1], stamp_ns=999)))
+        for step in order:
+            ((topic, parts),) = clouds.of(scan([1], stamp_ns=1000 + step))
+            assert topic == "/points"
+            ((x, y),) = parts
+            np.testing.assert_array_equal(np.stack([x, y], axis=1), points_of(step)[:, :2])
