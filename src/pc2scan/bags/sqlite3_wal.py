@@ -6,9 +6,13 @@ Source: https://www.sqlite.org/fileformat2.html#the_write_ahead_log, and SQLite'
 from __future__ import annotations
 
 import struct
+from functools import cache
 from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from .sqlite3_page_log import PageLog
 
 __all__ = ["read_write_ahead"]
@@ -164,10 +168,27 @@ class _Walk:
 
 
 def _checksum(data: bytes, before: _Sum, *, big: bool) -> _Sum:
-    """Continue a checksum over data whose length is a multiple of eight bytes."""
-    words = iter(struct.unpack(f"{'>' if big else '<'}{len(data) // 4}I", data))
-    first, second = before
-    for even, odd in zip(words, words, strict=True):
-        first = (first + even + second) & 0xFFFFFFFF
-        second = (second + odd + first) & 0xFFFFFFFF
-    return first, second
+    """Continue a checksum over data whose length is a multiple of eight bytes.
+
+    SQLite adds two words at a time: ``s0 += x0 + s1; s1 += x1 + s0``. In the end each word, and each half of the
+    checksum before, is multiplied by a Fibonacci number.
+    """
+    import numpy as np  # noqa: PLC0415  (only recordings with a log need it)
+
+    words = np.frombuffer(data, ">u4" if big else "<u4").astype(np.uint32)
+    numbers = _fibonacci(len(words) + 1)
+    largest, second, third = map(int, numbers[:3])
+    even = int(np.dot(numbers[2:], words)) + third * before[0] + second * before[1]
+    odd = int(np.dot(numbers[1:-1], words)) + second * before[0] + largest * before[1]
+    return even & 0xFFFFFFFF, odd & 0xFFFFFFFF
+
+
+@cache
+def _fibonacci(count: int) -> NDArray[np.uint32]:
+    """The Fibonacci numbers from that of ``count`` down to that of 0, without what exceeds 32 bits."""
+    import numpy as np  # noqa: PLC0415
+
+    numbers = [0, 1]
+    while len(numbers) <= count:
+        numbers.append((numbers[-1] + numbers[-2]) & 0xFFFFFFFF)
+    return np.array(numbers[::-1], np.uint32)
