@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from bags.rosbag2_files import compress_file, write_metadata
 from pc2scan.bags import staging
 from pc2scan.bags.staging import staged
 from pc2scan.errors import DestinationError, OutputError
@@ -30,6 +31,13 @@ def make_directory(path: Path) -> None:
     path.mkdir()
     (path / "metadata.yaml").write_text("new")
     (path / "x_0.db3").write_text("new")
+
+
+def make_recording(path: Path) -> None:
+    """What may be replaced: a directory that is a recording, and nothing else."""
+    path.mkdir()
+    write_metadata(path, 8, ["x_0.db3"])
+    (path / "x_0.db3").write_text("old")
 
 
 def is_new(path: Path) -> bool:
@@ -61,8 +69,7 @@ def test_failure_leaves_everything_as_it_was(
     if existing == "file":
         dst.write_text("old")
     if existing == "directory":
-        dst.mkdir()
-        (dst / "metadata.yaml").write_text("old")
+        make_recording(dst)
 
     def run() -> None:
         with staged(dst, overwrite=True) as partial:
@@ -82,8 +89,7 @@ def test_overwriting(tmp_path: Path, make: Callable[[Path], None], existing: str
     if existing == "file":
         dst.write_text("old")
     if existing == "directory":
-        make_directory(dst)
-        (dst / "metadata.yaml").write_text("old")
+        make_recording(dst)
     if existing == "dangling link":
         dst.symlink_to(tmp_path / "missing")
     with staged(dst, overwrite=True) as partial:
@@ -156,20 +162,57 @@ def test_file_systems_without_links(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert names(tmp_path) == ["out"]
 
 
-@pytest.mark.parametrize("foreign", ["thesis.tex", "sub"])
+@pytest.mark.parametrize("foreign", ["thesis.tex", "other.mcap", "x_1.db3", "x_0.db3-notes", "sub/"])
 def test_a_directory_with_other_things_is_never_replaced(tmp_path: Path, foreign: str) -> None:
     dst = tmp_path / "out"
-    make_directory(dst)
-    if foreign == "sub":
+    make_recording(dst)
+    if foreign.endswith("/"):
         (dst / foreign).mkdir()
     else:
         (dst / foreign).touch()
     with (
-        pytest.raises(DestinationError, match=f"more than a recording \\({foreign}\\)"),
+        pytest.raises(DestinationError, match=f"its metadata.yaml does not name {foreign.rstrip('/')}"),
         staged(dst, overwrite=True),
     ):
         pytest.fail("the body must not run")
     assert (dst / foreign).exists()
+
+
+def test_what_is_put_into_a_directory_meanwhile_stays(tmp_path: Path) -> None:
+    dst = tmp_path / "out"
+    make_recording(dst)
+
+    def run() -> None:
+        with staged(dst, overwrite=True) as partial:
+            make_directory(partial)
+            (dst / "thesis.tex").write_text("years of work")
+
+    with pytest.raises(DestinationError, match="does not name thesis"):
+        run()
+    assert names(dst) == ["metadata.yaml", "thesis.tex", "x_0.db3"]
+    assert names(tmp_path) == ["out"]
+
+
+def test_a_recording_with_its_logs_and_packed_files_is_replaced(tmp_path: Path) -> None:
+    dst = tmp_path / "out"
+    make_recording(dst)
+    write_metadata(dst, 3, ["x_0.db3", "x_1.db3", "gone.db3"])
+    for name in ("x_0.db3-wal", "x_0.db3-shm", "x_1.db3"):
+        (dst / name).write_text("old")
+    compress_file(dst / "x_1.db3")
+    with staged(dst, overwrite=True) as partial:
+        make_directory(partial)
+    assert is_new(dst)
+
+
+@pytest.mark.parametrize("text", ["", "notes: about the robot", "{", "rosbag2_bagfile_information: {}"])
+def test_a_directory_whose_metadata_is_no_recordings_is_never_replaced(text: str, tmp_path: Path) -> None:
+    dst = tmp_path / "out"
+    make_recording(dst)
+    (dst / "metadata.yaml").write_text(text)
+    with pytest.raises(DestinationError, match="is not understood"), staged(dst, overwrite=True):
+        pytest.fail("the body must not run")
+    assert names(dst) == ["metadata.yaml", "x_0.db3"]
 
 
 def test_special_files_are_not_replaced(tmp_path: Path) -> None:
@@ -180,8 +223,7 @@ def test_special_files_are_not_replaced(tmp_path: Path) -> None:
 
 def test_a_failing_rename_brings_the_old_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     dst = tmp_path / "out"
-    make_directory(dst)
-    (dst / "metadata.yaml").write_text("old")
+    make_recording(dst)
     rename = Path.rename
 
     def fail_once(self: Path, target: Path) -> Path:
@@ -196,7 +238,7 @@ def test_a_failing_rename_brings_the_old_back(tmp_path: Path, monkeypatch: pytes
     monkeypatch.setattr(Path, "rename", fail_once)
     with pytest.raises(OutputError, match="cannot be put in its place: Input/output error"):
         run()
-    assert (dst / "metadata.yaml").read_text() == "old"
+    assert (dst / "x_0.db3").read_text() == "old"
     assert names(tmp_path) == ["out"]
 
 

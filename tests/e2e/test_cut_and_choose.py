@@ -316,6 +316,27 @@ def test_overwrite(name: str, bag: Path, tmp_path: Path) -> None:
     assert left(tmp_path) == {"drive.bag", name}
 
 
+def test_a_directory_of_recordings_is_not_overwritten(bag: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "drives"
+    folder.mkdir()
+    for name in ("monday.mcap", "tuesday.mcap"):
+        written(bag, destination=folder / name)
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    done = convert(bag, "-o", folder, "--overwrite")
+    assert done.status == 2
+    assert "it has no metadata.yaml" in done.stderr
+    assert "hint: choose another name" in done.stderr
+    # One of them has been recorded with a metadata.yaml; the other is still not a part of it.
+    assert convert(bag, "-o", tmp_path / "wednesday").status in (0, 3)
+    for path in (tmp_path / "wednesday").iterdir():
+        path.rename(folder / path.name)
+        before[path.name] = (folder / path.name).read_bytes()
+    done = convert(bag, "-o", folder, "--overwrite")
+    assert done.status == 2
+    assert "its metadata.yaml does not name monday.mcap" in done.stderr
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+
+
 @pytest.mark.parametrize("overwrite", [(), ("--overwrite",)])
 def test_a_source_is_never_the_destination(overwrite: tuple[str, ...], bag: Path, tmp_path: Path) -> None:
     before = bag.read_bytes()

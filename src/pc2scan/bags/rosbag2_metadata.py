@@ -30,6 +30,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from pc2scan.errors import DamageError, RecordingError
 
 from . import zstd
+from .damage import DamageLog
 from .files import opened_text
 from .model import Connection
 from .qos import latches
@@ -37,8 +38,6 @@ from .yaml import MAX_CHARACTERS, dump_yaml, load_yaml
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
-
-    from .damage import DamageLog
 
 __all__ = [
     "MAGICS",
@@ -48,6 +47,7 @@ __all__ = [
     "ROOT",
     "BagInfo",
     "Extent",
+    "beside_recording",
     "located_file",
     "read_info",
     "storage_files",
@@ -60,6 +60,8 @@ RECORD_NAME = "rosbag2"
 
 ROOT = "rosbag2_bagfile_information"
 NEWEST_VERSION = 9
+#: What SQLite keeps beside a database.
+_LOGS = ("-wal", "-shm", "-journal")
 _SUFFIXES = {".db3": "sqlite3", ".mcap": "mcap"}
 
 #: How the files of each storage begin.
@@ -160,6 +162,30 @@ def located_file(folder: Path, name: str) -> Path:
         path=folder,
         hint=f"copy the missing file, or move {METADATA_NAME} away to read the files that are there",
     )
+
+
+def beside_recording(folder: Path) -> str:
+    """Say why a directory is not a rosbag2 recording and nothing else; empty if it is, or if it holds nothing.
+
+    A recording's files are its metadata.yaml, the storage files that this names, and the logs beside them.
+    """
+    entries = sorted(folder.iterdir())
+    if not entries:
+        return ""
+    if not (folder / METADATA_NAME).is_file():
+        return f"it has no {METADATA_NAME}"
+    try:
+        info = read_info(folder, DamageLog(strict=True))
+    except RecordingError as err:
+        return f"its {METADATA_NAME} is not understood: {err.message}"
+    plain = {zstd.without_suffix(name) for name in info.files if _storage_of(name) is not None}
+    own = {METADATA_NAME, *(name + suffix for name in plain for suffix in ("", *zstd.SUFFIXES, *_LOGS))}
+    foreign = next((entry.name for entry in entries if entry.name not in own or not _is_file_or_link(entry)), None)
+    return f"its {METADATA_NAME} does not name {foreign}" if foreign else ""
+
+
+def _is_file_or_link(path: Path) -> bool:
+    return path.is_symlink() or path.is_file()
 
 
 def _storage_of(name: str) -> str | None:

@@ -23,9 +23,6 @@ _LOCK = f"{_PARTIAL}.lock"
 #: Endings of what a run that was killed leaves beside its destination.
 LEFTOVERS = (_PARTIAL, _OLD)
 
-#: What a directory may hold to be taken for a recording that --overwrite may replace.
-_RECORDING_SUFFIXES = (".mcap", ".db3", ".zstd", ".zst", ".db3-wal", ".db3-shm", ".db3-journal")
-
 
 def working_names(dst: Path) -> tuple[Path, ...]:
     """Return the paths beside a destination that a run creates, renames and removes while it writes it.
@@ -44,8 +41,8 @@ def staged(dst: Path, *, overwrite: bool) -> Iterator[Path]:
     dst
         The file or directory that is to appear. Neither it nor one of its `working_names` is something that is read.
     overwrite
-        Whether a file or a recording's directory that is there may be replaced. It stays untouched until the
-        new one is complete.
+        Whether a file, or a directory that holds a rosbag2 recording and nothing else, may be replaced if it is there.
+        It stays untouched until the new one is complete.
 
     Yields
     ------
@@ -189,17 +186,19 @@ def _check_existing(dst: Path, *, overwrite: bool) -> None:
         raise DestinationError("is neither a file nor a directory, and cannot be overwritten", path=dst)
     if dst.is_symlink() or dst.is_file():
         return
-    foreign = next((entry for entry in sorted(dst.iterdir()) if not _belongs_to_recording(entry)), None)
-    if foreign is not None:
+    _refuse_other_directory(dst)
+
+
+def _refuse_other_directory(dst: Path) -> None:
+    """Raise if a directory has anything to lose but a recording."""
+    from .rosbag2_metadata import beside_recording  # noqa: PLC0415  (it reads YAML, which few runs need)
+
+    if reason := beside_recording(dst):
         raise DestinationError(
-            f"is a directory that holds more than a recording ({foreign.name}), and is not overwritten",
+            f"is a directory with more than a rosbag2 recording in it ({reason}), and is not overwritten",
             path=dst,
             hint="choose another name, or delete it yourself",
         )
-
-
-def _belongs_to_recording(entry: Path) -> bool:
-    return entry.is_file() and (entry.name == "metadata.yaml" or entry.name.endswith(_RECORDING_SUFFIXES))
 
 
 def _exists(dst: Path) -> DestinationError:
@@ -327,6 +326,9 @@ def _replace(partial: Path, dst: Path) -> None:
     if not partial.is_dir() and (dst.is_symlink() or not dst.is_dir()):
         partial.replace(dst)
         return
+    if dst.is_dir() and not dst.is_symlink():
+        # Something may have been put there since the beginning.
+        _refuse_other_directory(dst)
     aside = dst.with_name(dst.name + _OLD)
     dst.rename(aside)
     try:
