@@ -16,19 +16,18 @@ import pytest
 from pc2scan.core.rigid import Rigid
 from pc2scan.errors import TransformError
 from pc2scan.messages.tfmessage import decode_transforms
-from pc2scan.tf.buffer import TransformBuffer, TransformBuilder
 from support import RECORDINGS, needs_shared
+from tf.trees import EPOCH, SECOND, built, changing_tree, random_pose, random_questions, random_tree, row
 
 if TYPE_CHECKING:
     from pc2scan.core.rigid import TransformRow
+    from pc2scan.tf.buffer import TransformBuffer
+    from tf.trees import Question
 
-    Question = tuple[str, str, int]
     Answer = list[float] | list[str]
 
 PYTHON = "/usr/bin/python3"
 ORACLE = Path(__file__).with_name("tf2_oracle.py")
-SECOND = 1_000_000_000
-EPOCH = 1_600_000_000 * SECOND
 
 #: What tf2 calls a refusal, and what our message then says.
 REFUSALS = {
@@ -82,13 +81,6 @@ def ask_tf2(rows: list[tuple[TransformRow, bool]], questions: list[Question]) ->
     return answers
 
 
-def built(rows: list[tuple[TransformRow, bool]]) -> TransformBuffer:
-    builder = TransformBuilder()
-    for row, static in rows:
-        builder.add([row], static=static)
-    return builder.build()
-
-
 def answer(buffer: TransformBuffer, question: Question) -> Rigid | str:
     try:
         return buffer.lookup(*question)
@@ -114,51 +106,10 @@ def assert_agreement(rows: list[tuple[TransformRow, bool]], questions: list[Ques
     return kinds
 
 
-def random_pose(rng: np.random.Generator) -> tuple[float, ...]:
-    """Half of the rotations are of unit length, the others as people type them, or as far off as tf2 allows."""
-    quaternion = rng.normal(size=4)
-    quaternion /= np.linalg.norm(quaternion)
-    match rng.integers(4):
-        case 0:
-            quaternion = quaternion.round(int(rng.integers(3, 7)))
-        case 1:
-            quaternion *= rng.uniform(0.9951, 1.0049)
-        case _:
-            pass
-    return (*(rng.normal(size=3) * 10).tolist(), *quaternion.tolist())
-
-
-def row(parent: str, child: str, stamp_ns: int, pose: tuple[float, ...]) -> TransformRow:
-    x, y, z, i, j, k, r = pose
-    return (parent, child, stamp_ns, x, y, z, i, j, k, r)
-
-
-def random_questions(rng: np.random.Generator, frames: list[str], stamps: list[int], count: int) -> list[Question]:
-    """Stamps that samples have, stamps between, before and after, and 0."""
-    first, last = min(stamps) - SECOND // 2, max(stamps) + SECOND // 2
-    questions = []
-    for _ in range(count):
-        target, source = rng.choice(frames, 2).tolist()
-        kind = rng.integers(8)
-        stamp_ns = 0 if kind == 0 else int(rng.integers(first, last))
-        if kind < 3 and kind:
-            stamp_ns = stamps[int(rng.integers(len(stamps)))]
-        questions.append((target, source, stamp_ns))
-    return questions
-
-
 @pytest.mark.parametrize("seed", range(6))
 def test_random_trees(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    frames = [f"f{number}" for number in range(12)]
-    rows: list[tuple[TransformRow, bool]] = []
-    for number in range(1, len(frames)):
-        if rng.random() < 0.1:
-            continue  # another tree begins
-        parent, static = frames[int(rng.integers(number))], bool(rng.random() < 0.3)
-        stamps = EPOCH + np.sort(rng.integers(0, 10 * SECOND, 1 if static else rng.integers(1, 40)))
-        rows += [(row(parent, frames[number], stamp_ns, random_pose(rng)), static) for stamp_ns in stamps.tolist()]
-    rows = [rows[index] for index in rng.permutation(len(rows))]
+    rows, frames = random_tree(rng)
     stamps_ns = [entry[0][2] for entry in rows]
     kinds = assert_agreement(rows, random_questions(rng, [*frames, "nowhere"], stamps_ns, 2000))
     assert kinds["found"] > 50
@@ -168,17 +119,8 @@ def test_random_trees(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_children_that_change_parents(seed: int) -> None:
-    # Every child picks among the frames before it, again and again; no loops can arise.
     rng = np.random.default_rng(100 + seed)
-    frames = [f"f{number}" for number in range(7)]
-    rows: list[tuple[TransformRow, bool]] = []
-    for number in range(1, len(frames)):
-        stamps = EPOCH + rng.integers(0, 10, 15) * (SECOND // 2) + 1000 * number
-        rows += [
-            (row(frames[int(rng.integers(number))], frames[number], stamp_ns, random_pose(rng)), False)
-            for stamp_ns in stamps.tolist()
-        ]
-    rows = [rows[index] for index in rng.permutation(len(rows))]
+    rows, frames = changing_tree(rng)
     kinds = assert_agreement(rows, random_questions(rng, frames, [entry[0][2] for entry in rows], 2000))
     assert kinds["found"] > 500
 
