@@ -47,7 +47,7 @@ def test_equal_scans_need_no_explanation() -> None:
 
 def test_by_scans_alone() -> None:
     found = explained((scan([9, 2, 5, 9]), scan([9, 5, 2, 9])), (scan([4, 4, 4, 4]), scan([4, 3, 4, 4])))
-    assert (found.scans_alone, found.beams_alone, found.next_door, found.hidden) == (2, 3, 2, 0)
+    assert (found.scans_alone, found.beams_alone, found.in_neighbour, found.hidden) == (2, 3, 2, 0)
     assert (found.scans, found.explained, found.glibc) == (0, 0, "")
     assert found.reasons == {"there are no clouds (--clouds names some)": 2}
 
@@ -67,10 +67,10 @@ def test_beams_that_look_elsewhere_are_not_judged() -> None:
     [
         ((9, 10), (10, 9), "a"),
         ((10, 9), (9, 10), "b"),
-        # Only one side has a point that tells.
+        # Only one side has a point that decides.
         ((9, 10), (9, 9), "a"),
         ((9, 9), (10, 9), "a"),
-        # Both were made with the same angles, or none tells.
+        # Both were made with the same angles, or no point decides.
         ((10, 9), (10, 9), ""),
         ((9, 10), (9, 10), ""),
         ((9, 9), (9, 9), ""),

@@ -148,7 +148,7 @@ def test_clouds_of_other_scans_are_noticed() -> None:
     assert not proof.a_glibc.any()
 
 
-def test_what_scans_alone_tell() -> None:
+def test_what_scans_alone_show() -> None:
     inf = np.float32(np.inf)
     a = np.array([inf, 5, 3, inf, inf, 9, inf, 2, 2, 6, 6, 8], np.float32)
     b = np.array([inf, 3, 5, inf, 7, 9, inf, 2, 1, 6, 6, 7], np.float32)

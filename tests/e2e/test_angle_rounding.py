@@ -7,8 +7,12 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+import pc2scan
 from e2e.command import run
 from e2e.outputs import opened
+from pc2scan.core import kernel, plain
+from pc2scan.pipeline.parameters import Setting, resolve
+from pc2scan.pipeline.params_file import load_params_file
 from support import ROOT
 
 if TYPE_CHECKING:
@@ -52,6 +56,21 @@ def test_the_older_libm_to_the_byte(case: str, way: str, tmp_path: Path) -> None
     found = json.loads(report.read_text())
     assert found["params"]["angle_rounding"] == "glibc-2.40"
     assert "default" not in found["param_origins"]["angle_rounding"]
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_loops_in_numpy_make_the_same_bytes(case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def unused(*_: object) -> None:
+        raise AssertionError
+
+    for loop in ("angles", "gather", "project"):
+        monkeypatch.setattr(kernel, loop, getattr(plain, loop) if loop == "project" else unused)
+    params = load_params_file(FOLDER / case / "params.yaml").settings
+    rounding = Setting("angle_rounding", "glibc-2.40", "the test")
+    pc2scan.convert(
+        FOLDER / case / "input.bag", tmp_path / "out.bag", params=resolve([rounding, *params]).params, only_scans=True
+    )
+    assert opened(tmp_path / "out.bag").messages == opened(FOLDER / case / "expected_old_libm.bag").messages
 
 
 def test_another_libm_is_refused_with_those_that_there_are() -> None:

@@ -48,7 +48,7 @@ def test_what_the_node_returned_on_two_libms(case: str, a: str, b: str, glibc: s
     # Without the clouds it is a bound.
     _, libm = explained(folder / a, folder / b, "--explain")
     alone = libm["scans_alone"]
-    assert alone["next_door"] + alone["hidden"] == alone["beams"] == differing(topic)
+    assert alone["in_neighbour"] + alone["hidden"] == alone["beams"] == differing(topic)
     assert libm["clouds"]["scans"] == libm["clouds"]["explained"] == 0
 
 

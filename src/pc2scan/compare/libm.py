@@ -63,7 +63,7 @@ class Explanation:
         clouds where one rounding of angles or the other puts them.
     scans_alone, beams_alone
         The scans that differ and have no cloud, and their differing beams.
-    next_door, hidden
+    in_neighbour, hidden
         Beams of these as in `pc2scan.core.rounding.Marks`.
     beams_not_judged
         Differing beams of scans whose beams look elsewhere.
@@ -80,7 +80,7 @@ class Explanation:
     fitting: NDArray[np.intp] = field(default_factory=lambda: np.zeros((2, 2), np.intp))
     scans_alone: int = 0
     beams_alone: int = 0
-    next_door: int = 0
+    in_neighbour: int = 0
     hidden: int = 0
     beams_not_judged: int = 0
     reasons: Counter[str] = field(default_factory=Counter)
@@ -120,7 +120,7 @@ class Explanation:
             "scans_alone": {
                 "scans": self.scans_alone,
                 "beams": self.beams_alone,
-                "next_door": self.next_door,
+                "in_neighbour": self.in_neighbour,
                 "hidden": self.hidden,
             },
             "beams_not_judged": self.beams_not_judged,
@@ -274,7 +274,7 @@ class Explainer:
             alone = marks(readings)
             found.scans_alone += 1
             found.beams_alone += beams
-            found.next_door += alone.next_door
+            found.in_neighbour += alone.in_neighbour
             found.hidden += alone.hidden
             found.reasons[reason] += 1
             return

@@ -132,11 +132,11 @@ def _libm(found: Explanation, names: tuple[str, str]) -> Iterator[str]:
                 f"{fits[CORRECT]:,} with correct ones"
             )
     if found.scans_alone:
-        possible = found.next_door + found.hidden
+        possible = found.in_neighbour + found.hidden
         rest = found.beams_alone - possible
         yield (
             f"at most {possible:,} of {_count(found.beams_alone, 'differing beam')} explained, by the scans alone: "
-            f"{found.next_door:,} read what a neighbour reads in the other scan, {found.hidden:,} what it may hide"
+            f"{found.in_neighbour:,} read what a neighbour reads in the other scan, {found.hidden:,} what it may hide"
             + (f"; {rest:,} differ for another reason" if rest else "")
         )
     if found.beams_not_judged:

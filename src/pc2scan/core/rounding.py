@@ -76,22 +76,22 @@ class Readings:
 
 
 class Marks(NamedTuple):
-    """What two scans alone tell of their differing beams.
+    """What two scans alone show about their differing beams.
 
     Attributes
     ----------
-    next_door
+    in_neighbour
         The smaller reading is, to the bit, that of a neighbouring beam of the other scan.
     hidden
         It may be there, behind a closer return, or outside of the scan.
     """
 
-    next_door: int
+    in_neighbour: int
     hidden: int
 
 
 def marks(readings: Readings) -> Marks:
-    """Count the differing beams that another rounding can have changed, as far as the scans alone tell."""
+    """Count the differing beams that another rounding can have changed, as far as the scans alone show."""
     a, b = readings.returns()
     equal = np.zeros(a.size, bool)
     closer = np.zeros(a.size, bool)
@@ -103,12 +103,12 @@ def marks(readings: Readings) -> Marks:
             closer[beams] |= smaller[beams] & (other[neighbours] < one[beams])
         # The first and the last beam have the world outside for a neighbour.
         closer[[0, -1]] |= smaller[[0, -1]]
-    next_door = readings.differing & equal
-    return Marks(int(next_door.sum()), int((readings.differing & closer & ~next_door).sum()))
+    in_neighbour = readings.differing & equal
+    return Marks(int(in_neighbour.sum()), int((readings.differing & closer & ~in_neighbour).sum()))
 
 
 class Proof(NamedTuple):
-    """What the points of a cloud tell of two scans.
+    """What the points of a cloud show about two scans.
 
     Attributes
     ----------
