@@ -16,7 +16,7 @@ from pc2scan.bags.registry import open_recording
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from pc2scan.bags.model import Reader
+    from pc2scan.bags.reader import Reader
 
 #: Options of the library's writer without anything to count by for a part of the time.
 SILENT = {

@@ -14,7 +14,7 @@ import pytest
 
 from pc2scan.bags import files
 from pc2scan.bags.files import FreeIds, NewFile, SourceFile
-from pc2scan.bags.model import kept
+from pc2scan.bags.model import own
 from pc2scan.errors import OutputError, RecordingError
 
 if TYPE_CHECKING:
@@ -98,7 +98,7 @@ def test_what_is_lent_is_what_would_be_read(
     if not mapped:
         monkeypatch.setattr(files, "_map_of", unmapped)
     with closing(SourceFile(large)) as file:
-        seen = file.lend(offset, length, lambda data: (data.readonly, bytes(data), kept(data)))
+        seen = file.borrow(offset, length, lambda data: (data.readonly, bytes(data), own(data)))
         assert seen == (True, LARGE[offset : offset + length], file.read(offset, length))
 
 
@@ -115,7 +115,7 @@ def test_much_is_not_copied_and_little_is(large: Path, monkeypatch: pytest.Monke
     with closing(SourceFile(large)) as file:
         monkeypatch.setattr(os, "pread", counting)
         for length in (100, 1 << 20):
-            assert file.lend(7, length, len) == length
+            assert file.borrow(7, length, len) == length
     assert read == [100]
 
 
@@ -132,7 +132,7 @@ def test_what_is_cut_while_it_is_lent_is_an_error(shorter: int, fails: bool, lar
     with closing(SourceFile(large)) as file:
         for _ in range(2):
             with pytest.raises(RecordingError, match=f"ended at byte {shorter} while it was read; it had 3145728"):
-                file.lend(0, 3 << 20, use)
+                file.borrow(0, 3 << 20, use)
 
 
 def test_an_error_of_who_uses_it_is_passed_on(large: Path) -> None:
@@ -140,7 +140,7 @@ def test_an_error_of_who_uses_it_is_passed_on(large: Path) -> None:
         raise ValueError("these bytes make no sense")
 
     with closing(SourceFile(large)) as file, pytest.raises(ValueError, match="no sense"):
-        file.lend(0, 1 << 20, use)
+        file.borrow(0, 1 << 20, use)
 
 
 def test_what_was_closed_is_not_lent(large: Path) -> None:
@@ -148,7 +148,7 @@ def test_what_was_closed_is_not_lent(large: Path) -> None:
     file.close()
     for length in (10, 1 << 20):
         with pytest.raises(RecordingError, match="cannot be read"):
-            file.lend(0, length, len)
+            file.borrow(0, length, len)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="maps are for Linux")
@@ -158,7 +158,7 @@ def test_with_few_addresses_there_is_no_map(large: Path, monkeypatch: pytest.Mon
     monkeypatch.setattr(resource, "getrlimit", lambda _: (1 << 40, resource.RLIM_INFINITY))
     with closing(SourceFile(large)) as file:
         assert file._map is None
-        assert file.lend(1, 1 << 20, bytes) == LARGE[1 : 1 + (1 << 20)]
+        assert file.borrow(1, 1 << 20, bytes) == LARGE[1 : 1 + (1 << 20)]
 
 
 def test_what_is_not_there_is_an_error(file: SourceFile) -> None:
@@ -226,6 +226,6 @@ def test_kept_ids_are_for_those_who_ask_for_them() -> None:
     assert [ids.take(wanted) for wanted in (-1, 2, 900, 7, 2, 1, 4, 0)] == [3, 2, 900, 5, 6, 1, 4, 7]
 
 
-def test_ids_are_handed_out_in_a_row_when_none_is_kept() -> None:
+def test_ids_are_handed_out_in_a_row_when_none_is_own() -> None:
     ids = FreeIds(0)
     assert [ids.take(wanted) for wanted in (5, 5, 0)] == [0, 1, 2]

@@ -15,7 +15,8 @@ from pc2scan.bags import segments
 from pc2scan.bags.mcap_copies import whole_by_content, whole_by_index
 from pc2scan.bags.mcap_reader import McapReader
 from pc2scan.bags.mcap_records import RecordFile
-from pc2scan.bags.model import ChunkRule, RawMessage, StoredChunk
+from pc2scan.bags.model import ChunkRule, StoredChunk
+from pc2scan.bags.units import in_time_order
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -93,8 +94,8 @@ def test_messages_that_are_packed_by_themselves_are_not_copied(tmp_path: Path, m
     packed = [(channel, time_ns, zstandard.compress(data)) for channel, time_ns, data in ROWS]
     assert isinstance(Chunk(tmp_path / "packed.mcap", packed).by_content(), memoryview)
     with closing(McapReader(tmp_path / "packed.mcap", verify=False)) as reader:
-        found = list(reader.messages_or_chunks(RULE))
-    assert [bytes(message.data) for message in found if isinstance(message, RawMessage)] == [row[2] for row in ROWS]
+        found: list[Any] = list(in_time_order(reader.units(rule=RULE)))
+    assert [bytes(message.data) for message in found] == [row[2] for row in ROWS]
 
 
 def test_another_compression_cannot_be_had_without_decompressing(chunk: Chunk) -> None:

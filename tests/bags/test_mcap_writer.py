@@ -29,7 +29,8 @@ from pc2scan.bags.model import Attachment, Definition, Metadata
 from pc2scan.errors import DestinationError, OutputError, RecordingError, UnwritableError
 
 if TYPE_CHECKING:
-    from pc2scan.bags.model import Reader, Writer
+    from pc2scan.bags.model import Writer
+    from pc2scan.bags.reader import Reader
     from pc2scan.bags.segments import Segment
 from bags.mcap_files import (
     CLOUD,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -11,19 +12,30 @@ from hypothesis import strategies as st
 
 from pc2scan.bags.merged import MergedReader, merged_summary, unified
 from pc2scan.bags.model import Attachment, Connection, Definition, Metadata, RawMessage, Summary
-from pc2scan.bags.threads import Threads
+from pc2scan.bags.reader import Reader
+from pc2scan.bags.units import Unit
 from pc2scan.errors import UsageError
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Sequence
+    from collections.abc import Callable, Collection, Iterator, Sequence
     from pathlib import Path
 
     from pc2scan.bags.damage import Damage
-    from pc2scan.bags.model import ChunkRule, StoredChunk, Work
+    from pc2scan.bags.model import ChunkRule
 
 
-class FakeReader:
+def _load(message: RawMessage, callback: Callable[[RawMessage], Any], *, whole: bool) -> list[Any]:
+    assert not whole
+    return [callback(message)]
+
+
+class FakeReader(Reader):
     """A recording in memory that notes when it is read."""
+
+    connections: Sequence[Connection] = ()
+    summary: Summary = Summary("", "", (), 0, None, None, None)
+    bytes_read: int = 0
+    damage: Sequence[Damage] = ()
 
     def __init__(
         self,
@@ -34,10 +46,9 @@ class FakeReader:
         knows_start: bool = True,
         log: list[str] | None = None,
     ) -> None:
-        self.path = path
+        self._path = path
         path.touch()
         self.connections = topics
-        self.damage: tuple[Damage, ...] = ()
         self._messages = messages
         self._log = [] if log is None else log
         times = [time_ns for _, time_ns, _ in messages]
@@ -53,27 +64,31 @@ class FakeReader:
         self.bytes_read = 3
         self.closed = False
 
-    def messages(
+    @property
+    def path(self) -> Path:
+        return self._path
+
+    def units(
         self,
         connections: Collection[Connection] | None = None,
         start_ns: int | None = None,
         stop_ns: int | None = None,
-    ) -> Iterator[RawMessage]:
+        rule: ChunkRule | None = None,
+    ) -> Iterator[Unit]:
+        """One for each message."""
+        assert rule is None
         self._log.append(f"open {self.path.name}")
         try:
             by_id = {connection.id: connection for connection in self.connections}
-            for number, time_ns, data in sorted(self._messages, key=lambda message: message[1]):
+            in_order = sorted(self._messages, key=lambda message: message[1])
+            for place, (number, time_ns, data) in enumerate(in_order):
                 if connections is not None and by_id[number] not in connections:
                     continue
                 if (start_ns is None or time_ns >= start_ns) and (stop_ns is None or time_ns < stop_ns):
-                    yield RawMessage(by_id[number], time_ns, data, time_ns, 7)
+                    message = RawMessage(by_id[number], time_ns, data, time_ns, 7)
+                    yield Unit(time_ns, (place,), len(data), partial(_load, message))
         finally:
             self._log.append(f"close {self.path.name}")
-
-    def messages_or_chunks(self, rule: ChunkRule, *selection: Any) -> Iterator[RawMessage | StoredChunk]:
-        """There are no chunks."""
-        del rule
-        yield from self.messages(*selection)
 
     def counts(
         self, connections: Collection[Connection], start_ns: int | None = None, stop_ns: int | None = None
@@ -89,11 +104,6 @@ class FakeReader:
 
     def metadata(self) -> Iterator[Metadata]:
         yield Metadata(self.path.name, {})
-
-    def read_ahead(self, pool: Threads | None, work: Work | None = None) -> None:
-        """Nothing to prepare."""
-        del pool
-        self.work = work
 
     def close(self) -> None:
         self.closed = True
@@ -132,16 +142,16 @@ def test_messages_are_merged_and_renumbered(tmp_path: Path) -> None:
     assert second.closed
 
 
-def test_work_is_given_messages_under_the_unified_connections(tmp_path: Path) -> None:
-    sources = [FakeReader(tmp_path / "1", [connection(5)], []), FakeReader(tmp_path / "2", [connection(1, "/b")], [])]
+def test_callbacks_are_given_messages_under_the_unified_connections(tmp_path: Path) -> None:
+    sources = [
+        FakeReader(tmp_path / "1", [connection(5)], []),
+        FakeReader(tmp_path / "2", [connection(1, "/b")], [(1, 2, b"data")]),
+    ]
     reader = MergedReader(sources)
-    own = RawMessage(sources[1].connections[0], 1, b"data", 2, 3)
-    with Threads(1) as pool:
-        reader.read_ahead(pool, lambda message: message._replace(data=b"", result=message.connection))
-        assert sources[1].work is not None
-        assert sources[1].work(own) == own._replace(data=b"", result=reader.connections[1])
-        reader.read_ahead(pool)
-        assert sources[1].work is None
+    (unit,) = reader.units()
+    assert unit.load(lambda message: message, whole=False) == [
+        RawMessage(reader.connections[1], 2, b"data", 2, 7),
+    ]
 
 
 def test_a_single_source_passes_through(tmp_path: Path) -> None:
@@ -187,16 +197,18 @@ def test_connections_that_differ_in_anything_stay_apart(other: dict[str, object]
 def test_a_source_is_not_read_before_its_time(tmp_path: Path) -> None:
     log: list[str] = []
     late = FakeReader(tmp_path / "late", [connection(1)], [(1, 100, b"l")], log=log)
-    early = FakeReader(tmp_path / "early", [connection(1)], [(1, 1, b"e"), (1, 2, b"f")], log=log)
+    early = FakeReader(tmp_path / "early", [connection(1)], [(1, n, b"e") for n in range(5)], log=log)
     reader = MergedReader([late, early])
     messages = reader.messages()
-    assert [next(messages).data, next(messages).data] == [b"e", b"f"]
+    # One unit more is asked for, to know how long this one goes on.
+    assert [next(messages).log_time_ns for _ in range(3)] == [0, 1, 2]
     assert log == ["open early"]
+    assert [next(messages).log_time_ns for _ in range(2)] == [3, 4]
     assert next(messages).data == b"l"
     assert next(messages, None) is None
     assert log == ["open early", "close early", "open late", "close late"]
     log.clear()
-    assert [m.data for m in reader.messages(stop_ns=100)] == [b"e", b"f"]
+    assert len(list(reader.messages(stop_ns=100))) == 5
     assert log == ["open early", "close early"]
 
 
@@ -205,7 +217,7 @@ def test_sources_are_closed_with_the_generator(tmp_path: Path) -> None:
     readers = [FakeReader(tmp_path / name, [connection(1)], [(1, 1, b""), (1, 2, b"")], log=log) for name in "ab"]
     messages = MergedReader(readers).messages()
     next(messages)
-    messages.close()  # type: ignore[attr-defined]
+    messages.close()
     assert sorted(log) == ["close a", "close b", "open a", "open b"]
 
 
@@ -247,7 +259,7 @@ def test_a_file_given_twice(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="given twice"):
         MergedReader(readers)
     (tmp_path / "link").symlink_to(tmp_path / "one")
-    readers[1].path = tmp_path / "link"
+    readers[1]._path = tmp_path / "link"
     with pytest.raises(UsageError, match="given twice"):
         MergedReader(readers)
 

@@ -27,7 +27,7 @@ from pc2scan.errors import DestinationError, OutputError, UnwritableError
 from support import RECORDINGS, needs_shared
 
 if TYPE_CHECKING:
-    from pc2scan.bags.model import Reader
+    from pc2scan.bags.reader import Reader
 from bags.rosbag1_files import (
     COMPRESSIONS,
     ROSBAG,

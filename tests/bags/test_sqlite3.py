@@ -6,7 +6,6 @@ import sqlite3
 import tracemalloc
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
 
 import pytest
 import zstandard
@@ -15,11 +14,6 @@ from pc2scan.bags.model import Connection, Definition
 from pc2scan.bags.sqlite3_reader import Sqlite3Reader
 from pc2scan.bags.sqlite3_writer import Sqlite3Writer
 from pc2scan.errors import OutputError, RecordingError, UnwritableError
-
-if TYPE_CHECKING:
-    from collections.abc import Generator
-
-    from pc2scan.bags.model import RawMessage
 
 QOS = "- history: 3\n  depth: 0\n  reliability: 1\n  durability: 1"
 TOPICS = {
@@ -212,6 +206,22 @@ def test_memory_does_not_grow_with_the_recording(tmp_path: Path, index: bool) ->
     assert peak < 2_000_000
 
 
+@pytest.mark.parametrize("index", [True, False])
+def test_a_unit_may_be_loaded_again(tmp_path: Path, index: bool) -> None:
+    """Its rows are not kept for that."""
+    build(tmp_path / "x.db3", 2, index=index)
+    with closing(sqlite3.connect(tmp_path / "x.db3")) as database:
+        rows = ((1, 30, bytes([number]) * 300_000) for number in range(9))
+        database.executemany("INSERT INTO messages(topic_id, timestamp, data) VALUES (?, ?, ?)", rows)
+        database.commit()
+    with closing(Sqlite3Reader(tmp_path / "x.db3")) as reader:
+        units = list(reader.units(start_ns=6))
+        loaded = [unit.load(lambda message: message, whole=False) for unit in units]
+        assert [len(found) for found in loaded] == [5, 2, 2, 2, 1]  # type: ignore[arg-type]
+        assert [unit.load(lambda message: message, whole=False) for unit in reversed(units)] == loaded[::-1]
+        assert [message for found in loaded for message in found] == list(reader.messages(start_ns=6))  # type: ignore[union-attr]
+
+
 @pytest.mark.parametrize("content_size", [True, False])
 @pytest.mark.parametrize("declared", ["zstd", "none"])
 def test_compressed_messages_are_recognised(tmp_path: Path, declared: str, content_size: bool) -> None:
@@ -348,7 +358,7 @@ def test_messages_may_be_given_up_after_the_reader_was_closed(tmp_path: Path, in
     """As an error does whose traceback outlives the reader: Python would complain on stderr."""
     build(tmp_path / "x.db3", 4, index=index)
     reader = Sqlite3Reader(tmp_path / "x.db3")
-    messages = cast("Generator[RawMessage]", reader.messages())
+    messages = reader.messages()
     next(messages)
     reader.close()
     messages.close()

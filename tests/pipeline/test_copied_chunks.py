@@ -237,7 +237,7 @@ def test_compressing_is_the_work_of_the_pool(source: Path, jobs: int, monkeypatc
     monkeypatch.setattr(Threads, "submit", submitting)
     convert(source, jobs=jobs, keep_clouds=True, compression="lz4")
     assert counts.compressed >= ROUNDS
-    chunks = sum("Writer" in name for name in given)
+    chunks = sum("WriteAhead" in name for name in given)
     assert chunks == (0 if jobs == 1 else counts.compressed)
 
 

@@ -10,7 +10,7 @@ import pytest
 
 import pc2scan
 from builders import transforms
-from pc2scan.bags import files, mcap_reader, rosbag1_reader
+from pc2scan.bags import files, mcap_reader, rosbag1_reader, units
 from pc2scan.bags.mcap_reader import McapReader
 from pc2scan.bags.mcap_writer import McapWriter
 from pc2scan.bags.model import Connection, RawMessage
@@ -20,13 +20,13 @@ from pc2scan.core.project import PointCounts, Projector
 from pc2scan.errors import RecordingError
 from pc2scan.messages.definitions import definition
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointField, encode_pointcloud2
-from pc2scan.pipeline import cloud_to_scan, stream
+from pc2scan.pipeline import cloud_to_scan, scheduler, stream
 from pc2scan.pipeline.conversion import Converted
 from pc2scan.pipeline.lanes import Lane
 from pc2scan.pipeline.report import TopicReport
+from pc2scan.pipeline.scheduler import Later
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
     from pathlib import Path
 
     from pc2scan.bags.segments import Segment
@@ -255,28 +255,36 @@ def test_large_chunks_are_not_copied(
 
 
 @pytest.mark.parametrize("passes", [False, True])
-def test_what_is_held_of_a_converted_message_counts(passes: bool) -> None:
+@pytest.mark.parametrize("shrinks_from", [2, 9])
+def test_a_message_whose_result_takes_more_memory_waits_for_its_turn(passes: bool, shrinks_from: int) -> None:
     connection = Connection(1, "/points", POINTCLOUD2, "cdr")
     converted = Converted(b"scan", PointCounts(), False)
-    lane = Lane(connection, TopicReport("/points", "", None, ""), lambda _: converted, shrinks_from=2)
+    lane = Lane(connection, TopicReport("/points", "", None, ""), lambda _: converted, shrinks_from=shrinks_from)
     lane.passing_handle = 1 if passes else -1
-    done = stream._at_once({1: lane}, RawMessage(connection, 5, memoryview(b"cloud"), 6))
-    assert done.data == (b"cloud" if passes else b"")
-    assert stream._KeptBytes()((lane, done)) == len(done.data)
-    small = RawMessage(connection, 5, b"c", 6)
-    assert stream._at_once({1: lane}, small) is small
+    message = RawMessage(connection, 5, memoryview(bytearray(b"cloud")), 6)
+    done = stream._outcome_or_later({1: lane}, message)
+    assert isinstance(done, Later) is (shrinks_from == 9)
+    if isinstance(done, Later):
+        assert done.log_time_ns == 5
+        # What waits is not borrowed.
+        assert isinstance(done.message.data, bytes)
+        done = done.work(done.message)
+    assert isinstance(done, stream._Outcome)
+    assert (done.converted, done.passing) == (converted, b"cloud" if passes else None)
+    assert not isinstance(done.passing, memoryview)
 
 
 @pytest.mark.parametrize("queue_size", [1, 3])
-def test_messages_in_flight_are_bounded(drive: Path, queue_size: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_chunks_in_flight_are_bounded(drive: Path, queue_size: int, monkeypatch: pytest.MonkeyPatch) -> None:
     read = written = worst = 0
-    cut, write = stream._cut, stream._write
+    load, write = units.loaded, stream._write
+    lock = threading.Lock()
 
-    def reading(*args: Any) -> Iterator[Any]:
+    def loading(*args: Any, **options: Any) -> Any:
         nonlocal read
-        for message in cut(*args):
+        with lock:
             read += 1
-            yield message
+        return load(*args, **options)
 
     def writing(*args: Any) -> None:
         nonlocal written, worst
@@ -284,13 +292,14 @@ def test_messages_in_flight_are_bounded(drive: Path, queue_size: int, monkeypatc
         write(*args)
         written += 1
 
-    monkeypatch.setattr(stream, "_cut", reading)
+    monkeypatch.setattr(scheduler, "loaded", loading)
     monkeypatch.setattr(stream, "_write", writing)
     params = pc2scan.ProjectionParams(min_height=-2, max_height=2, queue_size=queue_size)
     convert(drive, jobs=2, params=params)
+    # A chunk has one cloud.
     assert read == written == CLOUDS
-    # The one that waits for its place has been read too.
-    assert 1 <= worst <= queue_size + 1
+    # The one that is written has been read too, and so has the one that follows it.
+    assert 1 <= worst <= queue_size + 2
 
 
 def test_crcs_are_compared_unless_told_otherwise(tmp_path: Path) -> None:

@@ -36,12 +36,12 @@ from .model import (
     Definition,
     Metadata,
     RawMessage,
-    Reader,
     Summary,
     Writer,
     normalized_type,
     ros1_type,
 )
+from .reader import Reader
 from .registry import (
     Container,
     Destination,

@@ -25,7 +25,7 @@ _Result = TypeVar("_Result")
 
 #: Fewer bytes are copied in less time than it takes to fetch their pages and to give them back, and more would count as
 #: memory beside what is made of them.
-_LENT_BYTES = range(1 << 18, 1 << 24)
+_BORROWED_BYTES = range(1 << 18, 1 << 24)
 
 
 def state_of(path: Path) -> tuple[tuple[str, int, int, int, int], ...]:
@@ -101,7 +101,7 @@ class SourceFile:
         except OSError as err:
             self.close()
             raise self.error(f"cannot be opened: {err.strerror}") from err
-        if self.size >= _LENT_BYTES.start:
+        if self.size >= _BORROWED_BYTES.start:
             self._map = _map_of(self._descriptor, self.size)
 
     def expect(self, offset: int, length: int) -> None:
@@ -148,36 +148,36 @@ class SourceFile:
             )
         return data
 
-    def lend(self, offset: int, length: int, use: Callable[[memoryview], _Result]) -> _Result:
-        """Call ``use`` with exactly these bytes, many of them where the system keeps them: they are not copied.
+    def borrow(self, offset: int, length: int, callback: Callable[[memoryview], _Result]) -> _Result:
+        """Call ``callback`` with exactly these bytes, where the system has them in memory: many are not copied.
 
         Parameters
         ----------
         offset, length
             The bytes' place.
-        use
-            Keeps none of the bytes, unless they are those of a ``bytes`` (see `pc2scan.bags.model.kept`). If the file
-            turns out to have become shorter, what it did is forgotten, and it is called again with what can be read.
+        callback
+            Keeps none of the bytes, unless they are those of a ``bytes`` (see `pc2scan.bags.model.own`). If the file
+            turns out to have become shorter, its result is dropped, and it is called again with what can be read.
         """
-        lender = self._map
-        if lender is not None and length in _LENT_BYTES and offset + length <= self.size:
-            lender.fetch(offset, length)
+        mapped = self._map
+        if mapped is not None and length in _BORROWED_BYTES and offset + length <= self.size:
+            mapped.fetch(offset, length)
             try:
-                result = use(memoryview(lender)[offset : offset + length])
+                result = callback(memoryview(mapped)[offset : offset + length])
             except Exception:
-                if self._was_there(lender, offset + length):
+                if self._was_there(mapped, offset + length):
                     raise
             else:
-                if self._was_there(lender, offset + length):
+                if self._was_there(mapped, offset + length):
                     return result
             finally:
-                lender.forget(offset, length)
-        return use(memoryview(self.read(offset, length)))
+                mapped.forget(offset, length)
+        return callback(memoryview(self.read(offset, length)))
 
-    def _was_there(self, lender: Map, stop: int) -> bool:
+    def _was_there(self, mapped: Map, stop: int) -> bool:
         """Whether nothing up to this byte was missed; of a page that has become shorter nothing else tells."""
         try:
-            return not lender.missed and os.fstat(self._descriptor).st_size >= stop
+            return not mapped.missed and os.fstat(self._descriptor).st_size >= stop
         except OSError:
             return False
 

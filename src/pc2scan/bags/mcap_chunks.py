@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, TypeVar
 from .crc32 import crc32
 from .limits import allowed_bytes
 from .mcap_records import CHUNK, OP_CHUNK, RECORD, UINT64
-from .model import kept
+from .model import own
 from .segments import Segment
 
 if TYPE_CHECKING:
@@ -85,22 +85,22 @@ def payload(file: RecordFile, segment: Segment, *, verify: bool = True) -> memor
     RecordingError
         If the bytes are not there, do not decompress to the declared size, or fail their CRC.
     """
-    return with_payload(file, segment, lambda data: memoryview(kept(data)), verify=verify)
+    return with_payload(file, segment, lambda data: memoryview(own(data)), verify=verify)
 
 
 def with_payload(
-    file: RecordFile, segment: Segment, use: Callable[[memoryview], _Result], *, verify: bool = True
+    file: RecordFile, segment: Segment, callback: Callable[[memoryview], _Result], *, verify: bool = True
 ) -> _Result:
-    """Call ``use`` with what `payload` returns; they may be lent only, see `SourceFile.lend`."""
+    """Call ``callback`` with what `payload` returns; they may be borrowed only, see `SourceFile.borrow`."""
     if not isinstance(segment, ChunkSegment):
-        return file.lend(segment.offset, segment.length, use)
+        return file.borrow(segment.offset, segment.length, callback)
     head = segment.offset - segment.record_offset
 
     def unpacked(record: memoryview) -> _Result:
         chunk = _confirmed(record, segment, file)
-        return use(unpacked_chunk(file, chunk, record[head:], verify=verify))
+        return callback(unpacked_chunk(file, chunk, record[head:], verify=verify))
 
-    return file.lend(segment.record_offset, head + segment.length, unpacked)
+    return file.borrow(segment.record_offset, head + segment.length, unpacked)
 
 
 def stored_chunk(file: RecordFile, segment: ChunkSegment, more: int = 0) -> tuple[ChunkSegment, memoryview]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from contextlib import suppress
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 from mcap import records
 from mcap.opcode import Opcode
@@ -26,10 +26,10 @@ from .model import (
     StoredChunk,
     Summary,
     declared_counts,
-    worked_on,
 )
 from .qos import latches
-from .segments import in_time_order, standing_alone
+from .reader import Reader
+from .segments import standing_alone, units_of
 from .zstd import is_frame, unpacked_messages
 
 if TYPE_CHECKING:
@@ -38,9 +38,9 @@ if TYPE_CHECKING:
 
     from .damage import Damage
     from .mcap_contents import Contents
-    from .model import ChunkRule, Work
+    from .model import ChunkRule
     from .segments import Segment
-    from .threads import Threads
+    from .units import Item, Unit
 
 __all__ = ["McapReader"]
 
@@ -49,8 +49,8 @@ _SERIALIZATION_OF_SCHEMA = {"ros1msg": "ros1", "ros2msg": "cdr", "ros2idl": "cdr
 _SERIALIZATION_OF_PROFILE = {"ros1": "ros1", "ros2": "cdr"}
 
 
-class McapReader:
-    """An open MCAP file; see `pc2scan.bags.model.Reader`.
+class McapReader(Reader):
+    """An open MCAP file; see `pc2scan.bags.reader.Reader`.
 
     Channels become connections one to one: two channels of one topic stay two. Types, definitions
     and metadata are passed on as recorded, whatever the profile.
@@ -78,8 +78,6 @@ class McapReader:
         self._log = DamageLog(strict=strict)
         self._verify = verify
         self._bytes_read = 0
-        self._pool: Threads | None = None
-        self._work: Work | None = None
         self._connections: tuple[Connection, ...] = ()
         try:
             try:
@@ -115,55 +113,17 @@ class McapReader:
         """Bytes of the segments loaded so far; those read twice count twice."""
         return self._bytes_read
 
-    def messages(
+    def units(
         self,
         connections: Collection[Connection] | None = None,
         start_ns: int | None = None,
         stop_ns: int | None = None,
-    ) -> Iterator[RawMessage]:
-        """Messages by log time, those of one log time in the order of the file.
+        rule: ChunkRule | None = None,
+    ) -> list[Unit]:
+        """Chunks, and runs of records outside chunks, by start; see `pc2scan.bags.reader.Reader`.
 
-        Parameters
-        ----------
-        connections
-            Only messages of these; None means all. Chunks without any are not read.
-        start_ns, stop_ns
-            Only messages with ``start_ns <= log_time_ns < stop_ns``.
-
-        Yields
-        ------
-        RawMessage
-            Its data are a view into the decompressed chunk, which lives as long as the view.
-
-        Raises
-        ------
-        RecordingError
-            If the system refuses to read.
-        DamageError
-            With ``strict``, if a chunk is damaged, or a message belongs to no channel.
+        Without verifying, chunks whose message indexes tell everything are not decompressed where they are whole.
         """
-        return cast("Iterator[RawMessage]", self._read(connections, start_ns, stop_ns, None))
-
-    def messages_or_chunks(
-        self,
-        rule: ChunkRule,
-        connections: Collection[Connection] | None = None,
-        start_ns: int | None = None,
-        stop_ns: int | None = None,
-    ) -> Iterator[RawMessage | StoredChunk]:
-        """The same, with whole chunks where ``rule`` allows it.
-
-        Without verifying, chunks whose message indexes tell everything are not decompressed.
-        """
-        return self._read(connections, start_ns, stop_ns, rule if rule.container == "mcap" else None)
-
-    def _read(
-        self,
-        connections: Collection[Connection] | None,
-        start_ns: int | None,
-        stop_ns: int | None,
-        rule: ChunkRule | None,
-    ) -> Iterator[RawMessage | StoredChunk]:
         known = {connection.id: connection for connection in self._connections}
         wanted = known
         if connections is not None:
@@ -171,6 +131,9 @@ class McapReader:
         ids = None if connections is None else frozenset(wanted)
         first = 0 if start_ns is None else start_ns
         stop = 1 << 64 if stop_ns is None else stop_ns
+        if ids is not None and not ids:
+            return []
+        rule = rule if rule and rule.container == "mcap" else None
         segments = [s for s in self._contents.segments if s.may_hold(ids, start_ns, stop_ns)]
         alone = standing_alone(segments, rule, start_ns, stop_ns) if rule else frozenset()
         blindly: frozenset[int] = frozenset()
@@ -191,7 +154,7 @@ class McapReader:
                 )
             return found
 
-        def load(segment: Segment, whole: bool, work: Work | None) -> list[RawMessage] | StoredChunk:
+        def load(segment: Segment, callback: Callable[[RawMessage], Item], *, whole: bool) -> list[Item] | StoredChunk:
             self._bytes_read += segment.length
             seen: StoredChunk | memoryview | None = None
             if rule and whole and isinstance(segment, ChunkSegment):
@@ -203,10 +166,9 @@ class McapReader:
             if isinstance(seen, StoredChunk):
                 return seen
 
-            def taken(data: memoryview) -> list[RawMessage]:
-                return worked_on(
-                    unpacked_messages(sound(segment, data), intolerant, segment.offset, self._file.path), work
-                )
+            def taken(data: memoryview) -> list[Item]:
+                unpacked = unpacked_messages(sound(segment, data), intolerant, segment.offset, self._file.path)
+                return list(map(callback, unpacked))
 
             # What is damaged is read again, to see what is left of it.
             with suppress(DamageError):
@@ -221,18 +183,9 @@ class McapReader:
             if problem is not None:
                 left = self._salvaged(segment, data, problem)
                 found = [m for m in left if m.connection.id in wanted and first <= m.log_time_ns < stop]
-            return worked_on(unpacked_messages(found, self._log, segment.offset, self._file.path), work)
+            return list(map(callback, unpacked_messages(found, self._log, segment.offset, self._file.path)))
 
-        if ids is None or ids:
-            yield from in_time_order(
-                segments,
-                load,
-                alone=alone,
-                pool=self._pool,
-                work=self._work,
-                expect=self._file.expect,
-                path=self._file.path,
-            )
+        return units_of(segments, load, alone, self._file)
 
     def _prefix(self, segment: Segment) -> tuple[memoryview, DamageError | None]:
         """A segment's records as far as they can be decompressed, and why that is not all."""
@@ -294,7 +247,7 @@ class McapReader:
     def counts(
         self, connections: Collection[Connection], start_ns: int | None = None, stop_ns: int | None = None
     ) -> dict[int, int]:
-        """Count by the statistics, or for a part of the time by message indexes; see `pc2scan.bags.model.Reader`."""
+        """Count by the statistics, or for a part of the time by message indexes; see `pc2scan.bags.reader.Reader`."""
         declared = declared_counts(connections) if start_ns is None and stop_ns is None else {}
         ids = frozenset(connection.id for connection in connections) - declared.keys()
         if not ids:
@@ -302,10 +255,6 @@ class McapReader:
         from .mcap_counts import counts_between  # noqa: PLC0415  # only topics that are skipped need it
 
         return declared | counts_between(self._file, self._contents.segments, ids, start_ns, stop_ns)
-
-    def read_ahead(self, pool: Threads | None, work: Work | None = None) -> None:
-        """Read and decompress on these threads, and do this there; see `pc2scan.bags.model.Reader`."""
-        self._pool, self._work = pool, work
 
     def attachments(self) -> Iterator[Attachment]:
         """Attachments in the order of the file, each read when it is asked for."""
@@ -374,7 +323,7 @@ def _messages_in(
                 others.add(channel_id)
             elif start_ns <= log_time_ns < stop_ns:
                 data_view = data[position + 31 : following]
-                append(new(RawMessage, (connection, log_time_ns, data_view, publish_time_ns, sequence, None)))
+                append(new(RawMessage, (connection, log_time_ns, data_view, publish_time_ns, sequence)))
         position = following
     # What is left is too short for a message, but may be another record.
     while position + 9 <= size and data[position] != OP_MESSAGE:

@@ -6,19 +6,21 @@ A split rosbag2 is the same thing on a smaller scale; `pc2scan.bags.rosbag2_read
 from __future__ import annotations
 
 import heapq
+import math
 from dataclasses import replace
-from functools import partial
-from typing import TYPE_CHECKING, cast
+from operator import attrgetter
+from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.errors import UsageError
 
-from .model import StoredChunk, Summary
+from .model import Summary
+from .reader import Reader
+from .units import UNKNOWN_START_NS
 
 if TYPE_CHECKING:
     from collections.abc import (
         Callable,
         Collection,
-        Generator,
         Hashable,
         Iterable,
         Iterator,
@@ -28,8 +30,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from .damage import Damage
-    from .model import Attachment, ChunkRule, Connection, Metadata, RawMessage, Reader, Work
-    from .threads import Threads
+    from .model import Attachment, ChunkRule, Connection, Metadata, RawMessage, StoredChunk
+    from .units import Item, Load, Unit
 
 __all__ = ["MergedReader", "as_one", "merged_summary", "unified"]
 
@@ -39,8 +41,8 @@ def as_one(readers: Sequence[Reader]) -> Reader:
     return readers[0] if len(readers) == 1 else MergedReader(readers)
 
 
-class MergedReader:
-    """Several open recordings as one; satisfies `pc2scan.bags.model.Reader`.
+class MergedReader(Reader):
+    """Several open recordings as one; satisfies `pc2scan.bags.reader.Reader`.
 
     Parameters
     ----------
@@ -112,57 +114,37 @@ class MergedReader:
         """What is damaged in the sources, one after the other."""
         return tuple(damage for reader in self._readers for damage in reader.damage)
 
-    def messages(
+    def units(
         self,
         connections: Collection[Connection] | None = None,
         start_ns: int | None = None,
         stop_ns: int | None = None,
-    ) -> Iterator[RawMessage]:
-        """Messages by log time; equal log times in the order of the sources, then of the file.
+        rule: ChunkRule | None = None,
+    ) -> Iterable[Unit]:
+        """The units of all sources; equal log times in the order of the sources.
 
-        A source is not read before its first message is due, where its summary tells when that is.
+        A source is not read before its first message is due, where its summary tells when that is. Chunks stay whole
+        where no other source has messages at their time and their ids are those here.
         """
-        return cast("Iterator[RawMessage]", self._read(connections, start_ns, stop_ns, None))
-
-    def messages_or_chunks(
-        self,
-        rule: ChunkRule,
-        connections: Collection[Connection] | None = None,
-        start_ns: int | None = None,
-        stop_ns: int | None = None,
-    ) -> Iterator[RawMessage | StoredChunk]:
-        """The same; chunks stay whole where no other source has messages at their time and their ids are those here."""
-        return self._read(connections, start_ns, stop_ns, rule)
-
-    def _read(
-        self,
-        connections: Collection[Connection] | None,
-        start_ns: int | None,
-        stop_ns: int | None,
-        rule: ChunkRule | None,
-    ) -> Iterator[RawMessage | StoredChunk]:
         if self._unchanged:
-            only = self._readers[0]
-            if rule is None:
-                return only.messages(connections, start_ns, stop_ns)
-            return only.messages_or_chunks(rule, connections, start_ns, stop_ns)
+            return self._readers[0].units(connections, start_ns, stop_ns, rule)
         wanted = None if connections is None else {connection.id for connection in connections}
-        waiting: list[_Source] = []
+        sources = []
         for index, (reader, known) in enumerate(zip(self._readers, self._maps, strict=True)):
             chosen = None
             if wanted is not None:
                 chosen = [own for own in reader.connections if known[own.id].id in wanted]
                 if not chosen:
                     continue
-            due_ns = reader.summary.start_ns
-            if due_ns is not None and stop_ns is not None and due_ns >= stop_ns:
+            first_ns = reader.summary.start_ns
+            if first_ns is not None and stop_ns is not None and first_ns >= stop_ns:
                 continue
             own_rule = None
             if rule is not None and self._stands_alone(reader):
                 same = frozenset(own for own, connection in known.items() if own == connection.id)
                 own_rule = replace(rule, connection_ids=rule.connection_ids & same)
-            waiting.append(_Source(index, due_ns, _adopted(reader, known, chosen, start_ns, stop_ns, own_rule)))
-        return _by_time(waiting)
+            sources.append(_Source(index, reader, known, (chosen, start_ns, stop_ns, own_rule)))
+        return _one_by_one(sources)
 
     def _stands_alone(self, reader: Reader) -> bool:
         """Whether no other source has messages between the first and the last of this one."""
@@ -180,7 +162,7 @@ class MergedReader:
     def counts(
         self, connections: Collection[Connection], start_ns: int | None = None, stop_ns: int | None = None
     ) -> dict[int, int]:
-        """Messages of each connection in all sources together; see `pc2scan.bags.model.Reader`."""
+        """Messages of each connection in all sources together; see `pc2scan.bags.reader.Reader`."""
         found = dict.fromkeys((connection.id for connection in connections), 0)
         for reader, known in zip(self._readers, self._maps, strict=True):
             asked = [own for own in reader.connections if known[own.id].id in found]
@@ -192,11 +174,6 @@ class MergedReader:
                 else:
                     found.pop(merged_id, None)
         return found
-
-    def read_ahead(self, pool: Threads | None, work: Work | None = None) -> None:
-        """Read and decompress on these threads, and do this there with the messages under the unified connections."""
-        for reader, known in zip(self._readers, self._maps, strict=True):
-            reader.read_ahead(pool, None if work is None else partial(_adopted_first, known, work))
 
     def attachments(self) -> Iterator[Attachment]:
         """MCAP attachments, source by source."""
@@ -214,84 +191,55 @@ class MergedReader:
             reader.close()
 
 
-class _Source:
-    """A stream of messages and its place in the order."""
+class _Source(NamedTuple):
+    """A reader among several, its connections as they are called here, and what is read of it."""
 
-    __slots__ = ("due_ns", "index", "item", "key", "stream")
+    number: int
+    reader: Reader
+    known: Mapping[int, Connection]
+    selection: tuple[Collection[Connection] | None, int | None, int | None, ChunkRule | None]
 
-    def __init__(self, index: int, due_ns: int | None, stream: Generator[RawMessage | StoredChunk]) -> None:
-        self.index = index
-        self.due_ns = due_ns
-        self.stream = stream
-        self.item: RawMessage | StoredChunk | None = None
-        self.key = (0, index)
+    @property
+    def times_ns(self) -> tuple[int, float]:
+        """Log times between which its messages lie; those of unknown times may lie anywhere."""
+        summary = self.reader.summary
+        if summary.start_ns is None or summary.end_ns is None:
+            return UNKNOWN_START_NS, math.inf
+        return summary.start_ns, summary.end_ns
 
-    def advance(self) -> bool:
-        """Take the next message or chunk; False at the end."""
-        self.item = item = next(self.stream, None)
-        if item is None:
-            return False
-        self.key = (item.span_ns()[0] if isinstance(item, StoredChunk) else item.log_time_ns, self.index)
-        return True
-
-    def __lt__(self, other: _Source) -> bool:
-        return self.key < other.key
+    def units(self) -> Iterator[Unit]:
+        """Its units, with messages of the connections here."""
+        for unit in self.reader.units(*self.selection):
+            yield replace(unit, place=(self.number, *unit.place), load=_Renaming(unit.load, self.known))
 
 
-def _adopted_first(known: Mapping[int, Connection], work: Work, message: RawMessage) -> RawMessage:
-    done = work(message._replace(connection=known[message.connection.id]))
-    return done._replace(connection=message.connection)
+class _Renaming(NamedTuple):
+    """Loads a unit with other connections in the place of its own."""
+
+    load: Load
+    known: Mapping[int, Connection]
+
+    def __call__(self, callback: Callable[[RawMessage], Item], *, whole: bool) -> list[Item] | StoredChunk:
+        known = self.known
+        return self.load(lambda m: callback(m._replace(connection=known[m.connection.id])), whole=whole)
 
 
-def _adopted(
-    reader: Reader,
-    known: Mapping[int, Connection],
-    chosen: Collection[Connection] | None,
-    start_ns: int | None,
-    stop_ns: int | None,
-    rule: ChunkRule | None,
-) -> Generator[RawMessage | StoredChunk]:
-    """One source's messages under the unified connections; whole chunks where ``rule`` allows it."""
-    if rule is None:
-        for message in reader.messages(chosen, start_ns, stop_ns):
-            yield message._replace(connection=known[message.connection.id])
-        return
-    for item in reader.messages_or_chunks(rule, chosen, start_ns, stop_ns):
-        yield item if isinstance(item, StoredChunk) else item._replace(connection=known[item.connection.id])
+def _one_by_one(sources: Iterable[_Source]) -> Iterator[Unit]:
+    """The units of all sources by start. No source is read before the last one in front of it has ended."""
+    together: list[_Source] = []
+    latest: float = -math.inf
+    for source in sorted(sources, key=lambda source: (source.times_ns[0], source.number)):
+        start_ns, end_ns = source.times_ns
+        if start_ns > latest:
+            yield from _by_start(together)
+            together.clear()
+        together.append(source)
+        latest = max(latest, end_ns)
+    yield from _by_start(together)
 
 
-def _by_time(sources: Sequence[_Source]) -> Generator[RawMessage | StoredChunk]:
-    """Merge streams that are sorted by log time, each opened when it is due."""
-    # A source of unknown start is due at once; sorting is stable, so that equal starts keep their order.
-    waiting = sorted(sources, key=lambda source: (source.due_ns is not None, source.due_ns or 0))
-    heap: list[_Source] = []
-    due = 0
-    try:
-        while heap or due < len(waiting):
-            while due < len(waiting) and (not heap or _is_due(waiting[due], heap[0])):
-                if waiting[due].advance():
-                    heapq.heappush(heap, waiting[due])
-                due += 1
-            if not heap:
-                continue
-            current = heapq.heappop(heap)
-            limit = heap[0].key if heap else None
-            if due < len(waiting):
-                # Everything still waiting has a known start: those of unknown start came first.
-                arrival = (waiting[due].due_ns or 0, -1)
-                limit = arrival if limit is None else min(limit, arrival)
-            while current.item is not None and (limit is None or current.key < limit):
-                yield current.item
-                current.advance()
-            if current.item is not None:
-                heapq.heappush(heap, current)
-    finally:
-        for source in waiting:
-            source.stream.close()
-
-
-def _is_due(source: _Source, first: _Source) -> bool:
-    return source.due_ns is None or source.due_ns <= first.key[0]
+def _by_start(sources: Iterable[_Source]) -> Iterator[Unit]:
+    return heapq.merge(*(source.units() for source in sources), key=attrgetter("start_ns", "place"))
 
 
 def unified(sources: Sequence[Sequence[Connection]]) -> tuple[list[Connection], list[dict[int, int]]]:

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from itertools import chain
-from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeAlias
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-    from pathlib import Path
+    from collections.abc import Collection, Iterable, Mapping, Sequence
 
-    from .damage import Damage
     from .threads import Threads
 
 Buffer = bytes | memoryview
@@ -146,7 +144,6 @@ class RawMessage(NamedTuple):
 
     ``log_time_ns`` is the time of recording, ``publish_time_ns`` (equal to it where the container has
     only one) the time of publishing, both in integer nanoseconds. ``data`` may be a view into a larger buffer.
-    ``result`` is what the work given to `Reader.read_ahead` made of it; there may be no data any more then.
     """
 
     connection: Connection
@@ -154,23 +151,17 @@ class RawMessage(NamedTuple):
     data: Buffer
     publish_time_ns: int
     sequence: int = 0
-    result: object = None
 
 
-#: What is done with a message where it is read; see `Reader.read_ahead`.
-Work: TypeAlias = "Callable[[RawMessage], RawMessage]"
-
-
-def kept(data: Buffer) -> Buffer:
-    """Data that may be kept: a copy, if they are only lent (see `pc2scan.bags.files.SourceFile.lend`)."""
+def own(data: Buffer) -> Buffer:
+    """Return data that may be kept: a copy, if they are only borrowed (see `pc2scan.bags.files.SourceFile.borrow`)."""
     return data if isinstance(data, bytes) or isinstance(data.obj, bytes) else bytes(data)
 
 
-def worked_on(messages: list[RawMessage], work: Work | None) -> list[RawMessage]:
-    """Messages after the work on them, if there is any; what is left of their data may be kept."""
-    if work is not None:
-        messages = list(map(work, messages))
-    return [m if (data := kept(m.data)) is m.data else m._replace(data=data) for m in messages]
+def owned(message: RawMessage) -> RawMessage:
+    """Return a message whose data may be kept."""
+    data = own(message.data)
+    return message if data is message.data else message._replace(data=data)
 
 
 def declared_counts(connections: Iterable[Connection]) -> dict[int, int]:
@@ -286,110 +277,6 @@ class Summary:
         """Whose chunks its messages lie in: ``rosbag1`` or ``mcap``; empty for none."""
         form = self.storage or self.container
         return form if form in {"rosbag1", "mcap"} else ""
-
-
-class Reader(Protocol):
-    """An open recording."""
-
-    @property
-    def path(self) -> Path:
-        """Where it was opened."""
-        ...
-
-    @property
-    def connections(self) -> Sequence[Connection]:
-        """Every connection, in the container's order."""
-        ...
-
-    @property
-    def summary(self) -> Summary:
-        """What is known without reading messages."""
-        ...
-
-    @property
-    def bytes_read(self) -> int:
-        """Bytes of ``summary.size_bytes`` consumed so far, for progress."""
-        ...
-
-    @property
-    def damage(self) -> Sequence[Damage]:
-        """What is damaged and was read around, as far as the recording was read."""
-        ...
-
-    def messages(
-        self,
-        connections: Collection[Connection] | None = None,
-        start_ns: int | None = None,
-        stop_ns: int | None = None,
-    ) -> Iterator[RawMessage]:
-        """Messages in the order of log time; those of one log time in the order of the file.
-
-        Parameters
-        ----------
-        connections
-            Only messages of these; None means all. Stretches of the file without any are not read.
-        start_ns, stop_ns
-            Only messages with ``start_ns <= log_time_ns < stop_ns``.
-        """
-        ...
-
-    def messages_or_chunks(
-        self,
-        rule: ChunkRule,
-        connections: Collection[Connection] | None = None,
-        start_ns: int | None = None,
-        stop_ns: int | None = None,
-    ) -> Iterator[RawMessage | StoredChunk]:
-        """The same as `messages`, with whole chunks in the place of their messages where ``rule`` allows it.
-
-        The order stays that of `messages`: those of a whole chunk are sorted, and no other one belongs between them.
-        """
-        ...
-
-    def counts(
-        self, connections: Collection[Connection], start_ns: int | None = None, stop_ns: int | None = None
-    ) -> dict[int, int]:
-        """Count messages without reading them, as far as an index allows it.
-
-        Parameters
-        ----------
-        connections
-            Only messages of these.
-        start_ns, stop_ns
-            Only messages with ``start_ns <= log_time_ns < stop_ns``.
-
-        Returns
-        -------
-        dict[int, int]
-            By connection id. A connection that is missing can only be counted by reading its messages.
-        """
-        ...
-
-    def read_ahead(self, pool: Threads | None, work: Work | None = None) -> None:
-        """Let the following calls of `messages` read and decompress what comes next on these threads.
-
-        Parameters
-        ----------
-        pool
-            The threads.
-        work
-            Done with a message where it was read or decompressed, while it is still in that core's cache: what it
-            returns takes the message's place. Data that its result goes on to hold must be `kept`. It may be done
-            again, or not at all. None: messages stay as they are.
-        """
-        ...
-
-    def attachments(self) -> Iterator[Attachment]:
-        """MCAP attachments; none in other containers."""
-        ...
-
-    def metadata(self) -> Iterator[Metadata]:
-        """MCAP metadata records; none in other containers."""
-        ...
-
-    def close(self) -> None:
-        """Release the files."""
-        ...
 
 
 class Writer(Protocol):

@@ -80,7 +80,7 @@ class _Inputs:
         for given in inputs:
             for path in (given.path, *_entries(given.path)):
                 for place in _places(path):
-                    for read in (place, *(place.with_name(place.name + log) for log in _LOGS if place.name)):
+                    for read in (place, *_logs(place)):
                         self._add(given, read)
 
     def _add(self, given: Input, path: Path) -> None:
@@ -158,6 +158,12 @@ def _entries(path: Path) -> list[Path]:
         return list(path.iterdir())
     except OSError:
         return []
+
+
+def _logs(path: Path) -> Iterator[Path]:
+    """What SQLite would read beside a database: files, or what may become one."""
+    if path.name:
+        yield from (log for suffix in _LOGS if not (log := path.with_name(path.name + suffix)).is_dir())
 
 
 def _places(path: Path) -> Iterator[Path]:

@@ -14,6 +14,7 @@ from . import zstd
 from .damage import DamageLog
 from .files import opened_bytes
 from .model import MAX_ROSBAG2_NS
+from .reader import Reader
 from .staging import LEFTOVERS, working_names
 from .temporary import private_folder
 
@@ -22,19 +23,8 @@ if TYPE_CHECKING:
     from contextlib import ExitStack
 
     from .damage import Damage
-    from .model import (
-        Attachment,
-        ChunkRule,
-        Connection,
-        Metadata,
-        RawMessage,
-        Reader,
-        StoredChunk,
-        Summary,
-        Work,
-        Writer,
-    )
-    from .threads import Threads
+    from .model import Attachment, ChunkRule, Connection, Metadata, Summary, Writer
+    from .units import Unit
 
 __all__ = [
     "Container",
@@ -192,7 +182,7 @@ def _open(path: Path, form: str, *, verify: bool, strict: bool) -> Reader:
     return Rosbag2Reader(path, verify=verify, strict=strict)
 
 
-class _UnpackedReader:
+class _UnpackedReader(Reader):
     """A file that was compressed as a whole, read from a temporary copy."""
 
     def __init__(self, path: Path, form: str, *, verify: bool, strict: bool) -> None:
@@ -233,30 +223,19 @@ class _UnpackedReader:
     def damage(self) -> tuple[Damage, ...]:
         return (*self._log.found, *(replace(place, path=self._path) for place in self._inner.damage))
 
-    def messages(
+    def units(
         self,
         connections: Collection[Connection] | None = None,
         start_ns: int | None = None,
         stop_ns: int | None = None,
-    ) -> Iterator[RawMessage]:
-        return self._inner.messages(connections, start_ns, stop_ns)
-
-    def messages_or_chunks(
-        self,
-        rule: ChunkRule,
-        connections: Collection[Connection] | None = None,
-        start_ns: int | None = None,
-        stop_ns: int | None = None,
-    ) -> Iterator[RawMessage | StoredChunk]:
-        return self._inner.messages_or_chunks(rule, connections, start_ns, stop_ns)
+        rule: ChunkRule | None = None,
+    ) -> Iterable[Unit]:
+        return self._inner.units(connections, start_ns, stop_ns, rule)
 
     def counts(
         self, connections: Collection[Connection], start_ns: int | None = None, stop_ns: int | None = None
     ) -> dict[int, int]:
         return self._inner.counts(connections, start_ns, stop_ns)
-
-    def read_ahead(self, pool: Threads | None, work: Work | None = None) -> None:
-        self._inner.read_ahead(pool, work)
 
     def attachments(self) -> Iterator[Attachment]:
         return self._inner.attachments()

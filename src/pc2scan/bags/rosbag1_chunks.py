@@ -44,13 +44,13 @@ def payload(file: BagFile, segment: Segment) -> bytes:
     return with_payload(file, segment, bytes)
 
 
-def with_payload(file: BagFile, segment: Segment, use: Callable[[Buffer], _Result]) -> _Result:
-    """Call ``use`` with a chunk, decompressed; it may be lent only, see `SourceFile.lend`."""
+def with_payload(file: BagFile, segment: Segment, callback: Callable[[Buffer], _Result]) -> _Result:
+    """Call ``callback`` with a chunk, decompressed; it may be borrowed only, see `SourceFile.borrow`."""
 
     def unpacked(data: memoryview) -> _Result:
-        return use(decompressed(file, segment, data))
+        return callback(decompressed(file, segment, data))
 
-    return file.lend(segment.offset, segment.length, unpacked)
+    return file.borrow(segment.offset, segment.length, unpacked)
 
 
 def decompressed(file: BagFile, segment: Segment, data: Buffer) -> Buffer:

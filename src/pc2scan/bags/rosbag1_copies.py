@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from .rosbag1_chunks import Places
     from .segments import Segment
 
-__all__ = ["first_uses", "whole"]
+__all__ = ["first_uses", "whole_chunk"]
 
 
 def first_uses(segments: Collection[Segment], start_ns: int | None) -> dict[Segment, frozenset[int]]:
@@ -40,7 +40,7 @@ def first_uses(segments: Collection[Segment], start_ns: int | None) -> dict[Segm
     return uses
 
 
-def whole(
+def whole_chunk(
     segment: Segment,
     stored: Buffer,
     records: Buffer,

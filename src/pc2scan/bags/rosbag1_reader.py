@@ -3,29 +3,30 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 from .damage import DamageLog
-from .model import Summary, declared_counts, worked_on
+from .model import StoredChunk, Summary, declared_counts
+from .reader import Reader
 from .rosbag1_chunks import Places, decompressed, messages_in, with_payload
 from .rosbag1_contents import read_index
-from .rosbag1_copies import first_uses, whole
+from .rosbag1_copies import first_uses, whole_chunk
 from .rosbag1_records import BagFile, Damaged
-from .segments import in_time_order, standing_alone
+from .segments import standing_alone, units_of
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Sequence
+    from collections.abc import Callable, Collection, Sequence
     from pathlib import Path
 
     from .damage import Damage
-    from .model import Attachment, Buffer, ChunkRule, Connection, Metadata, RawMessage, StoredChunk, Work
+    from .model import Buffer, ChunkRule, Connection, RawMessage
     from .segments import Segment
-    from .threads import Threads
+    from .units import Item, Unit
 
 __all__ = ["Rosbag1Reader"]
 
 
-class Rosbag1Reader:
+class Rosbag1Reader(Reader):
     """An open ROS 1 bag; a `Reader`.
 
     Opening reads the index and the headers of the chunks. Chunks are read and decompressed one at a time,
@@ -53,8 +54,6 @@ class Rosbag1Reader:
         self._log = DamageLog(strict=strict)
         self._file = BagFile(path)
         self._bytes_read = 0
-        self._pool: Threads | None = None
-        self._work: Work | None = None
         try:
             try:
                 self._contents = read_index(self._file)
@@ -97,52 +96,15 @@ class Rosbag1Reader:
         """Stored bytes of the chunks that the latest call of `messages` has read so far."""
         return min(self._bytes_read, self._file.size)
 
-    def messages(
+    def units(
         self,
         connections: Collection[Connection] | None = None,
         start_ns: int | None = None,
         stop_ns: int | None = None,
-    ) -> Iterator[RawMessage]:
-        """Messages in the order of log time; those of one log time in the order of the file.
-
-        Parameters
-        ----------
-        connections
-            Only messages of these; None means all. Chunks without any are not read.
-        start_ns, stop_ns
-            Only messages with ``start_ns <= log_time_ns < stop_ns``.
-
-        Yields
-        ------
-        RawMessage
-            ``data`` is a view into the decompressed chunk, and keeps it alive.
-
-        Raises
-        ------
-        RecordingError
-            If the system refuses to read.
-        DamageError
-            With ``strict``, if a chunk cannot be decompressed or taken apart.
-        """
-        return cast("Iterator[RawMessage]", self._read(connections, start_ns, stop_ns, None))
-
-    def messages_or_chunks(
-        self,
-        rule: ChunkRule,
-        connections: Collection[Connection] | None = None,
-        start_ns: int | None = None,
-        stop_ns: int | None = None,
-    ) -> Iterator[RawMessage | StoredChunk]:
-        """The same, with whole chunks where ``rule`` allows it. They are decompressed to see what is in them."""
-        return self._read(connections, start_ns, stop_ns, rule if rule.container == "rosbag1" else None)
-
-    def _read(
-        self,
-        connections: Collection[Connection] | None,
-        start_ns: int | None,
-        stop_ns: int | None,
-        rule: ChunkRule | None,
-    ) -> Iterator[RawMessage | StoredChunk]:
+        rule: ChunkRule | None = None,
+    ) -> list[Unit]:
+        """Chunks by start; see `pc2scan.bags.reader.Reader`. They are decompressed to see whether they can be whole."""
+        rule = rule if rule and rule.container == "rosbag1" else None
         known = self._contents.connections
         ids = None if connections is None else frozenset(connection.id for connection in connections)
         wanted = {key: item if ids is None or key in ids else None for key, item in known.items()}
@@ -156,17 +118,18 @@ class Rosbag1Reader:
             chunk = decompressed(self._file, segment, stored)
             places = Places()
             messages = messages_in(chunk, wanted, start_ns, stop_ns, places)
-            return whole(segment, stored, chunk, messages, places, rule, needed[segment]) or messages
+            return whole_chunk(segment, stored, chunk, messages, places, rule, needed[segment]) or messages
 
-        def load(segment: Segment, may_be_whole: bool, work: Work | None) -> list[RawMessage] | StoredChunk:
+        def load(segment: Segment, callback: Callable[[RawMessage], Item], *, whole: bool) -> list[Item] | StoredChunk:
             self._bytes_read += segment.length
-            if rule and may_be_whole:
+            if rule and whole:
                 # What is damaged is not copied.
                 with suppress(Damaged):
-                    return load_whole(segment, rule)
+                    found = load_whole(segment, rule)
+                    return found if isinstance(found, StoredChunk) else list(map(callback, found))
 
-            def taken(chunk: Buffer) -> list[RawMessage]:
-                return worked_on(messages_in(chunk, wanted, start_ns, stop_ns), work)
+            def taken(chunk: Buffer) -> list[Item]:
+                return list(map(callback, messages_in(chunk, wanted, start_ns, stop_ns)))
 
             try:
                 return with_payload(self._file, segment, taken)
@@ -180,11 +143,9 @@ class Rosbag1Reader:
                 and low <= message.log_time_ns
                 and (high is None or message.log_time_ns < high)
             ]
-            return worked_on(left, work)
+            return list(map(callback, left))
 
-        return in_time_order(
-            due, load, alone=alone, pool=self._pool, work=self._work, expect=self._file.expect, path=self._path
-        )
+        return units_of(due, load, alone, self._file)
 
     def _salvaged(self, segment: Segment, problem: Damaged) -> list[RawMessage]:
         """Take note of a damaged chunk, and find the messages that are left of it."""
@@ -211,7 +172,7 @@ class Rosbag1Reader:
     def counts(
         self, connections: Collection[Connection], start_ns: int | None = None, stop_ns: int | None = None
     ) -> dict[int, int]:
-        """Count by the index, or for a part of the time by the chunks' own; see `pc2scan.bags.model.Reader`."""
+        """Count by the index, or for a part of the time by the chunks' own; see `pc2scan.bags.reader.Reader`."""
         declared = declared_counts(connections) if start_ns is None and stop_ns is None else {}
         ids = frozenset(connection.id for connection in connections) - declared.keys()
         if not ids:
@@ -224,18 +185,6 @@ class Rosbag1Reader:
     def damage(self) -> tuple[Damage, ...]:
         """What is damaged, as far as it was read."""
         return self._log.found
-
-    def read_ahead(self, pool: Threads | None, work: Work | None = None) -> None:
-        """Read and decompress on these threads, and do this there; see `pc2scan.bags.model.Reader`."""
-        self._pool, self._work = pool, work
-
-    def attachments(self) -> Iterator[Attachment]:
-        """None: a ROS 1 bag has no attachments."""
-        return iter(())
-
-    def metadata(self) -> Iterator[Metadata]:
-        """None: a ROS 1 bag has no metadata records."""
-        return iter(())
 
     def close(self) -> None:
         """Release the file. Messages that were handed out stay valid."""

@@ -21,13 +21,14 @@ if TYPE_CHECKING:
     from tempfile import TemporaryDirectory
 
     from .damage import Damage
-    from .model import Connection, Metadata, Reader, Summary
+    from .model import Connection, Metadata, Summary
+    from .reader import Reader
 
 __all__ = ["Rosbag2Reader"]
 
 
 class Rosbag2Reader(MergedReader):
-    """A rosbag2 directory; satisfies `pc2scan.bags.model.Reader`.
+    """A rosbag2 directory; satisfies `pc2scan.bags.reader.Reader`.
 
     The files of a split recording are merged by time. Without metadata.yaml the storage files are read in the
     natural order of their names. Where metadata.yaml and the storage disagree, the storage is right; what it

@@ -22,7 +22,9 @@ from __future__ import annotations
 import re
 import sqlite3
 from contextlib import contextmanager
-from itertools import chain
+from dataclasses import dataclass
+from functools import partial
+from itertools import chain, islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,18 +35,20 @@ from .damage import RECOVER, DamageLog
 from .limits import MAX_CONNECTIONS
 from .model import Connection, Definition, RawMessage, Summary, declared_counts
 from .qos import latches
+from .reader import Reader
 from .sqlite3_logs import missing_bytes, side_logs, write_merged
 from .sqlite3_pages import PageFile, declared_size, rebuilt
 from .temporary import making_copy, private_folder, sqlite_is_full
+from .units import Unit
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
     from tempfile import TemporaryDirectory
 
     from .damage import Damage
-    from .model import Attachment, ChunkRule, Metadata, StoredChunk, Work
+    from .model import ChunkRule
     from .sqlite3_page_log import PageLog
-    from .threads import Threads
+    from .units import Item
 
 __all__ = ["Sqlite3Reader"]
 
@@ -62,8 +66,29 @@ _LOOKED_AT = 1000
 _SQLITE_ERRORS = (sqlite3.Error, UnicodeDecodeError, MemoryError)
 
 
-class Sqlite3Reader:
-    """A ``.db3`` file; satisfies `pc2scan.bags.model.Reader`.
+#: A unit ends after so many bytes or rows. Fewer bytes are worked on in less time than handing them over takes.
+_UNIT_BYTES = 1 << 19
+_UNIT_ROWS = 1024
+_WORTH_A_THREAD = 1 << 20
+
+
+@dataclass(slots=True)
+class _Rows:
+    """Loads rows that have been read: once from memory, where they take room no longer than needed, then again."""
+
+    rows: list[RawMessage]
+    count: int
+    read_again: Callable[[], Iterator[tuple[tuple[int, int], RawMessage]]]
+
+    def __call__(self, callback: Callable[[RawMessage], Item], *, whole: bool) -> list[Item]:  # noqa: ARG002
+        rows, self.rows = self.rows, []
+        if not rows:
+            rows = [message for _, message in islice(self.read_again(), self.count)]
+        return list(map(callback, rows))
+
+
+class Sqlite3Reader(Reader):
+    """A ``.db3`` file; satisfies `pc2scan.bags.reader.Reader`.
 
     Parameters
     ----------
@@ -159,16 +184,50 @@ class Sqlite3Reader:
         """What is damaged, as far as it was read."""
         return self._log.found
 
-    def messages(
+    def units(
         self,
         connections: Collection[Connection] | None = None,
         start_ns: int | None = None,
         stop_ns: int | None = None,
-    ) -> Iterator[RawMessage]:
-        """Messages by log time; equal log times in the order of writing. Memory does not grow."""
+        rule: ChunkRule | None = None,  # noqa: ARG002  # there are no chunks
+    ) -> Iterator[Unit]:
+        """Rows by log time, some of them at a time; equal log times in the order of writing.
+
+        Rows are read while the units are iterated over, by the thread that does so: a database is read in order. A unit
+        that is loaded again, which also happens on that thread, reads its rows again.
+        """
+        wanted = partial(self._messages, connections, start_ns, stop_ns)
+        rows: list[RawMessage] = []
+        size = number = 0
+        before: tuple[int, int] | None = None
+
+        def unit() -> Unit:
+            rest = _Rows(rows, len(rows), partial(wanted, before))
+            return Unit(rows[0].log_time_ns, (number,), size, rest, is_quick=size < _WORTH_A_THREAD)
+
+        for key, message in wanted():
+            rows.append(message)
+            size += len(message.data)
+            if size >= _UNIT_BYTES or len(rows) == _UNIT_ROWS:
+                yield unit()
+                rows, size, number, before = [], 0, number + 1, key
+            del message
+        if rows:
+            yield unit()
+
+    def _messages(
+        self,
+        connections: Collection[Connection] | None,
+        start_ns: int | None,
+        stop_ns: int | None,
+        after: tuple[int, int] | None = None,
+    ) -> Iterator[tuple[tuple[int, int], RawMessage]]:
+        """Messages by log time, those behind ``after``; equal log times in the order of writing. Memory does not grow.
+
+        The key that stands before each is its log time and the row's id.
+        """
         wanted = None if connections is None else {connection.id for connection in connections}
         known = {own.id: own for own in self._connections if wanted is None or own.id in wanted}
-        after: tuple[int, int] | None = None
         expected = sum(own.message_count or 0 for own in known.values())
         while True:
             try:
@@ -185,9 +244,9 @@ class Sqlite3Reader:
                     after = (time_ns, message_id)
                     if isinstance(data, bytes) and topic_id not in self._packed_topics:
                         self._bytes_read += len(data)
-                        yield RawMessage(known[topic_id], time_ns, data, time_ns)
+                        yield after, RawMessage(known[topic_id], time_ns, data, time_ns)
                     elif (message := self._unpacked(known[topic_id], time_ns, message_id, data)) is not None:
-                        yield message
+                        yield after, message
             except (*_SQLITE_ERRORS, DamageError) as err:
                 # What was handed out stays so: the rest comes from the pages, from the next row on.
                 self._recover(err if isinstance(err, DamageError) else self._error(err))
@@ -207,20 +266,10 @@ class Sqlite3Reader:
             return None
         return RawMessage(connection, time_ns, unpacked, time_ns)
 
-    def messages_or_chunks(
-        self,
-        rule: ChunkRule,  # noqa: ARG002 - there are no chunks
-        connections: Collection[Connection] | None = None,
-        start_ns: int | None = None,
-        stop_ns: int | None = None,
-    ) -> Iterator[RawMessage | StoredChunk]:
-        """The same: the storage has no chunks."""
-        return self.messages(connections, start_ns, stop_ns)
-
     def counts(
         self, connections: Collection[Connection], start_ns: int | None = None, stop_ns: int | None = None
     ) -> dict[int, int]:
-        """Count rows, without their data; see `pc2scan.bags.model.Reader`."""
+        """Count rows, without their data; see `pc2scan.bags.reader.Reader`."""
         if start_ns is None and stop_ns is None:
             return declared_counts(connections)
         found = dict.fromkeys((connection.id for connection in connections), 0)
@@ -233,17 +282,6 @@ class Sqlite3Reader:
             # Reading the messages deals with damage.
             return {}
         return found | {topic_id: count for topic_id, count in rows if topic_id in found}
-
-    def read_ahead(self, pool: Threads | None, work: Work | None = None) -> None:
-        """Nothing changes: a database is read in order, by the thread that opened it."""
-
-    def attachments(self) -> Iterator[Attachment]:
-        """None: the storage has no attachments."""
-        return iter(())
-
-    def metadata(self) -> Iterator[Metadata]:
-        """None: the storage's ``metadata`` table is a copy of rosbag2's metadata.yaml."""
-        return iter(())
 
     def close(self) -> None:
         """Close the database and remove the copy, if there is one."""

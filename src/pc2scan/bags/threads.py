@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from concurrent.futures import Future
 from contextlib import suppress
 from functools import partial
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
     from types import TracebackType
     from typing import Self
 
-__all__ = ["Task", "Threads"]
+__all__ = ["InOrder", "Task", "Threads"]
 
 _Result = TypeVar("_Result")
 _Arguments = ParamSpec("_Arguments")
@@ -68,8 +69,6 @@ class Threads:
         How many threads.
     ahead
         Pieces of work that may wait, or have a result that waits for its turn.
-    ahead_bytes
-        Bytes that these may take; one larger piece may always.
 
     Notes
     -----
@@ -80,7 +79,6 @@ class Threads:
     def __init__(self, jobs: int) -> None:
         self.jobs = jobs
         self.ahead = 4 * jobs
-        self.ahead_bytes = jobs << 23
         self._tasks: SimpleQueue[Task[Any] | None] = SimpleQueue()
         self._threads: list[Thread] = []
 
@@ -126,3 +124,58 @@ class Threads:
                 task.run()
             # Its result must not be kept while the thread waits for the next one.
             del task
+
+
+class InOrder(Generic[_Result]):
+    """Work on threads whose results are taken in the order in which it was put in, within bounds of memory.
+
+    Parameters
+    ----------
+    threads
+        Who works.
+    bytes_a_thread
+        Bytes that may wait for each thread.
+    least
+        Pieces of work that may wait whatever their size.
+    most
+        Pieces of work that may wait at most; None: as many as `Threads.ahead`.
+    """
+
+    def __init__(self, threads: Threads, bytes_a_thread: int, least: int, most: int | None = None) -> None:
+        self._threads = threads
+        self._bytes = threads.jobs * bytes_a_thread
+        self._most = max(1, threads.ahead if most is None else min(most, threads.ahead))
+        self._least = min(least, self._most)
+        self._held = 0
+        #: The result, and how many bytes wait for it. What is done at its turn is not submitted.
+        self._waiting: deque[tuple[Callable[[], _Result], Future[_Result] | None, int]] = deque()
+
+    def __len__(self) -> int:
+        return len(self._waiting)
+
+    def has_room(self, size: int) -> bool:
+        """Whether one more of so many bytes may wait."""
+        return len(self._waiting) < (self._most if self._held + size <= self._bytes else self._least)
+
+    def put(self, work: Callable[[], _Result], size: int, *, at_its_turn: bool = False) -> None:
+        """Let a thread call ``work``, or whoever takes its result."""
+        future = None if at_its_turn else self._threads.submit(work)
+        self._waiting.append((work if future is None else future.result, future, size))
+        self._held += size
+
+    def is_ready(self) -> bool:
+        """Whether there is a first result that can be taken without waiting."""
+        return bool(self._waiting) and ((future := self._waiting[0][1]) is None or future.done())
+
+    def take(self) -> _Result:
+        """Return the first result, or raise its error."""
+        result, _, size = self._waiting.popleft()
+        self._held -= size
+        return result()
+
+    def cancel(self) -> None:
+        """Give up what has not begun."""
+        for _, future, _ in self._waiting:
+            if future is not None:
+                future.cancel()
+        self._waiting.clear()

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections import deque
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
+
+from .threads import InOrder
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from concurrent.futures import Future
 
     from .threads import Threads
 
 __all__ = ["WriteAhead"]
 
 Prepared = TypeVar("Prepared")
+
+#: So many bytes wait for each thread.
+_BYTES_A_THREAD = 8 << 20
 
 
 class WriteAhead:
@@ -24,14 +27,11 @@ class WriteAhead:
     """
 
     def __init__(self) -> None:
-        self._pool: Threads | None = None
-        # The work (None: there is none), what writes its result, and the bytes held meanwhile.
-        self._waiting: deque[tuple[Future[Any] | None, Callable[[], None], int]] = deque()
-        self._held = 0
+        self._queue: InOrder[Callable[[], None]] | None = None
 
     def use(self, pool: Threads) -> None:
         """Work on what is put in from now on on these threads."""
-        self._pool = pool
+        self._queue = InOrder(pool, _BYTES_A_THREAD, 1)
 
     def put(self, prepare: Callable[[], Prepared], write: Callable[[Prepared], None], size: int) -> None:
         """Call ``prepare`` on any thread, then ``write`` with its result on the caller's, in its turn.
@@ -43,46 +43,38 @@ class WriteAhead:
         size
             Bytes that are held until it is written.
         """
-        if self._pool is None:
-            write(prepare())
+
+        def prepared() -> Callable[[], None]:
+            result = prepare()
+            return lambda: write(result)
+
+        if self._queue is None:
+            prepared()()
             return
-        self._make_room(size)
-        future = self._pool.submit(prepare)
-        self._waiting.append((future, lambda: write(future.result()), size))
-        self._held += size
+        self._make_room(self._queue, size)
+        self._queue.put(prepared, size)
 
     def put_ready(self, write: Callable[[], None], size: int) -> None:
         """Call ``write`` in its turn: at once if nothing waits."""
-        self._make_room(size)
-        if self._waiting:
-            self._waiting.append((None, write, size))
-            self._held += size
+        if self._queue is not None:
+            self._make_room(self._queue, size)
+        if self._queue:
+            self._queue.put(lambda: write, size, at_its_turn=True)
         else:
             write()
 
     def finish(self) -> None:
         """Write everything that waits."""
-        while self._waiting:
-            self._write_first()
+        while self._queue:
+            self._queue.take()()
 
     def cancel(self) -> None:
         """Give up everything that waits."""
-        for future, _, _ in self._waiting:
-            if future is not None:
-                future.cancel()
-        self._waiting.clear()
+        if self._queue is not None:
+            self._queue.cancel()
 
-    def _make_room(self, size: int) -> None:
+    @staticmethod
+    def _make_room(queue: InOrder[Callable[[], None]], size: int) -> None:
         """Write what is ready, and of the rest as much as there is too much with ``size`` bytes more."""
-        pool = self._pool
-        while self._waiting and pool is not None:
-            future = self._waiting[0][0]
-            room = len(self._waiting) < pool.ahead and self._held + size <= pool.ahead_bytes
-            if room and future is not None and not future.done():
-                return
-            self._write_first()
-
-    def _write_first(self) -> None:
-        _, write, size = self._waiting.popleft()
-        self._held -= size
-        write()
+        while queue and (queue.is_ready() or not queue.has_room(size)):
+            queue.take()()

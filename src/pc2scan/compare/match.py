@@ -24,7 +24,7 @@ __all__ = ["Match", "Source", "Stream", "header_stamp_ns", "matched", "moved_ind
 
 
 class Source(Protocol):
-    """What is needed of an open recording; `pc2scan.bags.model.Reader` has it."""
+    """What is needed of an open recording; `pc2scan.bags.reader.Reader` has it."""
 
     @property
     def path(self) -> Path:

@@ -73,8 +73,7 @@ class ProjectionParams:
     inf_epsilon
         Metres, see ``use_inf``.
     queue_size
-        Messages in flight at most; 0 means as many as there are processor cores, and bounds memory only: nothing
-        is ever dropped.
+        Chunks of messages in flight at most; 0 means as many as memory allows. Nothing is ever dropped.
     geometry
         ``upstream``: beam i begins at ``angle_min + i * angle_increment``. ``centered``: it looks there, and takes
         what is within half an increment on either side; see `centered_layout`.

@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pc2scan.bags.damage import Damage
-    from pc2scan.bags.model import Connection, RawMessage, Reader, Summary
+    from pc2scan.bags.model import Connection, RawMessage, Summary
+    from pc2scan.bags.reader import Reader
     from pc2scan.messages.pointcloud2 import PointCloud2
 
 __all__ = ["CloudInfo", "FileInfo", "Info", "Spread", "TopicInfo", "info"]

@@ -13,7 +13,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
     from pathlib import Path
 
-    from pc2scan.bags.model import Connection, Reader
+    from pc2scan.bags.model import Connection
+    from pc2scan.bags.reader import Reader
     from pc2scan.core.rigid import Rigid, TransformRow
     from pc2scan.tf.buffer import TransformBuffer
 

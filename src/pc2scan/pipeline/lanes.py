@@ -17,7 +17,8 @@ from .report import TopicReport
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
-    from pc2scan.bags.model import Buffer, Definition, Reader, Writer
+    from pc2scan.bags.model import Buffer, Definition, Writer
+    from pc2scan.bags.reader import Reader
     from pc2scan.bags.registry import Destination
 
     from .conversion import Conversion, Converted

@@ -153,7 +153,7 @@ _HELP: dict[str, tuple[str, str]] = {
     "inf_epsilon": ("m", "Added to range_max for a beam without a return, when use_inf is off."),
     "queue_size": (
         "",
-        "Most messages in work at one time; 0: as many as there are processor cores. Nothing is dropped.",
+        "Most chunks of messages in work at one time; 0: as many as memory allows. Nothing is dropped.",
     ),
     "geometry": (
         "",

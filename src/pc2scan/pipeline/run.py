@@ -39,13 +39,15 @@ from .lanes import Lane, carry_extras, chunk_rule, count_skipped, open_lanes, wr
 from .memory import keep_freed_memory
 from .plan import make_plan
 from .report import BEGINNING, Report
-from .stream import Progress, Span, cores, stream
+from .scheduler import cores
+from .stream import Progress, Span, stream
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
     from pathlib import Path
 
-    from pc2scan.bags.model import Connection, Reader, Summary
+    from pc2scan.bags.model import Connection, Summary
+    from pc2scan.bags.reader import Reader
     from pc2scan.bags.registry import Destination
 
     from .conversion import Conversion

@@ -2,30 +2,30 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from contextlib import closing
 from functools import partial
-from itertools import chain
-from typing import TYPE_CHECKING, NamedTuple, cast
+from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.bags.model import RawMessage, StoredChunk, kept
+from pc2scan.bags.model import StoredChunk, own, owned
 from pc2scan.errors import MessageError, UnwritableError
 
-from .lanes import Lane
-from .ordered import map_in_order
 from .report import Report, Skipped
+from .scheduler import Later, schedule
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Generator, Iterable, Iterator, Mapping
 
-    from pc2scan.bags.model import Buffer, ChunkRule, Reader, Writer
+    from pc2scan.bags.model import Buffer, ChunkRule, RawMessage, Writer
+    from pc2scan.bags.reader import Reader
     from pc2scan.bags.threads import Threads
+    from pc2scan.bags.units import Unit
 
     from .conversion import Converted
+    from .lanes import Lane
     from .options import ConvertOptions
 
-__all__ = ["Progress", "Span", "cores", "stream"]
+__all__ = ["Progress", "Span", "stream"]
 
 #: Called now and then with bytes read so far, bytes in all, and messages read so far.
 Progress = Callable[[int, int, int], None]
@@ -33,18 +33,14 @@ Progress = Callable[[int, int, int], None]
 #: Messages between two calls of the progress function.
 _PROGRESS_EVERY = 64
 
-#: To hand a smaller message to another thread, and to wait for the interpreter, takes longer than to work on it.
-_WORTH_A_THREAD = 1 << 20
-
 
 class _Outcome(NamedTuple):
-    """What became of a message; an error takes the place of what could not be made.
-
-    ``times`` are those of recording and of publishing (ns), and the sequence number.
-    """
+    """What became of a message; an error takes the place of what could not be made."""
 
     lane: Lane
-    times: tuple[int, int, int]
+    log_time_ns: int
+    publish_time_ns: int
+    sequence: int
     converted: Converted | None
     passing: Buffer | None
     error: MessageError | None
@@ -70,19 +66,8 @@ def stream(
     progress: Progress | None,
 ) -> None:
     """Read, work on several threads, and write in the order of reading."""
-    reader.read_ahead(pool, partial(_at_once, lanes))
     total = reader.summary.size_bytes
-    outcomes = map_in_order(
-        _work,
-        (
-            item if isinstance(item, StoredChunk) else (lanes[item.connection.id], item)
-            for item in _cut(reader, lanes, span, rule)
-        ),
-        is_heavy=_is_heavy,
-        size=_KeptBytes(),
-        pool=pool,
-        window=options.params.queue_size or 2 * (options.jobs or cores()),
-    )
+    outcomes = _outcomes(reader, lanes, options, span, rule, pool)
     done = told = 0
     # Closed before the pool is waited for, so that an error gives up what has not begun.
     with closing(outcomes):
@@ -99,83 +84,50 @@ def stream(
         progress(total, total, sum(entry.messages_in for entry in report.topics))
 
 
-class _KeptBytes:
-    """How many bytes an item keeps in memory: its chunk, unless the message before it already does."""
-
-    def __init__(self) -> None:
-        # Its address: a reference would keep it.
-        self._chunk = 0
-
-    def __call__(self, item: _Item) -> int:
-        data = item.stored if isinstance(item, StoredChunk) else item[1].data
-        if not isinstance(data, memoryview):
-            return len(data)
-        known, self._chunk = self._chunk, id(data.obj)
-        return 0 if self._chunk == known else len(data.obj)  # type: ignore[arg-type]  # chunks are bytes
-
-
-def cores() -> int:
-    """Processor cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+def _outcomes(
+    reader: Reader,
+    lanes: Mapping[int, Lane],
+    options: ConvertOptions,
+    span: Span,
+    rule: ChunkRule | None,
+    pool: Threads | None,
+) -> Generator[_Outcome | StoredChunk]:
+    """What becomes of the messages of the cut, after the latched ones from before it."""
+    work = partial(_outcome_or_later, lanes)
+    window = options.params.queue_size or None
+    for units in _cut(reader, lanes, span, rule):
+        yield from schedule(units, work, pool, window=window, path=reader.path)
 
 
-def _cut(
-    reader: Reader, lanes: Mapping[int, Lane], span: Span, rule: ChunkRule | None
-) -> Iterator[RawMessage | StoredChunk]:
-    """The wanted messages of the cut, after the latched ones from before it; in whole chunks where ``rule`` allows."""
+def _cut(reader: Reader, lanes: Mapping[int, Lane], span: Span, rule: ChunkRule | None) -> Iterator[Iterable[Unit]]:
+    """The units of the cut, after those with the latched messages from before it."""
     wanted = [lane.connection for lane in lanes.values()]
-    start, stop = span.start_ns, span.stop_ns
-    items: Iterator[RawMessage | StoredChunk] = (
-        reader.messages(wanted, start, stop) if rule is None else reader.messages_or_chunks(rule, wanted, start, stop)
-    )
+    start, stop, _ = span
     lasting = [lane.connection for lane in lanes.values() if lane.lasts]
-    if start is None or not lasting:
-        return items
-    return chain(reader.messages(lasting, None, start), items)
+    if start is not None and lasting:
+        yield reader.units(lasting, None, start)
+    yield reader.units(wanted, start, stop, rule)
 
 
-#: A message with its lane, or a chunk to be copied.
-_Item = tuple[Lane, RawMessage] | StoredChunk
-
-
-def _is_heavy(item: _Item) -> bool:
-    if isinstance(item, StoredChunk) or item[1].result is not None:
-        return False
-    lane, message = item
-    return (lane.convert is not None or lane.encode is not None) and len(message.data) >= _WORTH_A_THREAD
-
-
-def _work(item: _Item) -> _Outcome | StoredChunk:
-    """All the work on one message, unless it is done, and none on a chunk; runs on any thread."""
-    if isinstance(item, StoredChunk):
-        return item
-    lane, message = item
-    return _outcome(lane, message) if message.result is None else cast("_Outcome", message.result)
+def _outcome_or_later(lanes: Mapping[int, Lane], message: RawMessage) -> _Outcome | Later:
+    """Work on a message, unless its result takes more memory until its turn; runs on any thread."""
+    lane = lanes[message.connection.id]
+    if lane.convert is not None and len(message.data) < lane.shrinks_from:
+        return Later(owned(message), partial(_outcome, lane))
+    return _outcome(lane, message)
 
 
 def _outcome(lane: Lane, message: RawMessage) -> _Outcome:
+    """All the work on one message."""
     converted = passing = error = None
     try:
         if lane.passing_handle >= 0:
-            passing = message.data if lane.encode is None else lane.encode(message.data)
+            passing = own(message.data) if lane.encode is None else lane.encode(message.data)
         if lane.convert is not None:
             converted = lane.convert(message.data)
     except MessageError as err:
         error = err
-    return _Outcome(lane, (message.log_time_ns, message.publish_time_ns, message.sequence), converted, passing, error)
-
-
-def _at_once(lanes: Mapping[int, Lane], message: RawMessage) -> RawMessage:
-    """Work on a message where it was read if what it becomes takes less memory until its turn."""
-    lane = lanes[message.connection.id]
-    if len(message.data) < lane.shrinks_from:
-        return message
-    outcome = _outcome(lane, message)
-    if outcome.passing is not None:
-        outcome = outcome._replace(passing=kept(outcome.passing))
-    # What passes through as well is still held, and counts as that.
-    times = outcome.times
-    return RawMessage(message.connection, times[0], outcome.passing or b"", times[1], times[2], outcome)
+    return _Outcome(lane, message.log_time_ns, message.publish_time_ns, message.sequence, converted, passing, error)
 
 
 def _write_chunk(chunk: StoredChunk, lanes: Mapping[int, Lane], writer: Writer) -> int:
@@ -189,7 +141,7 @@ def _write_chunk(chunk: StoredChunk, lanes: Mapping[int, Lane], writer: Writer) 
 
 def _write(outcome: _Outcome, writer: Writer, report: Report, on_error: str) -> None:
     """Write what a message became, and account for it."""
-    lane, (log_time_ns, publish_time_ns, sequence), converted, passing, error = outcome
+    lane, log_time_ns, publish_time_ns, sequence, converted, passing, error = outcome
     entry = lane.report
     if not lane.writes:
         entry.skip(1)

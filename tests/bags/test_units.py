@@ -1,0 +1,151 @@
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pc2scan.bags.model import Connection, RawMessage, StoredChunk
+from pc2scan.bags.units import Stretch, Unit, by_start, in_time_order
+from pc2scan.errors import RecordingError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+TOPIC = Connection(1, "/a", "a/msg/A", "cdr")
+
+
+class Load:
+    """A chunk in memory; counts how often it is loaded."""
+
+    def __init__(self, number: int, times_ns: list[int]) -> None:
+        self.number = number
+        self.times_ns = times_ns
+        self.calls: list[bool] = []
+
+    def __call__(self, callback: Callable[[RawMessage], Any], *, whole: bool) -> list[Any] | StoredChunk:
+        self.calls.append(whole)
+        if whole and self.times_ns == sorted(self.times_ns):
+            return StoredChunk("zstd", b"", self.number, 0, {1: [(time_ns, 0) for time_ns in self.times_ns]})
+        return [callback(RawMessage(TOPIC, time_ns, bytes([self.number]), time_ns)) for time_ns in self.times_ns]
+
+
+def unit(number: int, times_ns: list[int], *, size: int = 1, whole: bool = False) -> Unit:
+    return Unit(min(times_ns), (number,), size, Load(number, times_ns), may_be_whole=whole)
+
+
+def calls(unit: Unit) -> list[bool]:
+    assert isinstance(unit.load, Load)
+    return unit.load.calls
+
+
+def found(items: Iterator[Any]) -> list[tuple[int, int]]:
+    """Log times, and the unit that each is of."""
+    places: list[tuple[int, int]] = []
+    for item in items:
+        if isinstance(item, StoredChunk):
+            places += ((time_ns, item.size) for time_ns, _ in item.index[1])
+        else:
+            places.append((item.log_time_ns, item.data[0]))
+    return places
+
+
+CHUNKS = st.lists(st.lists(st.integers(0, 60), min_size=1, max_size=4), min_size=1, max_size=8)
+
+
+@given(CHUNKS, st.integers(1, 9))
+def test_the_order_is_that_of_a_stable_sort(chunks: list[list[int]], room: int) -> None:
+    units = by_start(unit(number, times) for number, times in enumerate(chunks))
+    expected = sorted(((time, number) for number, times in enumerate(chunks) for time in times))
+    assert found(in_time_order(units, max_open_bytes=room)) == expected
+
+
+@given(CHUNKS, st.lists(st.booleans(), min_size=8, max_size=8))
+def test_the_order_is_that_without_whole_chunks(chunks: list[list[int]], whole: list[bool]) -> None:
+    """Also where a chunk that may be whole does not stand alone after all."""
+    units = by_start(unit(n, times, whole=may) for (n, times), may in zip(enumerate(chunks), whole, strict=False))
+    expected = sorted(((time, number) for number, times in enumerate(chunks) for time in times))
+    assert found(in_time_order(units)) == expected
+
+
+def test_a_chunk_alone_is_handed_on_whole() -> None:
+    units = [unit(1, [0, 1]), unit(2, [3], whole=True), unit(3, [5, 6])]
+    items = list(in_time_order(units))
+    assert [isinstance(item, StoredChunk) for item in items] == [False, False, True, False, False]
+    assert [calls(made) for made in units] == [[False], [True], [False]]
+
+
+def test_the_callback_makes_the_items() -> None:
+    items = in_time_order([unit(1, [0, 4]), unit(2, [2])], lambda message: message._replace(sequence=7))
+    assert [(item.log_time_ns, item.sequence) for item in items if isinstance(item, RawMessage)] == [
+        (0, 7),
+        (2, 7),
+        (4, 7),
+    ]
+
+
+def test_units_are_made_when_they_are_needed() -> None:
+    made: list[int] = []
+
+    def units() -> Iterator[Unit]:
+        for number in range(9):
+            made.append(number)
+            yield unit(number, [10 * number])
+
+    items = in_time_order(units())
+    next(items)
+    # The one that follows tells how long the first one goes on, and one more waits for its announcement.
+    assert len(made) <= 3
+    assert len(list(items)) == 8
+
+
+def test_what_overlaps_beyond_the_bound_is_loaded_again() -> None:
+    units = [unit(number, [number, 10 + number, 20 + number], size=10) for number in range(4)]
+    expected = sorted((time, number) for number in range(4) for time in (number, 10 + number, 20 + number))
+    assert found(in_time_order(units, max_open_bytes=25)) == expected
+    assert max(len(calls(made)) for made in units) > 1
+
+
+def test_what_would_be_loaded_again_and_again_is_refused() -> None:
+    times = list(range(0, 4000, 2))
+    units = [unit(number, [time + number for time in times], size=1 << 20) for number in range(2)]
+    with pytest.raises(RecordingError, match="overlap in time"):
+        list(in_time_order(units, max_open_bytes=1))
+
+
+class File:
+    """Notes what is announced."""
+
+    def __init__(self) -> None:
+        self.announced: list[tuple[int, int]] = []
+
+    def expect(self, offset: int, length: int) -> None:
+        self.announced.append((offset, length))
+
+
+def test_what_will_be_loaded_is_announced_some_way_ahead() -> None:
+    size = 10 << 20
+    file: Any = File()
+    # Some other records in the middle.
+    places = [n * size + (n >= 7) * (1 << 20) for n in range(12)]
+
+    def load(at: int) -> Callable[..., list[Any]]:
+        def loading(callback: Callable[[RawMessage], Any], *, whole: bool) -> list[Any]:
+            assert not whole
+            announced = max(offset + length for offset, length in file.announced)
+            assert at + size - 100 <= announced <= at + (53 << 20)
+            return [callback(RawMessage(TOPIC, at, b"", 0))]
+
+        return loading
+
+    units = [Unit(at, (at,), size, load(at), stretch=Stretch(file, at, size - 100)) for at in places]
+    assert len(list(in_time_order(units))) == 12
+    ends = [at + size - 100 for at in places]
+    # Four bring it beyond 32 MiB, and when no more than half of that is left, the next ones follow.
+    assert file.announced == [
+        (0, ends[3]),
+        (places[4], ends[6] - places[4]),
+        (places[7], ends[9] - places[7]),
+        (places[10], ends[11] - places[10]),
+    ]
