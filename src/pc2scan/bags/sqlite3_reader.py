@@ -36,6 +36,7 @@ from .limits import MAX_CONNECTIONS
 from .model import Connection, Definition, RawMessage, Summary, declared_counts
 from .qos import latches
 from .reader import Reader
+from .sqlite3_checks import TIMES_SUM, index_trouble, table_trouble
 from .sqlite3_logs import missing_bytes, side_logs, write_merged
 from .sqlite3_pages import PageFile, declared_size, rebuilt
 from .temporary import making_copy, private_folder, sqlite_is_full
@@ -155,6 +156,7 @@ class Sqlite3Reader(Reader):
         self._check_tables()
         self._index = self._timestamp_index()
         with self._ending():
+            self._check_small_tables()
             self._connections, start_ns, end_ns = self._read_connections()
         self._packed_topics = self._find_packed(declared=message_compression == "zstd")
         return start_ns, end_ns
@@ -432,6 +434,15 @@ class Sqlite3Reader(Reader):
             if self._query(stored, (table,)).fetchone()[0] == 0:
                 raise RecordingError(f"{table} is not a plain table, as rosbag2 makes it", path=self._path)
 
+    def _check_small_tables(self) -> None:
+        """Look at what is wrong with the tables that describe the messages, but for those made here of the pages."""
+        for table in ("topics", "message_definitions") if self._pages is None else ():
+            if self._columns(table) and (trouble := table_trouble(self._query, table)):
+                error = self._damage(trouble.what)
+                if trouble.unreachable:
+                    raise error
+                self._log.note(error, key=("table", table), messages_lost=0)
+
     def _timestamp_index(self) -> str | None:
         """The quoted name of an index that knows the order of all messages."""
         for row in self._query("PRAGMA index_list(messages)"):
@@ -451,16 +462,20 @@ class Sqlite3Reader(Reader):
         counts = {
             topic_id: numbers
             for topic_id, *numbers in self._query(
-                "SELECT topic_id, count(*), min(timestamp), max(timestamp) FROM messages GROUP BY topic_id LIMIT ?",
+                f"SELECT topic_id, count(*), min(timestamp), max(timestamp), {TIMES_SUM} FROM messages "  # noqa: S608
+                "GROUP BY topic_id LIMIT ?",
                 (MAX_CONNECTIONS,),
             )
         }
+        total, times_sum = (sum(numbers[place] for numbers in counts.values()) for place in (0, 3))
+        if self._index is not None and (trouble := index_trouble(self._query, self._index, total, times_sum)):
+            raise self._damage(trouble)
         connections: list[Connection] = []
         starts, ends = [], []
         for topic_id, topic, msgtype, serialization, qos, digest in self._stored(
             self._query(f"SELECT id, {columns} FROM topics ORDER BY id")  # noqa: S608 - constants
         ):
-            count, first_ns, last_ns = counts.get(topic_id, (0, None, None))
+            count, first_ns, last_ns, _ = counts.get(topic_id, (0, None, None, 0))
             if len(connections) == MAX_CONNECTIONS or not isinstance(topic_id, int):
                 raise RecordingError(
                     f"has more than {MAX_CONNECTIONS} topics, or one whose id is no number", path=self._path
@@ -484,7 +499,7 @@ class Sqlite3Reader(Reader):
                 )
             )
         described = {connection.id for connection in connections}
-        for topic_id, (count, first_ns, last_ns) in counts.items():
+        for topic_id, (count, first_ns, last_ns, _) in counts.items():
             if topic_id not in described:
                 timed = isinstance(first_ns, int) and isinstance(last_ns, int)
                 self._log.note(
