@@ -49,7 +49,7 @@ def test_a_sound_database_has_nothing_to_report(path: Path) -> None:
 @pytest.mark.parametrize("kind", ["index.time", "leaf.time"])
 @pytest.mark.parametrize("number", [0, 7, -1])
 def test_a_time_that_the_index_has_otherwise(kind: str, number: int, path: Path) -> None:
-    alter(path, kind, number, 1)
+    alter(path, kind, number, 1 << 40)
     rows, (place,) = read(path)
     assert place.what == "the index of timestamps has other times than the messages"
     assert sorted((topic, data) for topic, _, data in rows) == sorted((topic, data) for topic, _, data in SOUND)

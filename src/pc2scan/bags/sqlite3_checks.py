@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 __all__ = ["TIMES_SUM", "Trouble", "index_trouble", "table_trouble"]
 
 #: Of rows: changes if one of them has another time, or one takes the place of another.
-TIMES_SUM = "sum((timestamp & 2147483647) + id)"
+TIMES_SUM = "coalesce(sum(timestamp % 2147483647 + id), 0)"
 
 
 class Trouble(NamedTuple):
@@ -52,6 +52,6 @@ def index_trouble(query: Query, index: str, count: int, times_sum: int) -> str |
     indexed, indexed_sum = query(sql, ()).fetchone()
     if indexed != count:
         return f"the index of timestamps has {indexed} messages, the table {count}"
-    if (indexed_sum or 0) != times_sum:
+    if indexed_sum != times_sum:
         return "the index of timestamps has other times than the messages"
     return None
