@@ -585,3 +585,21 @@ def test_the_output_does_not_depend_on_the_threads(name: str, tmp_path: Path) ->
         files = sorted(destination.iterdir()) if destination.is_dir() else [destination]
         contents.append([(file.name, file.read_bytes()) for file in files])
     assert contents[0] == contents[1] == contents[2]
+
+
+@pytest.mark.parametrize("suffix", [".bag", ".mcap", ""])
+def test_a_cloud_becomes_every_scan_that_is_asked_for(bag: Path, suffix: str, tmp_path: Path) -> None:
+    """The first of two was dropped without a word."""
+    target = tmp_path / f"out{suffix}"
+    done = convert(
+        bag, "-o", target, "--topic", "/points:=/a", "--topic", "/points:=/b", "--report", tmp_path / "r.json"
+    )
+    assert done.status == 0, done.stderr
+    scans = {topic: [m for m in opened(target).messages if m.topic == topic] for topic in ("/a", "/b")}
+    assert scans["/a"]
+    assert [(m.log_time_ns, m.data) for m in scans["/a"]] == [(m.log_time_ns, m.data) for m in scans["/b"]]
+    report = json.loads((tmp_path / "r.json").read_text("utf-8"))
+    entries = [entry for entry in report["topics"] if entry["topic"] == "/points"]
+    assert [(entry["target"], entry["messages_out"]) for entry in entries] == [(t, len(scans[t])) for t in ("/a", "/b")]
+    # What was read once counts once.
+    assert report["messages_read"] == report["messages_declared"]

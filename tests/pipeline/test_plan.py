@@ -18,7 +18,8 @@ def plan(topics: dict[str, str], *requests: str, **options: Any) -> Plan:
 
 
 def routes(made: Plan) -> dict[str, tuple[str | None, bool]]:
-    return {route.connection.topic: (route.target, route.passes) for route in made.routes}
+    """The topic that each becomes, if it is one, and whether it passes."""
+    return {route.connection.topic: (next(iter(route.targets), None), route.passes) for route in made.routes}
 
 
 def test_one_cloud_becomes_scan_and_is_left_out() -> None:
@@ -80,7 +81,14 @@ def test_a_pattern_that_matches_nothing_is_worth_a_warning() -> None:
 
 def test_two_publishers_of_a_cloud_share_its_scan_topic() -> None:
     connections = [Connection(i, "/points", CLOUD, "ros1", callerid=f"/n{i}") for i in range(2)]
-    assert [route.target for route in make_plan(connections, ConvertOptions()).routes] == ["/scan", "/scan"]
+    assert [route.targets for route in make_plan(connections, ConvertOptions()).routes] == [("/scan",), ("/scan",)]
+
+
+def test_a_cloud_becomes_every_scan_that_is_asked_for() -> None:
+    made = plan({"/points": CLOUD, "/imu": IMU}, "/points:=/a", "points:=/b", "/points:=/a")
+    assert [route.targets for route in made.routes] == [("/a", "/b"), ()]
+    with_default = plan({"/points": CLOUD}, "/points", "/points:=/b")
+    assert with_default.routes[0].targets == ("/scan", "/b")
 
 
 @pytest.mark.parametrize(

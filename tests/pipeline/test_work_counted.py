@@ -22,8 +22,8 @@ from pc2scan.messages.definitions import definition
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointField, encode_pointcloud2
 from pc2scan.pipeline import cloud_to_scan, scheduler, stream
 from pc2scan.pipeline.conversion import Converted
-from pc2scan.pipeline.lanes import Lane
 from pc2scan.pipeline.report import TopicReport
+from pc2scan.pipeline.routes import OpenRoute
 from pc2scan.pipeline.scheduler import Later
 
 if TYPE_CHECKING:
@@ -259,10 +259,11 @@ def test_large_chunks_are_not_copied(
 def test_a_message_whose_result_takes_more_memory_waits_for_its_turn(passes: bool, shrinks_from: int) -> None:
     connection = Connection(1, "/points", POINTCLOUD2, "cdr")
     converted = Converted(b"scan", PointCounts(), False)
-    lane = Lane(connection, TopicReport("/points", "", None, ""), lambda _: converted, shrinks_from=shrinks_from)
-    lane.passing_handle = 1 if passes else -1
+    report = TopicReport("/points", "", None, "")
+    route = OpenRoute(connection, [report], lambda _: converted, shrinks_from=shrinks_from)
+    route.passing_handle = 1 if passes else -1
     message = RawMessage(connection, 5, memoryview(bytearray(b"cloud")), 6)
-    done = stream._outcome_or_later({1: lane}, message)
+    done = stream._outcome_or_later({1: route}, message)
     assert isinstance(done, Later) is (shrinks_from == 9)
     if isinstance(done, Later):
         assert done.log_time_ns == 5

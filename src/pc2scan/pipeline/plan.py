@@ -23,18 +23,18 @@ __all__ = ["Plan", "Route", "find_topic", "make_plan"]
 
 @dataclass(frozen=True, slots=True)
 class Route:
-    """One source connection's way.
+    """Where the messages of one source connection go.
 
     Attributes
     ----------
-    target
-        The topic that its converted messages go to; None if it is not converted.
+    targets
+        The topics that its converted messages go to; none if it is not converted.
     passes
         Whether its own messages go to the destination.
     """
 
     connection: Connection
-    target: str | None
+    targets: tuple[str, ...]
     passes: bool
 
 
@@ -70,26 +70,33 @@ def make_plan(connections: Sequence[Connection], options: ConvertOptions) -> Pla
         passes = not options.only_scans and (
             options.keep_clouds if converted else _chosen(topic, options.keep, options.drop)
         )
-        routes.append(Route(connection, targets[topic] if converted else None, passes))
+        routes.append(Route(connection, targets[topic] if converted else (), passes))
     _refuse_collisions(routes, {request.source: request for request in options.topics})
     return Plan(tuple(routes), tuple(_idle_patterns(connections, options)))
 
 
-def _targets(connections: Sequence[Connection], options: ConvertOptions) -> dict[str, str]:
+def _targets(connections: Sequence[Connection], options: ConvertOptions) -> dict[str, tuple[str, ...]]:
     """The topics to convert and the topics that their scans go to."""
     types = _types_by_topic(connections)
     kind = options.source_type
     candidates = [topic for topic, kinds in types.items() if kind in kinds]
     if options.topics:
-        requests = {find_topic(request.source, types, candidates, kind): request.target for request in options.topics}
+        requests: dict[str, list[str | None]] = {}
+        for request in options.topics:
+            requests.setdefault(find_topic(request.source, types, candidates, kind), []).append(request.target)
     else:
-        requests = {topic: None for topic in candidates if not _matches(topic, options.drop)}
+        requests = {topic: [None] for topic in candidates if not _matches(topic, options.drop)}
         if not requests:
             raise TopicError(_nothing_to_convert(types, candidates, kind), hint=_other_direction(types, kind))
     single = len(requests) == 1
     name = "cloud" if kind == LASERSCAN else "scan"
+
+    def named(topic: str, target: str | None) -> str:
+        return target or (f"/{name}" if single else f"{topic.rstrip('/')}/{name}")
+
+    # Asked for twice is asked for once.
     return {
-        topic: target or (f"/{name}" if single else f"{topic.rstrip('/')}/{name}") for topic, target in requests.items()
+        topic: tuple(dict.fromkeys(named(topic, target) for target in targets)) for topic, targets in requests.items()
     }
 
 
@@ -150,15 +157,12 @@ def _refuse_collisions(routes: Sequence[Route], requests: dict[str, TopicRequest
     """No scan may share a topic with another scan or with what passes through."""
     passing = {route.connection.topic for route in routes if route.passes}
     origin: dict[str, str] = {}
-    for route in routes:
-        if route.target is None:
-            continue
-        source = origin.setdefault(route.target, route.connection.topic)
-        if source != route.connection.topic:
-            topic = route.connection.topic
+    for topic, target in ((route.connection.topic, target) for route in routes for target in route.targets):
+        source = origin.setdefault(target, topic)
+        if source != topic:
             raise TopicError(
-                f"{source} and {topic} would both become {route.target}",
-                hint=f"give one of them another topic: --topic {topic}:={route.target}_2",
+                f"{source} and {topic} would both become {target}; several sources are not merged into one scan",
+                hint=f"give one of them another topic: --topic {topic}:={target}_2",
             )
     for target, source in origin.items():
         if target in passing:

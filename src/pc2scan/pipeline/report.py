@@ -116,7 +116,7 @@ class Report:
     origins
         Where each parameter's value came from, by name; ``default`` if from nowhere.
     topics
-        One entry a source topic and way, in the source's order.
+        One entry for each source topic and each topic that it goes to, in the source's order.
     skipped
         The first `MAX_LISTED` messages that were not converted.
     warnings
@@ -125,6 +125,8 @@ class Report:
         What was measured, or chosen without being asked for.
     damage
         Damaged places of the sources, as far as they were read.
+    messages_read
+        Messages of the sources that were read, of all topics that are not left out.
     messages_declared
         How many messages the sources say they have, of all topics that are not left out; None where they do not say,
         or only a part was asked for.
@@ -141,6 +143,7 @@ class Report:
     warnings: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     damage: list[Damage] = field(default_factory=list)
+    messages_read: int = 0
     messages_declared: int | None = None
     undelivered: bool = False
     bytes_read: int = 0
@@ -149,7 +152,7 @@ class Report:
 
     @property
     def skipped_count(self) -> int:
-        """Messages that were read and not written, of all topics, listed or not."""
+        """Messages that are missing in the destination, of all its topics, listed or not."""
         return sum(topic.skipped for topic in self.topics)
 
     @property
@@ -160,18 +163,12 @@ class Report:
         """
         return 3 if self.damage or self.skipped_count or self._lost_topics() or self.undelivered else 0
 
-    @property
-    def messages_read(self) -> int:
-        """Messages of the source that were read, of all topics that are not left out."""
-        return sum(topic.messages_in for topic in self.topics if topic.action != "left out")
-
     def _lost_topics(self) -> list[TopicReport]:
         """Topics of which messages are missing because they cannot be carried over."""
         return [topic for topic in self.topics if topic.lost and topic.messages_in]
 
-    def skip(self, entry: TopicReport, skipped: Skipped) -> None:
-        """Count a skipped message and list it while there is room."""
-        entry.skipped += 1
+    def list_skipped(self, skipped: Skipped) -> None:
+        """List a skipped message while there is room."""
         if len(self.skipped) < MAX_LISTED:
             self.skipped.append(skipped)
 

@@ -35,10 +35,10 @@ from pc2scan.messages.laserscan import LASERSCAN
 
 from .acceptance import refusal
 from .frames import Frames, read_transforms
-from .lanes import Lane, carry_extras, chunk_rule, count_skipped, open_lanes, write_static
 from .memory import keep_freed_memory
 from .plan import make_plan
 from .report import BEGINNING, Report
+from .routes import OpenRoute, carry_extras, chunk_rule, count_skipped, open_routes, write_static
 from .scheduler import cores
 from .stream import Progress, Span, stream
 
@@ -131,8 +131,8 @@ def run(
                 if copying:
                     writer.keep_ids(reader.connections)
                 same_kind = target.same_kind(reader.summary)
-                lanes = open_lanes(plan.routes, conversion, target, same_kind, options, writer, report)
-                lanes = count_skipped(lanes, reader, span.start_ns, span.stop_ns)
+                routes = open_routes(plan.routes, conversion, target, same_kind, options, writer, report)
+                routes = count_skipped(routes, reader, span.start_ns, span.stop_ns)
                 if not options.only_scans:
                     carry_extras(reader, target, writer, report)
                 if options.frames.write_static:
@@ -142,13 +142,13 @@ def run(
                 pool = _threads(options, stack)
                 if pool is not None:
                     writer.compress_ahead(pool)
-                rule = chunk_rule(lanes, target, writer) if copying else None
-                stream(reader, lanes, options, span, rule, pool, writer, report, progress)
+                rule = chunk_rule(routes, target, writer) if copying else None
+                stream(reader, routes, options, span, rule, pool, writer, report, progress)
                 if conversion.target_type == LASERSCAN:
-                    report.warnings += _refusals(lanes.values(), target.serialization)
+                    report.warnings += _refusals(routes.values(), target.serialization)
                 _refuse_changed(inputs, states)
                 report.damage += [damage for each in (reader, *others) for damage in each.damage]
-                _compare_counts(reader, lanes, options, report)
+                _compare_counts(reader, routes, options, report)
                 writer.finish()
             except BaseException:
                 writer.abort()
@@ -246,9 +246,9 @@ def _target(
     return target
 
 
-def _compare_counts(reader: Reader, lanes: Mapping[int, Lane], options: ConvertOptions, report: Report) -> None:
+def _compare_counts(reader: Reader, routes: Mapping[int, OpenRoute], options: ConvertOptions, report: Report) -> None:
     """Compare how many messages were read with how many there should be: no loss goes unnoticed."""
-    counts = [lane.connection.message_count for lane in lanes.values() if lane.writes]
+    counts = [route.connection.message_count for route in routes.values() if route.writes]
     if options.start is not None or options.end is not None or None in counts:
         return
     report.messages_declared = sum(filter(None, counts))
@@ -286,7 +286,7 @@ def _conversion(
         return CloudToScan(params, frames), others
     from .measure import measure  # noqa: PLC0415  # only where something is left to be measured
 
-    converted = [route.connection for route in plan.routes if route.target]
+    converted = [route.connection for route in plan.routes if route.targets]
     try:
         timings, notes = measure(reader, converted, params, frames, span.start_ns, span.stop_ns)
     except ParameterError as err:
@@ -321,12 +321,12 @@ def _span(reader: Reader, options: ConvertOptions) -> Span:
     return Span(start, stop, beginning if start is None else max(start, beginning))
 
 
-def _refusals(lanes: Iterable[Lane], serialization: str) -> list[str]:
+def _refusals(routes: Iterable[OpenRoute], serialization: str) -> list[str]:
     """Who would refuse the scans that were written, topics of one answer together."""
     topics: dict[str, dict[str, None]] = {}
-    for lane in lanes:
-        if lane.sample and (text := refusal(lane.sample, serialization)):
-            topics.setdefault(text, {})[lane.report.target or ""] = None
+    for output in (output for route in routes for output in route.outputs):
+        if output.sample and (text := refusal(output.sample, serialization)):
+            topics.setdefault(text, {})[output.report.target or ""] = None
     return [f"{', '.join(names)}: {text}" for text, names in topics.items()]
 
 

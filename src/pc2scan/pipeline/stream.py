@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from pc2scan.bags.units import Unit
 
     from .conversion import Converted
-    from .lanes import Lane
     from .options import ConvertOptions
+    from .routes import OpenRoute
 
 __all__ = ["Progress", "Span", "stream"]
 
@@ -37,7 +37,7 @@ _PROGRESS_EVERY = 64
 class _Outcome(NamedTuple):
     """What became of a message; an error takes the place of what could not be made."""
 
-    lane: Lane
+    route: OpenRoute
     log_time_ns: int
     publish_time_ns: int
     sequence: int
@@ -56,7 +56,7 @@ class Span(NamedTuple):
 
 def stream(
     reader: Reader,
-    lanes: Mapping[int, Lane],
+    routes: Mapping[int, OpenRoute],
     options: ConvertOptions,
     span: Span,
     rule: ChunkRule | None,
@@ -67,103 +67,106 @@ def stream(
 ) -> None:
     """Read, work on several threads, and write in the order of reading."""
     total = reader.summary.size_bytes
-    outcomes = _outcomes(reader, lanes, options, span, rule, pool)
-    done = told = 0
+    outcomes = _outcomes(reader, routes, options, span, rule, pool)
+    shown = 0
     # Closed before the pool is waited for, so that an error gives up what has not begun.
     with closing(outcomes):
         for outcome in outcomes:
             if isinstance(outcome, StoredChunk):
-                done += _write_chunk(outcome, lanes, writer)
+                _write_chunk(outcome, routes, writer, report)
             else:
                 _write(outcome, writer, report, options.on_error)
-                done += 1
-            if progress is not None and done - told >= _PROGRESS_EVERY:
-                progress(reader.bytes_read, total, done)
-                told = done
+            if progress is not None and report.messages_read - shown >= _PROGRESS_EVERY:
+                shown = report.messages_read
+                progress(reader.bytes_read, total, shown)
     if progress is not None:
-        progress(total, total, sum(entry.messages_in for entry in report.topics))
+        progress(total, total, report.messages_read)
 
 
 def _outcomes(
     reader: Reader,
-    lanes: Mapping[int, Lane],
+    routes: Mapping[int, OpenRoute],
     options: ConvertOptions,
     span: Span,
     rule: ChunkRule | None,
     pool: Threads | None,
 ) -> Generator[_Outcome | StoredChunk]:
     """What becomes of the messages of the cut, after the latched ones from before it."""
-    work = partial(_outcome_or_later, lanes)
+    work = partial(_outcome_or_later, routes)
     window = options.params.queue_size or None
-    for units in _cut(reader, lanes, span, rule):
+    for units in _cut(reader, routes, span, rule):
         yield from schedule(units, work, pool, window=window, path=reader.path)
 
 
-def _cut(reader: Reader, lanes: Mapping[int, Lane], span: Span, rule: ChunkRule | None) -> Iterator[Iterable[Unit]]:
+def _cut(
+    reader: Reader, routes: Mapping[int, OpenRoute], span: Span, rule: ChunkRule | None
+) -> Iterator[Iterable[Unit]]:
     """The units of the cut, after those with the latched messages from before it."""
-    wanted = [lane.connection for lane in lanes.values()]
+    wanted = [route.connection for route in routes.values()]
     start, stop, _ = span
-    lasting = [lane.connection for lane in lanes.values() if lane.lasts]
+    lasting = [route.connection for route in routes.values() if route.lasts]
     if start is not None and lasting:
         yield reader.units(lasting, None, start)
     yield reader.units(wanted, start, stop, rule)
 
 
-def _outcome_or_later(lanes: Mapping[int, Lane], message: RawMessage) -> _Outcome | Later:
+def _outcome_or_later(routes: Mapping[int, OpenRoute], message: RawMessage) -> _Outcome | Later:
     """Work on a message, unless its result takes more memory until its turn; runs on any thread."""
-    lane = lanes[message.connection.id]
-    if lane.convert is not None and len(message.data) < lane.shrinks_from:
-        return Later(owned(message), partial(_outcome, lane))
-    return _outcome(lane, message)
+    route = routes[message.connection.id]
+    if route.convert is not None and len(message.data) < route.shrinks_from:
+        return Later(owned(message), partial(_outcome, route))
+    return _outcome(route, message)
 
 
-def _outcome(lane: Lane, message: RawMessage) -> _Outcome:
+def _outcome(route: OpenRoute, message: RawMessage) -> _Outcome:
     """All the work on one message."""
     converted = passing = error = None
     try:
-        if lane.passing_handle >= 0:
-            passing = own(message.data) if lane.encode is None else lane.encode(message.data)
-        if lane.convert is not None:
-            converted = lane.convert(message.data)
+        if route.passing_handle >= 0:
+            passing = own(message.data) if route.encode is None else route.encode(message.data)
+        if route.convert is not None:
+            converted = route.convert(message.data)
     except MessageError as err:
         error = err
-    return _Outcome(lane, message.log_time_ns, message.publish_time_ns, message.sequence, converted, passing, error)
+    return _Outcome(route, message.log_time_ns, message.publish_time_ns, message.sequence, converted, passing, error)
 
 
-def _write_chunk(chunk: StoredChunk, lanes: Mapping[int, Lane], writer: Writer) -> int:
-    """Copy a chunk and account for its messages; returns how many they are."""
+def _write_chunk(chunk: StoredChunk, routes: Mapping[int, OpenRoute], writer: Writer, report: Report) -> None:
+    """Copy a chunk and account for its messages."""
     writer.write_chunk(chunk)
     for connection_id, entries in chunk.index.items():
-        lanes[connection_id].report.messages_in += len(entries)
-        lanes[connection_id].report.messages_out += len(entries)
-    return sum(map(len, chunk.index.values()))
+        (entry,) = routes[connection_id].reports
+        entry.messages_in += len(entries)
+        entry.messages_out += len(entries)
+        report.messages_read += len(entries)
 
 
 def _write(outcome: _Outcome, writer: Writer, report: Report, on_error: str) -> None:
     """Write what a message became, and account for it."""
-    lane, log_time_ns, publish_time_ns, sequence, converted, passing, error = outcome
-    entry = lane.report
-    if not lane.writes:
-        entry.skip(1)
+    route, log_time_ns, publish_time_ns, sequence, converted, passing, error = outcome
+    if not route.writes:
+        for entry in route.reports:
+            entry.skip(1)
         return
-    entry.messages_in += 1
+    report.messages_read += 1
     try:
         if passing is not None:
-            writer.write(lane.passing_handle, log_time_ns, passing, publish_time_ns, sequence)
+            writer.write(route.passing_handle, log_time_ns, passing, publish_time_ns, sequence)
         if converted is not None:
-            writer.write(lane.converted_handle, log_time_ns, converted.data, publish_time_ns, sequence)
-            lane.sample = lane.sample or converted.data
-            entry.points += converted.counts
-            entry.empty_scans += converted.empty
+            for output in route.outputs:
+                writer.write(output.handle, log_time_ns, converted.data, publish_time_ns, sequence)
+                output.sample = output.sample or converted.data
+                output.report.points += converted.counts
+                output.report.empty_scans += converted.empty
     except UnwritableError as err:
         error = err
     if error is not None:
-        error.topic = lane.connection.topic
+        error.topic = route.connection.topic
         if on_error == "fail":
             raise error
-        report.skip(
-            entry,
-            Skipped(lane.connection.topic, log_time_ns, error.stamp_ns, error.message, error.hint or ""),
-        )
-    else:
-        entry.messages_out += 1
+        topic = route.connection.topic
+        report.list_skipped(Skipped(topic, log_time_ns, error.stamp_ns, error.message, error.hint or ""))
+    for entry in route.reports:
+        entry.messages_in += 1
+        entry.messages_out += error is None
+        entry.skipped += error is not None

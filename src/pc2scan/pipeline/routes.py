@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from pc2scan.bags.model import LATCHED_QOS, NEW_ID, ChunkRule, Connection
@@ -27,34 +27,45 @@ if TYPE_CHECKING:
     from .plan import Route
     from .report import Report
 
-__all__ = ["Lane", "carry_extras", "chunk_rule", "count_skipped", "open_lanes", "write_static"]
+__all__ = ["OpenRoute", "carry_extras", "chunk_rule", "count_skipped", "open_routes", "write_static"]
 
 #: A field takes about a millisecond and 7 kB. Large robots have some thousand.
 _MAX_COMPILED_FIELDS = 20_000
 
 
 @dataclass(slots=True)
-class Lane:
-    """Where the messages of one source connection go.
+class Output:
+    """A topic of the destination that the converted messages of a route go to.
 
-    ``convert`` and ``encode`` are the work; None where there is none. The handles are the writer's. ``sample`` is the
-    first converted message; all others have its geometry. Messages of ``shrinks_from`` bytes and more become smaller
-    ones by ``convert``.
+    ``handle`` is the writer's. ``sample`` is the first message; all others have its geometry.
+    """
+
+    handle: int
+    report: TopicReport
+    sample: bytes = b""
+
+
+@dataclass(slots=True)
+class OpenRoute:
+    """Where the messages of one source connection go, declared in the destination.
+
+    ``convert`` and ``encode`` are the work; None where there is none. What ``convert`` makes goes to each of
+    ``outputs``. Messages of ``shrinks_from`` bytes and more become smaller ones by it. ``reports`` has one entry for
+    each output, or one for what is not converted.
     """
 
     connection: Connection
-    report: TopicReport
+    reports: list[TopicReport]
     convert: Callable[[Buffer], Converted] | None = None
     encode: Callable[[Buffer], Buffer] | None = None
-    converted_handle: int = -1
+    outputs: list[Output] = field(default_factory=list)
     passing_handle: int = -1
-    sample: bytes = b""
     shrinks_from: int = sys.maxsize
 
     @property
     def writes(self) -> bool:
         """Whether anything goes to the destination; otherwise messages are only counted."""
-        return self.passing_handle >= 0 or self.converted_handle >= 0
+        return self.passing_handle >= 0 or bool(self.outputs)
 
     @property
     def lasts(self) -> bool:
@@ -62,7 +73,7 @@ class Lane:
         return self.connection.latching or is_static(self.connection.topic)
 
 
-def open_lanes(
+def open_routes(
     routes: Iterable[Route],
     conversion: Conversion,
     target: Destination,
@@ -70,59 +81,68 @@ def open_lanes(
     options: ConvertOptions,
     writer: Writer,
     report: Report,
-) -> dict[int, Lane]:
+) -> dict[int, OpenRoute]:
     """Declare every connection of the destination and prepare the work on each of the source's.
 
-    ``same_kind`` tells whether the source is in the same kind of container as the destination.
+    ``same_kind`` is whether the source is in the same kind of container as the destination.
     """
-    lanes: dict[int, Lane] = {}
+    opened: dict[int, OpenRoute] = {}
     compiled: dict[tuple[str, Definition], int] = {}
     entries: dict[tuple[str | None, ...], TopicReport] = {}
+
+    def shared(entry: TopicReport) -> TopicReport:
+        """The entry of the report: publishers of one topic share it if the same becomes of their messages."""
+        return entries.setdefault((entry.topic, entry.msgtype, entry.target, entry.action, entry.note), entry)
+
     for route in routes:
         connection = route.connection
-        topic = connection.topic
-        action = "converted" if route.target else "passed" if route.passes else "left out"
-        entry = TopicReport(topic, connection.ros_type, route.target or (topic if route.passes else None), action)
-        lane = lanes[connection.id] = Lane(connection, entry)
-        if route.passes:
-            _prepare_passing(lane, target, same_kind, options, writer, compiled)
-        if route.target:
-            lane.convert = conversion.for_topic(connection.topic, connection.serialization, target.serialization)
-            lane.shrinks_from = conversion.shrinks_from
-            lane.converted_handle = writer.add_connection(
-                _converted_connection(connection, route.target, conversion.target_type, target)
-            )
-            entry.clouds_kept = lane.passing_handle >= 0
-        # Publishers of one topic share an entry if the same becomes of their messages.
-        lane.report = entries.setdefault((topic, connection.msgtype, entry.target, entry.action, entry.note), entry)
+        topic, msgtype = connection.topic, connection.ros_type
+        made = opened[connection.id] = OpenRoute(connection, [])
+        passing = TopicReport(topic, msgtype, topic, "passed") if route.passes else None
+        if passing is not None:
+            _prepare_passing(made, passing, target, same_kind, options, writer, compiled)
+        if not route.targets:
+            made.reports.append(shared(passing or TopicReport(topic, msgtype, None, "left out")))
+            continue
+        made.convert = conversion.for_topic(topic, connection.serialization, target.serialization)
+        made.shrinks_from = conversion.shrinks_from
+        for name in route.targets:
+            handle = writer.add_connection(_converted_connection(connection, name, conversion.target_type, target))
+            entry = TopicReport(topic, msgtype, name, "converted", clouds_kept=made.passing_handle >= 0)
+            if passing is not None and passing.lost:
+                entry.note, entry.lost = passing.note, True
+            made.outputs.append(Output(handle, shared(entry)))
+            made.reports.append(made.outputs[-1].report)
     report.topics += entries.values()
-    return lanes
+    return opened
 
 
 def count_skipped(
-    lanes: Mapping[int, Lane], reader: Reader, start_ns: int | None, stop_ns: int | None
-) -> dict[int, Lane]:
-    """Count the messages of the lanes that write nothing, as far as the source's index tells.
+    routes: Mapping[int, OpenRoute], reader: Reader, start_ns: int | None, stop_ns: int | None
+) -> dict[int, OpenRoute]:
+    """Count the messages of the routes that write nothing, as far as the source's index has their numbers.
 
     Returns
     -------
-    dict[int, Lane]
-        All other lanes: those that write, and those whose messages have to be read to be counted.
+    dict[int, OpenRoute]
+        All other routes: those that write, and those whose messages have to be read to be counted.
     """
-    skipped = [lane for lane in lanes.values() if not lane.writes]
+    skipped = [route for route in routes.values() if not route.writes]
     counted: dict[int, int] = {}
     # Latched messages from before the cut would have been written too.
     for lasts in (False, True):
-        chosen = [lane.connection for lane in skipped if lane.lasts is lasts]
+        chosen = [route.connection for route in skipped if route.lasts is lasts]
         if chosen:
             counted |= reader.counts(chosen, None if lasts else start_ns, stop_ns)
-    for lane in skipped:
-        lane.report.skip(counted.get(lane.connection.id, 0))
-    return {key: lane for key, lane in lanes.items() if key not in counted}
+    for route in skipped:
+        (entry,) = route.reports
+        entry.skip(counted.get(route.connection.id, 0))
+    return {key: route for key, route in routes.items() if key not in counted}
 
 
 def _prepare_passing(
-    lane: Lane,
+    route: OpenRoute,
+    entry: TopicReport,
     target: Destination,
     same_kind: bool,
     options: ConvertOptions,
@@ -133,21 +153,20 @@ def _prepare_passing(
 
     ``compiled`` collects the fields of the types that were compiled for re-encoding, and bounds them.
     """
-    connection = lane.connection
-    entry = lane.report
+    connection = route.connection
     foreign = connection.generation is None
     # A container holds whatever the same kind of container held: nothing of it needs to be understood.
     as_it_is = (same_kind and (foreign or options.repair)) or (foreign and target.container == "mcap")
     defined_already = connection.definition.data or options.repair
     if as_it_is or (connection.generation == target.generation and defined_already):
-        lane.passing_handle = writer.add_connection(connection)
+        route.passing_handle = writer.add_connection(connection)
         return
     # Only recordings that lack definitions, or change generation, pay for loading this.
     from pc2scan.messages.transcode import DEFAULT_DISTRO, defined, transcoder  # noqa: PLC0415
 
     distro = options.ros_distro or DEFAULT_DISTRO
     if connection.generation == target.generation:
-        lane.passing_handle = writer.add_connection(defined(connection, distro))
+        route.passing_handle = writer.add_connection(defined(connection, distro))
         return
     if foreign:
         error: MessageError = MessageError(
@@ -165,18 +184,16 @@ def _prepare_passing(
                     f"its types have more than {_MAX_COMPILED_FIELDS} fields in all, too many to re-encode",
                     hint="--drop or --keep chooses among the topics",
                 )
-            lane.encode = transcoding.encode
-            lane.passing_handle = writer.add_connection(transcoding.connection)
-            if entry.action == "passed":
-                entry.action = "re-encoded"
-                entry.note = "; ".join(transcoding.notes)
+            route.encode = transcoding.encode
+            route.passing_handle = writer.add_connection(transcoding.connection)
+            entry.action = "re-encoded"
+            entry.note = "; ".join(transcoding.notes)
             return
     if options.on_error == "fail" and connection.message_count != 0:
         error.topic = connection.topic
         raise error
     entry.note, entry.lost = error.message, True
-    if entry.action != "converted":
-        entry.action, entry.target = "left out", None
+    entry.action, entry.target = "left out", None
 
 
 def _converted_connection(source: Connection, topic: str, msgtype: str, target: Destination) -> Connection:
@@ -196,12 +213,12 @@ def _converted_connection(source: Connection, topic: str, msgtype: str, target: 
     )
 
 
-def chunk_rule(lanes: Mapping[int, Lane], target: Destination, writer: Writer) -> ChunkRule:
+def chunk_rule(routes: Mapping[int, OpenRoute], target: Destination, writer: Writer) -> ChunkRule:
     """Which of the source's chunks can be copied whole, when everything has been declared in the destination."""
     untouched = frozenset(
-        lane.connection.id
-        for lane in lanes.values()
-        if lane.convert is None and lane.encode is None and lane.passing_handle == lane.connection.id
+        route.connection.id
+        for route in routes.values()
+        if route.convert is None and route.encode is None and route.passing_handle == route.connection.id
     )
     return ChunkRule(target.chunks, target.chunk_compressions, untouched, writer.declarations(), target.times_ns[1])
 
