@@ -100,6 +100,20 @@ def test_what_a_killed_run_set_aside_may_be_read(tmp_path: Path) -> None:
     assert state_of(tmp_path) == before
 
 
+def test_names_that_are_as_long_as_they_can_be(folder: Path) -> None:
+    """With an ending they are too long, to be looked for and to be written."""
+    longest = folder / f"{'x' * 251}.bag"
+    missing = run("info", longest)
+    assert (missing.status, missing.stderr.splitlines()[0]) == (1, f"error: {longest}: there is nothing of this name")
+    before = state_of(folder)
+    for options in (("-o", longest), ("-o", folder / "out.bag", "--report", longest)):
+        done = run("convert", folder / "drive.bag", *options)
+        assert done.status in (1, 2)
+        assert done.stderr.startswith("error: ")
+        assert "Traceback" not in done.stderr
+        assert state_of(folder) == before
+
+
 @pytest.mark.parametrize("kind", ["link", "hard link", "in it", "--tf-from"])
 def test_an_input_that_leads_to_what_a_killed_run_left(kind: str, tmp_path: Path) -> None:
     left = tmp_path / "out.bag.pc2scan-partial"
@@ -340,7 +354,8 @@ def cases(folder: Path) -> Path:
     for name in ("one", "two"):
         (folder / "golden" / name).mkdir(parents=True)
     shutil.copy(HALL, folder / "golden" / "one" / "input.bag")
-    settings = f"input: ../../drive.bag\narguments: [--tf-from, {folder / 'tf.mcap'}]\n"
+    long = f"/points:={'/scan' * 99}"
+    settings = f"input: ../../drive.bag\narguments: [--tf-from, {folder / 'tf.mcap'}, --topic, {long}]\n"
     (folder / "golden" / "two" / "case.yaml").write_text(settings)
     assert run("golden", folder / "golden", "--update").status == 0
     return folder / "golden"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 import stat
 from dataclasses import dataclass, replace
@@ -251,9 +252,10 @@ class _UnpackedReader(Reader):
 def _interrupted(path: Path) -> str | None:
     """What to do about a recording that is not there because the run that was writing it was killed."""
     partial, old, _ = working_names(path) or (path, path, path)
-    if old.exists():
+    # Not Path.exists: with the ending the name may be too long.
+    if os.path.lexists(old):
         return f"an interrupted run has set it aside: mv {shlex.quote(str(old))} {shlex.quote(str(path))}"
-    if partial.exists():
+    if os.path.lexists(partial):
         return f"an interrupted run left a part of it: pc2scan repair {shlex.quote(str(partial))}"
     return None
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -66,9 +67,11 @@ class Case:
 
     def read_files(self) -> list[Input]:
         """Return what its conversion reads: its recordings, parameters and settings, and files that arguments name."""
-        values = [Path(part.partition("=")[2] if part.startswith("-") else part) for part in self.arguments]
-        paths = [*self.inputs, *filter(None, (self.params,)), self.folder / SETTINGS]
-        return [Input(path, "file of a case") for path in (*paths, *(path for path in values if path.exists()))]
+        values = [part.partition("=")[2] if part.startswith("-") else part for part in self.arguments]
+        # Any of them may be a file; most are none, or no name at all.
+        named = [Path(value) for value in values if os.path.lexists(value)]
+        paths = [*self.inputs, *filter(None, (self.params,)), self.folder / SETTINGS, *named]
+        return [Input(path, "file of a case") for path in paths]
 
 
 def is_case(folder: Path) -> bool:
