@@ -7,6 +7,7 @@ import pytest
 
 from pc2scan.cli import app as app_module
 from pc2scan.cli.in_process import run_command
+from pc2scan.errors import UsageError
 from support import ROOT
 
 if TYPE_CHECKING:
@@ -24,6 +25,13 @@ def test_what_is_said_is_returned_and_not_printed(tmp_path: Path, capfd: pytest.
     assert "--overwrite" in again.messages
     assert run_command(["convert"]).status == 2
     assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("chosen", [["-o", "out.bag"], ["--output=out.bag"]])
+def test_where_the_output_goes_is_not_chosen_by_a_case(chosen: list[str], tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="--output may not be in a case"):
+        run_command(["convert", str(HALL), "-o", str(tmp_path / "actual.bag")], chosen)
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(

@@ -114,8 +114,6 @@ ignore: [seq, log_time]
             ("params: [a]", "must be a path"),
             ("arguments: --topic /points", "must be a list"),
             ("arguments: [[a]]", "must be a list"),
-            ("arguments: [-o, out.bag]", "not a case's to say"),
-            ("arguments: [--output=out.bag]", "not a case's to say"),
             ("exit_status: true", "whole number"),
             ("all_topics: 1", "true or false"),
             ("atol: small", "must be a number"),
