@@ -62,7 +62,8 @@ class Pc2ScanError(Exception):
     path, topic, stamp_ns
         Where, as far as it is known. ``stamp_ns`` is the header's stamp in nanoseconds.
     hint
-        What the user can do about it.
+        What the user can do about it. Both name options as Python does, in backticks: ```overwrite=True` replaces
+        it``.
     """
 
     exit_status: ClassVar[int] = 1

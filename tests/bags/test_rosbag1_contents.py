@@ -101,7 +101,7 @@ def test_an_encrypted_bag_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_bag_that_was_never_closed_is_refused(tmp_path: Path) -> None:
-    message_text = fails(given_bytes(tmp_path, bag_header(0, 0, 0) + chunk(b"")), hint="--strict")
+    message_text = fails(given_bytes(tmp_path, bag_header(0, 0, 0) + chunk(b"")), hint="`strict`")
     assert "index_pos is 0" in message_text
 
 
@@ -118,14 +118,14 @@ def test_a_cut_bag_is_refused_wherever_it_is_cut(tmp_path: Path) -> None:
 def test_an_index_that_is_somewhere_else_is_refused(tmp_path: Path) -> None:
     body = chunk(message(1))
     raw = bag_header(FIRST_CHUNK, 1, 1) + body
-    assert "is a chunk, a connection should be there" in fails(given_bytes(tmp_path, raw), hint="--strict")
+    assert "is a chunk, a connection should be there" in fails(given_bytes(tmp_path, raw), hint="`strict`")
     raw = bag_header(FIRST_CHUNK, 0, 0)
     at = raw.index(b"op=\x03")
     assert "is a 9, a bag header should be there" in fails(
         given_bytes(tmp_path, raw[: at + 3] + b"\x09" + raw[at + 4 :])
     )
     raw = bag_header(10**12, 1, 1)
-    assert "should be at byte 1000000000000, the file has" in fails(given_bytes(tmp_path, raw), hint="--strict")
+    assert "should be at byte 1000000000000, the file has" in fails(given_bytes(tmp_path, raw), hint="`strict`")
 
 
 @pytest.mark.parametrize(
@@ -147,9 +147,9 @@ def test_an_index_that_is_somewhere_else_is_refused(tmp_path: Path) -> None:
 def test_a_damaged_index_is_refused(tmp_path: Path, info: bytes, expected: str) -> None:
     body = chunk(message(1))
     raw = bag_header(FIRST_CHUNK + len(body), 1, 1) + body + connection_record() + info
-    assert expected in fails(given_bytes(tmp_path, raw), hint="--strict")
+    assert expected in fails(given_bytes(tmp_path, raw), hint="`strict`")
 
 
 def test_an_unknown_compression_is_refused(tmp_path: Path) -> None:
     path = simple_bag(tmp_path / "a.bag", message(1), compression="zstd")
-    assert "compressed with 'zstd', a ROS 1 bag knows none, bz2, lz4" in fails(path, hint="--strict")
+    assert "compressed with 'zstd', a ROS 1 bag knows none, bz2, lz4" in fails(path, hint="`strict`")

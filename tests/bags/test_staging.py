@@ -120,7 +120,7 @@ def test_what_exists_is_not_overwritten_unasked(tmp_path: Path, existing: str) -
         dst.symlink_to(tmp_path / "missing")
     with pytest.raises(DestinationError, match="exists already") as caught, staged(dst, overwrite=False):
         pytest.fail("the body must not run")
-    assert "--overwrite" in (caught.value.hint or "")
+    assert "`overwrite=True`" in (caught.value.hint or "")
     assert names(tmp_path) == ["out"]
 
 

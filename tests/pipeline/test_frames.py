@@ -209,7 +209,7 @@ def test_a_single_namespace_is_found_and_several_have_to_be_chosen_from() -> Non
     two = [*one, connection(3, "/robot2/tf")]
     with pytest.raises(UsageError, match="/robot1, /robot2") as caught:
         tf_connections(two)
-    assert "--tf-topic /robot1/tf" in (caught.value.hint or "")
+    assert "`tf_topics=/robot1/tf`" in (caught.value.hint or "")
     assert [c.id for c in tf_connections(two, ["/robot2/tf"])] == [3]
     # The global ones are meant where there are any.
     assert [c.id for c in tf_connections([*two, connection(4, "/tf")])] == [4]

@@ -108,7 +108,7 @@ def test_a_scan_that_begins_elsewhere_is_told_where_to_begin(tmp_path: Path) -> 
     timings, notes = measured(tmp_path, items, AUTO)
     assert (timings["/front"].time_increment, timings["/front"].first_beam_ns) == (0, 0)
     assert "begin and end inside the scan" in notes[1]
-    assert "--angle-min 0.52" in notes[1]
+    assert "`angle_min=0.52" in notes[1]
 
 
 def test_beams_are_timed_in_the_scans_frame(tmp_path: Path) -> None:
@@ -121,7 +121,7 @@ def test_beams_are_timed_in_the_scans_frame(tmp_path: Path) -> None:
     items = recorded(FRONT, [T0], turning(), NAMES)
     frames = Frames("base", "", builder.build(), 0)
     _, notes = measured(tmp_path, items, AUTO, frames)
-    assert "--angle-min 1.7" in notes[1]
+    assert "`angle_min=1.7" in notes[1]
 
 
 @pytest.mark.parametrize(

@@ -58,3 +58,20 @@ def test_the_section_of_a_file_decides_the_direction(file: Path) -> None:
     assert back.params.target_frame == "base"
     with pytest.raises(ParameterError, match="has no parameter 'range_min'"):
         resolve_sources([Setting("range_min", 1.0, "--range-min")], file=file)
+
+
+def test_advice_is_spelled_as_the_user_did(file: Path) -> None:
+    # A parameter that is measured in metres but infinite: float32 makes it so.
+    needed = [Setting("no_return", "range-max-plus", "--no-return")]
+
+    def hint(*settings: Setting, assignments: tuple[str, ...] = (), given: Path | None = None) -> str | None:
+        with pytest.raises(ParameterError) as caught:
+            resolve_sources([*needed, *settings], assignments=assignments, file=given)
+        return caught.value.hint
+
+    assert hint() == "say how far the sensor sees: `range_max=100.0`"
+    assert hint(Setting("range_max", 1e300, "--range-max")) == "say how far the sensor sees: `range_max=100.0`"
+    assert hint(assignments=("range_max:=1e300",)) == "say how far the sensor sees: --param range_max:=100.0"
+    file.write_text(FORWARD.replace("20.0", "1e300"), "utf-8")
+    place = f"{file}, line 4, pointcloud_to_laserscan.ros__parameters.range_max"
+    assert hint(given=file) == f"say how far the sensor sees: range_max: 100.0 ({place})"

@@ -75,7 +75,7 @@ def test_a_dropped_cloud_is_not_converted_unless_named() -> None:
 
 def test_a_pattern_that_matches_nothing_is_worth_a_warning() -> None:
     assert plan({"/points": CLOUD}, drop=("/camera/*",), keep=("/p*",)).warnings == (
-        "--drop /camera/* matches no topic",
+        "`drop=/camera/*` matches no topic",
     )
 
 
@@ -106,10 +106,10 @@ def test_a_cloud_becomes_every_scan_that_is_asked_for() -> None:
         (
             {"/points": CLOUD, "/scan": SCAN},
             [],
-            ["already has a topic /scan", "--topic /points:=/points/scan"],
+            ["already has a topic /scan", "`topics=/points:=/points/scan`"],
         ),
         ({"/a": CLOUD, "/b": CLOUD}, ["/a:=/s", "/b:=/s"], ["both become /s"]),
-        ({"/a": CLOUD, "/a/scan": SCAN, "/scan": SCAN}, ["/a"], ["--topic /a:=/scan_2"]),
+        ({"/a": CLOUD, "/a/scan": SCAN, "/scan": SCAN}, ["/a"], ["`topics=/a:=/scan_2`"]),
     ],
 )
 def test_requests_that_cannot_be_met(topics: dict[str, str], requests: list[str], words: list[str]) -> None:

@@ -54,7 +54,7 @@ def test_scans_without_returns_name_the_parameter_to_blame(counts: dict[str, int
 
 def test_the_default_min_height_is_named_where_it_bites_and_only_there() -> None:
     (warning,) = report(used=51, height=49).warnings
-    assert "--min-height" in warning
+    assert "`min_height=-0.5`" in warning
     assert report(used=90, height=10).warnings == []
     assert report(ProjectionParams(min_height=-0.5), used=51, height=49).warnings == []
 

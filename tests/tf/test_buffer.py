@@ -216,7 +216,7 @@ class TestRefusal:
             "The 2 frames with transforms are base, lidar"
         )
         assert error.stamp_ns == at(1)
-        assert "--source-frame" in str(error.hint)
+        assert "`source_frame`" in str(error.hint)
 
     def test_unknown_target(self) -> None:
         assert '"map" passed to lookupTransform argument target_frame' in str(

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 __all__ = ["RECOVER", "Damage", "DamageLog"]
 
 #: What can be done about damage that ended a run.
-RECOVER = "copy the recording again; without --strict everything readable in it is recovered"
+RECOVER = "copy the recording again; without `strict` everything readable in it is recovered"
 
 #: Places that are told one by one; what is found beyond them is added up in one more.
 MAX_PLACES = 10_000

@@ -78,7 +78,7 @@ _REFUSED_SUFFIXES = {
     **dict.fromkeys((".yaml", ".yml"), "metadata.yaml is written inside a directory: name that directory"),
     **dict.fromkeys(
         (".zip", ".gz", ".tgz", ".bz2", ".xz", ".7z", ".tar", ".lz4", ".zst", ".zstd"),
-        "recordings are compressed inside: --compression chooses how",
+        "recordings are compressed inside: `compression` chooses how",
     ),
     **dict.fromkeys(
         (".active", ".pcap", ".pcd", ".ply", ".las", ".laz", ".csv", ".json", ".txt", ".npy", ".npz"),
@@ -419,15 +419,15 @@ def plan_destination(
     container = _CONTAINERS.get(suffix, "rosbag2")
     if storage is not None and container != "rosbag2":
         raise DestinationError(
-            "--storage is for rosbag2 directories",
+            "`storage` is for rosbag2 directories",
             path=path,
             hint=f"leave it out, or leave {suffix} out of the name",
         )
     if profile is not None and container != "mcap":
-        raise DestinationError("--profile is for .mcap files", path=path, hint="leave it out")
-    storage = _one_of("--storage", storage or "mcap", _STORAGES, path) if container == "rosbag2" else ""
+        raise DestinationError("`profile` is for .mcap files", path=path, hint="leave it out")
+    storage = _one_of("storage", storage or "mcap", _STORAGES, path) if container == "rosbag2" else ""
     if container == "mcap":
-        profile = _one_of("--profile", profile or ("ros1" if source_generation == 1 else "ros2"), _PROFILES, path)
+        profile = _one_of("profile", profile or ("ros1" if source_generation == 1 else "ros2"), _PROFILES, path)
     if metadata_version not in _METADATA_VERSIONS:
         raise DestinationError(f"metadata version {metadata_version} cannot be written, only 8 and 9", path=path)
     form = storage or container
@@ -435,7 +435,7 @@ def plan_destination(
         path=path,
         container=container,
         storage=storage,
-        compression=_one_of("--compression", compression or _DEFAULT_COMPRESSION[form], _COMPRESSIONS[form], path),
+        compression=_one_of("compression", compression or _DEFAULT_COMPRESSION[form], _COMPRESSIONS[form], path),
         profile=profile or "",
         metadata_version=metadata_version,
         chunk_compressions=frozenset((compression,) if compression else _COMPRESSIONS[form]),
@@ -444,7 +444,7 @@ def plan_destination(
 
 def _one_of(option: str, value: str, allowed: Sequence[str], path: Path) -> str:
     if value not in allowed:
-        raise DestinationError(f"{option} {value} is not possible here; allowed: {', '.join(allowed)}", path=path)
+        raise DestinationError(f"`{option}={value}` is not possible here; allowed: {', '.join(allowed)}", path=path)
     return value
 
 

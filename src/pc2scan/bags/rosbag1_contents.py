@@ -115,7 +115,7 @@ def _read_bag_header(file: BagFile) -> tuple[int, int, int]:
             raise RecordingError(
                 f"begins with {first!r}, only bags of format 2.0 can be read",
                 path=file.path,
-                hint="Rewrite it with ROS 1: rosbag fix OLD.bag NEW.bag",
+                hint="rewrite it with ROS 1: rosbag fix OLD.bag NEW.bag",
             )
         raise RecordingError(f"begins with {first!r}, a ROS 1 bag begins with {FIRST_LINE!r}", path=file.path)
     fields, _, _ = file.record(len(FIRST_LINE), BAG_HEADER)
@@ -123,7 +123,7 @@ def _read_bag_header(file: BagFile) -> tuple[int, int, int]:
         raise RecordingError(
             f"is encrypted ({encryptor}), only bags that are not can be read",
             path=file.path,
-            hint="Decrypt it with ROS 1: rosbag decrypt FILE",
+            hint="decrypt it with ROS 1: rosbag decrypt FILE",
         )
     index_pos = uint64_field(fields, "index_pos")
     if index_pos == 0:

@@ -70,7 +70,7 @@ class Rosbag1Writer:
             raise DestinationError(
                 f"a ROS 1 bag cannot be compressed with {compression}, only with {', '.join(COMPRESSIONS)}",
                 path=path,
-                hint="Choose lz4 (fast) or bz2 (small), or write MCAP or rosbag2.",
+                hint="choose lz4 (fast) or bz2 (small), or write MCAP or rosbag2",
             )
         self.path = path
         self._compression = compression
@@ -86,7 +86,7 @@ class Rosbag1Writer:
         try:
             self._file = NewFile(path)
         except FileExistsError as err:
-            raise DestinationError("exists already", path=path, hint="Remove it, or choose another name.") from err
+            raise DestinationError("exists already", path=path, hint="remove it, or choose another name") from err
         except OSError as err:
             raise OutputError(f"cannot be created: {err.strerror}", path=path) from err
         self._file.put(FIRST_LINE, _pack_bag_header(0, 0, 0))
@@ -123,7 +123,7 @@ class Rosbag1Writer:
                 f"a ROS 1 bag holds messages serialised as 'ros1', these are {connection.serialization!r}",
                 path=self.path,
                 topic=connection.topic,
-                hint="Convert them first, or write MCAP or rosbag2.",
+                hint="convert them first, or write MCAP or rosbag2",
             )
         for name in connection.metadata:
             if "=" in name:

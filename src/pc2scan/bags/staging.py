@@ -201,7 +201,7 @@ def _refuse_other_directory(dst: Path) -> None:
 
 
 def _exists(dst: Path) -> DestinationError:
-    return DestinationError("exists already", path=dst, hint="--overwrite replaces it")
+    return DestinationError("exists already", path=dst, hint="`overwrite=True` replaces it")
 
 
 @contextmanager

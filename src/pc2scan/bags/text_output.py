@@ -80,7 +80,7 @@ def _may_replace(path: Path, beginning: bytes, *, overwrite: bool) -> bool:
         raise DestinationError(
             "exists already, and is not what pc2scan writes there",
             path=path,
-            hint="choose another name; or --overwrite replaces it",
+            hint="choose another name; or `overwrite=True` replaces it",
         )
     return True
 

@@ -12,7 +12,8 @@ from pc2scan.errors import stamp_text
 
 from .damage import show_damage
 from .options import Json, TfSources
-from .render import print_json, printable, warn
+from .render import message, print_json, printable, warn
+from .spelling import as_typed
 
 if TYPE_CHECKING:
     from pc2scan.inspect.check import Check, ConsumerCheck, TopicCheck
@@ -112,9 +113,9 @@ def _show_topic(topic: TopicCheck, asked: tuple[str, ...]) -> None:
             _show_consumer(consumer, topic.scans)
     for finding in topic.findings:
         since = "" if finding.stamp_ns is None else f" (first at {stamp_text(finding.stamp_ns)})"
-        typer.echo(printable(f"  {finding.level}: {finding.text}{since}"))
+        typer.echo(message(f"  {finding.level}: {finding.text}{since}"))
         if finding.hint:
-            typer.echo(printable(f"          {finding.hint}"))
+            typer.echo(message(f"          {finding.hint}"))
     typer.echo()
 
 
@@ -133,7 +134,7 @@ def _show_consumer(consumer: ConsumerCheck, scans: int) -> None:
     if verdict.rule:
         typer.echo(f"      rule  {verdict.rule}")
         typer.echo(f"      here  {verdict.observed}; allowed: {verdict.allowed}")
-        typer.echo(f"      cure  {verdict.cure}")
+        typer.echo(f"      cure  {as_typed(verdict.cure)}")
 
 
 def _conclusion(result: Check) -> str:

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from .options import Json
-from .render import print_json, printable
+from .render import message, print_json
 from .unusable import exit_status_2
 
 __all__ = ["diff"]
@@ -127,5 +127,5 @@ def diff(
         print_json(result.as_dict())
     elif not quiet:
         for line in str(result).splitlines():
-            typer.echo(printable(line))
+            typer.echo(message(line))
     raise typer.Exit(result.exit_status)

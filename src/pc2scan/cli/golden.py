@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .options import Json
-from .render import print_json, printable
+from .render import message, print_json, printable
 from .unusable import exit_status_2
 
 if TYPE_CHECKING:
@@ -83,4 +83,4 @@ def _show(result: CaseResult, *, quiet: bool) -> None:
         return
     typer.echo(printable(f"{result.outcome.value:<8}{result.name}"))
     for line in result.lines:
-        typer.echo(printable(f"    {line}"))
+        typer.echo(message(f"    {line}"))

@@ -16,6 +16,7 @@ from pc2scan.pipeline.ros_scalars import plain_scalar
 
 from .groups import Group
 from .render import warn
+from .spelling import as_typed
 
 if TYPE_CHECKING:
     from pc2scan.core.unproject import UnprojectParams
@@ -152,7 +153,7 @@ class ParameterOptions(Group):
             option = typer.Option(
                 None,
                 f"{parameter.option}/{parameter.negation}" if boolean else parameter.option,
-                help=parameter.help
+                help=as_typed(parameter.help)
                 + (f"  [default: {' '.join(filter(None, (default, parameter.unit)))}]" if shown else ""),
                 show_default=False,
                 metavar=metavar,

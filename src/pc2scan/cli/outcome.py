@@ -10,7 +10,8 @@ from pc2scan.errors import stamp_text
 from pc2scan.pipeline.parameters import PARAMETERS
 
 from .damage import SHOWN, show_recovery
-from .render import count, printable, size, table, warn
+from .render import count, message, printable, size, table, warn
+from .spelling import as_typed
 
 if TYPE_CHECKING:
     from pc2scan.pipeline.report import Report, Skipped
@@ -36,7 +37,9 @@ def show(report: Report, *, verbose: bool = False) -> None:
                 count(topic.messages_in),
                 count(topic.messages_out),
                 count(topic.skipped),
-                topic.action + (" (cloud kept)" if topic.clouds_kept else "") + (topic.note and f": {topic.note}"),
+                topic.action
+                + (" (cloud kept)" if topic.clouds_kept else "")
+                + (topic.note and f": {as_typed(topic.note)}"),
             )
             for topic in report.topics
         ],
@@ -65,7 +68,7 @@ def show(report: Report, *, verbose: bool = False) -> None:
         )
     typer.echo()
     for note in report.notes:
-        typer.echo(printable(f"note: {note}"))
+        typer.echo(message(f"note: {note}"))
     typer.echo(
         printable(
             f"{report.destination}: {size(report.bytes_written)} from {size(report.bytes_read)} "
@@ -84,7 +87,7 @@ def _show_skipped(report: Report, limit: int) -> None:
         first = entries[0]
         stamp = "unknown" if first.stamp_ns is None else stamp_text(first.stamp_ns)
         several = f" and {len(entries) - 1} more" if len(entries) > 1 else ""
-        typer.echo(printable(f"skipped: {topic}, stamp {stamp}{several}: {reason}"), err=True)
+        typer.echo(message(f"skipped: {topic}, stamp {stamp}{several}: {reason}"), err=True)
         shown += len(entries)
     # Topics that are left out as a whole have a warning of their own.
     single = sum(topic.skipped for topic in report.topics if topic.action != "left out")
@@ -92,7 +95,7 @@ def _show_skipped(report: Report, limit: int) -> None:
         typer.echo(f"skipped: {single - shown:,} more (--verbose or --report tell them)", err=True)
     hints = [entry.hint for entry in report.skipped if entry.hint]
     if hints:
-        typer.echo(printable(f"hint: {hints[0]}"), err=True)
+        typer.echo(message(f"hint: {hints[0]}"), err=True)
 
 
 def conclude(report: Report, *, verbose: bool = False) -> typer.Exit:

@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from .spelling import as_typed
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from pc2scan.errors import Pc2ScanError
 
-__all__ = ["count", "error_text", "print_json", "printable", "size", "table", "warn"]
+__all__ = ["count", "error_text", "message", "print_json", "printable", "size", "table", "warn"]
 
 
 #: Characters of a text, and of a cell of a table. ROS's own names have at most 255.
@@ -37,6 +39,11 @@ def printable(text: str) -> str:
     return "".join(shown) + more
 
 
+def message(text: str) -> str:
+    """A message of the library, for a terminal: its options as they are typed."""
+    return printable(as_typed(text))
+
+
 def _ascii_only() -> bool:
     """Whether the text may go to a file or terminal that cannot show everything."""
     encodings = (getattr(stream, "encoding", None) or "ascii" for stream in (sys.stdout, sys.stderr))
@@ -50,15 +57,15 @@ def _cut(cell: str) -> str:
 
 def error_text(err: Pc2ScanError) -> str:
     """Render an error: where, what was wrong, and what to do."""
-    lines = [f"error: {printable(str(err))}"]
+    lines = [f"error: {message(str(err))}"]
     if err.hint:
-        lines.append(f"hint: {printable(err.hint)}")
+        lines.append(f"hint: {message(err.hint)}")
     return "\n".join(lines)
 
 
 def warn(text: str) -> None:
     """Show a warning on standard error."""
-    typer.echo(f"warning: {printable(text)}", err=True)
+    typer.echo(f"warning: {message(text)}", err=True)
 
 
 def print_json(document: object) -> None:

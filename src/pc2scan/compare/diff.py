@@ -77,7 +77,7 @@ def diff(
         raise UsageError(
             "one recording is compared with itself only by two topics of it",
             path=a,
-            hint="name a second recording, or two topics: --topic /scan:=/scan2",
+            hint="name a second recording, or two topics: `topics=/scan:=/scan2`",
         )
     with ExitStack() as stack:
         sources = []
@@ -141,7 +141,7 @@ def diff_sources(
         raise TopicError(
             "nothing to compare: neither recording has a LaserScan or PointCloud2 topic",
             path=a.path,
-            hint="--all-topics compares the other topics too, --topic one of them",
+            hint="`all_topics=True` compares the other topics too, `topics` one of them",
         )
     return result
 

@@ -52,7 +52,7 @@ def summary(topics: Sequence[TopicDifference], left_aside: int, names: tuple[str
     else:
         yield f"same: {_count(len(topics), 'topic')}, {_count(pairs, 'message')}"
     if left_aside:
-        yield f"not compared: {_count(left_aside, 'other topic')} (--all-topics)"
+        yield f"not compared: {_count(left_aside, 'other topic')} (`all_topics`)"
 
 
 def _lines(topic: TopicDifference, names: tuple[str, str]) -> Iterator[tuple[str, str]]:
@@ -153,7 +153,7 @@ def _advice(topics: Sequence[TopicDifference], names: tuple[str, str]) -> Iterat
         for there, other in ((topic_a, topic_b), (topic_b, topic_a))
     ]
     if [len(side) for side in alone] == [1, 1] and alone[0][0].msgtype == alone[1][0].msgtype:
-        yield f"hint: the same under another name? --topic {alone[0][0].topic_a}:={alone[1][0].topic_b}"
+        yield f"hint: the same under another name? `topics={alone[0][0].topic_a}:={alone[1][0].topic_b}`"
     kinds = {name for topic in topics if not topic.same for name in topic.changes}
     only_changes = all(
         topic.same or (topic.matched == topic.messages_a == topic.messages_b and not topic.values) for topic in topics
@@ -163,7 +163,7 @@ def _advice(topics: Sequence[TopicDifference], names: tuple[str, str]) -> Iterat
     if any(topic.libm is not None and topic.libm.explained > topic.libm.beams / 2 for topic in topics):
         yield "hint: scans with the angles of glibc 2.31 to 2.40: pc2scan convert --angle-rounding glibc-2.40"
     if only_changes and kinds and kinds <= {"log_time", "seq"}:
-        ignored = " ".join(f"--ignore {name}" for name in sorted(kinds))
+        ignored = " ".join(f"`ignore={name}`" for name in sorted(kinds))
         yield f"hint: nothing else differs between {names[0]} and {names[1]}: {ignored}"
 
 

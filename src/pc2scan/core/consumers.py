@@ -262,13 +262,13 @@ def _cartographer(scan: Scan, _first: Scan) -> Verdict:
 
     # Written with `not`, since a check fails on NaN.
     if not scan.range_min >= 0:
-        return aborts("CHECK range_min >= 0", f"range_min {scan.range_min:.9g}", ">= 0", "--range-min 0")
+        return aborts("CHECK range_min >= 0", f"range_min {scan.range_min:.9g}", ">= 0", "`range_min=0.0`")
     if not scan.range_max >= scan.range_min:
         return aborts(
             "CHECK range_max >= range_min",
             f"range_max {scan.range_max:.9g}",
             f">= range_min {scan.range_min:.9g}",
-            "give a --range-max beyond --range-min",
+            "give a `range_max` beyond `range_min`",
         )
     forward = scan.angle_increment > 0
     low, high = (scan.angle_min, scan.angle_max) if forward else (scan.angle_max, scan.angle_min)
@@ -300,7 +300,7 @@ def _gmapping(scan: Scan, first: Scan) -> Verdict:
             "assert(beams < LASER_MAXBEAMS)",
             f"{first.beams} ranges",
             f"at most {_GMAPPING_BEAMS - 1}",
-            "fewer beams: pc2scan convert --beams, or a larger --angle-increment",
+            "fewer beams: give `beams`, or a larger `angle_increment`",
         )
     if scan.beams != first.beams:
         return Verdict(
@@ -322,7 +322,7 @@ def _gmapping(scan: Scan, first: Scan) -> Verdict:
             "a range below range_min becomes range_max, and goes into the map",
             f"{scan.short} ranges below range_min, range_max {scan.range_max:.9g}",
             "a finite range_max",
-            "give a finite --range-max: pc2scan convert --preset gmapping",
+            "give a finite `range_max`: pc2scan convert --preset gmapping",
         )
     return _kept_angles("gmapping", scan, first)
 
@@ -335,7 +335,7 @@ def _amcl(scan: Scan, _first: Scan) -> Verdict:
             "range_max must be above 0",
             f"range_max {scan.range_max:.9g}",
             "> 0",
-            "give a positive --range-max: pc2scan convert --preset amcl",
+            "give a positive `range_max`: pc2scan convert --preset amcl",
         )
     return Verdict("amcl")
 
@@ -388,7 +388,7 @@ def _infinite_hits(consumer: str, scan: Scan) -> Verdict:
         "a range within range_max is a return, and inf <= inf",
         f"{scan.infinite} infinite ranges, range_max {scan.range_max:.9g}",
         "a finite range_max",
-        f"give a finite --range-max: pc2scan convert --preset {consumer}",
+        f"give a finite `range_max`: pc2scan convert --preset {consumer}",
     )
 
 

@@ -218,7 +218,7 @@ class ProjectionParams:
             raise ParameterError(
                 f"no_return is {self.no_return}, which needs a finite range_max",
                 name="no_return",
-                hint="Say how far the sensor sees: --range-max 100.",
+                hint="say how far the sensor sees: `range_max=100.0`",
             )
 
     @property

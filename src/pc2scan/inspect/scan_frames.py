@@ -22,7 +22,7 @@ BASE_FRAMES = ("base_link", "base_footprint")
 #: gmapping refuses a laser whose z axis has this much less than 1 of the robot's: 2.6 degrees.
 _TILT = 0.001
 
-_HINT = "`pc2scan tf` shows the frames; --tf-from takes transforms from another recording"
+_HINT = "`pc2scan tf` shows the frames; `tf_from` takes transforms from another recording"
 
 
 def no_transforms() -> Finding:
@@ -31,7 +31,7 @@ def no_transforms() -> Finding:
         "no-transforms",
         "notice",
         "the recording has no transforms: SLAM needs them from the scan's frame to odometry",
-        "keep /tf and /tf_static when recording or converting; --tf-from takes them from another recording",
+        "keep /tf and /tf_static when recording or converting; `tf_from` takes them from another recording",
     )
 
 
@@ -89,8 +89,8 @@ class ScanFrames:
         """What is missing."""
         found = []
         roles: tuple[tuple[str, str, str, Level], ...] = (
-            ("odometry", self._odom, "--odom-frame", "defect"),
-            ("robot", self._base, "--base-frame", "notice"),
+            ("odometry", self._odom, "odom_frame", "defect"),
+            ("robot", self._base, "base_frame", "notice"),
         )
         for role, name, option, level in roles:
             if name not in self._trees:
@@ -100,7 +100,7 @@ class ScanFrames:
                         f"no-{role}-frame",
                         level,
                         f"there is no frame {name!r} ({role}) in the transforms; their roots: {there}",
-                        f"{option} names the one that is meant; {_HINT}",
+                        f"`{option}` names the one that is meant; {_HINT}",
                     )
                 )
         for frame, scans in self._scans.items():

@@ -122,7 +122,7 @@ class FrameOptions:
 
     def __post_init__(self) -> None:
         if self.write_static and not self.static:
-            raise UsageError("there is no added transform to write", hint="give one with --static-tf")
+            raise UsageError("there is no added transform to write", hint="give one with `static`")
 
 
 class Place(NamedTuple):
@@ -214,7 +214,7 @@ def tf_connections(connections: Sequence[Connection], topics: Sequence[str] = ()
         return spaces.get("", next(iter(spaces.values()), []))
     raise UsageError(
         f"several robots have transforms: {', '.join(f'/{space}' for space in sorted(spaces))}",
-        hint=f"choose one: --tf-topic /{min(spaces)}/tf --tf-topic /{min(spaces)}/tf_static",
+        hint=f"choose one: `tf_topics=/{min(spaces)}/tf` `tf_topics=/{min(spaces)}/tf_static`",
     )
 
 

@@ -162,7 +162,7 @@ class _FirstClouds:
         found = [times for sweep in self._sweeps if (times := beam_times(sweep, self._params.layout)) is not None]
         if len(found) < len(self._sweeps):
             lowest = statistics.median_low(sweep.lowest for sweep in self._sweeps)
-            advice = f"--angle-min {lowest:.4f} --angle-max {lowest + TURN:.4f}"
+            advice = f"`angle_min={lowest:.4f}` `angle_max={lowest + TURN:.4f}`"
             note = "time_increment is 0, for the clouds begin and end inside the scan; one that begins there can tell"
             return 0.0, 0, f"{note}: {advice}"
         first_beam_ns = round(statistics.median_low(first for first, _ in found) * 1e9)

@@ -171,13 +171,13 @@ class ConvertOptions:
         if self.jobs < 0:
             raise UsageError(f"jobs is {self.jobs}, it must not be negative")
         if self.only_scans and (self.keep or self.keep_clouds):
-            raise UsageError("only_scans leaves out what keep and keep_clouds ask for")
+            raise UsageError("`only_scans` leaves out what `keep` and `keep_clouds` ask for")
         if not self.reverse and (self.deskew or self.channels is not None):
-            raise UsageError("deskew, channels and range_cutoff go with reverse")
+            raise UsageError("`deskew`, `channels` and `range_cutoff` go with `reverse`")
         if self.deskew and not self.params.target_frame:
             raise UsageError(
-                "deskew needs a target_frame that does not move with the sensor",
-                hint="such as --target-frame odom",
+                "`deskew` needs a `target_frame` that does not move with the sensor",
+                hint="such as `target_frame=odom`",
             )
 
     @classmethod

@@ -83,7 +83,7 @@ def resolve_sources(
         found += loaded.settings
         ignored = loaded.ignored
         if reverse and loaded.direction == "pointcloud_to_laserscan":
-            raise UsageError(f"{loaded.node} is for pointcloud_to_laserscan, --reverse is not", path=file)
+            raise UsageError(f"{loaded.node} is for pointcloud_to_laserscan, `reverse=True` is not", path=file)
         reverse = reverse or loaded.direction == "laserscan_to_pointcloud"
     if preset is not None:
         found += preset_settings(preset)

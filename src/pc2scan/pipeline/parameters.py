@@ -33,6 +33,7 @@ __all__ = [
     "ResolvedParams",
     "Setting",
     "expected_message",
+    "from_preset",
     "names_of",
     "preset_settings",
     "resolve",
@@ -165,7 +166,7 @@ _HELP: dict[str, tuple[str, str]] = {
         "",
         "Which of its returns a beam reads: the closest, farthest, their mean, median, or the kth closest.",
     ),
-    "kth": ("", "Which one --reduce kth takes: 1 is the closest. A beam with fewer returns has none."),
+    "kth": ("", "Which one `reduce=kth` takes: 1 is the closest. A beam with fewer returns has none."),
     "min_points": ("", "A beam with fewer returns than this has none."),
     "intensity_field": ("", "Field of the cloud whose values, at the returns shown, become the scan's intensities."),
     "time_increment": (
@@ -232,11 +233,11 @@ def names_of(direction: Direction | None) -> list[str]:
 def unknown_parameter(name: str, origin: str, direction: Direction | None) -> ParameterError:
     """Say that there is no such parameter, and which there are."""
     known = names_of(direction)
-    hint = f"The parameters are {', '.join(known)}."
+    hint = f"the parameters are {', '.join(known)}"
     if name in TOPICS:
-        hint = "Topics are not parameters here; choose them with --topic."
+        hint = "topics are not parameters here; `topics` chooses them"
     elif "<<" in re.split(r"[./]", name):
-        hint = "YAML's merge key (<<) is not supported; write the parameters out."
+        hint = "YAML's merge key (<<) is not supported; write the parameters out"
     if name in PARAMETERS:
         message = f"{direction} has no parameter {name!r} (from {origin})"
     else:
@@ -302,15 +303,15 @@ def _type_hint(parameter: Parameter, value: object) -> str | None:
     if parameter.words:
         return None
     if parameter.kind == "str" and isinstance(value, bool | int | float):
-        return "YAML takes it for a number or a truth value; put it in quotes."
+        return "YAML takes it for a number or a truth value; put it in quotes"
     if parameter.kind == "bool" and isinstance(value, int):
-        return "Write true or false."
+        return "write true or false"
     if parameter.kind in {"float", "int"} and isinstance(value, str):
         angle = written_angle(value)
         if angle is not None:
-            return f"Only ROS 1 knows deg() and rad(); write {angle!r}."
+            return f"only ROS 1 knows deg() and rad(); write {angle!r}"
         if not isinstance(plain_scalar(value), str | bool | None):
-            return "It is in quotes, which makes it text; leave them out."
+            return "it is in quotes, which makes it text; leave them out"
     return None
 
 
@@ -378,9 +379,14 @@ def preset_settings(consumer: str) -> list[Setting]:
         near = difflib.get_close_matches(consumer, PRESETS, n=1)
         meant = f"; did you mean {near[0]}?" if near else ""
         raise ParameterError(
-            f"there is no preset {shown(consumer)}{meant}", name="preset", hint=f"The presets are {', '.join(PRESETS)}."
+            f"there is no preset {shown(consumer)}{meant}", name="preset", hint=f"the presets are {', '.join(PRESETS)}"
         )
     return [Setting(name, value, f"--preset {consumer}", "preset") for name, value in PRESETS[consumer].items()]
+
+
+def from_preset(origin: str) -> bool:
+    """Whether a parameter with this origin was chosen by a preset."""
+    return origin.startswith("--preset ")
 
 
 def _contradiction(setting: Setting, rival: Setting) -> ParameterError:
@@ -405,4 +411,19 @@ def _raise_with_origin(err: ParameterError, origin: Mapping[str, str]) -> NoRetu
         places = "; ".join(
             f"{name} is the default" if origin[name] == "default" else f"{name} from {origin[name]}" for name in named
         )
-    raise ParameterError(f"{err.message} ({places})", name=err.name, hint=err.hint) from err
+    hint = err.hint and _where_given(err.hint, origin)
+    raise ParameterError(f"{err.message} ({places})", name=err.name, hint=hint) from err
+
+
+def _where_given(hint: str, origin: Mapping[str, str]) -> str:
+    """Spell ```range_max=100.0`` in a hint as the user did who gave the parameter with ``--param`` or in a file."""
+
+    def spelled(advice: re.Match[str]) -> str:
+        name, value = advice.groups()
+        place = origin.get(name, "default")
+        if place.startswith("--param "):
+            return f"--param {name}:={value}"
+        # A preset and a default are beaten by the option, which is then the shortest way.
+        return advice[0] if place == "default" or place.startswith("--") else f"{name}: {value} ({place})"
+
+    return re.sub(r"`(\w+)=([^`]*)`", spelled, hint)

@@ -128,7 +128,7 @@ def _read_text(path: Path) -> str:
     if len(data) > MAX_FILE_BYTES:
         raise ParameterError(
             f"{path}: larger than {MAX_FILE_BYTES:,} bytes, which no parameter file is",
-            hint="Was a recording given as --params-file?",
+            hint="was a recording given as the parameter file?",
         )
     try:
         return data.decode("utf-8-sig")
@@ -136,7 +136,7 @@ def _read_text(path: Path) -> str:
         line = data.count(b"\n", 0, err.start) + 1
         raise ParameterError(
             f"{path}, line {line}: byte 0x{data[err.start]:02x} is not UTF-8 text",
-            hint="Save the file as UTF-8.",
+            hint="save the file as UTF-8",
         ) from err
 
 
@@ -192,7 +192,7 @@ def _ros2_sections(leaves: Iterable[_Leaf], file: Path) -> _Sections:
             raise ParameterError(
                 f"{leaf.path[-1]!r} is outside of any ros__parameters (from {leaf.origin})",
                 name=leaf.path[-1],
-                hint="In a ROS 2 file the parameters of a node are below 'node_name: ros__parameters:'.",
+                hint="in a ROS 2 file the parameters of a node are below 'node_name: ros__parameters:'",
             )
         mark = leaf.path.index(_MARK)
         section = sections.setdefault(_qualified(leaf.path[:mark]), {})
@@ -240,7 +240,7 @@ def _chosen(sections: _Sections, node: str | None, file: Path) -> str:
     if named:
         raise ParameterError(
             f"{file}: several nodes could be meant: {', '.join(named)}",
-            hint=f"Choose one with --node, for example --node {named[0]}.",
+            hint=f"choose one, for example `node={named[0]}`",
         )
     own = {full: _own_names(parameters) for full, parameters in sections.items()}
     upstreams = _most_specific([full for full, names in own.items() if _only_upstreams(names)])
@@ -254,7 +254,7 @@ def _chosen(sections: _Sections, node: str | None, file: Path) -> str:
     raise ParameterError(
         f"{file}: no section is named pointcloud_to_laserscan or laserscan_to_pointcloud, and "
         f"{'several have' if upstreams else 'none has'} only their parameters; found {_listed(sections)}",
-        hint="Choose one with --node." if upstreams else None,
+        hint="choose one with `node`" if upstreams else None,
     )
 
 
@@ -270,11 +270,11 @@ def _asked_for(sections: _Sections, node: str, file: Path) -> str:
         if literal:
             raise ParameterError(
                 f"{file}: several nodes are named {node!r}: {', '.join(literal)}",
-                hint="Give --node the whole name, with its namespace.",
+                hint="give `node` the whole name, with its namespace",
             )
     if any(_matches(pattern, wanted) for pattern in sections):
         return wanted
-    raise ParameterError(f"{file}: no section is for the node {node!r} (from --node); found {_listed(sections)}")
+    raise ParameterError(f"{file}: no section is for the node {node!r} (from `node`); found {_listed(sections)}")
 
 
 def _listed(sections: Iterable[str]) -> str:

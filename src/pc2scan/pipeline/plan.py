@@ -145,8 +145,8 @@ def _other_direction(types: dict[str, set[str]], kind: str) -> str | None:
     if not any(other in kinds for kinds in types.values()):
         return None
     if kind == LASERSCAN:
-        return "it has PointCloud2 topics; without --reverse they become scans"
-    return "it has LaserScan topics; --reverse turns those into clouds"
+        return "it has PointCloud2 topics; without `reverse` they become scans"
+    return "it has LaserScan topics; `reverse=True` turns those into clouds"
 
 
 def _short(kind: str) -> str:
@@ -162,7 +162,7 @@ def _refuse_collisions(routes: Sequence[Route], requests: dict[str, TopicRequest
         if source != topic:
             raise TopicError(
                 f"{source} and {topic} would both become {target}; several sources are not merged into one scan",
-                hint=f"give one of them another topic: --topic {topic}:={target}_2",
+                hint=f"give one of them another topic: `topics={topic}:={target}_2`",
             )
     for target, source in origin.items():
         if target in passing:
@@ -173,7 +173,7 @@ def _refuse_collisions(routes: Sequence[Route], requests: dict[str, TopicRequest
             how = "" if source in requests else " (the default)"
             raise TopicError(
                 f"the recording already has a topic {target}, which {source} would be converted to{how}",
-                hint=f"choose a free one: --topic {source}:={free}, or leave the old one out: --drop {target}",
+                hint=f"choose a free one: `topics={source}:={free}`, or leave the old one out: `drop={target}`",
             )
 
 
@@ -181,7 +181,7 @@ def _idle_patterns(connections: Sequence[Connection], options: ConvertOptions) -
     """A pattern that matches nothing is nearly always a typing error."""
     topics = {connection.topic for connection in connections}
     return [
-        f"--{name} {pattern} matches no topic"
+        f"`{name}={pattern}` matches no topic"
         for name, patterns in (("keep", options.keep), ("drop", options.drop))
         for pattern in patterns
         if not any(_matches(topic, (pattern,)) for topic in topics)

@@ -11,6 +11,8 @@ from pc2scan.core.project import PointCounts
 from pc2scan.json_types import json_value
 from pc2scan.version import __version__
 
+from .parameters import from_preset
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -181,16 +183,16 @@ class Report:
                 f"{layout.count} beams divide the circle evenly"
             )
         origin = self.origins.get("range_max", "")
-        if origin.startswith("--preset"):
+        if from_preset(origin):
             self.notes.append(
                 f"range_max is {self.params.range_max:g} m, chosen by {origin}: returns beyond are left out; "
-                "--range-max chooses another"
+                "`range_max` chooses another"
             )
         if lost := self._lost_topics():
             self.warnings.append(_loss_warning(lost))
         for topic in self.topics:
             if topic.action == "converted" and not topic.messages_out:
-                why = "could be converted" if topic.messages_in else "was there to convert (see --start and --end)"
+                why = "could be converted" if topic.messages_in else "was there to convert (see `start` and `end`)"
                 self.warnings.append(f"no message of {topic.topic} {why}")
             elif topic.action == "converted":
                 self.warnings += _point_warnings(topic, self.params, self.origins)
@@ -249,7 +251,7 @@ def _point_warnings(topic: TopicReport, params: ProjectionParams, origins: dict[
     )
     lost = points.height / points.total if points.total else 0.0
     advice = (
-        "upstream's default min_height drops everything at z <= 0; set it to see below the sensor: --min-height -0.5"
+        "upstream's default min_height drops everything at z <= 0; set it to see below the sensor: `min_height=-0.5`"
     )
     warnings = []
     if topic.empty_scans:

@@ -182,7 +182,7 @@ def _prepare_passing(
             if sum(compiled.values()) > _MAX_COMPILED_FIELDS:
                 raise RecordingError(
                     f"its types have more than {_MAX_COMPILED_FIELDS} fields in all, too many to re-encode",
-                    hint="--drop or --keep chooses among the topics",
+                    hint="`drop` or `keep` chooses among the topics",
                 )
             route.encode = transcoding.encode
             route.passing_handle = writer.add_connection(transcoding.connection)
@@ -266,4 +266,4 @@ def write_static(frames: FrameOptions, log_time_ns: int, target: Destination, wr
     )
     rows = [transform.row(log_time_ns) for transform in frames.static]
     writer.write(handle, log_time_ns, encode_transforms(rows, serialization), log_time_ns)
-    report.topics.append(TopicReport("/tf_static", msgtype, "/tf_static", "added", "from --static-tf", messages_out=1))
+    report.topics.append(TopicReport("/tf_static", msgtype, "/tf_static", "added", "from `static`", messages_out=1))

@@ -170,9 +170,9 @@ def _refuse_overlap(
     output: OutputOptions,
 ) -> None:
     """Compare everything that is read with everything that is written."""
-    named = [*(("--tf-from", other) for other in options.frames.tf_from), *also_read.items()]
+    named = [*(("`tf_from`", other) for other in options.frames.tf_from), *also_read.items()]
     inputs = [*map(Input, sources), *(Input(file, f"file of {option}") for option, file in named)]
-    report = [] if output.report is None else [Output(output.report, "--report")]
+    report = [] if output.report is None else [Output(output.report, "`report`")]
     refuse_overlap(inputs, [Output(path), *report])
 
 

@@ -40,7 +40,7 @@ def compose(text: str, place: str) -> Any:
         return yaml.compose(spaced)
     except YAMLError as err:
         problem = getattr(err, "problem", None) or getattr(err, "reason", None) or "a syntax error"
-        hint = "Indent with spaces, not with tabs." if r"'\t'" in str(problem) else None
+        hint = "indent with spaces, not with tabs" if r"'\t'" in str(problem) else None
         message = f"{place}, {_yaml_position(err, spaced)}: not valid YAML: {problem}"
         raise ParameterError(message, hint=hint) from err
     except RecursionError as err:

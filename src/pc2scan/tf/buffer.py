@@ -497,7 +497,7 @@ class TransformBuffer:
                 raise TransformError(
                     f"Invalid argument passed to lookupTransform argument {role}: frame_ids cannot be empty",
                     stamp_ns=stamp_ns,
-                    hint="--source-frame names the frame of clouds whose frame_id is empty",
+                    hint="`source_frame` names the frame of clouds whose frame_id is empty",
                 )
         if target == source:
             return None
@@ -525,8 +525,8 @@ class TransformBuffer:
         raise TransformError(
             f'"{name}" passed to lookupTransform argument {role} does not exist. {there_are}',
             stamp_ns=stamp_ns,
-            hint="--static-tf adds a transform, --tf-from takes them from another recording, "
-            "--source-frame corrects a wrong frame_id",
+            hint="`static` adds a transform, `tf_from` takes them from another recording, "
+            "`source_frame` corrects a wrong frame_id",
         )
 
     def _chain(self, query: _Query, time_ns: int | None) -> _Chain:
@@ -646,7 +646,7 @@ class TransformBuffer:
             f"Could not find a connection between '{query.target}' and '{query.source}' because they are not "
             f"part of the same tree. Tf has two or more unconnected trees: {where}",
             stamp_ns=query.stamp_ns,
-            hint=f"--static-tf or --tf-from adds what connects them; {_SEE_TF}",
+            hint=f"`static` or `tf_from` adds what connects them; {_SEE_TF}",
         )
 
     def _looping(self, walk: _Walk, loop: int, query: _Query) -> TransformError:
@@ -745,7 +745,7 @@ class TransformBuilder:
             raise RecordingError(
                 f"the transforms have more than {MAX_FRAMES:,} frames or {MAX_PAIRS:,} pairs of frames, "
                 "which no robot has",
-                hint="--tf-topic names the topics whose transforms count",
+                hint="`tf_topics` names the topics whose transforms count",
             )
         self._pair_table.extend((*numbers, reason))
         return pair

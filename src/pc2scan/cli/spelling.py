@@ -1,0 +1,65 @@
+"""Options as the command line spells them.
+
+The library's messages name an option as Python does, in backticks: ```overwrite=True` replaces it``. What the command
+shows says ``--overwrite replaces it``.
+"""
+
+from __future__ import annotations
+
+import re
+
+from pc2scan.pipeline.parameters import PARAMETERS
+
+__all__ = ["OPTIONS", "as_typed"]
+
+_NAMED = re.compile(r"`([a-z_]+)(?:=([^`]*))?`")
+
+#: Options that messages name, as the library and as the command line calls them.
+OPTIONS = {
+    **{name: parameter.option for name, parameter in PARAMETERS.items()},
+    "all_topics": "--all-topics",
+    "base_frame": "--base-frame",
+    "channels": "--channel",
+    "compression": "--compression",
+    "deskew": "--deskew",
+    "drop": "--drop",
+    "end": "--end",
+    "ignore": "--ignore",
+    "keep": "--keep",
+    "keep_clouds": "--keep-clouds",
+    "node": "--node",
+    "odom_frame": "--odom-frame",
+    "only_scans": "--only-scans",
+    "overwrite": "--overwrite",
+    "profile": "--profile",
+    "range_cutoff": "--range-cutoff",
+    "report": "--report",
+    "reverse": "--reverse",
+    "ros_distro": "--ros-distro",
+    "source_frame": "--source-frame",
+    "start": "--start",
+    "static": "--static-tf",
+    "storage": "--storage",
+    "strict": "--strict",
+    "tf_from": "--tf-from",
+    "tf_topics": "--tf-topic",
+    "topics": "--topic",
+    "write_static": "--write-static-tf",
+}
+
+
+def as_typed(text: str) -> str:
+    """Spell the options in a text as they are typed; what is no option stays.
+
+    >>> as_typed("`overwrite=True` replaces it; `topics=/points:=/b` is free; see `min_height` and `ls`")
+    '--overwrite replaces it; --topic /points:=/b is free; see --min-height and `ls`'
+    """
+    return _NAMED.sub(_spelled, text) if "`" in text else text
+
+
+def _spelled(named: re.Match[str]) -> str:
+    name, value = named.groups()
+    option = OPTIONS.get(name)
+    if option is None:
+        return named[0]
+    return option if value in (None, "True") else f"{option} {value}"

@@ -1,0 +1,69 @@
+from __future__ import annotations
+
+import ast
+import re
+
+import pytest
+import typer
+
+from pc2scan.cli.app import COMMANDS, application
+from pc2scan.cli.spelling import OPTIONS, as_typed
+from support import ROOT
+
+PACKAGE = ROOT / "src" / "pc2scan"
+
+
+@pytest.mark.parametrize(
+    ("text", "typed"),
+    [
+        ("`overwrite=True` replaces it", "--overwrite replaces it"),
+        ("`topics=/points:=/scan_2`", "--topic /points:=/scan_2"),
+        ("without `strict`, `angle_min=-3.14` and `scan_time`", "without --strict, --angle-min -3.14 and --scan-time"),
+        # What is no option is somebody's text.
+        ("`ls` and `pc2scan tf` and `min height` and `", "`ls` and `pc2scan tf` and `min height` and `"),
+        ("range_max 5 m", "range_max 5 m"),
+    ],
+)
+def test_options_are_spelled_as_they_are_typed(text: str, typed: str) -> None:
+    assert as_typed(text) == typed
+
+
+def test_every_spelling_is_an_option() -> None:
+    group = typer.main.get_command(application())
+    assert isinstance(group, typer.core.TyperGroup)
+    known = {name for command in COMMANDS for each in group.commands[command].params for name in each.opts}
+    assert set(OPTIONS.values()) <= known
+
+
+def texts_of(source: str) -> list[str]:
+    """All text of a module that is no docstring."""
+    tree = ast.parse(source)
+    prose = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+    nodes = [node for node in ast.walk(tree) if isinstance(node, ast.Constant) and id(node) not in prose]
+    return [node.value for node in nodes if isinstance(node.value, str)]
+
+
+def test_the_library_names_options_that_there_are() -> None:
+    # An f-string's parts are looked at one by one, so the closing backtick may be in another.
+    named: dict[str, str] = {}
+    for path in PACKAGE.rglob("*.py"):
+        if path.parent.name != "cli":
+            for text in texts_of(path.read_text("utf-8")):
+                named |= dict.fromkeys(re.findall(r"`([a-z_]+)(?:=|`)", text), str(path))
+    assert {"overwrite", "topics", "angle_min", "target_frame"} <= named.keys()
+    assert {name: path for name, path in named.items() if name not in OPTIONS} == {}
+
+
+def test_only_the_command_line_speaks_of_its_options() -> None:
+    # Two modules know the spellings: where a parameter comes from is said as it was typed. What names the command, too,
+    # says what to type into a shell.
+    spelling = {"pipeline/parameters.py", "pipeline/param_assignment.py"}
+    wrong = {
+        (str(path.relative_to(PACKAGE)), text)
+        for path in PACKAGE.rglob("*.py")
+        if path.relative_to(PACKAGE).parts[0] not in {"cli", "golden", "pytest_plugin"}
+        if str(path.relative_to(PACKAGE)) not in spelling
+        for text in texts_of(path.read_text("utf-8"))
+        if re.search(r"--([a-z]|$)", text) and "pc2scan " not in text
+    }
+    assert wrong == set()
