@@ -49,7 +49,7 @@ def test_by_scans_alone() -> None:
     found = explained((scan([9, 2, 5, 9]), scan([9, 5, 2, 9])), (scan([4, 4, 4, 4]), scan([4, 3, 4, 4])))
     assert (found.scans_alone, found.beams_alone, found.in_neighbour, found.hidden) == (2, 3, 2, 0)
     assert (found.scans, found.explained, found.glibc) == (0, 0, "")
-    assert found.reasons == {"there are no clouds (--clouds names some)": 2}
+    assert found.reasons == {"there are no clouds (`clouds` names some)": 2}
 
 
 def test_what_is_within_the_tolerance_does_not_differ() -> None:

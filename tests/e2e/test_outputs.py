@@ -441,5 +441,5 @@ def test_results_are_shown_though_their_file_cannot_be_written(cases: Path) -> N
 def test_the_library_compares_too(tmp_path: Path) -> None:
     source = write_rosbag2(tmp_path / "drive", CONTENT)
     tf = write_rosbag2(tmp_path / "tf", CONTENT)
-    with pytest.raises(DestinationError, match="is a file of --tf-from"):
+    with pytest.raises(DestinationError, match="is a file of `tf_from`"):
         pc2scan.convert(source, tf, frames=FrameOptions(tf_from=(tf,)), overwrite=True)

@@ -20,6 +20,7 @@ OPTIONS = {
     "all_topics": "--all-topics",
     "base_frame": "--base-frame",
     "channels": "--channel",
+    "clouds": "--clouds",
     "compression": "--compression",
     "deskew": "--deskew",
     "drop": "--drop",

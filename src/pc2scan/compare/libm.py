@@ -289,7 +289,7 @@ class Explainer:
     def _proof(self, scan: LaserScan, readings: Readings) -> tuple[Proof | None, str, str]:
         """The proof by the cloud that fits best, and its topic; or why there is none."""
         best: tuple[Proof | None, str] = (None, "")
-        reason = "there is no cloud with its stamp" if self._clouds else "there are no clouds (--clouds names some)"
+        reason = "there is no cloud with its stamp" if self._clouds else "there are no clouds (`clouds` names some)"
         try:
             for topic, points in self._clouds.of(scan):
                 proof = prove(readings, points)
