@@ -54,7 +54,10 @@ def test_many_places_are_cut_short(capsys: pytest.CaptureFixture[str]) -> None:
 
 def report(*damage: Damage, declared: int | None = None) -> Report:
     topics = [TopicReport("/a", "", "/a", "passed", messages_in=1200)]
-    return Report(["a"], "b", ProjectionParams(), topics=topics, damage=list(damage), messages_declared=declared)
+    damaged = list(damage)
+    return Report(
+        ["a"], "b", ProjectionParams(), topics=topics, damage=damaged, messages_read=1200, messages_declared=declared
+    )
 
 
 def test_nothing_is_told_of_a_sound_source(capsys: pytest.CaptureFixture[str]) -> None:
