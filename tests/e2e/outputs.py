@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
+from collections import Counter
 from contextlib import closing
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -143,11 +144,10 @@ def _rosbag2(folder: Path) -> Output:
     )
     # metadata.yaml speaks the truth about the storage.
     assert info["message_count"] == len(found.messages)
-    assert {
-        entry["topic_metadata"]["name"]: entry["message_count"]
-        for entry in reversed(info["topics_with_message_count"])
-        if entry["message_count"]
-    }.keys() == found.topics()
+    listed = [(entry["topic_metadata"], entry["message_count"]) for entry in info["topics_with_message_count"]]
+    assert len({(topic["name"], topic["type"]) for topic, _ in listed}) == len(listed) == len(found.publishers)
+    counts = Counter(message.topic for message in found.messages)
+    assert sum((Counter({topic["name"]: count}) for topic, count in listed), Counter()) == counts
     if found.messages:
         assert info["starting_time"]["nanoseconds_since_epoch"] == found.messages[0].log_time_ns
         span = found.messages[-1].log_time_ns - found.messages[0].log_time_ns

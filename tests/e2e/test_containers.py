@@ -38,6 +38,7 @@ from builders import (
     write_mcap,
 )
 from e2e.command import run
+from e2e.npm import needs_npm, node
 from e2e.outputs import opened, physical_order
 from support import ROOT
 
@@ -336,23 +337,6 @@ def test_rosbag_check_has_nothing_to_migrate(name: str, tmp_path: Path) -> None:
 
 
 # --- The readers that web tools use ---
-
-MODULES = os.environ.get("PC2SCAN_NODE_MODULES", "")
-
-
-def needs_npm(*packages: str) -> pytest.MarkDecorator:
-    missing = shutil.which("node") is None or not all((Path(MODULES) / name).is_dir() for name in packages)
-    return pytest.mark.skipif(
-        missing, reason=f"needs node, and PC2SCAN_NODE_MODULES: a node_modules folder with {' and '.join(packages)}"
-    )
-
-
-def node(script: Path, path: Path) -> Any:
-    done = subprocess.run(
-        ["node", str(script), MODULES, str(path)], capture_output=True, text=True, timeout=120, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout)
 
 
 def digests(output: Output) -> Counter[tuple[str, int, str]]:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import re
 from contextlib import suppress
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from .yaml import dump_yaml, load_yaml
 
-__all__ = ["latches", "parsed_qos", "respelled_qos"]
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+__all__ = ["latches", "merged_qos", "parsed_qos", "respelled_qos"]
 
 #: A profile takes some 400 characters, and a topic has one a publisher. Reading more costs seconds.
 MAX_CHARACTERS = 64_000
@@ -68,6 +71,33 @@ def parsed_qos(text: str) -> list[dict[str, Any]] | None:
         if isinstance(loaded, list) and all(isinstance(profile, dict) for profile in loaded):
             return loaded
     return None
+
+
+def merged_qos(texts: Sequence[str]) -> str:
+    r"""Put the profiles of several publishers of a topic into one list.
+
+    rosbag2's recorder lists one profile for each publisher, equal ones too, and so does ``ros2 bag convert`` for the
+    publishers of several recordings.
+
+    Parameters
+    ----------
+    texts
+        ``offered_qos_profiles`` of each; empty where not recorded. What is not a list of profiles is ignored, if one
+        is. In lists too long to be read, each text counts once.
+
+    >>> merged_qos(["- depth: 1", "", "[{depth: 2}]", "- depth: 1"])
+    '- depth: 1\n- depth: 2\n- depth: 1\n'
+    """
+    known = [text for text in texts if text]
+    distinct = dict.fromkeys(known)
+    if len(known) < 2 or sum(map(len, distinct)) > MAX_CHARACTERS:
+        return known[0] if known else ""
+    lists = {text: profiles for text in distinct if (profiles := parsed_qos(text))}
+    if not lists:
+        return known[0]
+    written = {text: dump_yaml(profiles) for text, profiles in lists.items()}
+    merged = "".join(written[text] for text in known if text in written)
+    return merged if len(merged) <= MAX_CHARACTERS else "".join(written.values())
 
 
 def respelled_qos(text: str, *, by_name: bool) -> str:

@@ -15,19 +15,29 @@ from .frames import is_static
 from .report import TopicReport
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from pc2scan.bags.model import Buffer, Definition, Writer
     from pc2scan.bags.reader import Reader
     from pc2scan.bags.registry import Destination
 
     from .conversion import Conversion, Converted
+    from .declarations import Declarations
     from .frames import FrameOptions
     from .options import ConvertOptions
     from .plan import Route
     from .report import Report
 
-__all__ = ["OpenRoute", "carry_extras", "chunk_rule", "count_skipped", "open_routes", "write_static"]
+__all__ = [
+    "OpenRoute",
+    "bind",
+    "carry_extras",
+    "chunk_rule",
+    "count_skipped",
+    "open_routes",
+    "static_connection",
+    "write_static",
+]
 
 #: A field takes about a millisecond and 7 kB. Large robots have some thousand.
 _MAX_COMPILED_FIELDS = 20_000
@@ -79,12 +89,13 @@ def open_routes(
     target: Destination,
     same_kind: bool,
     options: ConvertOptions,
-    writer: Writer,
+    declared: Declarations,
     report: Report,
 ) -> dict[int, OpenRoute]:
-    """Declare every connection of the destination and prepare the work on each of the source's.
+    """Collect the connections of the destination, and prepare the work on each of the source's.
 
-    ``same_kind`` is whether the source is in the same kind of container as the destination.
+    ``same_kind`` is whether the source is in the same kind of container as the destination. The routes' handles are
+    places in ``declared`` until `bind` is called.
     """
     opened: dict[int, OpenRoute] = {}
     compiled: dict[tuple[str, Definition], int] = {}
@@ -100,14 +111,14 @@ def open_routes(
         made = opened[connection.id] = OpenRoute(connection, [])
         passing = TopicReport(topic, msgtype, topic, "passed") if route.passes else None
         if passing is not None:
-            _prepare_passing(made, passing, target, same_kind, options, writer, compiled)
+            _prepare_passing(made, passing, target, same_kind, options, declared, compiled)
         if not route.targets:
             made.reports.append(shared(passing or TopicReport(topic, msgtype, None, "left out")))
             continue
         made.convert = conversion.for_topic(topic, connection.serialization, target.serialization)
         made.shrinks_from = conversion.shrinks_from
         for name in route.targets:
-            handle = writer.add_connection(_converted_connection(connection, name, conversion.target_type, target))
+            handle = declared.add(_converted_connection(connection, name, conversion.target_type, target))
             entry = TopicReport(topic, msgtype, name, "converted", clouds_kept=made.passing_handle >= 0)
             if passing is not None and passing.lost:
                 entry.note, entry.lost = passing.note, True
@@ -115,6 +126,15 @@ def open_routes(
             made.reports.append(made.outputs[-1].report)
     report.topics += entries.values()
     return opened
+
+
+def bind(routes: Iterable[OpenRoute], handles: Sequence[int]) -> None:
+    """Give the routes the writer's handles, once everything is declared."""
+    for route in routes:
+        if route.passing_handle >= 0:
+            route.passing_handle = handles[route.passing_handle]
+        for output in route.outputs:
+            output.handle = handles[output.handle]
 
 
 def count_skipped(
@@ -146,7 +166,7 @@ def _prepare_passing(
     target: Destination,
     same_kind: bool,
     options: ConvertOptions,
-    writer: Writer,
+    declared: Declarations,
     compiled: dict[tuple[str, Definition], int],
 ) -> None:
     """Declare a connection that passes through, re-encoded if the destination is of the other generation.
@@ -159,14 +179,14 @@ def _prepare_passing(
     as_it_is = (same_kind and (foreign or options.repair)) or (foreign and target.container == "mcap")
     defined_already = connection.definition.data or options.repair
     if as_it_is or (connection.generation == target.generation and defined_already):
-        route.passing_handle = writer.add_connection(connection)
+        route.passing_handle = declared.add(connection)
         return
     # Only recordings that lack definitions, or change generation, pay for loading this.
     from pc2scan.messages.transcode import DEFAULT_DISTRO, defined, transcoder  # noqa: PLC0415
 
     distro = options.ros_distro or DEFAULT_DISTRO
     if connection.generation == target.generation:
-        route.passing_handle = writer.add_connection(defined(connection, distro))
+        route.passing_handle = declared.add(defined(connection, distro))
         return
     if foreign:
         error: MessageError = MessageError(
@@ -185,7 +205,7 @@ def _prepare_passing(
                     hint="`drop` or `keep` chooses among the topics",
                 )
             route.encode = transcoding.encode
-            route.passing_handle = writer.add_connection(transcoding.connection)
+            route.passing_handle = declared.add(transcoding.connection)
             entry.action = "re-encoded"
             entry.note = "; ".join(transcoding.notes)
             return
@@ -246,24 +266,28 @@ def carry_extras(reader: Reader, target: Destination, writer: Writer, report: Re
         )
 
 
-def write_static(frames: FrameOptions, log_time_ns: int, target: Destination, writer: Writer, report: Report) -> None:
-    """Write the added transforms as one more latched publisher of /tf_static."""
+def static_connection(target: Destination) -> Connection:
+    """Make the connection of the added transforms: one more latched publisher of /tf_static."""
     msgtype = "tf2_msgs/msg/TFMessage"
     text, digest = definition(msgtype, target.generation)
-    serialization = target.serialization
-    handle = writer.add_connection(
-        Connection(
-            id=NEW_ID,
-            topic="/tf_static",
-            msgtype=msgtype,
-            serialization=serialization,
-            definition=text,
-            digest=digest,
-            callerid="/pc2scan" if target.generation == 1 else None,
-            latching=True,
-            qos=LATCHED_QOS if target.generation == 2 else "",
-        )
+    return Connection(
+        id=NEW_ID,
+        topic="/tf_static",
+        msgtype=msgtype,
+        serialization=target.serialization,
+        definition=text,
+        digest=digest,
+        callerid="/pc2scan" if target.generation == 1 else None,
+        latching=True,
+        qos=LATCHED_QOS if target.generation == 2 else "",
     )
+
+
+def write_static(
+    frames: FrameOptions, log_time_ns: int, handle: int, target: Destination, writer: Writer, report: Report
+) -> None:
+    """Write the added transforms; ``handle`` is that of `static_connection`."""
     rows = [transform.row(log_time_ns) for transform in frames.static]
-    writer.write(handle, log_time_ns, encode_transforms(rows, serialization), log_time_ns)
+    writer.write(handle, log_time_ns, encode_transforms(rows, target.serialization), log_time_ns)
+    msgtype = "tf2_msgs/msg/TFMessage"
     report.topics.append(TopicReport("/tf_static", msgtype, "/tf_static", "added", "from `static`", messages_out=1))

@@ -34,11 +34,21 @@ from pc2scan.errors import (
 from pc2scan.messages.laserscan import LASERSCAN
 
 from .acceptance import refusal
+from .declarations import Declarations
 from .frames import Frames, read_transforms
 from .memory import keep_freed_memory
 from .plan import make_plan
 from .report import BEGINNING, Report
-from .routes import OpenRoute, carry_extras, chunk_rule, count_skipped, open_routes, write_static
+from .routes import (
+    OpenRoute,
+    bind,
+    carry_extras,
+    chunk_rule,
+    count_skipped,
+    open_routes,
+    static_connection,
+    write_static,
+)
 from .scheduler import cores
 from .stream import Progress, Span, stream
 
@@ -131,14 +141,18 @@ def run(
                 if copying:
                     writer.keep_ids(reader.connections)
                 same_kind = target.same_kind(reader.summary)
-                routes = open_routes(plan.routes, conversion, target, same_kind, options, writer, report)
+                declared = Declarations()
+                routes = open_routes(plan.routes, conversion, target, same_kind, options, declared, report)
+                added = declared.add(static_connection(target)) if options.frames.write_static else None
+                handles = declared.declare(writer, one_a_topic=target.container == "rosbag2")
+                bind(routes.values(), handles)
                 routes = count_skipped(routes, reader, span.start_ns, span.stop_ns)
                 if not options.only_scans:
                     carry_extras(reader, target, writer, report)
-                if options.frames.write_static:
+                if added is not None:
                     earliest_ns, latest_ns = target.times_ns
                     begin_ns = max(earliest_ns, min(span.first_ns, latest_ns))
-                    write_static(options.frames, begin_ns, target, writer, report)
+                    write_static(options.frames, begin_ns, handles[added], target, writer, report)
                 pool = _threads(options, stack)
                 if pool is not None:
                     writer.compress_ahead(pool)

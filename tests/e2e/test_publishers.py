@@ -1,0 +1,249 @@
+"""Several publishers of one topic: rosbag2's recordings have one row, or one channel, a topic."""
+
+from __future__ import annotations
+
+import sqlite3
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from mcap.reader import make_reader
+from ruamel.yaml import YAML
+
+from builders import (
+    CONTENT,
+    MOUNT,
+    ODOMETRY,
+    POINTS,
+    SECOND,
+    T0,
+    Mcap,
+    Recording,
+    Stream,
+    cloud,
+    item,
+    points_of,
+    string,
+    transforms,
+    write_mcap,
+    write_rosbag1,
+)
+from e2e.command import run
+from e2e.npm import needs_npm, node
+from e2e.outputs import opened
+from pc2scan.bags.registry import open_recording
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+#: Two more nodes that publish odometry, one that publishes another mount, and one that publishes clouds.
+MORE = (
+    replace(ODOMETRY, publisher="/wheels"),
+    replace(ODOMETRY, publisher="/lidar_odometry", latched=True),
+    replace(MOUNT, publisher="/arm"),
+    replace(POINTS, publisher="/lidar_restarted"),
+)
+
+
+def crowded(count: int = 40) -> Recording:
+    """The usual content with further publishers of its topics, whose messages alternate."""
+    items = list(CONTENT.items)
+    for number in range(count):
+        time_ns = T0 + number * SECOND // 100
+        rows = [("odom", "base_link", time_ns, (0.01 * number, 0.0, 0.0))]
+
+        def moved(generation: int, seq: int, rows: Any = rows) -> bytes:
+            return transforms(rows, generation, seq, ODOMETRY.type_in(generation))
+
+        items += [item(stream, time_ns, moved, number) for stream in MORE[:2]]
+    items.append(item(MORE[2], T0 + 3, lambda g, s: transforms([("base_link", "arm", T0, (0.0, 0.0, 1.0))], g, s)))
+    items += [
+        item(MORE[3], T0 + 50_000_000 + number, lambda g, s: cloud(points_of(s), g, seq=s), number)
+        for number in range(3)
+    ]
+    return Recording((*CONTENT.streams, *MORE), tuple(sorted(items, key=lambda entry: entry.log_time_ns)))
+
+
+CROWDED = crowded()
+SOURCES: dict[str, Callable[[Path], Path]] = {
+    "bag": lambda folder: write_rosbag1(folder / "drive.bag", CROWDED),
+    "mcap": lambda folder: write_mcap(folder / "drive.mcap", CROWDED),
+    "mcap-ros1": lambda folder: write_mcap(folder / "drive.mcap", CROWDED, Mcap(generation=1, profile="ros1")),
+}
+STORAGES = {"sqlite3": ("--storage", "sqlite3"), "mcap": ("--storage", "mcap")}
+
+
+def topics_of(folder: Path) -> list[dict[str, Any]]:
+    info = YAML(typ="safe").load((folder / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    return [{**entry["topic_metadata"], "count": entry["message_count"]} for entry in info["topics_with_message_count"]]
+
+
+def storage_topics(folder: Path) -> list[tuple[str, str, str]]:
+    """Name, type and QoS profiles, as rosbag2's storages read them."""
+    (path,) = (path for path in folder.iterdir() if path.name != "metadata.yaml")
+    if path.suffix == ".db3":
+        with closing(sqlite3.connect(path)) as database:
+            return database.execute("SELECT name, type, offered_qos_profiles FROM topics ORDER BY id").fetchall()
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+        assert summary is not None
+        return [
+            (own.topic, summary.schemas[own.schema_id].name, own.metadata.get("offered_qos_profiles", ""))
+            for own in summary.channels.values()
+        ]
+
+
+@pytest.mark.parametrize("version", ["8", "9"])
+@pytest.mark.parametrize("storage", STORAGES)
+@pytest.mark.parametrize("source", SOURCES)
+def test_a_topic_has_one_row_in_rosbag2(source: str, storage: str, version: str, tmp_path: Path) -> None:
+    path = SOURCES[source](tmp_path)
+    options = (*STORAGES[storage], "--metadata-version", version, "--keep-clouds", "--min-height", "-9")
+    done = run("convert", path, "-o", tmp_path / "out", *options)
+    assert done.status == 0, done.stderr
+    listed = topics_of(tmp_path / "out")
+    names = [(topic["name"], topic["type"]) for topic in listed]
+    assert len(names) == len(set(names))
+    stored = storage_topics(tmp_path / "out")
+    assert [row[:2] for row in stored] == names
+    counts = {topic["name"]: topic["count"] for topic in listed}
+    assert counts["/tf"] == len(CROWDED.of("/tf")) == 83
+    assert counts["/tf_static"] == 3
+    assert counts["/scan"] == counts["/points"] == 6
+    # Read again by others: every message is there, in its order.
+    output = opened(tmp_path / "out")
+    for topic in ("/tf", "/tf_static", "/points"):
+        assert [found.log_time_ns for found in output.of(topic)] == [entry.log_time_ns for entry in CROWDED.of(topic)]
+
+
+@pytest.mark.parametrize("version", ["8", "9"])
+@pytest.mark.parametrize("storage", STORAGES)
+def test_the_profiles_of_all_publishers_are_listed(storage: str, version: str, tmp_path: Path) -> None:
+    source = SOURCES["mcap"](tmp_path)
+    done = run("convert", source, "-o", tmp_path / "out", *STORAGES[storage], "--metadata-version", version)
+    assert done.status == 0, done.stderr
+    yaml = YAML(typ="safe")
+    numbers = {"volatile": 2, "transient_local": 1}
+    found = {}
+    for topic in topics_of(tmp_path / "out"):
+        profiles = topic["offered_qos_profiles"]
+        assert isinstance(profiles, list) == (version == "9")
+        profiles = yaml.load(profiles) if isinstance(profiles, str) else profiles
+        found[topic["name"]] = [numbers.get(own["durability"], own["durability"]) for own in profiles]
+    # As rosbag2's recorder does: one a publisher, equal ones too.
+    assert found["/tf"] == [2, 2, 1]
+    assert found["/tf_static"] == [1, 1, 1]
+    assert found["/scan"] == [2, 2]
+    assert found["/chatter"] == [2]
+    for name, _, text in storage_topics(tmp_path / "out"):
+        assert [numbers.get(own["durability"], own["durability"]) for own in yaml.load(text)] == found[name]
+
+
+def test_what_is_latched_in_a_bag_is_latched_in_rosbag2(tmp_path: Path) -> None:
+    source = SOURCES["bag"](tmp_path)
+    assert run("convert", source, "-o", tmp_path / "out").status == 0
+    profiles = {name: YAML(typ="safe").load(text) for name, _, text in storage_topics(tmp_path / "out")}
+    assert [profile["durability"] for profile in profiles["/tf_static"]] == [1, 1, 1]
+    # Nothing is recorded of publishers that are not latched.
+    assert len(profiles["/tf"]) == 1
+
+
+@pytest.mark.parametrize("destination", ["out.bag", "out.mcap"])
+@pytest.mark.parametrize("source", SOURCES)
+def test_elsewhere_publishers_stay_apart(source: str, destination: str, tmp_path: Path) -> None:
+    path = SOURCES[source](tmp_path)
+    done = run("convert", path, "-o", tmp_path / destination, "--keep-clouds", "--min-height", "-9")
+    assert done.status == 0, done.stderr
+    names = [publisher.topic for publisher in opened(tmp_path / destination).publishers]
+    assert {name: names.count(name) for name in ("/tf", "/tf_static", "/points", "/scan", "/imu")} == {
+        "/tf": 3,
+        "/tf_static": 3,
+        "/points": 2,
+        "/scan": 2,
+        "/imu": 1,
+    }
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+def test_added_transforms_are_one_more_publisher(storage: str, tmp_path: Path) -> None:
+    source = SOURCES["mcap"](tmp_path)
+    added = ("--static-tf", "base_link camera 0 0 1 0 0 0", "--write-static-tf", "--target-frame", "base_link")
+    done = run("convert", source, "-o", tmp_path / "out", *STORAGES[storage], *added)
+    assert done.status == 0, done.stderr
+    ((_, _, text),) = (row for row in storage_topics(tmp_path / "out") if row[0] == "/tf_static")
+    assert len(YAML(typ="safe").load(text)) == 4
+    assert {topic["name"]: topic["count"] for topic in topics_of(tmp_path / "out")}["/tf_static"] == 4
+    assert len(opened(tmp_path / "out").of("/tf_static")) == 4
+
+
+def large(folder: Path, *, shared: bool) -> Path:
+    """Chunks that would be copied whole; in the middle, with ``shared``, a second node publishes too."""
+    first, second, other = (Stream(name, "std_msgs/msg/String", node) for name, node in (
+        ("/notes", "/a"), ("/notes", "/b"), ("/points_of_interest", "/a")
+    ))  # fmt: skip
+    items = [
+        item(
+            second if shared and 40 <= number < 50 else (first, other)[number % 2],
+            T0 + number * 1000,
+            lambda g, s: string(f"{s} " * 10_000, g),
+            number,
+        )
+        for number in range(100)
+    ]
+    items.append(item(POINTS, T0 + 200_000, lambda g, s: cloud(points_of(s), g, seq=s)))
+    recording = Recording((first, second, other, POINTS), tuple(items))
+    return write_mcap(folder / "large.mcap", recording, Mcap(chunk_size=400_000))
+
+
+@pytest.mark.parametrize("verify", [(), ("--no-verify",)])
+@pytest.mark.parametrize("shared", [False, True])
+def test_chunks_that_are_copied_carry_the_shared_channel(shared: bool, verify: tuple[str, ...], tmp_path: Path) -> None:
+    source = large(tmp_path, shared=shared)
+    done = run("convert", source, "-o", tmp_path / "out", *verify)
+    assert done.status == 0, done.stderr
+    before, after = opened(source), opened(tmp_path / "out")
+    assert after.of("/notes") == before.of("/notes")
+    assert after.of("/points_of_interest") == before.of("/points_of_interest")
+    (path,) = (tmp_path / "out").glob("*.mcap")
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
+    (channel,) = (own.id for own in summary.channels.values() if own.topic == "/notes")
+    assert summary.statistics.channel_message_counts[channel] == len(before.of("/notes"))
+    with closing(open_recording(tmp_path / "out", strict=True)) as reader:
+        assert len(list(reader.messages())) == len(after.messages)
+
+
+def test_a_recording_with_one_row_a_publisher_is_repaired(tmp_path: Path) -> None:
+    """As pc2scan itself once wrote them."""
+    source = SOURCES["mcap"](tmp_path)
+    assert run("convert", source, "-o", tmp_path / "old", "--storage", "sqlite3", "--keep-clouds").status == 0
+    (database,) = (tmp_path / "old").glob("*.db3")
+    with closing(sqlite3.connect(database)) as connection, connection:
+        connection.execute("INSERT INTO topics SELECT 99, name, type, serialization_format, offered_qos_profiles, "
+                           "type_description_hash FROM topics WHERE name = '/tf'")  # fmt: skip
+        connection.execute(
+            "UPDATE messages SET topic_id = 99 WHERE id % 2 = 0 AND topic_id = (SELECT min(id) FROM topics WHERE "
+            "name = '/tf')"
+        )
+    done = run("repair", tmp_path / "old", "-o", tmp_path / "new")
+    assert done.status in (0, 3), done.stderr
+    assert {topic["name"]: topic["count"] for topic in topics_of(tmp_path / "new")}["/tf"] == len(CROWDED.of("/tf"))
+    assert [row[0] for row in storage_topics(tmp_path / "new")].count("/tf") == 1
+
+
+@needs_npm("@foxglove/rosbag2-web")
+@pytest.mark.parametrize("source", SOURCES)
+def test_the_npm_reader_of_rosbag2_finds_every_message(source: str, tmp_path: Path) -> None:
+    path = SOURCES[source](tmp_path)
+    done = run("convert", path, "-o", tmp_path / "out", "--storage", "sqlite3", "--keep-clouds", "--min-height", "-9")
+    assert done.status == 0, done.stderr
+    (database,) = (tmp_path / "out").glob("*.db3")
+    read = node(Path(__file__).with_name("rosbag2_reader.mjs"), database)
+    expected = opened(tmp_path / "out")
+    assert len(read["messages"]) == len(expected.messages)
+    assert sum(read["counts"].values()) == len(expected.messages)
+    assert read["counts"]["/tf"] == len(CROWDED.of("/tf"))
