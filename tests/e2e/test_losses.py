@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import re
 import sqlite3
+import struct
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -13,24 +15,27 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from mcap.writer import Writer as McapLibraryWriter
 
+import pc2scan
 from builders import (
     CHATTER,
     CONTENT,
     POINTS,
     SECOND,
     T0,
+    Mcap,
     Recording,
     metadata_yaml,
     string,
     write_db3,
     write_mcap,
+    write_rosbag1,
     write_rosbag2,
 )
 from e2e.command import run
 from pc2scan.bags.registry import open_recording
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
@@ -237,3 +242,327 @@ def test_fail_stops_at_a_log_time_that_the_container_cannot_hold(tmp_path: Path)
     assert done.status == 1
     assert "is outside the 0 to 4294967295 s" in done.stderr
     assert not (tmp_path / "out.bag").exists()
+
+
+# --- What a recording says twice ---
+
+
+def drive(times: int = 20) -> Recording:
+    """The usual content over and over, 0.4 s each time."""
+    items = (
+        replace(item, log_time_ns=item.log_time_ns + number * 4 * SECOND // 10)
+        for number in range(times)
+        for item in CONTENT.items
+    )
+    return replace(CONTENT, items=tuple(items))
+
+
+def changed(path: Path, before: bytes, after: bytes, *, last: bool = False) -> Path:
+    """Replace bytes where they occur first, or last."""
+    data = path.read_bytes()
+    at = data.rindex(before) if last else data.index(before)
+    path.write_bytes(data[:at] + after + data[at + len(before) :])
+    return path
+
+
+def everything(path: Path) -> list[Row]:
+    """Messages by log time, whatever is damaged."""
+    with closing(open_recording(path)) as reader:
+        return [(m.connection.topic, m.log_time_ns, bytes(m.data)) for m in reader.messages()]
+
+
+DESCRIBED = {
+    "topic": (b"topic=/chatter", b"topic=/chattes"),
+    "type": (b"type=std_msgs/String", b"type=std_msgs/Strinh"),
+    "definition": (b"# Charge of the pack", b"# Charge of the sack"),
+    "md5sum": (b"md5sum=992ce8a1687cec8c8bd883ec73ca41d1", b"md5sum=992ce8a1687cec8c8bd883ec73ca41d2"),
+}
+
+
+@pytest.mark.parametrize("last", [False, True], ids=["in a chunk", "in the index"])
+@pytest.mark.parametrize("what", DESCRIBED)
+def test_a_connection_that_a_chunk_describes_otherwise(what: str, last: bool, tmp_path: Path) -> None:
+    source = write_rosbag1(tmp_path / "drive.bag", drive(3), chunk_size=5_000)
+    sound = everything(source)
+    changed(source, *DESCRIBED[what], last=last)
+    status, stderr, report = report_of("repair", source, "-o", tmp_path / "fixed.bag")
+    assert status == 3
+    assert "contradicts the index: connection" in stderr
+    assert "no message is known to be missing" in stderr
+    assert [damage["messages_lost"] for damage in report["damage"]] == [0]
+    assert [row[1:] for row in rows_of(tmp_path / "fixed.bag")] == [row[1:] for row in sound]
+    strict = run("convert", source, "-o", tmp_path / "strict.bag", "--strict")
+    assert (strict.status, (tmp_path / "strict.bag").exists()) == (1, False)
+
+
+@pytest.mark.parametrize("verify", [True, False])
+def test_a_chunk_with_another_connection_is_not_copied_whole(verify: bool, tmp_path: Path) -> None:
+    """What is damaged in the source is not damaged in its copy."""
+    from builders import Item
+
+    large = [Item(CHATTER, T0 + n, {1: string("a" * 400_000, 1)}) for n in range(3)]
+    source = write_rosbag1(tmp_path / "drive.bag", Recording((CHATTER,), tuple(large)))
+    changed(source, *DESCRIBED["type"])
+    options = [] if verify else ["--no-verify"]
+    status, _, _ = report_of("repair", source, "-o", tmp_path / "fixed.bag", *options)
+    assert status == 3
+    assert len(rows_of(tmp_path / "fixed.bag")) == 3
+
+
+@pytest.mark.parametrize("part", ["summary", "data", "chunk"])
+def test_an_mcap_channel_that_is_declared_otherwise(part: str, tmp_path: Path) -> None:
+    # The library declares channels within the chunks, and again in the summary.
+    source = write_mcap(tmp_path / "drive.mcap", drive(3), Mcap(compression="none", crcs=False, chunked=part != "data"))
+    rows = everything(source)
+    changed(source, b"/chatter", b"/chattes", last=part == "summary")
+    status, stderr, report = report_of("repair", source, "-o", tmp_path / "fixed.mcap")
+    assert status == 3
+    assert re.search(r"channel \d+ is declared again, and differently", stderr)
+    assert [damage["messages_lost"] for damage in report["damage"]] == [0]
+    assert [row[1:] for row in rows_of(tmp_path / "fixed.mcap")] == [row[1:] for row in rows]
+
+
+# --- Log times outside of their chunk's ---
+
+
+def uncovered(tmp_path: Path, kind: str, recording: Recording) -> Path:
+    """A recording in many chunks without compression, and without checksums of the messages and of the index."""
+    if kind == "bag":
+        return write_rosbag1(tmp_path / "drive.bag", recording, chunk_size=5_000)
+    return write_mcap(tmp_path / "drive.mcap", recording, Mcap(compression="none", crcs=False))
+
+
+def time_bytes(kind: str, time_ns: int) -> bytes:
+    return struct.pack("<II", *divmod(time_ns, SECOND)) if kind == "bag" else struct.pack("<Q", time_ns)
+
+
+@pytest.mark.parametrize("kind", ["bag", "mcap"])
+@pytest.mark.parametrize("options", [(), ("--start", "0.1", "--end", "6.5"), ("--only-scans",)], ids=" ".join)
+@pytest.mark.parametrize("seconds", [-(10**8), 10**8])
+def test_a_log_time_outside_of_its_chunk(options: tuple[str, ...], kind: str, seconds: int, tmp_path: Path) -> None:
+    recording = drive()
+    source = uncovered(tmp_path, kind, recording)
+    arguments = ("--min-height", "-1", "--keep-clouds", *options)
+    arguments = tuple(a for a in arguments if "--only-scans" not in options or a != "--keep-clouds")
+    suffix = source.suffix
+    status, _, _ = report_of("convert", source, "-o", tmp_path / f"sound{suffix}", *arguments)
+    assert status == 0
+    hit = recording.of("/points")[30].log_time_ns
+    # In the message itself, which comes in front of its index.
+    changed(source, time_bytes(kind, hit), time_bytes(kind, hit + seconds * SECOND))
+    status, stderr, report = report_of("convert", source, "-o", tmp_path / f"out{suffix}", *arguments)
+    assert status == 3
+    assert "a message of log time" in stderr
+    assert [damage["messages_lost"] for damage in report["damage"]] == [0]
+    before, after = rows_of(tmp_path / f"sound{suffix}"), rows_of(tmp_path / f"out{suffix}")
+    assert sorted(row[::2] for row in after) == sorted(row[::2] for row in before)
+    # It has the nearest time of its chunk.
+    assert max(abs(row[1] - T0) for row in after) < 9 * SECOND
+    times = [row[1] for row in after]
+    assert times == sorted(times)
+
+
+def test_times_of_several_messages_are_not_bent(tmp_path: Path) -> None:
+    """Where many lie outside, in order, it is the declared times that are wrong."""
+    recording = drive()
+    source = uncovered(tmp_path, "bag", recording)
+    sound = everything(source)
+    changes = bent(source, 5, "start_time", lambda first, last: (first + last) // 2)
+    assert changes
+    assert everything(source) == sound
+    status, stderr, _ = report_of("repair", source, "-o", tmp_path / "out.bag")
+    assert status == 3
+    assert "has a message of log time" in stderr
+    assert rows_of(tmp_path / "out.bag") == sound
+
+
+# --- Times of chunks that hide messages from a cut ---
+
+
+def bent(source: Path, number: int, field: str, bend: Callable[[int, int], int]) -> tuple[int, int]:
+    """Change a time that the index declares of the n-th chunk; returns the old one and the new one."""
+    data = bytearray(source.read_bytes())
+    if source.suffix == ".bag":
+        infos = [m.start() for m in re.finditer(rb"\x13\0\0\0start_time=", data)]
+        found = [
+            tuple(data.index(name, at - 60) + len(name) for name in (b"start_time=", b"end_time=")) for at in infos
+        ]
+        start, end = sorted(found, key=lambda places: places)[number]
+
+        def time_at(at: int) -> int:
+            seconds, nanoseconds = struct.unpack_from("<II", data, at)
+            return int(seconds * SECOND + nanoseconds)
+
+    else:
+        start, end = chunk_times(bytes(data))[number]
+
+        def time_at(at: int) -> int:
+            return int(struct.unpack_from("<Q", data, at)[0])
+
+    at = start if field == "start_time" else end
+    old, new = time_at(at), bend(time_at(start), time_at(end))
+    data[at : at + 8] = time_bytes("bag" if source.suffix == ".bag" else "mcap", new)
+    source.write_bytes(data)
+    return old, new
+
+
+def chunk_times(data: bytes) -> list[tuple[int, int]]:
+    """Where the summary of an MCAP file declares the times of its chunks; without one, where their headers do."""
+    found: dict[int, list[tuple[int, int]]] = {6: [], 8: []}
+    position = 8
+    while position < len(data) - 8:
+        opcode, length = struct.unpack_from("<BQ", data, position)
+        if opcode in found:
+            found[opcode].append((position + 9, position + 17))
+        position += 9 + length
+    return found[8] or found[6]
+
+
+#: What becomes of the chunk's first and last time: the field, and its new value.
+BENDS: dict[str, tuple[str, Callable[[int, int], int]]] = {
+    "start behind the end": ("start_time", lambda _, last: last + 5 * SECOND),
+    "start within the chunk": ("start_time", lambda first, last: (first + 3 * last) // 4),
+    "end in front of the start": ("end_time", lambda first, _: first - 5 * SECOND),
+    "end within the chunk": ("end_time", lambda first, last: (3 * first + last) // 4),
+    "start long ago": ("start_time", lambda first, _: first - 10**8 * SECOND),
+}
+
+
+@pytest.mark.parametrize("number", [0, 10, -1])
+@pytest.mark.parametrize("bend", BENDS)
+@pytest.mark.parametrize("kind", ["bag", "mcap", "mcap without a summary"])
+def test_a_cut_finds_messages_whose_chunk_has_a_wrong_time(kind: str, bend: str, number: int, tmp_path: Path) -> None:
+    recording = drive()
+    if kind == "mcap without a summary":
+        source = write_mcap(tmp_path / "full.mcap", recording, Mcap(compression="none", crcs=False))
+        source = without_summary(source, tmp_path / "drive.mcap")
+    else:
+        source = uncovered(tmp_path, kind, recording)
+    sound = tmp_path / f"sound{source.suffix}"
+    sound.write_bytes(source.read_bytes())
+    old, new = bent(source, number, *BENDS[bend])
+    # Cuts that end, or begin, between the true time and the one that is declared; and the same from the beginning on.
+    middle = (max(old, T0) + min(max(new, T0), T0 + 9 * SECOND)) // 2
+    cuts = [(None, (middle - T0) / SECOND), ((middle - T0) / SECOND, None), (0.2, 4.1)]
+    reported = []
+    for start, end in cuts:
+        expected, _ = cut_of(sound, start, end)
+        found, damage = cut_of(source, start, end)
+        assert found == expected, (start, end)
+        reported.append(damage)
+    # A time that is too early for a chunk in the middle hides nothing.
+    assert any(reported) or old == new or (bend == "start long ago" and number != 0)
+
+
+def without_summary(source: Path, target: Path) -> Path:
+    data = source.read_bytes()
+    position = 8
+    while True:
+        opcode, length = struct.unpack_from("<BQ", data, position)
+        position += 9 + length
+        if opcode == 0x0F:
+            break
+    target.write_bytes(data[:position] + struct.pack("<BQQQI", 2, 20, 0, 0, 0) + data[:8])
+    return target
+
+
+def cut_of(path: Path, start: float | None, end: float | None) -> tuple[list[Row], bool]:
+    """What a cut passes on, and whether damage is reported."""
+    with TemporaryDirectory() as folder:
+        target = Path(folder, f"out{path.suffix}")
+        report = pc2scan.convert(
+            path,
+            target,
+            params=pc2scan.ProjectionParams(min_height=-1.0),
+            keep_clouds=True,
+            start=None if start is None else f"{start:.9f}",
+            end=None if end is None else f"{end:.9f}",
+        )
+        return rows_of(target), bool(report.damage)
+
+
+@pytest.mark.parametrize("kind", ["bag", "mcap"])
+def test_a_cut_reports_a_wrong_time(kind: str, tmp_path: Path) -> None:
+    """The same by the real command."""
+    source = uncovered(tmp_path, kind, drive())
+    options = ("--min-height", "-1", "--end", "3.9")
+    status, _, _ = report_of("convert", source, "-o", tmp_path / f"sound{source.suffix}", *options)
+    assert status == 0
+    for number in range(6, 14):
+        bent(source, number, "start_time", lambda _, last: last + 5 * SECOND)
+    status, stderr, report = report_of("convert", source, "-o", tmp_path / f"out{source.suffix}", *options)
+    assert status == 3
+    assert "the index has log times" in stderr
+    assert {damage["messages_lost"] for damage in report["damage"]} == {0}
+    assert rows_of(tmp_path / f"out{source.suffix}") == rows_of(tmp_path / f"sound{source.suffix}")
+
+
+# --- Counts ---
+
+
+def test_a_message_of_another_connection_is_found_by_the_counts(tmp_path: Path) -> None:
+    """Its connection's id is another one that there is: only the counts by connection tell."""
+    source = write_rosbag1(tmp_path / "drive.bag", drive(3), chunk_size=5_000)
+    data = bytearray(source.read_bytes())
+    with closing(open_recording(source)) as reader:
+        ids = {connection.topic: connection.id for connection in reader.connections}
+    field = b"\x09\0\0\0conn=" + struct.pack("<I", ids["/chatter"])
+    # Of the records with this field the messages alone have a time, too.
+    places = (match.end() for match in re.finditer(re.escape(field), data))
+    at = next(at for at in places if b"\x0d\0\0\0time=" in data[at - 50 : at + 50])
+    data[at - 4] = ids["/imu"]
+    source.write_bytes(data)
+    status, stderr, report = report_of("repair", source, "-o", tmp_path / "out.bag")
+    assert status == 3
+    assert "51 messages, 51 were found" in stderr
+    assert "/chatter: 9 declared, 8 found" in stderr
+    assert "/imu: 9 declared, 10 found" in stderr
+    assert report["damage"][0]["messages_lost"] == 1
+
+
+def test_a_message_of_another_channel_is_found_by_the_statistics(tmp_path: Path) -> None:
+    source = write_mcap(tmp_path / "drive.mcap", drive(3), Mcap(compression="none", crcs=False))
+    with closing(open_recording(source)) as reader:
+        ids = {connection.topic: connection.id for connection in reader.connections}
+        message = next(m for m in reader.messages() if m.connection.topic == "/chatter")
+        before = struct.pack("<HI", ids["/chatter"], message.sequence) + struct.pack("<Q", message.log_time_ns)
+    changed(source, before, struct.pack("<H", ids["/imu"]) + before[2:])
+    status, stderr, _ = report_of("repair", source, "-o", tmp_path / "out.mcap")
+    assert status == 3
+    assert "/chatter: 9 declared, 8 found; /imu: 9 declared, 10 found" in stderr
+
+
+def test_more_messages_than_declared(tmp_path: Path) -> None:
+    source = write_rosbag1(tmp_path / "drive.bag", drive(1))
+    changed(source, struct.pack("<II", 4, 3), struct.pack("<II", 4, 2), last=True)
+    status, stderr, report = report_of("repair", source, "-o", tmp_path / "out.bag")
+    assert status == 3
+    assert "2 declared, 3 found" in stderr
+    assert report["damage"][0]["messages_lost"] == 0
+
+
+@pytest.mark.parametrize("storage", ["sqlite3", "mcap"])
+def test_counts_by_topic_in_metadata_yaml(storage: str, tmp_path: Path) -> None:
+    source = write_rosbag2(tmp_path / "drive", drive(3), storage=storage)
+    path = source / "metadata.yaml"
+    text = path.read_text()
+    at = text.index("message_count: 9", text.index("/chatter"))
+    text = text[:at] + "message_count: 8" + text[at + 16 :]
+    at = text.index("message_count: 9", text.index("/imu"))
+    path.write_text(text[:at] + "message_count: 10" + text[at + 16 :])
+    status, stderr, report = report_of("repair", source, "-o", tmp_path / "out")
+    assert status == 3
+    assert "metadata.yaml counts 51 messages, its files have 51" in stderr
+    assert "/chatter: 8 declared, 9 found; /imu: 10 declared, 9 found" in stderr
+    assert report["damage"][0]["messages_lost"] == 1
+
+
+def test_a_row_of_another_topic_is_found_by_metadata_yaml(tmp_path: Path) -> None:
+    source = write_rosbag2(tmp_path / "drive", drive(3))
+    with closing(sqlite3.connect(source / "drive_0.db3")) as database, database:
+        ids = dict(database.execute("SELECT name, id FROM topics"))
+        (row,) = database.execute("SELECT min(id) FROM messages WHERE topic_id = ?", (ids["/chatter"],)).fetchone()
+        database.execute("UPDATE messages SET topic_id = ? WHERE id = ?", (ids["/imu"], row))
+    status, stderr, _ = report_of("repair", source, "-o", tmp_path / "out")
+    assert status == 3
+    assert "/chatter: 9 declared, 8 found; /imu: 9 declared, 10 found" in stderr

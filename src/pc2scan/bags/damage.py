@@ -6,17 +6,21 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
     from pathlib import Path
 
     from pc2scan.errors import DamageError
 
-__all__ = ["RECOVER", "Damage", "DamageLog"]
+__all__ = ["MAX_PLACES", "RECOVER", "Damage", "DamageLog", "count_details"]
 
 #: What can be done about damage that ended a run.
 RECOVER = "copy the recording again; without `strict` everything readable in it is recovered"
 
 #: Places that are told one by one; what is found beyond them is added up in one more.
 MAX_PLACES = 10_000
+
+#: Topics that are listed with wrong counts.
+MAX_TOPICS = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,9 +53,25 @@ class Damage:
     first_ns: int | None = None
     last_ns: int | None = None
 
+    @property
+    def loses(self) -> bool:
+        """Whether anything may be missing because of it."""
+        return bool(self.bytes_lost) or self.messages_lost != 0
+
     def as_dict(self) -> dict[str, Any]:
         """Return JSON's types."""
         return {name: getattr(self, name) for name in self.__slots__} | {"path": str(self.path)}
+
+
+def count_details(counts: Iterable[tuple[str, int, int]]) -> str:
+    """List topics whose number of messages is not the declared one: their name, that number, and how many there are.
+
+    >>> count_details([("/a", 3, 2), ("/b", 1, 1)])
+    ' (/a: 3 declared, 2 found)'
+    """
+    wrong = [f"{topic}: {declared} declared, {found} found" for topic, declared, found in counts if declared != found]
+    more = len(wrong) - MAX_TOPICS
+    return f" ({'; '.join(wrong[:MAX_TOPICS])}{f'; and {more} more topics' if more > 0 else ''})" if wrong else ""
 
 
 class DamageLog:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import struct
 from collections import Counter
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from mcap import records
 from mcap.opcode import Opcode
@@ -17,6 +17,7 @@ from mcap.opcode import Opcode
 from pc2scan.errors import DamageError
 
 from .crc32 import crc32
+from .damage import MAX_PLACES
 from .mcap_chunks import CHUNK_HEAD_SIZE, ChunkSegment, chunk_at
 from .mcap_records import (
     CHUNK,
@@ -69,6 +70,12 @@ class Contents:
         Whether `counts` tells of every message.
     channels_listed
         Whether the summary repeats the channels.
+    summarized
+        Whether a summary names the chunks.
+    verified
+        Whether the summary has the CRC that is recorded for it.
+    differing
+        Schemas and channels that are declared again, and differently: what and where.
     """
 
     profile: str = ""
@@ -81,17 +88,39 @@ class Contents:
     counts: Counter[int] = field(default_factory=Counter)
     all_counted: bool = True
     channels_listed: bool = False
+    summarized: bool = False
+    verified: bool = False
+    differing: dict[str, int] = field(default_factory=dict)
 
     def declare(self, opcode: int, content: Buffer, offset: int, file: RecordFile) -> None:
         """Remember a Schema or a Channel; other records are ignored. The first of an id is kept."""
-        if opcode == Opcode.SCHEMA:
-            schema = parse(records.Schema, content, offset, file)
-            # "A Schema record with an id of zero is invalid and should be ignored."
-            if schema.id:
-                self.schemas.setdefault(schema.id, schema)
-        elif opcode == Opcode.CHANNEL:
-            channel = parse(records.Channel, content, offset, file)
-            self.channels.setdefault(channel.id, channel)
+        if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL):
+            return
+        record = _declared(opcode, content, offset, file)
+        known: dict[int, Any] = self.schemas if opcode == Opcode.SCHEMA else self.channels
+        # "A Schema record with an id of zero is invalid and should be ignored."
+        if (record.id or opcode == Opcode.CHANNEL) and known.setdefault(record.id, record) != record:
+            self._differs(_name_of(record), offset)
+
+    def contradicted_by(self, opcode: int, content: Buffer, offset: int, file: RecordFile) -> str | None:
+        """Name the schema or channel that this record declares otherwise than what is known; None if it does not."""
+        record = _declared(opcode, content, offset, file)
+        known: dict[int, Any] = self.schemas if opcode == Opcode.SCHEMA else self.channels
+        return _name_of(record) if known.get(record.id, record) != record else None
+
+    def _differs(self, what: str, offset: int) -> None:
+        if len(self.differing) < MAX_PLACES:
+            self.differing.setdefault(what, offset)
+
+
+def _declared(opcode: int, content: Buffer, offset: int, file: RecordFile) -> records.Schema | records.Channel:
+    if opcode == Opcode.SCHEMA:
+        return parse(records.Schema, content, offset, file)
+    return parse(records.Channel, content, offset, file)
+
+
+def _name_of(record: records.Schema | records.Channel) -> str:
+    return f"{type(record).__name__.lower()} {record.id}"
 
 
 def find_contents(file: RecordFile, *, verify: bool = True) -> Contents:
@@ -156,6 +185,7 @@ def read_summary(file: RecordFile, contents: Contents, *, verify: bool) -> tuple
         actual = crc32(tail[: _FOOTER_SIZE - 4], crc32(data))
         if actual != footer.summary_crc:
             raise file.damage(f"the summary's CRC is {actual:08x}, recorded is {footer.summary_crc:08x}")
+        contents.verified = True
     accounted: dict[int, int] = {}
     for kind, content in split(memoryview(data), start, file):
         if kind == Opcode.CHUNK_INDEX:
@@ -172,6 +202,7 @@ def read_summary(file: RecordFile, contents: Contents, *, verify: bool) -> tuple
     if len(accounted) != len(contents.segments):
         raise file.damage("the summary's index names a chunk twice")
     contents.channels_listed = bool(contents.channels)
+    contents.summarized = bool(accounted)
     return start, accounted
 
 

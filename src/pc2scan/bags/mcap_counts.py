@@ -1,4 +1,4 @@
-"""How many messages of an MCAP file lie between two times, by the message indexes behind its chunks."""
+"""What the message indexes behind the chunks of an MCAP file say of their messages: how many there are, and when."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from .mcap_records import RecordFile
     from .segments import Segment
 
-__all__ = ["counts_between"]
+__all__ = ["counts_between", "indexed_span"]
 
 #: A message index up to its entries: opcode and length, the channel, and how many bytes of entries follow.
 _HEAD = struct.Struct("<BQHI")
@@ -52,6 +52,19 @@ def counts_between(
     except DamageError:
         return {}
     return counts
+
+
+def indexed_span(file: RecordFile, segment: ChunkSegment) -> tuple[int, int] | None:
+    """Return the first and the last log time of a chunk's messages; None if the indexes do not have all of them."""
+    missing = set(segment.connection_ids or ())
+    found: list[int] = []
+    try:
+        for channel_id, times in _indexed(file, segment):
+            missing.discard(channel_id)
+            found += times
+    except DamageError:
+        return None
+    return (min(found), max(found)) if found and not missing else None
 
 
 def _indexed(file: RecordFile, segment: ChunkSegment) -> Iterator[tuple[int, Iterator[int]]]:

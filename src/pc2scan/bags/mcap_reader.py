@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import struct
 from contextlib import suppress
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, NamedTuple
 
 from mcap import records
 from mcap.opcode import Opcode
 
-from pc2scan.errors import DamageError
+from pc2scan.errors import DamageError, stamp_text
 
 from .crc32 import crc32
 from .damage import DamageLog
-from .mcap_chunks import ChunkSegment, payload, with_payload
-from .mcap_contents import find_contents, find_declarations
+from .limits import MAX_CONNECTIONS
+from .mcap_chunks import ChunkSegment, chunk_at, payload, with_payload
+from .mcap_contents import Contents, find_contents, find_declarations
 from .mcap_copies import agreed, whole_by_content, whole_by_index
-from .mcap_records import MESSAGE, OP_MESSAGE, RECORD, RecordFile, parse, split
+from .mcap_records import FIRST_PRIVATE, MESSAGE, OP_MESSAGE, RECORD, RecordFile, parse, split
 from .model import (
     Attachment,
     Connection,
@@ -30,6 +32,7 @@ from .model import (
 from .qos import latches
 from .reader import Reader
 from .segments import standing_alone, units_of
+from .spans import SpanCheck
 from .zstd import is_frame, unpacked_messages
 
 if TYPE_CHECKING:
@@ -37,7 +40,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from .damage import Damage
-    from .mcap_contents import Contents
     from .model import ChunkRule
     from .segments import Segment
     from .units import Item, Unit
@@ -45,6 +47,8 @@ if TYPE_CHECKING:
 __all__ = ["McapReader"]
 
 _SERIALIZATION_OF_SCHEMA = {"ros1msg": "ros1", "ros2msg": "cdr", "ros2idl": "cdr"}
+
+_ANY_TIME = (0, (1 << 64) - 1)
 
 _SERIALIZATION_OF_PROFILE = {"ros1": "ros1", "ros2": "cdr"}
 
@@ -79,6 +83,8 @@ class McapReader(Reader):
         self._verify = verify
         self._bytes_read = 0
         self._connections: tuple[Connection, ...] = ()
+        #: Declarations in chunks that agree with those of the file.
+        self._agreed: set[bytes] = set()
         try:
             try:
                 self._contents = find_contents(self._file, verify=verify)
@@ -87,11 +93,22 @@ class McapReader(Reader):
 
                 self._contents = recovered_contents(self._file, err, self._log, verify=verify)
             find_declarations(self._file, self._contents, self._records, self._log)
+            self._note_differing(self._contents.differing)
+            self._compare_extras()
             self._connections = tuple(_connections(self._contents, self._file, self._log))
+            self._spans = SpanCheck(
+                self._contents.segments,
+                self._indexed_span,
+                self._contained_span,
+                path,
+                self._log,
+                trusted=self._contents.verified,
+            )
+            self._spans.compare_ends()
+            self._summary = _summary(self._contents, self._file, self._log)
         except BaseException:
             self._file.close()
             raise
-        self._summary = _summary(self._contents, self._file.size)
 
     @property
     def path(self) -> Path:
@@ -134,6 +151,7 @@ class McapReader(Reader):
         if ids is not None and not ids:
             return []
         rule = rule if rule and rule.container == "mcap" else None
+        self._spans.compare_beside(ids, start_ns, stop_ns)
         segments = [s for s in self._contents.segments if s.may_hold(ids, start_ns, stop_ns)]
         alone = standing_alone(segments, rule, start_ns, stop_ns) if rule else frozenset()
         blindly: frozenset[int] = frozenset()
@@ -143,16 +161,23 @@ class McapReader(Reader):
         intolerant = DamageLog(strict=True)
 
         def sound(segment: Segment, data: memoryview) -> list[RawMessage]:
-            found, others, size = _messages_in(data, wanted, first, stop)
-            if size != len(data):
+            span = _declared_span(segment)
+            further = partial(self._compare_declaration, data, segment) if isinstance(segment, ChunkSegment) else None
+            scan = _messages_in(data, wanted, first, stop, span or _ANY_TIME, further)
+            if scan.astray is not None and span:
                 raise self._file.damage(
-                    f"the records from byte {segment.offset} on are sound for {size} of {len(data)} bytes"
+                    f"the chunk at byte {segment.offset} has a message of log time {stamp_text(scan.astray)}, "
+                    f"declared are {stamp_text(span[0])} to {stamp_text(span[1])}"
                 )
-            if unknown := others - known.keys():
+            if scan.size != len(data):
+                raise self._file.damage(
+                    f"the records from byte {segment.offset} on are sound for {scan.size} of {len(data)} bytes"
+                )
+            if unknown := scan.others - known.keys():
                 raise self._file.damage(
                     f"channel {min(unknown)} has messages near byte {segment.offset}, but is not declared"
                 )
-            return found
+            return scan.messages
 
         def load(segment: Segment, callback: Callable[[RawMessage], Item], *, whole: bool) -> list[Item] | StoredChunk:
             self._bytes_read += segment.length
@@ -202,7 +227,7 @@ class McapReader(Reader):
         """Whether messages are zstd frames of their own; one segment tells for all."""
         data, _ = self._prefix(segment)
         known = {connection.id: connection for connection in self._connections}
-        return any(map(is_frame, _messages_in(data, known, 0, 1 << 64)[0]))
+        return any(map(is_frame, _messages_in(data, known, 0, 1 << 64).messages))
 
     def _records(self, chunk: Segment) -> Iterator[tuple[int, memoryview]]:
         """A chunk's records, as far as they can be read."""
@@ -217,6 +242,72 @@ class McapReader(Reader):
         self._salvaged(chunk, data, problem)
         return salvaged_records(data)
 
+    def _compare_declaration(self, data: memoryview, chunk: ChunkSegment, position: int) -> None:
+        """Take note if a chunk declares a schema or a channel otherwise than the rest of the file.
+
+        Raises
+        ------
+        DamageError
+            If the record is of a kind that no chunk may have.
+        """
+        opcode, length = RECORD.unpack_from(data, position)
+        if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL):
+            if opcode >= FIRST_PRIVATE:
+                return
+            raise self._file.damage(f"the chunk at byte {chunk.record_offset} has a record of kind {opcode} in it")
+        start = position + RECORD.size
+        record = bytes(data[position : start + length])
+        if record in self._agreed:
+            return
+        try:
+            what = self._contents.contradicted_by(opcode, record[RECORD.size :], chunk.record_offset, self._file)
+        except DamageError as err:
+            self._log.note(err, offset=chunk.record_offset, key=record[:64], messages_lost=0)
+            return
+        if what is not None:
+            self._note_differing({what: chunk.record_offset})
+        elif len(self._agreed) < MAX_CONNECTIONS:
+            self._agreed.add(record)
+
+    def _compare_extras(self) -> None:
+        """Take note of attachments and metadata records that the statistics count, and that are not there."""
+        statistics = self._contents.statistics
+        if statistics is None or self._log.found:
+            return
+        for kind, declared, places in (
+            ("attachments", statistics.attachment_count, self._contents.attachments),
+            ("metadata records", statistics.metadata_count, self._contents.metadata),
+        ):
+            if len(places) < declared:
+                error = f"the statistics count {declared} {kind}, {len(places)} were found"
+                self._log.note(self._file.damage(error), key=kind)
+
+    def _note_differing(self, places: Mapping[str, int]) -> None:
+        for what, offset in places.items():
+            error = self._file.damage(f"{what} is declared again, and differently, at byte {offset}")
+            self._log.note(error, offset=offset, key=what, messages_lost=0)
+
+    def _indexed_span(self, segment: Segment) -> tuple[int, int] | None:
+        """The log times of a chunk's messages by the records behind it, or by its own header; see `SpanCheck`."""
+        if not isinstance(segment, ChunkSegment):
+            return segment.start_ns, segment.end_ns
+        from .mcap_counts import indexed_span  # noqa: PLC0415
+
+        span = indexed_span(self._file, segment)
+        if span is None and self._contents.summarized:
+            with suppress(DamageError):
+                head = self._file.read(segment.record_offset, segment.offset - segment.record_offset)
+                chunk = chunk_at(head, 0, segment.record_offset, self._file)
+                span = chunk.start_ns, chunk.end_ns
+        return span
+
+    def _contained_span(self, segment: Segment) -> tuple[int, int] | None:
+        """The log times of a chunk's messages by themselves."""
+        data, problem = self._prefix(segment)
+        known = {connection.id: connection for connection in self._connections}
+        times = [message.log_time_ns for message in _messages_in(data, known, 0, 1 << 64).messages]
+        return (min(times), max(times)) if times and problem is None else None
+
     def _salvaged(self, segment: Segment, data: memoryview, problem: DamageError) -> list[RawMessage]:
         """Take note of a damaged segment, and find the messages that are left of it."""
         if self._log.strict:
@@ -224,9 +315,7 @@ class McapReader(Reader):
         from .mcap_recovery import salvaged_messages  # noqa: PLC0415
 
         known = {connection.id: connection for connection in self._connections}
-        is_chunk = isinstance(segment, ChunkSegment)
-        span = (segment.start_ns, segment.end_ns) if is_chunk and 0 < segment.start_ns <= segment.end_ns else None
-        left = salvaged_messages(data, known, span)
+        left = salvaged_messages(data, known, _declared_span(segment))
         missing = max(segment.uncompressed_size - len(data), 0) + left.bytes_lost
         last = left.messages[-1].log_time_ns if left.messages and len(data) < segment.uncompressed_size else None
         self._log.note(
@@ -292,16 +381,50 @@ class McapReader(Reader):
         self._file.close()
 
 
-def _messages_in(
-    data: memoryview, wanted: Mapping[int, Connection], start_ns: int, stop_ns: int
-) -> tuple[list[RawMessage], set[int], int]:
-    """Scan records for messages.
+def _declared_span(segment: Segment) -> tuple[int, int] | None:
+    """The first and the last log time that a chunk declares; None if it does not."""
+    if isinstance(segment, ChunkSegment) and 0 < segment.start_ns <= segment.end_ns:
+        return segment.start_ns, segment.end_ns
+    return None
 
-    Returns
-    -------
-    tuple[list[RawMessage], set[int], int]
-        The wanted messages in the order of the file, the other channels met, and how many bytes were sound.
+
+class _Scan(NamedTuple):
+    """What is in a stretch of records.
+
+    Attributes
+    ----------
+    messages
+        The wanted ones, in the order of the file.
+    others
+        Further channels that have messages.
+    size
+        How many bytes are sound.
+    astray
+        The log time of a wanted message outside of the declared times.
     """
+
+    messages: list[RawMessage]
+    others: set[int]
+    size: int
+    astray: int | None
+
+
+def _messages_in(
+    data: memoryview,
+    wanted: Mapping[int, Connection],
+    start_ns: int,
+    stop_ns: int,
+    span: tuple[int, int] = _ANY_TIME,
+    further: Callable[[int], None] | None = None,
+) -> _Scan:
+    """Scan records for messages; those outside of ``span``, the declared log times, are skipped.
+
+    ``further`` is called with the place of every record that is no message.
+    """
+    astray: int | None = None
+    first_ns, last_ns = span
+    # One comparison for both: which of them fails is found out only then.
+    start_ns, stop_ns = max(start_ns, first_ns), min(stop_ns, last_ns + 1)
     found: list[RawMessage] = []
     others: set[int] = set()
     append, unpack = found.append, MESSAGE.unpack_from
@@ -314,24 +437,30 @@ def _messages_in(
         opcode, length, channel_id, sequence, log_time_ns, publish_time_ns = unpack(data, position)
         following = position + 9 + length
         if following > size:
-            return found, others, position
+            return _Scan(found, others, position, astray)
         if opcode == OP_MESSAGE:
             if length < 22:
-                return found, others, position
+                return _Scan(found, others, position, astray)
             connection = wanted.get(channel_id)
             if connection is None:
                 others.add(channel_id)
             elif start_ns <= log_time_ns < stop_ns:
                 data_view = data[position + 31 : following]
                 append(new(RawMessage, (connection, log_time_ns, data_view, publish_time_ns, sequence)))
+            elif not first_ns <= log_time_ns <= last_ns:
+                astray = log_time_ns
+        elif further is not None:
+            further(position)
         position = following
     # What is left is too short for a message, but may be another record.
     while position + 9 <= size and data[position] != OP_MESSAGE:
         following = position + 9 + RECORD.unpack_from(data, position)[1]
         if following > size:
             break
+        if further is not None:
+            further(position)
         position = following
-    return found, others, position
+    return _Scan(found, others, position, astray)
 
 
 def _connections(contents: Contents, file: RecordFile, log: DamageLog) -> Iterator[Connection]:
@@ -379,21 +508,34 @@ def _message_count(channel_id: int, contents: Contents) -> int | None:
     return statistics.channel_message_counts.get(channel_id, 0)
 
 
-def _summary(contents: Contents, size_bytes: int) -> Summary:
+def _summary(contents: Contents, file: RecordFile, log: DamageLog) -> Summary:
     statistics = contents.statistics
     if statistics is not None:
         count: int | None = statistics.message_count
         times = (statistics.message_start_time, statistics.message_end_time) if count else None
     else:
-        count = contents.counts.total() if contents.all_counted else None
+        count, times = contents.counts.total() if contents.all_counted else None, None
+    if statistics is None or not contents.verified:
         # A chunk without messages has both times zero.
         held = [s for s in contents.segments if s.connection_ids is not None or s.end_ns]
-        times = (min(s.start_ns for s in held), max(s.end_ns for s in held)) if held else None
+        found = (min(s.start_ns for s in held), max(s.end_ns for s in held)) if held else None
+        covers = times is not None and found is not None and times[0] <= found[0] <= found[1] <= times[1]
+        if times and found and not covers:
+            log.note(
+                file.damage(
+                    f"the statistics have log times {stamp_text(times[0])} to {stamp_text(times[1])}, "
+                    f"the messages {stamp_text(found[0])} to {stamp_text(found[1])}"
+                ),
+                key="statistics",
+                messages_lost=0,
+            )
+        # Of a damaged recording the statistics know more.
+        times = times if covers and log.found else found or times
     return Summary(
         container="mcap",
         storage="",
         compression=tuple(sorted({segment.compression for segment in contents.segments})),
-        size_bytes=size_bytes,
+        size_bytes=file.size,
         message_count=count,
         start_ns=times[0] if times else None,
         end_ns=times[1] if times else None,

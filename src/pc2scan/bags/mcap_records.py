@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "CHUNK",
+    "FIRST_PRIVATE",
     "MAGIC",
     "MESSAGE",
     "OP_CHUNK",
@@ -53,6 +54,9 @@ UINT64 = struct.Struct("<Q")
 
 # Plain integers: comparing an IntEnum member costs a method call for each message.
 OP_MESSAGE, OP_CHUNK, OP_MESSAGE_INDEX = 0x05, 0x06, 0x07
+
+#: Opcodes from here on are anyone's.
+FIRST_PRIVATE = 0x80
 
 
 class RecordFile(SourceFile):

@@ -20,9 +20,9 @@ from pc2scan.errors import DamageError
 
 from .mcap_chunks import CHUNK_HEAD_SIZE, ChunkSegment, chunk_at
 from .mcap_contents import Contents, Walk, read_header, read_summary
-from .mcap_records import MAGIC, MESSAGE, OP_CHUNK, OP_MESSAGE, OP_MESSAGE_INDEX, RECORD, parse
+from .mcap_records import FIRST_PRIVATE, MAGIC, MESSAGE, OP_CHUNK, OP_MESSAGE, OP_MESSAGE_INDEX, RECORD, parse
 from .model import RawMessage
-from .salvage import Salvaged, decompressed_prefix
+from .salvage import Salvaged, decompressed_prefix, settled
 from .segments import times_around
 
 if TYPE_CHECKING:
@@ -38,8 +38,8 @@ __all__ = ["payload_prefix", "recovered_contents", "salvaged_messages", "salvage
 #: Bytes that are searched at a time.
 _WINDOW = 1 << 20
 
-#: Opcodes up to here are the specification's; from `_PRIVATE` on they are anyone's.
-_LAST_OPCODE, _PRIVATE = 0x0F, 0x80
+#: Opcodes up to here are the specification's.
+_LAST_OPCODE = 0x0F
 
 # An opcode and a length below 2^32 (messages) or 2^36 (all others).
 _MESSAGE_HEAD = re.compile(rb"(?=\x05[\s\S]{4}\0\0\0\0)")
@@ -48,6 +48,9 @@ _RECORD_HEAD = re.compile(rb"(?=[\x03-\x07\x09\x0c][\s\S]{4}[\0-\x0f]\0\0\0)")
 #: Records that can be told from everything that a chunk may hold.
 _OUTSIDE_CHUNKS = frozenset({OP_CHUNK, OP_MESSAGE_INDEX, int(Opcode.ATTACHMENT), int(Opcode.METADATA)})
 _ANYWHERE = _OUTSIDE_CHUNKS | {OP_MESSAGE, int(Opcode.SCHEMA), int(Opcode.CHANNEL)}
+
+#: Records that chunks are made of.
+_INSIDE_CHUNKS = frozenset({OP_MESSAGE, int(Opcode.SCHEMA), int(Opcode.CHANNEL)})
 
 _COMPRESSIONS = ("none", "lz4", "zstd")
 
@@ -309,14 +312,12 @@ def salvaged_messages(data: memoryview, known: Mapping[int, Connection], span: t
     known
         Every channel.
     span
-        The first and the last log time that the chunk declares, if it does. A message outside of it has a damaged
-        time, and gets the nearest.
+        The first and the last log time that the chunk declares, if it does; see `settled`.
     """
     messages: list[RawMessage] = []
     strangers = lost = 0
-    low, high = span or (0, (1 << 64) - 1)
     for start, stop, sound in _framed(data, known, span):
-        if not sound:
+        if not sound or (data[start] not in _INSIDE_CHUNKS and data[start] < FIRST_PRIVATE):
             lost += stop - start
         elif data[start] == OP_MESSAGE:
             _, _, channel_id, sequence, log_time_ns, publish_time_ns = MESSAGE.unpack_from(data, start)
@@ -324,11 +325,10 @@ def salvaged_messages(data: memoryview, known: Mapping[int, Connection], span: t
             if connection is None:
                 strangers += 1
                 continue
-            time_ns = max(low, min(log_time_ns, high))
             messages.append(
-                RawMessage(connection, time_ns, data[start + MESSAGE.size : stop], publish_time_ns, sequence)
+                RawMessage(connection, log_time_ns, data[start + MESSAGE.size : stop], publish_time_ns, sequence)
             )
-    return Salvaged(messages, lost, strangers)
+    return Salvaged(settled(messages, span) if span else messages, lost, strangers)
 
 
 def salvaged_records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
@@ -379,7 +379,7 @@ def _record_end(data: memoryview, position: int) -> int | None:
         return None
     opcode, length = RECORD.unpack_from(data, position)
     stop = position + RECORD.size + length
-    if stop > len(data) or not (0 < opcode <= _LAST_OPCODE or opcode >= _PRIVATE):
+    if stop > len(data) or not (0 < opcode <= _LAST_OPCODE or opcode >= FIRST_PRIVATE):
         return None
     return None if opcode == OP_MESSAGE and length < MESSAGE.size - RECORD.size else int(stop)
 

@@ -12,6 +12,8 @@ from itertools import permutations
 from operator import itemgetter
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
+from pc2scan.errors import stamp_text
+
 from .limits import allowed_bytes
 from .model import RawMessage
 from .rosbag1_records import (
@@ -37,6 +39,9 @@ if TYPE_CHECKING:
 __all__ = ["USUAL_LAYOUT", "Places", "decompressed", "messages_in", "payload", "records_in", "with_payload"]
 
 _Result = TypeVar("_Result")
+
+#: Later than any time that a bag can hold.
+_LATEST_NS = (UINT32_MAX + 8) * SECOND_NS
 
 
 def payload(file: BagFile, segment: Segment) -> bytes:
@@ -154,10 +159,14 @@ USUAL_LAYOUT = _LAYOUTS[b"conn", b"op", b"time"]
 
 @dataclass(slots=True)
 class Places:
-    """Where in a chunk its messages begin, all of them, and which connections it describes."""
+    """Where in a chunk its messages begin, all of them, and which connections it describes.
+
+    ``contradicts`` tells whether one of these is described otherwise in the index.
+    """
 
     messages: list[int] = field(default_factory=list)
     described: set[int] = field(default_factory=set)
+    contradicts: bool = False
 
 
 def messages_in(
@@ -165,7 +174,10 @@ def messages_in(
     wanted: Mapping[int, Connection | None],
     start_ns: int | None,
     stop_ns: int | None,
-    places: Places | None = None,
+    *,
+    span: tuple[int, int] | None = None,
+    places: list[int] | None = None,
+    describe: Callable[[Mapping[bytes, bytes], Buffer], object] | None = None,
 ) -> list[RawMessage]:
     """Find the messages of a decompressed chunk.
 
@@ -177,18 +189,26 @@ def messages_in(
         For every connection that there is, itself, or None if its messages are to be passed over.
     start_ns, stop_ns
         Only messages with ``start_ns <= log_time_ns < stop_ns``.
+    span
+        The first and the last log time that the index declares, if it does.
     places
-        Is filled, if given.
+        Gets the place of every message, if given.
+    describe
+        Called with the fields and the body of each connection that the chunk describes.
 
     Raises
     ------
     Damaged
-        If a record does not fit, is no message or connection, or is of a connection not in ``wanted``.
+        If a record does not fit, is no message or connection, or is of a connection not in ``wanted``, or if a wanted
+        message lies outside of ``span``.
     """
     data = memoryview(chunk)
     end = len(data)
     low = 0 if start_ns is None else start_ns
-    high = (UINT32_MAX + 8) * SECOND_NS if stop_ns is None else stop_ns
+    high = _LATEST_NS if stop_ns is None else stop_ns
+    first, last = span or (0, _LATEST_NS)
+    # One comparison for both: which of them fails is found out only then.
+    low, high = max(low, first), min(high, last + 1)
     messages = []
     layout, literals, expected, at_connection, at_seconds = current = USUAL_LAYOUT
     prefix = layout.size
@@ -212,8 +232,8 @@ def messages_in(
                 continue
             position = stop
             if kind_of(fields) == CONNECTION:
-                if places is not None:
-                    places.described.add(uint32_field(fields, "conn"))
+                if describe is not None:
+                    describe(fields, data[start:stop])
                 continue
             if kind_of(fields) != MESSAGE:
                 raise Damaged(f"a record of kind {kind_of(fields)} lies where only messages and connections may")
@@ -224,7 +244,14 @@ def messages_in(
         except KeyError:
             raise Damaged(f"it has a message of connection {identity}, which the index does not know") from None
         if places is not None:
-            places.messages.append(origin)
-        if connection is not None and low <= stamp < high:
+            places.append(origin)
+        if connection is None:
+            continue
+        if low <= stamp < high:
             messages.append(RawMessage(connection, stamp, data[start:position], stamp))
+        elif not first <= stamp <= last:
+            raise Damaged(
+                f"it has a message of log time {stamp_text(stamp)}, "
+                f"declared are {stamp_text(first)} to {stamp_text(last)}"
+            )
     return messages

@@ -32,10 +32,10 @@ from .segments import Segment
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from .model import Connection
+    from .model import Buffer, Connection
     from .rosbag1_records import BagFile
 
-__all__ = ["Contents", "chunk_segment", "read_index"]
+__all__ = ["Contents", "Copies", "chunk_segment", "contained_span", "read_index"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +44,44 @@ class Contents:
 
     connections: dict[int, Connection]
     segments: list[Segment]
+
+
+class Copies:
+    """Compares what chunks say of connections with what the index says.
+
+    Parameters
+    ----------
+    connections
+        Those of the index.
+    """
+
+    def __init__(self, connections: Mapping[int, Connection]) -> None:
+        self._connections = connections
+        # What was equal is compared byte by byte from then on: some recorders repeat it in every chunk.
+        self._equal: dict[int, tuple[bytes | None, bytes]] = {}
+
+    def difference(self, fields: Mapping[bytes, bytes], body: Buffer) -> str | None:
+        """Say what is different in a chunk's copy of a connection; None if nothing is."""
+        try:
+            identity = uint32_field(fields, "conn")
+            record = (fields.get(b"topic"), bytes(body))
+            if self._equal.get(identity) == record:
+                return None
+            copy, known = parsed_connection(fields, body), self._connections.get(identity)
+        except Damaged as err:
+            return f"it describes a connection that cannot be read: {err}"
+        if known is None:
+            return f"it describes connection {identity}, which the index does not know"
+        if known == replace(copy, message_count=known.message_count):
+            self._equal[identity] = record
+            return None
+        for name in ("topic", "msgtype", "digest", "callerid"):
+            ours, theirs = getattr(known, name), getattr(copy, name)
+            if ours != theirs:
+                word = {"msgtype": "type", "digest": "md5sum"}.get(name, name)
+                return f"connection {identity} has {word} {theirs!r:.80} in it, {ours!r:.80} elsewhere"
+        part = "definition" if known.definition != copy.definition else "header"
+        return f"connection {identity} has another {part} in it than elsewhere"
 
 
 def read_index(file: BagFile) -> Contents:
@@ -87,8 +125,8 @@ def read_index(file: BagFile) -> Contents:
     ]
     _refuse_overlaps(placed, file.size)
     for segment in placed:
-        # Times that cannot be, and zeros of a recorder that did not know, are found out by looking.
-        known = segment if segment.start_ns <= segment.end_ns and segment.end_ns else _with_times(file, segment)
+        # Zeros of a recorder that did not know are found out by looking.
+        known = segment if segment.end_ns else _with_times(file, segment)
         if known:
             segments.append(known)
     connections.update(_find_connections(file, segments, set(counts) - set(connections)))
@@ -159,11 +197,17 @@ def _refuse_overlaps(segments: Sequence[Segment], size: int) -> None:
         raise Damaged(f"the chunks have {stored} bytes together, in a bag of {size}")
 
 
-def _with_times(file: BagFile, segment: Segment) -> Segment | None:
-    """Find out a chunk's times by reading it; None if it has no messages."""
+def contained_span(file: BagFile, segment: Segment) -> tuple[int, int] | None:
+    """Read a chunk for the first and the last log time of its messages; None if it has none."""
     records = records_in(memoryview(payload(file, segment)))
     stamps = [time_field(fields, "time") for fields, _ in records if kind_of(fields) == MESSAGE]
-    return replace(segment, start_ns=min(stamps), end_ns=max(stamps)) if stamps else None
+    return (min(stamps), max(stamps)) if stamps else None
+
+
+def _with_times(file: BagFile, segment: Segment) -> Segment | None:
+    """Find out a chunk's times by reading it; None if it has no messages."""
+    span = contained_span(file, segment)
+    return replace(segment, start_ns=span[0], end_ns=span[1]) if span else None
 
 
 def _find_connections(

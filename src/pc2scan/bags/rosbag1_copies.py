@@ -63,9 +63,11 @@ def whole_chunk(
     Returns
     -------
     StoredChunk | None
-        None if ``rule`` does not allow to copy it, or its messages are not sorted by log time. What ROS 1's own reader
-        would refuse does not keep its compression.
+        None if ``rule`` does not allow to copy it, its messages are not sorted by log time, or it contradicts the
+        index. What ROS 1's own reader would refuse does not keep its compression.
     """
+    if places.contradicts:
+        return None
     times = [message.log_time_ns for message in messages]
     if not times or len(times) != len(places.messages) or times != sorted(times):
         return None

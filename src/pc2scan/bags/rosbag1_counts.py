@@ -1,4 +1,4 @@
-"""How many messages of a ROS 1 bag lie between two times, by the index records behind its chunks."""
+"""What the index records behind the chunks of a ROS 1 bag say of their messages: how many there are, and when."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from .rosbag1_records import BagFile
     from .segments import Segment
 
-__all__ = ["counts_between"]
+__all__ = ["counts_between", "indexed_span"]
 
 #: Seconds, nanoseconds and the place in the chunk of one message.
 _ENTRY = struct.Struct("<III")
@@ -55,6 +55,21 @@ def counts_between(
     except Damaged:
         return {}
     return counts
+
+
+def indexed_span(file: BagFile, segment: Segment) -> tuple[int, int] | None:
+    """Return the first and the last log time of a chunk's messages; None if the records do not have all of them."""
+    missing = set(segment.connection_ids or ())
+    position = segment.offset + segment.length
+    found: list[int] = []
+    try:
+        while missing:
+            fields, start, position = file.record(position, INDEX_DATA)
+            missing.discard(uint32_field(fields, "conn"))
+            found += _times(file, fields, start, position)
+    except Damaged:
+        return None
+    return (min(found), max(found)) if found else None
 
 
 def _times(file: BagFile, fields: Mapping[bytes, bytes], start: int, stop: int) -> Iterator[int]:

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from functools import partial
 from typing import TYPE_CHECKING
 
 from .damage import DamageLog
 from .model import StoredChunk, Summary, declared_counts
 from .reader import Reader
 from .rosbag1_chunks import Places, decompressed, messages_in, with_payload
-from .rosbag1_contents import read_index
+from .rosbag1_contents import Copies, contained_span, read_index
 from .rosbag1_copies import first_uses, whole_chunk
-from .rosbag1_records import BagFile, Damaged
+from .rosbag1_records import BagFile, Damaged, uint32_field
 from .segments import standing_alone, units_of
+from .spans import SpanCheck
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Sequence
+    from collections.abc import Callable, Collection, Mapping, Sequence
     from pathlib import Path
 
     from .damage import Damage
@@ -62,6 +64,11 @@ class Rosbag1Reader(Reader):
                 from .rosbag1_recovery import recovered_contents  # noqa: PLC0415  # only damaged bags pay for it
 
                 self._contents = recovered_contents(self._file, problem, self._log)
+            self._copies = Copies(self._contents.connections)
+            self._spans = SpanCheck(
+                self._contents.segments, self._indexed_span, self._contained_span, path, self._log, trusted=False
+            )
+            self._spans.compare_ends()
         except BaseException:
             self.close()
             raise
@@ -109,6 +116,7 @@ class Rosbag1Reader(Reader):
         ids = None if connections is None else frozenset(connection.id for connection in connections)
         wanted = {key: item if ids is None or key in ids else None for key, item in known.items()}
         self._bytes_read = 0
+        self._spans.compare_beside(ids, start_ns, stop_ns)
         due = [segment for segment in self._contents.segments if segment.may_hold(ids, start_ns, stop_ns)]
         alone = standing_alone(due, rule, start_ns, stop_ns) if rule else frozenset()
         needed = first_uses(due, start_ns) if alone else {}
@@ -117,7 +125,16 @@ class Rosbag1Reader(Reader):
             stored = self._file.read(segment.offset, segment.length)
             chunk = decompressed(self._file, segment, stored)
             places = Places()
-            messages = messages_in(chunk, wanted, start_ns, stop_ns, places)
+
+            def describe(fields: Mapping[bytes, bytes], body: Buffer) -> None:
+                places.described.add(uint32_field(fields, "conn"))
+                if not self._agrees(segment, fields, body):
+                    places.contradicts = True
+
+            span = (segment.start_ns, segment.end_ns)
+            messages = messages_in(
+                chunk, wanted, start_ns, stop_ns, span=span, places=places.messages, describe=describe
+            )
             return whole_chunk(segment, stored, chunk, messages, places, rule, needed[segment]) or messages
 
         def load(segment: Segment, callback: Callable[[RawMessage], Item], *, whole: bool) -> list[Item] | StoredChunk:
@@ -129,7 +146,8 @@ class Rosbag1Reader(Reader):
                     return found if isinstance(found, StoredChunk) else list(map(callback, found))
 
             def taken(chunk: Buffer) -> list[Item]:
-                return list(map(callback, messages_in(chunk, wanted, start_ns, stop_ns)))
+                describe, span = partial(self._agrees, segment), (segment.start_ns, segment.end_ns)
+                return list(map(callback, messages_in(chunk, wanted, start_ns, stop_ns, span=span, describe=describe)))
 
             try:
                 return with_payload(self._file, segment, taken)
@@ -146,6 +164,25 @@ class Rosbag1Reader(Reader):
             return list(map(callback, left))
 
         return units_of(due, load, alone, self._file)
+
+    def _agrees(self, segment: Segment, fields: Mapping[bytes, bytes], body: Buffer) -> bool:
+        """Whether a chunk describes a connection as the index does; takes note if not."""
+        difference = self._copies.difference(fields, body)
+        if difference is not None:
+            error = f"the chunk with data at byte {segment.offset} contradicts the index: {difference}"
+            self._log.note(self._file.damage_error(error), offset=segment.offset, key=difference, messages_lost=0)
+        return difference is None
+
+    def _indexed_span(self, segment: Segment) -> tuple[int, int] | None:
+        from .rosbag1_counts import indexed_span  # noqa: PLC0415
+
+        return indexed_span(self._file, segment)
+
+    def _contained_span(self, segment: Segment) -> tuple[int, int] | None:
+        try:
+            return contained_span(self._file, segment)
+        except Damaged:
+            return None
 
     def _salvaged(self, segment: Segment, problem: Damaged) -> list[RawMessage]:
         """Take note of a damaged chunk, and find the messages that are left of it."""

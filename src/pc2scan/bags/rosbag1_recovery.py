@@ -32,7 +32,7 @@ from .rosbag1_records import (
     time_field,
     uint32_field,
 )
-from .salvage import Salvaged, decompressed_prefix
+from .salvage import Salvaged, decompressed_prefix, settled
 from .segments import Segment, times_around
 
 if TYPE_CHECKING:
@@ -405,8 +405,7 @@ def salvaged_messages(chunk: bytes, known: Mapping[int, Connection], span: tuple
     known
         Every connection.
     span
-        The first and the last log time that the index gives the chunk. A message outside of it has a damaged time, and
-        gets the nearest.
+        The first and the last log time that the index gives the chunk; see `settled`.
     """
     data = memoryview(chunk)
     messages = []
@@ -420,9 +419,9 @@ def salvaged_messages(chunk: bytes, known: Mapping[int, Connection], span: tuple
                 strangers += 1
                 continue
             seconds, nanoseconds = divmod(time_field(fields, "time"), SECOND_NS)
-            stamp = max(span[0], min(seconds * SECOND_NS + nanoseconds, span[1]))
+            stamp = seconds * SECOND_NS + nanoseconds
             messages.append(RawMessage(connection, stamp, data[start:stop], stamp))
-    return Salvaged(messages, lost, strangers)
+    return Salvaged(settled(messages, span), lost, strangers)
 
 
 def framed(chunk: bytes) -> Iterator[tuple[Fields, int, int, bool]]:

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import os
 import re
+from collections import Counter
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PureWindowsPath
@@ -92,6 +93,8 @@ class BagInfo:
         Connections with ids from 1 on.
     message_count
         In all; None where it does not say.
+    topic_counts
+        By topic and type.
     extents
         By file; older versions have none.
     """
@@ -102,6 +105,7 @@ class BagInfo:
     topics: tuple[Connection, ...] = ()
     custom_data: Mapping[str, str] = field(default_factory=dict)
     message_count: int | None = None
+    topic_counts: Mapping[tuple[str, str], int] = field(default_factory=dict)
     extents: Mapping[str, Extent] = field(default_factory=dict)
 
 
@@ -239,14 +243,17 @@ def _parsed_info(document: Any) -> BagInfo:
     files = [_file_name(path) for path in _get(root, "relative_file_paths", list, ROOT)]
     if not files:
         raise ValueError("names no files")
+    entries = _get(root, "topics_with_message_count", list, ROOT, [])
+    topics = tuple(_topic(number, entry) for number, entry in enumerate(entries, 1))
+    counts: Counter[tuple[str, str]] = Counter()
+    for topic, entry in zip(topics, entries, strict=True):
+        counts[topic.topic, topic.msgtype] += _get(entry, "message_count", int, f"topic {topic.id}", 0)
     return BagInfo(
         storage=storage,
         files=tuple(dict.fromkeys(files)),
         message_compression=_message_compression(root),
-        topics=tuple(
-            _topic(number, entry)
-            for number, entry in enumerate(_get(root, "topics_with_message_count", list, ROOT, []), 1)
-        ),
+        topics=topics,
+        topic_counts=counts,
         custom_data={str(key): str(value) for key, value in _get(root, "custom_data", dict, ROOT, {}).items()},
         message_count=_get(root, "message_count", int, ROOT, 0),
         extents=dict(_extents(root)),

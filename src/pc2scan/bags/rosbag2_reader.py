@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING
 from pc2scan.errors import DamageError, RecordingError
 
 from . import zstd
-from .damage import RECOVER, DamageLog
+from .damage import RECOVER, DamageLog, count_details
 from .files import opened_bytes
 from .merged import MergedReader
 from .rosbag2_metadata import MAGICS, METADATA_NAME, RECORD_NAME, located_file, read_info
@@ -158,17 +159,28 @@ class Rosbag2Reader(MergedReader):
         )
 
     def _compare_counts(self) -> None:
-        """Take note if the files have fewer messages than metadata.yaml counts."""
+        """Take note if the files have other numbers of messages than metadata.yaml counts, in all or of a topic."""
         stored, declared = super().summary.message_count, self._info.message_count
-        if stored is None or declared is None:
+        known = [damage.messages_lost for damage in self._log.found if damage.loses]
+        if stored is None or declared is None or None in known:
             return
-        told = sum(damage.messages_lost or 0 for damage in self._log.found)
-        if any(damage.messages_lost is None for damage in self._log.found) or stored + told >= declared:
-            return
-        missing = f"{METADATA_NAME} counts {declared} messages, its files have {stored}"
-        self._log.note(
-            DamageError(missing, path=self._path, hint=RECOVER), key="count", messages_lost=declared - stored - told
-        )
+        missing = declared - stored - sum(filter(None, known))
+        details = ""
+        if not known and all(connection.message_count is not None for connection in self.connections):
+            found = Counter[tuple[str, str]]()
+            for connection in self.connections:
+                found[connection.topic, connection.msgtype] += connection.message_count or 0
+            told = self._info.topic_counts
+            pairs = [(key[0], told.get(key, 0), found[key]) for key in {**told, **found}]
+            fewer = [(topic, count, there) for topic, count, there in pairs if there < count]
+            # Who adds up to another sum did not count; then only messages that are missing are worth a word.
+            details = count_details(pairs if sum(told.values()) == declared else fewer)
+            missing = max(missing, sum(count - there for _, count, there in fewer))
+        if missing > 0 or details:
+            problem = f"{METADATA_NAME} counts {declared} messages, its files have {stored}{details}"
+            self._log.note(
+                DamageError(problem, path=self._path, hint=RECOVER), key="count", messages_lost=max(0, missing)
+            )
 
     def _discard_temporary(self) -> None:
         if self._temporary is not None:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from .model import Buffer, RawMessage
 
-__all__ = ["SIZE_LIMIT", "Salvaged", "decompressed_prefix"]
+__all__ = ["SIZE_LIMIT", "Salvaged", "decompressed_prefix", "settled"]
 
 #: A chunk whose declared size may be damaged too is decompressed to this many bytes, if it declares fewer.
 SIZE_LIMIT = 16 << 20
@@ -44,6 +44,34 @@ class Salvaged(NamedTuple):
     messages: list[RawMessage]
     bytes_lost: int
     strangers: int
+
+
+def settled(messages: list[RawMessage], span: tuple[int, int]) -> list[RawMessage]:
+    """Give messages whose log times lie outside of their chunk's declared ones the nearest of these.
+
+    If there are several of them, and all messages are in order by their own times, it is the declared times that are
+    wrong: all keep theirs.
+
+    Parameters
+    ----------
+    messages
+        All of a chunk, in its order.
+    span
+        The first and the last log time that are declared.
+    """
+    low, high = span
+    times = [message.log_time_ns for message in messages]
+    outside = sum(not low <= time_ns <= high for time_ns in times)
+    if outside == 0 or (outside > 1 and times == sorted(times)):
+        return messages
+    return [message if low <= message.log_time_ns <= high else _moved(message, span) for message in messages]
+
+
+def _moved(message: RawMessage, span: tuple[int, int]) -> RawMessage:
+    """Give a message the nearest log time in a span; where it is the time of publishing too, that as well."""
+    nearest = max(span[0], min(message.log_time_ns, span[1]))
+    publish_time_ns = nearest if message.publish_time_ns == message.log_time_ns else message.publish_time_ns
+    return message._replace(log_time_ns=nearest, publish_time_ns=publish_time_ns)
 
 
 def decompressed_prefix(data: Buffer, compression: str, declared: int) -> bytes:

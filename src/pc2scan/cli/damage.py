@@ -43,7 +43,9 @@ def show_recovery(report: Report, *, limit: int = SHOWN) -> None:
         found = f"{report.messages_read:,} of the {declared:,} messages that the source declares"
     stored = sum(place.bytes_lost for place in report.damage)
     lost = f"{size(stored)} lost" if stored else "no bytes are known to be lost"
-    typer.echo(f"recovered: {found}; {lost}; {_spanned(report.damage)}", err=True)
+    missing = [place for place in report.damage if place.loses]
+    span = _spanned(missing) if missing else "no message is known to be missing"
+    typer.echo(f"recovered: {found}; {lost}; {span}", err=True)
 
 
 def _lost(stored: int, messages: int | None) -> str:

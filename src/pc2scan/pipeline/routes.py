@@ -61,7 +61,7 @@ class OpenRoute:
 
     ``convert`` and ``encode`` are the work; None where there is none. What ``convert`` makes goes to each of
     ``outputs``. Messages of ``shrinks_from`` bytes and more become smaller ones by it. ``reports`` has one entry for
-    each output, or one for what is not converted.
+    each output, or one for what is not converted. ``messages`` counts those that were read.
     """
 
     connection: Connection
@@ -71,6 +71,7 @@ class OpenRoute:
     outputs: list[Output] = field(default_factory=list)
     passing_handle: int = -1
     shrinks_from: int = sys.maxsize
+    messages: int = 0
 
     @property
     def writes(self) -> bool:

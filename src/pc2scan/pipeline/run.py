@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from pc2scan.bags.damage import RECOVER, Damage
+from pc2scan.bags.damage import RECOVER, Damage, count_details
 from pc2scan.bags.files import state_of
 from pc2scan.bags.merged import as_one
 from pc2scan.bags.overlap import Input, Output, refuse_overlap
@@ -261,17 +261,34 @@ def _target(
 
 
 def _compare_counts(reader: Reader, routes: Mapping[int, OpenRoute], options: ConvertOptions, report: Report) -> None:
-    """Compare how many messages were read with how many there should be: no loss goes unnoticed."""
-    counts = [route.connection.message_count for route in routes.values() if route.writes]
-    if options.start is not None or options.end is not None or None in counts:
+    """Compare how many messages were read with how many the sources declare, connection by connection.
+
+    Where damage is known already that explains a difference, the report has both numbers.
+    """
+    if options.start is not None or options.end is not None:
         return
-    report.messages_declared = sum(filter(None, counts))
-    if report.messages_read < report.messages_declared and not report.damage:
-        missing = f"declares {report.messages_declared} messages, {report.messages_read} were found"
-        if options.strict:
-            raise DamageError(missing, path=reader.path, hint=RECOVER)
-        lost = report.messages_declared - report.messages_read
-        report.damage.append(Damage(missing, reader.path, messages_lost=lost))
+    written = [route for route in routes.values() if route.writes]
+    counts = [
+        (route.connection.topic, route.connection.message_count, route.messages)
+        for route in written
+        if route.connection.message_count is not None
+    ]
+    # MCAP's writers may leave out the counts by channel, and keep the sum.
+    declared = reader.summary.message_count if len(written) == len(reader.connections) else None
+    if declared is None and len(counts) == len(written):
+        declared = sum(count for _, count, _ in counts)
+    if declared is None:
+        return
+    found = report.messages_read
+    lost = max(declared - found, sum(max(0, count - read) for _, count, read in counts))
+    report.messages_declared = declared
+    details = count_details(counts)
+    if (declared == found and not details) or any(damage.loses for damage in report.damage):
+        return
+    missing = f"declares {declared} messages, {found} were found{details}"
+    if options.strict:
+        raise DamageError(missing, path=reader.path, hint=RECOVER)
+    report.damage.append(Damage(missing, reader.path, messages_lost=max(0, lost)))
 
 
 def _conversion(

@@ -68,17 +68,20 @@ def stream(
     """Read, work on several threads, and write in the order of reading."""
     total = reader.summary.size_bytes
     outcomes = _outcomes(reader, routes, options, span, rule, pool)
-    shown = 0
+    steps = 0
     # Closed before the pool is waited for, so that an error gives up what has not begun.
     with closing(outcomes):
         for outcome in outcomes:
             if isinstance(outcome, StoredChunk):
-                _write_chunk(outcome, routes, writer, report)
+                _write_chunk(outcome, routes, writer)
             else:
                 _write(outcome, writer, report, options.on_error)
-            if progress is not None and report.messages_read - shown >= _PROGRESS_EVERY:
-                shown = report.messages_read
-                progress(reader.bytes_read, total, shown)
+            if progress is not None:
+                steps += _PROGRESS_EVERY if isinstance(outcome, StoredChunk) else 1
+                if steps >= _PROGRESS_EVERY:
+                    steps = 0
+                    progress(reader.bytes_read, total, sum(route.messages for route in routes.values()))
+    report.messages_read = sum(route.messages for route in routes.values())
     if progress is not None:
         progress(total, total, report.messages_read)
 
@@ -131,14 +134,15 @@ def _outcome(route: OpenRoute, message: RawMessage) -> _Outcome:
     return _Outcome(route, message.log_time_ns, message.publish_time_ns, message.sequence, converted, passing, error)
 
 
-def _write_chunk(chunk: StoredChunk, routes: Mapping[int, OpenRoute], writer: Writer, report: Report) -> None:
+def _write_chunk(chunk: StoredChunk, routes: Mapping[int, OpenRoute], writer: Writer) -> None:
     """Copy a chunk and account for its messages."""
     writer.write_chunk(chunk)
     for connection_id, entries in chunk.index.items():
-        (entry,) = routes[connection_id].reports
+        route = routes[connection_id]
+        route.messages += len(entries)
+        (entry,) = route.reports
         entry.messages_in += len(entries)
         entry.messages_out += len(entries)
-        report.messages_read += len(entries)
 
 
 def _write(outcome: _Outcome, writer: Writer, report: Report, on_error: str) -> None:
@@ -148,7 +152,7 @@ def _write(outcome: _Outcome, writer: Writer, report: Report, on_error: str) -> 
         for entry in route.reports:
             entry.skip(1)
         return
-    report.messages_read += 1
+    route.messages += 1
     try:
         if passing is not None:
             writer.write(route.passing_handle, log_time_ns, passing, publish_time_ns, sequence)
