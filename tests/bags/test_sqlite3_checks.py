@@ -87,3 +87,12 @@ def test_values_that_a_table_does_not_allow(path: Path) -> None:
     rows, (place,) = read(path)
     assert rows == SOUND
     assert place.what == "table topics contradicts itself: NULL value in topics.type"
+
+
+@pytest.mark.parametrize("place", [-1, 20_000])
+def test_more_bytes_than_the_header_declares(place: int, path: Path) -> None:
+    data = path.read_bytes()
+    place %= len(data) + 1
+    path.write_bytes(data[:place] + bytes(8) + data[place:])
+    _, (first, *_) = read(path)
+    assert "8 more than its header declares" in first.what

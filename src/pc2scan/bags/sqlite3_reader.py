@@ -309,10 +309,12 @@ class Sqlite3Reader(Reader):
     def _missing_bytes(self) -> int:
         """How many bytes the database is shorter than it, or a log, says. SQLite notices only what it reads."""
         missing = missing_bytes(self._logs)
-        if missing is None:
-            with self._path.open("rb") as file:
-                missing = max(0, (declared_size(file.read(100)) or 0) - self._size)
-        return missing
+        return max(0, self._declared_size() - self._size) if missing is None else missing
+
+    def _declared_size(self) -> int:
+        """How many bytes the database has by its own header; its size if that does not say."""
+        with self._path.open("rb") as file:
+            return declared_size(file.read(100)) or self._size
 
     def _refuse_incomplete(self) -> None:
         """Raise if pages are missing, in the file itself or in its logs."""
@@ -321,6 +323,11 @@ class Sqlite3Reader(Reader):
                 raise self._damage(f"its pages do not fit together, because {log.file.path.name} is damaged")
         if missing := self._missing_bytes():
             raise self._damage(f"is cut off: it has {self._size} of {self._size + missing} bytes")
+        declared = self._declared_size()
+        if self._size > declared and missing_bytes(self._logs) is None:
+            # Appended bytes do no harm; inserted ones move the pages behind them.
+            error = self._damage(f"has {self._size} bytes, {self._size - declared} more than its header declares")
+            self._log.note(error, key="size", messages_lost=0)
 
     def _recover(self, problem: RecordingError) -> None:
         """Go on with the rows that can be found without SQLite's trees."""

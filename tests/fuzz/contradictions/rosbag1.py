@@ -78,6 +78,8 @@ def _read(bag: _Bag) -> None:
         elif raw.op == CHUNK_INFO:
             _chunk_info(bag, raw)
     bag.found += [f"connection {conn} is not indexed behind the chunk at {current}" for conn in +missing]
+    if len(bag.connections) != kinds.count(CONNECTION):
+        bag.found.append("chunks describe other connections than the index")
     used = {conn for messages in bag.chunks.values() for conn, _, _ in messages}
     bag.found += [f"connection {conn} is described nowhere" for conn in used - bag.connections.keys()]
 
