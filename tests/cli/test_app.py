@@ -18,6 +18,22 @@ def test_the_version_says_if_the_loops_are_not_compiled(compiled: bool, monkeypa
     assert bool(rest) != compiled
 
 
+@pytest.mark.parametrize(
+    ("typed", "offered"),
+    [
+        ("pc2scan rep", {"repair"}),
+        ("pc2scan convert --min", {"--min-height", "--min-points"}),
+        ("pc2scan convert hall.bag --storage ", {"mcap", "sqlite3"}),
+        ("pc2scan convert --beams x --use", {"--use-inf"}),
+    ],
+)
+def test_the_shell_completes_commands_options_and_choices(typed: str, offered: set[str]) -> None:
+    shell = {"_PC2SCAN_COMPLETE": "complete_bash", "COMP_WORDS": typed, "COMP_CWORD": str(len(typed.split(" ")) - 1)}
+    done = CliRunner().invoke(application(), [], prog_name="pc2scan", env=shell)
+    assert done.exit_code == 0, done.output
+    assert set(done.output.split()) == offered
+
+
 def test_a_command_alone_is_the_same_command() -> None:
     for name in COMMANDS:
         alone = CliRunner().invoke(application(name), [name, "--help"])

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import pytest
 from typer.testing import CliRunner
 
 from pc2scan.cli.app import application
 from support import ROOT
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 HALL = str(ROOT / "fixtures" / "hall.bag")
 
@@ -83,8 +88,49 @@ def test_a_parameter_is_checked_alike_wherever_it_is_given(arguments: list[str],
     assert said("convert", HALL, *arguments) == f"error: {error}\n"
 
 
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--end", "soon"], "error: --end: 'soon' is not a time\nhint: give seconds from the beginning (12.5)"),
+        (["--only-scans", "--keep", "/x"], "error: --only-scans leaves out what --keep and --keep-clouds ask for\n"),
+        (["--deskew"], "error: --deskew, --channel and --range-cutoff go with --reverse\n"),
+        (["--reverse", "--deskew"], "such as --target-frame odom\n"),
+        (["--write-static-tf"], "hint: give one with --static-tf\n"),
+        (["-o", HALL], "what is read is never changed"),
+        (["-o", "scan.bag", "--storage", "mcap"], "--storage is for rosbag2 directories"),
+        (
+            ["-o", "scan.bag", "--compression", "zstd"],
+            "--compression zstd is not possible here; allowed: none, bz2, lz4",
+        ),
+        (["-p", "cloud_in:=/x"], "hint: topics are not parameters here; --topic chooses them\n"),
+        (["--no-return", "zero", "--no-use-inf"], "(use_inf from --no-use-inf; no_return from --no-return)"),
+        (["--no-return", "nan", "-p", "range_mx:=1"], "did you mean 'range_max'?"),
+        (
+            ["--no-return", "range-max-plus", "-p", "range_max:=1e300"],
+            "hint: say how far the sensor sees: --param range_max:=100.0\n",
+        ),
+        (["--no-return", "range-max-plus"], "hint: say how far the sensor sees: --range-max 100.0\n"),
+    ],
+    ids=str,
+)
+def test_what_the_library_finds_wrong_is_said_with_the_options_that_were_typed(
+    arguments: list[str], message: str
+) -> None:
+    text = said("convert", HALL, *arguments)
+    assert text.startswith("error: ")
+    assert message in text
+    assert "`" not in text
+
+
 def test_no_arguments_show_the_help() -> None:
     done = CliRunner().invoke(application(), [], prog_name="pc2scan")
     assert done.exit_code == 2
     assert "Usage: pc2scan [OPTIONS] COMMAND" in done.output
     assert "error:" not in done.output
+
+
+def test_what_a_parameter_file_has_besides_is_reported(tmp_path: Path) -> None:
+    file = tmp_path / "params.yaml"
+    file.write_text("pointcloud_to_laserscan:\n  ros__parameters:\n    cloud_in: /points\n", "utf-8")
+    text = said("convert", HALL, "--params-file", str(file), "--start", "soon")
+    assert text.startswith(f"warning: not a parameter of the projection, ignored: {file}, line 3, ")

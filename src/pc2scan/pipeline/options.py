@@ -82,6 +82,14 @@ class TimeBound:
         return self.nanoseconds if self.absolute else beginning_ns + self.nanoseconds
 
 
+def _bound(name: str, text: str | None) -> TimeBound | None:
+    """Read one end of a cut; an error says which."""
+    try:
+        return None if text is None else TimeBound.parse(text)
+    except UsageError as err:
+        raise UsageError(f"`{name}`: {err.message}", hint=err.hint) from err
+
+
 @dataclass(frozen=True, slots=True)
 class TopicRequest:
     """A topic to convert, and where to."""
@@ -202,8 +210,8 @@ class ConvertOptions:
             topics=tuple(TopicRequest.parse(topic) for topic in topics),
             keep=tuple(keep),
             drop=tuple(drop),
-            start=None if start is None else TimeBound.parse(start),
-            end=None if end is None else TimeBound.parse(end),
+            start=_bound("start", start),
+            end=_bound("end", end),
             **others,
         )
 
