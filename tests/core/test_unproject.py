@@ -561,6 +561,8 @@ def test_a_wall_seen_while_driving_is_straight_again() -> None:
     ("transform", "message"),
     [
         (Transform((0, 0, 0, 0)), "the quaternion at the {} beam is zero"),
+        (Transform((0, 0, 1e-171, 0)), "the quaternion at the {} beam has the squared norm 0.0, which is no rotation"),
+        (Transform((0, 0, 0, 1e171)), "the quaternion at the {} beam has the squared norm inf, which is no rotation"),
         (Transform((0, 0, math.nan, 1)), "the quaternion at the {} beam is [0.0, 0.0, nan, 1.0]"),
         (Transform(IDENTITY, (0, math.inf, 0)), "the translation at the {} beam is [0.0, inf, 0.0]"),
     ],

@@ -429,6 +429,18 @@ class TestBuffer:
         assert x_of(second, "a", "b", at(1)) == 2
         assert "extrapolation" in refusal(first, "a", "b", at(1)).message
 
+    @pytest.mark.parametrize("norm", [1.0049, 0.9951])
+    def test_rotations_that_grow_beyond_all_bounds_are_no_crash(self, norm: float) -> None:
+        # tf2 never normalises: of thousands of frames, each a little off, comes what no float32 or float64 holds.
+        for depth in (18_000, 80_000):
+            builder = TransformBuilder()
+            builder.add((row(f"f{n}", f"f{n + 1}", 0, x=1, yaw=0.1, norm=norm) for n in range(depth)), static=True)
+            for names in (("f0", f"f{depth}"), (f"f{depth}", "f0")):
+                found = builder.build().lookup(*names, at(5))
+                found.as_float32()
+                assert len(found.rpy) == 3
+                assert found.apply(np.ones((2, 3), np.float32)).shape == (2, 3)
+
     def test_a_very_deep_chain_neither_recurses_nor_stops(self) -> None:
         depth = 99_999
         builder = TransformBuilder()

@@ -46,8 +46,7 @@ Pose: TypeAlias = tuple[float, float, float, float, float, float, float]
 #: whose quaternion may be anything.
 TransformRow: TypeAlias = tuple[str, str, int, float, float, float, float, float, float, float]
 
-#: How float64 numbers are rounded to float32: by far quicker for so few of them than with NumPy.
-_QUATERNION, _PRODUCTS, _SUMS, _MATRIX = (struct.Struct(f"={count}f") for count in (4, 9, 3, 12))
+_THREE, _FOUR, _NINE, _TWELVE = (struct.Struct(f"={count}f") for count in (3, 4, 9, 12))
 
 IDENTITY_POSE: Pose = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
@@ -61,6 +60,15 @@ def are_taken(quaternions: NDArray[np.float64]) -> NDArray[np.bool_]:
     with np.errstate(all="ignore"):
         # tf2's order of operations: near the limit it decides.
         return np.asarray(np.abs(w * w + x * x + y * y + z * z - 1.0) < NORM_TOLERANCE)
+
+
+def _as_float32(numbers: struct.Struct, values: Sequence[float]) -> bytes:
+    """So many numbers, rounded to float32. By far quicker for a few of them than NumPy."""
+    try:
+        return numbers.pack(*values)
+    except OverflowError:
+        with np.errstate(over="ignore"):
+            return np.array(values).astype(np.float32).tobytes()
 
 
 # tf2 never normalises, so that its order of operations is in every last bit. What follows keeps to it.
@@ -187,18 +195,20 @@ def rotation_matrices(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
     Source of the rule: ``tf2::Matrix3x3::setRotation``, in its order of operations.
     """
     x, y, z, w = quaternions
-    scale = 2.0 / (x * x + y * y + z * z + w * w)
-    xs, ys, zs = x * scale, y * scale, z * scale
-    wx, wy, wz = w * xs, w * ys, w * zs
-    xx, xy, xz = x * xs, x * ys, x * zs
-    yy, yz, zz = y * ys, y * zs, z * zs
-    return np.array(
-        [
-            [1.0 - (yy + zz), xy - wz, xz + wy],
-            [xy + wz, 1.0 - (xx + zz), yz - wx],
-            [xz - wy, yz + wx, 1.0 - (xx + yy)],
-        ]
-    )
+    # Thousands of quaternions, each a little too long or too short, have a product beyond float64.
+    with np.errstate(all="ignore"):
+        scale = 2.0 / (x * x + y * y + z * z + w * w)
+        xs, ys, zs = x * scale, y * scale, z * scale
+        wx, wy, wz = w * xs, w * ys, w * zs
+        xx, xy, xz = x * xs, x * ys, x * zs
+        yy, yz, zz = y * ys, y * zs, z * zs
+        return np.array(
+            [
+                [1.0 - (yy + zz), xy - wz, xz + wy],
+                [xy + wz, 1.0 - (xx + zz), yz - wx],
+                [xz - wy, yz + wx, 1.0 - (xx + yy)],
+            ]
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -321,22 +331,14 @@ class Rigid:
         ``QuaternionBase``: the quaternion is rounded to float32 and not normalised; each product and each sum is
         rounded.
         """
-        translation = self.translation.tolist()
-        x, y, z, w = _QUATERNION.unpack(_QUATERNION.pack(*self.quaternion.tolist()))
+        x, y, z, w = _FOUR.unpack(_as_float32(_FOUR, self.quaternion.tolist()))
         # Products and sums of two float32 numbers, in float64 and then rounded, are float32's own. The doubles of
         # x, y and z are exact.
-        xx, xy, xz, xw, yy, yz, yw, zz, zw = _PRODUCTS.unpack(
-            _PRODUCTS.pack(
-                *(2 * x * x, 2 * x * y, 2 * x * z, 2 * x * w, 2 * y * y, 2 * y * z, 2 * y * w, 2 * z * z, 2 * z * w)
-            )
-        )
-        one, two, three = _SUMS.unpack(_SUMS.pack(yy + zz, xx + zz, xx + yy))
+        products = (2 * x * x, 2 * x * y, 2 * x * z, 2 * x * w, 2 * y * y, 2 * y * z, 2 * y * w, 2 * z * z, 2 * z * w)
+        xx, xy, xz, xw, yy, yz, yw, zz, zw = _NINE.unpack(_as_float32(_NINE, products))
+        one, two, three = _THREE.unpack(_as_float32(_THREE, (yy + zz, xx + zz, xx + yy)))
         rotation = (1 - one, xy - zw, xz + yw, xy + zw, 1 - two, yz - xw, xz - yw, yz + xw, 1 - three)
-        try:
-            both = np.frombuffer(_MATRIX.pack(*rotation, *translation), np.float32)
-        except OverflowError:
-            with np.errstate(over="ignore"):
-                both = np.array((*rotation, *translation)).astype(np.float32)
+        both = np.frombuffer(_as_float32(_TWELVE, (*rotation, *self.translation.tolist())), np.float32)
         return both[:9].reshape(3, 3), both[9:]
 
     def apply(self, points: NDArray[Any]) -> NDArray[Any]:

@@ -380,6 +380,11 @@ def _checked(transform: Transform, beam: str) -> tuple[NDArray[np.float64], NDAr
             raise TransformError(f"the {what} at the {beam} beam is {vector.tolist()}; all of it must be finite")
     if not quaternion.any():
         raise TransformError(f"the quaternion at the {beam} beam is zero, which is no rotation")
+    with np.errstate(over="ignore"):
+        squared = float(quaternion @ quaternion)
+    # A lookup multiplies as tf2 does, without normalising: thousands of frames, each a little off, end here.
+    if not 1e-100 < squared < 1e100:
+        raise TransformError(f"the quaternion at the {beam} beam has the squared norm {squared}, which is no rotation")
     return quaternion, translation
 
 
