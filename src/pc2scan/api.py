@@ -7,20 +7,20 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .compare.diff import TopicPair
-from .compare.diff import diff as compare
-from .compare.rules import Rules
-from .core.params import ProjectionParams
-from .pipeline.frames import FrameOptions, recorded_transforms
-from .pipeline.options import ConvertOptions
-from .pipeline.run import OutputOptions, Progress, run
+from pc2scan.compare.diff import TopicPair
+from pc2scan.compare.diff import diff as compare
+from pc2scan.compare.rules import Rules
+from pc2scan.core.params import ProjectionParams
+from pc2scan.pipeline.frames import FrameOptions, recorded_transforms
+from pc2scan.pipeline.options import ConvertOptions
+from pc2scan.pipeline.run import OutputOptions, Progress, run
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from .compare.result import Difference
-    from .core.unproject import UnprojectParams
-    from .pipeline.report import Report
+    from pc2scan.compare.result import Difference
+    from pc2scan.core.unproject import UnprojectParams
+    from pc2scan.pipeline.report import Report
 
 __all__ = ["convert", "diff"]
 

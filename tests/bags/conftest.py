@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from bags.rosbag1_files import ros1_missing
-from pc2scan.bags import mcap_chunks, mcap_reader
+from pc2scan.bags.mcap import chunks as mcap_chunks
+from pc2scan.bags.mcap import reader as mcap_reader
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from pc2scan.bags.mcap_records import RecordFile
-    from pc2scan.bags.segments import Segment
+    from pc2scan.bags.chunked.segments import Segment
+    from pc2scan.bags.mcap.records import RecordFile
 
 
 @pytest.fixture

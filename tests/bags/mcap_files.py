@@ -15,11 +15,11 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, IndexType
 from mcap.writer import Writer as LibraryWriter
 
-from pc2scan.bags.mcap_reader import McapReader
-from pc2scan.bags.mcap_records import MAGIC
-from pc2scan.bags.mcap_writer import McapWriter
-from pc2scan.bags.model import Connection, Definition
+from pc2scan.bags.mcap.reader import McapReader
+from pc2scan.bags.mcap.records import MAGIC
+from pc2scan.bags.mcap.writer import McapWriter
 from pc2scan.errors import RecordingError
+from pc2scan.model import Connection, Definition
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

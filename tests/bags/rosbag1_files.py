@@ -16,15 +16,15 @@ from typing import TYPE_CHECKING, Any
 import lz4.frame
 import pytest
 
-from pc2scan.bags.model import Connection, Definition
-from pc2scan.bags.rosbag1_reader import Rosbag1Reader
-from pc2scan.bags.rosbag1_writer import Rosbag1Writer
+from pc2scan.bags.rosbag1.reader import Rosbag1Reader
+from pc2scan.bags.rosbag1.writer import Rosbag1Writer
 from pc2scan.errors import RecordingError
+from pc2scan.model import Connection, Definition
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
-    from pc2scan.bags.model import Writer
+    from pc2scan.model import Writer
 
 
 COMPRESSIONS = ("none", "bz2", "lz4")

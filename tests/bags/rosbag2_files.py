@@ -10,10 +10,10 @@ import zstandard
 from rosbags.typesys import Stores, get_typestore
 from ruamel.yaml import YAML
 
-from pc2scan.bags.mcap_writer import McapWriter
-from pc2scan.bags.model import Connection, Definition
-from pc2scan.bags.rosbag2_reader import Rosbag2Reader
-from pc2scan.bags.sqlite3_writer import Sqlite3Writer
+from pc2scan.bags.mcap.writer import McapWriter
+from pc2scan.bags.rosbag2.reader import Rosbag2Reader
+from pc2scan.bags.rosbag2.sqlite3_writer import Sqlite3Writer
+from pc2scan.model import Connection, Definition
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from pc2scan.bags import damage
+from pc2scan.bags.chunked.segments import Segment, times_around
 from pc2scan.bags.damage import DamageLog
-from pc2scan.bags.segments import Segment, times_around
 from pc2scan.errors import DamageError, RecordingError
 
 PATH = Path("drive.bag")

@@ -11,17 +11,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pc2scan.bags.merged import MergedReader, merged_summary, unified
-from pc2scan.bags.model import Attachment, Connection, Definition, Metadata, RawMessage, Summary
 from pc2scan.bags.reader import Reader
 from pc2scan.bags.units import Unit
 from pc2scan.errors import UsageError
+from pc2scan.model import Attachment, Connection, Definition, Metadata, RawMessage, Summary
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Sequence
     from pathlib import Path
 
     from pc2scan.bags.damage import Damage
-    from pc2scan.bags.model import ChunkRule
+    from pc2scan.model import ChunkRule
 
 
 def _load(message: RawMessage, callback: Callable[[RawMessage], Any], *, whole: bool) -> list[Any]:

@@ -13,7 +13,6 @@ import pytest
 import zstandard
 
 import pc2scan.bags
-from pc2scan.bags.model import Connection, Definition, Summary
 from pc2scan.bags.registry import (
     Destination,
     default_destination,
@@ -24,6 +23,7 @@ from pc2scan.bags.registry import (
     sniff,
 )
 from pc2scan.errors import DestinationError, RecordingError
+from pc2scan.model import Connection, Definition, Summary
 from support import RECORDINGS, needs_shared
 
 CONNECTIONS = {

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pc2scan.bags.model import Connection, RawMessage, StoredChunk
 from pc2scan.bags.units import Stretch, Unit, by_start, in_time_order
 from pc2scan.errors import RecordingError
+from pc2scan.model import Connection, RawMessage, StoredChunk
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

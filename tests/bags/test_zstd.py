@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 import zstandard
 
-from pc2scan.bags import limits, zstd
+from pc2scan.bags import zstd
 from pc2scan.bags.damage import DamageLog
 from pc2scan.errors import DamageError, RecordingError
+from pc2scan.files import limits
 
 if TYPE_CHECKING:
     from pathlib import Path

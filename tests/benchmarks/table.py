@@ -26,8 +26,8 @@ import zstandard
 import pc2scan
 from benchmarks.clouds import CLOUD_BYTES, FORMS, POINT_BYTES, POINTS, TRIFLE, Form, serialized_clouds, write_recording
 from benchmarks.test_projection import LAYOUTS, cloud, params_of, straightforward
-from pc2scan.bags.mcap_reader import McapReader
-from pc2scan.bags.rosbag1_reader import Rosbag1Reader
+from pc2scan.bags.mcap.reader import McapReader
+from pc2scan.bags.rosbag1.reader import Rosbag1Reader
 from pc2scan.core.kernel import COMPILED
 from pc2scan.core.project import Projector
 from pc2scan.messages.pointcloud2 import decode_pointcloud2

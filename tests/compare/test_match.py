@@ -11,11 +11,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pc2scan.bags.model import Connection, RawMessage
 from pc2scan.compare.match import Match, Stream, matched, moved_indices
 from pc2scan.compare.scan_text import ScanText
 from pc2scan.errors import RecordingError
 from pc2scan.messages.wire import Packer
+from pc2scan.model import Connection, RawMessage
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence

@@ -15,13 +15,13 @@ from ruamel.yaml import YAML
 from builders import CLOUD, SCAN, deserialized, serialized, typestore
 from e2e.command import run
 from e2e.outputs import opened
-from pc2scan.bags.model import Connection, RawMessage
 from pc2scan.cli.in_process import run_command
 from pc2scan.compare.rules import Rules
 from pc2scan.compare.scan_text import render
 from pc2scan.core import kernel, plain
 from pc2scan.golden.case import load_case
 from pc2scan.golden.check import check_case
+from pc2scan.model import Connection, RawMessage
 from support import GOLDEN, ROOT
 
 if TYPE_CHECKING:

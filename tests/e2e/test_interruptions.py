@@ -329,7 +329,7 @@ def test_a_source_that_is_cut_under_its_reader(
     compression: str | None, jobs: int, large: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """While its bytes are decompressed or projected, which are not copied before."""
-    from pc2scan.bags import mcap_chunks
+    from pc2scan.bags.mcap import chunks as mcap_chunks
     from pc2scan.pipeline.cloud_to_scan import CloudToScan
 
     source = tmp_path / ("drive.mcap" if compression else "drive.bag")

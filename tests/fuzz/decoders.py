@@ -26,14 +26,14 @@ from typing import TYPE_CHECKING, Any, cast
 import pc2scan
 from bags import mcap_files
 from fuzz.clouds import project_cloud
-from pc2scan.bags.model import ChunkRule, Connection, Definition, StoredChunk
-from pc2scan.bags.rosbag1_records import Damaged, parsed_connection, parsed_fields
+from pc2scan.bags.rosbag1.records import Damaged, parsed_connection, parsed_fields
 from pc2scan.errors import Pc2ScanError
+from pc2scan.model import ChunkRule, Connection, Definition, StoredChunk
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from pc2scan.bags.mcap_chunks import ChunkSegment
+    from pc2scan.bags.mcap.chunks import ChunkSegment
 
 __all__ = ["CORPUS", "DECODERS", "decode"]
 
@@ -156,7 +156,7 @@ def _salvage(data: bytes) -> None:
     import lz4.frame
     import zstandard
 
-    from pc2scan.bags.salvage import decompressed_prefix
+    from pc2scan.files.salvage import decompressed_prefix
 
     kinds: dict[str, tuple[bytes, Callable[[], Any]]] = {
         "bz2": (b"BZh", bz2.BZ2Decompressor),
@@ -179,7 +179,7 @@ def _ros1_frames(data: bytes) -> None:
     """Whatever is packed can be read by ROS 1."""
     import lz4.frame
 
-    from pc2scan.bags.rosbag1_lz4 import packed, ros1_reads
+    from pc2scan.bags.rosbag1.lz4_frames import packed, ros1_reads
 
     ros1_reads(b"\x04\x22\x4d\x18" + data)
     frame = packed(data)
@@ -190,7 +190,7 @@ def _ros1_frames(data: bytes) -> None:
 @cache
 def _chunk() -> tuple[bytes, ChunkSegment]:
     """Build an MCAP file up to the end of its chunk, and where that is."""
-    from pc2scan.bags.mcap_reader import McapReader
+    from pc2scan.bags.mcap.reader import McapReader
 
     with tempfile.TemporaryDirectory(prefix="pc2scan-fuzz-") as folder:
         path = Path(folder, "a.mcap")
@@ -202,8 +202,8 @@ def _chunk() -> tuple[bytes, ChunkSegment]:
 
 def _copies(data: bytes) -> None:
     """Message indexes behind a chunk, or the records in one."""
-    from pc2scan.bags.mcap_copies import whole_by_content, whole_by_index
-    from pc2scan.bags.mcap_records import CHUNK, OP_CHUNK, RECORD, RecordFile
+    from pc2scan.bags.mcap.copies import whole_by_content, whole_by_index
+    from pc2scan.bags.mcap.records import CHUNK, OP_CHUNK, RECORD, RecordFile
 
     front, segment = _chunk()
     rule = ChunkRule("mcap", frozenset({"zstd", "none"}), frozenset({1, 2}))
@@ -235,8 +235,8 @@ def _copies(data: bytes) -> None:
 
 def _pages(data: bytes) -> None:
     """A database, and as its last bytes its log: as many as the first two bytes say."""
-    from pc2scan.bags.sqlite3_logs import side_logs
-    from pc2scan.bags.sqlite3_pages import PageFile, rebuilt
+    from pc2scan.bags.rosbag2.sqlite3_logs import side_logs
+    from pc2scan.bags.rosbag2.sqlite3_pages import PageFile, rebuilt
 
     split = len(data) - min(int.from_bytes(data[:2], "little"), max(0, len(data) - 2))
 
@@ -282,7 +282,7 @@ def _rows(data: bytes) -> None:
 
 def _metadata(data: bytes) -> None:
     from pc2scan.bags.damage import DamageLog
-    from pc2scan.bags.rosbag2_metadata import read_info
+    from pc2scan.bags.rosbag2.metadata import read_info
 
     _file("metadata.yaml", data, lambda path: _ignored(read_info(path.parent, DamageLog())))
 

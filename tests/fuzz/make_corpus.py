@@ -35,11 +35,11 @@ from builders import (
 from fuzz import clouds
 from fuzz.decoders import CORPUS
 from pc2scan import ProjectionParams
-from pc2scan.bags.mcap_reader import McapReader
-from pc2scan.bags.mcap_records import MAGIC
-from pc2scan.bags.model import Connection, RawMessage
+from pc2scan.bags.mcap.reader import McapReader
+from pc2scan.bags.mcap.records import MAGIC
 from pc2scan.compare.scan_text import render
 from pc2scan.messages.laserscan import LASERSCAN
+from pc2scan.model import Connection, RawMessage
 from pc2scan.pipeline.params_file import render_params_file
 
 if TYPE_CHECKING:

@@ -19,7 +19,7 @@ from mcap.records import Schema
 from bags import mcap_files, rosbag1_files
 from builders import CHATTER, CLOUD, CONTENT, POINTS, T0, Item, Recording, cloud, item, points_of, write_rosbag2
 from hostile.bounded import run_bounded
-from pc2scan.bags.mcap_records import MAGIC
+from pc2scan.bags.mcap.records import MAGIC
 from pc2scan.messages.pointcloud2 import PointField, encode_pointcloud2
 
 if TYPE_CHECKING:

@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from pc2scan.bags.model import Connection
 from pc2scan.bags.registry import open_writer, plan_destination
 from pc2scan.errors import RecordingError
 from pc2scan.inspect.info import info
 from pc2scan.messages.definitions import definition
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointField, encode_pointcloud2
+from pc2scan.model import Connection
 from support import ROOT
 
 if TYPE_CHECKING:

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from pc2scan.bags.model import Definition, ros1_type
 from pc2scan.messages.definitions import TYPES, definition
+from pc2scan.model import Definition, ros1_type
 from support import GOLDEN, RECORDINGS, needs_shared
 
 SYSTEM_PYTHON = Path("/usr/bin/python3")

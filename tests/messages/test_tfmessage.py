@@ -11,9 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from pc2scan.bags.model import normalized_type
 from pc2scan.errors import DecodeError
 from pc2scan.messages.tfmessage import TF_TYPES, decode_transforms, encode_transforms
+from pc2scan.model import normalized_type
 
 if TYPE_CHECKING:
     from pc2scan.core.rigid import TransformRow

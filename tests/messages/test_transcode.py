@@ -14,10 +14,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pc2scan.bags.model import LATCHED_QOS, Connection, Definition, ros1_type
 from pc2scan.errors import DecodeError, UsageError
 from pc2scan.messages import definitions, schema
 from pc2scan.messages.transcode import DISTROS, transcoder
+from pc2scan.model import LATCHED_QOS, Connection, Definition, ros1_type
 from support import RECORDINGS, needs_shared
 
 if TYPE_CHECKING:

@@ -17,24 +17,22 @@ import pc2scan
 from bags.mcap_files import encoded, streamed
 from bags.rosbag1_files import ROS1, ROSBAG, ros1, ros1_missing, ros1_read
 from e2e.outputs import opened, physical_order
-from pc2scan.bags import (
-    mcap_chunks,
-    mcap_reader,
-    mcap_writer,
-    rosbag1_reader,
-    rosbag1_writer,
-    segments,
-)
-from pc2scan.bags.mcap_reader import McapReader
-from pc2scan.bags.mcap_writer import McapWriter
-from pc2scan.bags.model import Connection, Definition
-from pc2scan.bags.rosbag1_reader import Rosbag1Reader
-from pc2scan.bags.rosbag1_writer import Rosbag1Writer
-from pc2scan.bags.rosbag2_writer import Rosbag2Writer
-from pc2scan.bags.threads import Threads
+from pc2scan.bags.chunked import segments
+from pc2scan.bags.mcap import chunks as mcap_chunks
+from pc2scan.bags.mcap import reader as mcap_reader
+from pc2scan.bags.mcap import writer as mcap_writer
+from pc2scan.bags.mcap.reader import McapReader
+from pc2scan.bags.mcap.writer import McapWriter
+from pc2scan.bags.rosbag1 import reader as rosbag1_reader
+from pc2scan.bags.rosbag1 import writer as rosbag1_writer
+from pc2scan.bags.rosbag1.reader import Rosbag1Reader
+from pc2scan.bags.rosbag1.writer import Rosbag1Writer
+from pc2scan.bags.rosbag2.writer import Rosbag2Writer
 from pc2scan.errors import DamageError
 from pc2scan.messages.definitions import definition
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointField, encode_pointcloud2
+from pc2scan.model import Connection, Definition
+from pc2scan.threads import Threads
 
 if TYPE_CHECKING:
     from collections.abc import Callable

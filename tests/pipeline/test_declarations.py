@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from typing import Any
 
-from pc2scan.bags.model import Connection, Definition
+from pc2scan.model import Connection, Definition
 from pc2scan.pipeline.declarations import Declarations
 
 

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from pc2scan.bags.model import Connection, RawMessage
 from pc2scan.errors import TransformError, UsageError
 from pc2scan.messages.tfmessage import encode_transforms
+from pc2scan.model import Connection, RawMessage
 from pc2scan.pipeline.frames import (
     FrameOptions,
     Frames,

@@ -4,8 +4,8 @@ from typing import Any
 
 import pytest
 
-from pc2scan.bags.model import Connection
 from pc2scan.errors import TopicError
+from pc2scan.model import Connection
 from pc2scan.pipeline.options import ConvertOptions, TopicRequest
 from pc2scan.pipeline.plan import Plan, make_plan
 

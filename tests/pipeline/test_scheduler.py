@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from pc2scan.bags.model import Connection, RawMessage, StoredChunk
-from pc2scan.bags.threads import Threads
 from pc2scan.bags.units import Unit
+from pc2scan.model import Connection, RawMessage, StoredChunk
 from pc2scan.pipeline.scheduler import AHEAD_BYTES, LARGEST_AHEAD, Later, schedule
+from pc2scan.threads import Threads
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

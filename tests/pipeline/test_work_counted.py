@@ -10,16 +10,19 @@ import pytest
 
 import pc2scan
 from builders import transforms
-from pc2scan.bags import files, mcap_reader, rosbag1_reader, units
-from pc2scan.bags.mcap_reader import McapReader
-from pc2scan.bags.mcap_writer import McapWriter
-from pc2scan.bags.model import Connection, RawMessage
-from pc2scan.bags.rosbag1_reader import Rosbag1Reader
-from pc2scan.bags.rosbag1_writer import Rosbag1Writer
+from pc2scan.bags import units
+from pc2scan.bags.mcap import reader as mcap_reader
+from pc2scan.bags.mcap.reader import McapReader
+from pc2scan.bags.mcap.writer import McapWriter
+from pc2scan.bags.rosbag1 import reader as rosbag1_reader
+from pc2scan.bags.rosbag1.reader import Rosbag1Reader
+from pc2scan.bags.rosbag1.writer import Rosbag1Writer
 from pc2scan.core.project import PointCounts, Projector
 from pc2scan.errors import RecordingError
+from pc2scan.files import source as files
 from pc2scan.messages.definitions import definition
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointField, encode_pointcloud2
+from pc2scan.model import Connection, RawMessage
 from pc2scan.pipeline import cloud_to_scan, scheduler, stream
 from pc2scan.pipeline.conversion import Converted
 from pc2scan.pipeline.report import TopicReport
@@ -29,7 +32,7 @@ from pc2scan.pipeline.scheduler import Later
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from pc2scan.bags.segments import Segment
+    from pc2scan.bags.chunked.segments import Segment
 
 CLOUDS = 6
 T0 = 1_600_000_000_000_000_000
@@ -233,7 +236,7 @@ def test_large_chunks_are_not_copied(
     form: tuple[str, str], options: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """And what is made of them is the same where there can be no map."""
-    pytest.importorskip("pc2scan.bags._map", reason="maps are for Linux, where a C compiler was")
+    pytest.importorskip("pc2scan.files._map", reason="maps are for Linux, where a C compiler was")
     drive = record(tmp_path, *form, size=1 << 20)
     monkeypatch.setattr(files, "_map_of", lambda *_: None)
     expected = convert(drive, jobs=1, **options)

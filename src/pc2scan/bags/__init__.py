@@ -29,7 +29,7 @@ Importing this package imports no format: each is loaded when the first file of 
 
 from __future__ import annotations
 
-from .model import (
+from pc2scan.model import (
     Attachment,
     Buffer,
     Connection,
@@ -41,6 +41,7 @@ from .model import (
     normalized_type,
     ros1_type,
 )
+
 from .reader import Reader
 from .registry import (
     Container,

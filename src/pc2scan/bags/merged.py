@@ -1,6 +1,6 @@
 """Several sources read as one recording: connections unified, messages merged by log time.
 
-A split rosbag2 is the same thing on a smaller scale; `pc2scan.bags.rosbag2_reader` builds on this class.
+A split rosbag2 is the same thing on a smaller scale; `pc2scan.bags.rosbag2.reader` builds on this class.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from operator import attrgetter
 from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.errors import UsageError
+from pc2scan.model import Summary
 
-from .model import Summary
 from .reader import Reader
 from .units import UNKNOWN_START_NS
 
@@ -29,8 +29,9 @@ if TYPE_CHECKING:
     )
     from pathlib import Path
 
+    from pc2scan.model import Attachment, ChunkRule, Connection, Metadata, RawMessage, StoredChunk
+
     from .damage import Damage
-    from .model import Attachment, ChunkRule, Connection, Metadata, RawMessage, StoredChunk
     from .units import Item, Load, Unit
 
 __all__ = ["MergedReader", "as_one", "merged_summary", "unified"]

@@ -6,7 +6,7 @@ import re
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
-from .yaml import dump_yaml, load_yaml
+from pc2scan.files.yaml import dump_yaml, load_yaml
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -11,8 +11,9 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Generator, Iterable, Iterator, Sequence
     from pathlib import Path
 
+    from pc2scan.model import Attachment, ChunkRule, Connection, Metadata, RawMessage, Summary
+
     from .damage import Damage
-    from .model import Attachment, ChunkRule, Connection, Metadata, RawMessage, Summary
     from .units import Unit
 
 __all__ = ["Reader"]

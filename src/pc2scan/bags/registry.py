@@ -10,26 +10,28 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from pc2scan.errors import DestinationError, RecordingError
+from pc2scan.files.source import opened_bytes
+from pc2scan.files.staging import LEFTOVERS, working_names
+from pc2scan.files.temporary import private_folder
+from pc2scan.model import MAX_ROSBAG2_NS
 
 from . import zstd
 from .damage import DamageLog
-from .files import opened_bytes
-from .model import MAX_ROSBAG2_NS
 from .reader import Reader
-from .staging import LEFTOVERS, working_names
-from .temporary import private_folder
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Sequence
     from contextlib import ExitStack
 
+    from pc2scan.model import Attachment, ChunkRule, Connection, Metadata, Summary, Writer
+
     from .damage import Damage
-    from .model import Attachment, ChunkRule, Connection, Metadata, Summary, Writer
     from .units import Unit
 
 __all__ = [
     "Container",
     "Destination",
+    "beside_recording",
     "default_destination",
     "default_storage",
     "kept_form",
@@ -167,18 +169,18 @@ def open_recordings(
 def _open(path: Path, form: str, *, verify: bool, strict: bool) -> Reader:
     # Each format brings its libraries along: only the one that is read is imported.
     if form == "rosbag1":
-        from .rosbag1_reader import Rosbag1Reader  # noqa: PLC0415
+        from pc2scan.bags.rosbag1.reader import Rosbag1Reader  # noqa: PLC0415
 
         return Rosbag1Reader(path, strict=strict)
     if form == "mcap":
-        from .mcap_reader import McapReader  # noqa: PLC0415
+        from pc2scan.bags.mcap.reader import McapReader  # noqa: PLC0415
 
         return McapReader(path, verify=verify, strict=strict)
     if form == "sqlite3":
-        from .sqlite3_reader import Sqlite3Reader  # noqa: PLC0415
+        from pc2scan.bags.rosbag2.sqlite3_reader import Sqlite3Reader  # noqa: PLC0415
 
         return Sqlite3Reader(path, strict=strict)
-    from .rosbag2_reader import Rosbag2Reader  # noqa: PLC0415
+    from pc2scan.bags.rosbag2.reader import Rosbag2Reader  # noqa: PLC0415
 
     return Rosbag2Reader(path, verify=verify, strict=strict)
 
@@ -261,7 +263,7 @@ def _interrupted(path: Path) -> str | None:
 
 
 def _sniff_directory(path: Path) -> str:
-    from .rosbag2_metadata import METADATA_NAME, storage_files  # noqa: PLC0415
+    from pc2scan.bags.rosbag2.metadata import METADATA_NAME, storage_files  # noqa: PLC0415
 
     if (path / METADATA_NAME).exists() or storage_files(path):
         return "rosbag2"
@@ -271,6 +273,13 @@ def _sniff_directory(path: Path) -> str:
         path=path,
         hint=f"name the bags in it themselves: {', '.join(bags[:3])}" if bags else None,
     )
+
+
+def beside_recording(folder: Path) -> str:
+    """What a folder has in it beside a rosbag2 recording; empty for nothing."""
+    from .rosbag2 import metadata  # noqa: PLC0415  # it reads YAML, which few runs need
+
+    return metadata.beside_recording(folder)
 
 
 def _unpacked_head(path: Path) -> bytes:
@@ -494,7 +503,7 @@ def open_writer(destination: Destination, staged_path: Path, name: str) -> Write
     destination
         From `plan_destination`.
     staged_path
-        Where to write now; see `pc2scan.bags.staging.staged`.
+        Where to write now; see `pc2scan.files.staging.staged`.
     name
         What it will be called in the end: a rosbag2 directory's files are named after it.
 
@@ -504,14 +513,14 @@ def open_writer(destination: Destination, staged_path: Path, name: str) -> Write
         If it cannot be created.
     """
     if destination.container == "rosbag1":
-        from .rosbag1_writer import Rosbag1Writer  # noqa: PLC0415  (each format brings its libraries along)
+        from pc2scan.bags.rosbag1.writer import Rosbag1Writer  # noqa: PLC0415  (each format brings its libraries along)
 
         return Rosbag1Writer(staged_path, destination.compression)
     if destination.container == "mcap":
-        from .mcap_writer import McapWriter  # noqa: PLC0415
+        from pc2scan.bags.mcap.writer import McapWriter  # noqa: PLC0415
 
         return McapWriter(staged_path, destination.compression, destination.profile)
-    from .rosbag2_writer import Rosbag2Writer  # noqa: PLC0415
+    from pc2scan.bags.rosbag2.writer import Rosbag2Writer  # noqa: PLC0415
 
     return Rosbag2Writer(
         staged_path,

@@ -15,14 +15,13 @@ from operator import attrgetter
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar
 
 from pc2scan.errors import RecordingError
-
-from .model import RawMessage, StoredChunk, owned
+from pc2scan.model import RawMessage, StoredChunk, owned
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable, Iterator
     from pathlib import Path
 
-    from .files import SourceFile
+    from pc2scan.files.source import SourceFile
 
 __all__ = [
     "MAX_OPEN_BYTES",
@@ -76,7 +75,7 @@ class Load(Protocol):
         ----------
         callback
             Called with each wanted message where it was read or decompressed, while it is still in that core's cache.
-            The message's data may be borrowed: what is kept of them must be `pc2scan.bags.model.owned`.
+            The message's data may be borrowed: what is kept of them must be `pc2scan.model.owned`.
         whole
             Whether the chunk may be returned as a whole. It is only if its messages are sorted by log time.
         """

@@ -5,18 +5,19 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import DamageError, RecordingError
+from pc2scan.files.limits import MAX_FILE_RATIO, MAX_UNPACKED, allowed_bytes
+from pc2scan.files.source import opened_bytes
+from pc2scan.files.temporary import making_copy
 
 from .damage import RECOVER
-from .files import opened_bytes
-from .limits import MAX_FILE_RATIO, MAX_UNPACKED, allowed_bytes
-from .temporary import making_copy
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
 
+    from pc2scan.model import Buffer, RawMessage
+
     from .damage import DamageLog
-    from .model import Buffer, RawMessage
 
 __all__ = [
     "MAGIC",

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    from pc2scan.bags.model import Connection, RawMessage
+    from pc2scan.model import Connection, RawMessage
 
     from .libm import Lookup
 

@@ -21,12 +21,12 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pc2scan.bags.model import RawMessage
     from pc2scan.core.compare import Tolerance
     from pc2scan.core.rigid import Rigid
     from pc2scan.core.rounding import Proof
     from pc2scan.messages.laserscan import LaserScan
     from pc2scan.messages.pointcloud2 import PointCloud2
+    from pc2scan.model import RawMessage
 
     from .match import Source
     from .rules import Rules

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
     from pathlib import Path
 
-    from pc2scan.bags.model import Connection, RawMessage
+    from pc2scan.model import Connection, RawMessage
 
 __all__ = ["Match", "Source", "Stream", "header_stamp_ns", "matched", "moved_indices"]
 

@@ -15,7 +15,7 @@ from .scans import scan_changes, scan_values
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from pc2scan.bags.model import RawMessage
+    from pc2scan.model import RawMessage
 
     from .libm import Explainer
     from .rules import Rules

@@ -19,7 +19,7 @@ from .topic_difference import Place
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from pc2scan.bags.model import Buffer, RawMessage
+    from pc2scan.model import Buffer, RawMessage
 
     from .rules import Rules
     from .topic_difference import TopicDifference

@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pc2scan.bags.files import opened_bytes, opened_text
-from pc2scan.bags.limits import allowed_bytes
-from pc2scan.bags.model import Connection, RawMessage
 from pc2scan.errors import DecodeError, RecordingError, UsageError, stamp_text
+from pc2scan.files.limits import allowed_bytes
+from pc2scan.files.source import opened_bytes, opened_text
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan, encode_laserscan
 from pc2scan.messages.pointcloud2 import DATATYPES, PointField, decode_pointcloud2, encode_pointcloud2
+from pc2scan.model import Connection, RawMessage
 
 from .clouds import field_elements
 from .messages import DECODED, compare_messages

@@ -8,11 +8,11 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pc2scan.bags.files import opened_text
-from pc2scan.bags.overlap import Input
-from pc2scan.bags.yaml import MAX_CHARACTERS, load_yaml
 from pc2scan.compare.rules import Rules
 from pc2scan.errors import UsageError
+from pc2scan.files.overlap import Input
+from pc2scan.files.source import opened_text
+from pc2scan.files.yaml import MAX_CHARACTERS, load_yaml
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -9,11 +9,11 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
-from pc2scan.bags.overlap import Input, Output, refuse_overlap
-from pc2scan.bags.text_output import text_output
 from pc2scan.compare.diff import diff, open_source
 from pc2scan.compare.scan_text import render
 from pc2scan.errors import OutputError, Pc2ScanError, RecordingError, UsageError
+from pc2scan.files.overlap import Input, Output, refuse_overlap
+from pc2scan.files.text_output import text_output
 
 from .case import EXPECTED_TEXT, SETTINGS, load_case
 from .result import CaseResult, Outcome

@@ -7,8 +7,8 @@ import xml.etree.ElementTree as ET  # only written, never parsed
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from pc2scan.bags.overlap import Output
-from pc2scan.bags.text_output import text_output
+from pc2scan.files.overlap import Output
+from pc2scan.files.text_output import text_output
 
 from .check import refuse_output_over_cases
 from .result import Outcome

@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from pc2scan.bags.damage import Damage
-    from pc2scan.bags.model import Connection
     from pc2scan.bags.reader import Reader
     from pc2scan.core.consumers import Scan, Verdict
+    from pc2scan.model import Connection
     from pc2scan.tf.buffer import TransformBuffer
 
     from .scan_topic import Judged

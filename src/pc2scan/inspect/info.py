@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pc2scan.bags.damage import Damage
-    from pc2scan.bags.model import Connection, RawMessage, Summary
     from pc2scan.bags.reader import Reader
     from pc2scan.messages.pointcloud2 import PointCloud2
+    from pc2scan.model import Connection, RawMessage, Summary
 
 __all__ = ["CloudInfo", "FileInfo", "Info", "Spread", "TopicInfo", "info"]
 

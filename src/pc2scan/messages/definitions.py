@@ -9,7 +9,7 @@ from __future__ import annotations
 from functools import cache
 from pathlib import Path
 
-from pc2scan.bags.model import Definition, normalized_type
+from pc2scan.model import Definition, normalized_type
 
 __all__ = ["TYPES", "definition"]
 

@@ -14,7 +14,7 @@ from .wire import MEMORABLE_BYTES, Cursor, Packer
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from pc2scan.bags.model import Buffer
+    from pc2scan.model import Buffer
 
 __all__ = ["LASERSCAN", "LaserScan", "decode_laserscan", "encode_laserscan"]
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pc2scan.bags.model import Buffer
+    from pc2scan.model import Buffer
 
 __all__ = [
     "DATATYPES",

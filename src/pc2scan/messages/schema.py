@@ -20,13 +20,13 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Literal
 
-from pc2scan.bags.model import normalized_type, ros1_type
 from pc2scan.errors import DecodeError
+from pc2scan.model import normalized_type, ros1_type
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
 
-    from pc2scan.bags.model import Definition
+    from pc2scan.model import Definition
 
 __all__ = [
     "HEADER",

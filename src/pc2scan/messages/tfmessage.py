@@ -17,12 +17,12 @@ from .wire import Cursor, Packer
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from pc2scan.bags.model import Buffer
     from pc2scan.core.rigid import TransformRow
+    from pc2scan.model import Buffer
 
 __all__ = ["TF_TYPES", "decode_transforms", "encode_transforms"]
 
-#: The types that are decoded here, in ROS 2's spelling (`pc2scan.bags.model.normalized_type`).
+#: The types that are decoded here, in ROS 2's spelling (`pc2scan.model.normalized_type`).
 TF_TYPES = frozenset({"tf/msg/tfMessage", "tf2_msgs/msg/TFMessage"})
 
 #: A message with more transforms than this is damaged: each takes half a kilobyte once decoded.

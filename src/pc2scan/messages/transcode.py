@@ -17,8 +17,8 @@ from functools import lru_cache
 from threading import Lock
 from typing import TYPE_CHECKING, Any
 
-from pc2scan.bags.model import LATCHED_QOS, Definition, ros1_type
 from pc2scan.errors import DecodeError, UsageError
+from pc2scan.model import LATCHED_QOS, Definition, ros1_type
 
 from . import definitions as own_definitions
 from . import schema as schemas
@@ -26,7 +26,7 @@ from . import schema as schemas
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from pc2scan.bags.model import Buffer, Connection
+    from pc2scan.model import Buffer, Connection
 
     from .bounded import BoundedTypes
     from .schema import Schema, Struct

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 from pc2scan.errors import DecodeError
 
 if TYPE_CHECKING:
-    from pc2scan.bags.model import Buffer
+    from pc2scan.model import Buffer
 
 __all__ = ["MEMORABLE_BYTES", "Cursor", "Packer"]
 

@@ -8,8 +8,8 @@ from pc2scan.core.consumers import CONSUMERS, Scan, judge
 from pc2scan.messages.laserscan import decode_laserscan
 
 if TYPE_CHECKING:
-    from pc2scan.bags.model import Buffer
     from pc2scan.messages.laserscan import LaserScan
+    from pc2scan.model import Buffer
 
 __all__ = ["described", "refusal"]
 

@@ -16,10 +16,10 @@ from .conversion import Converted, Timing
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from pc2scan.bags.model import Buffer
     from pc2scan.core.params import ProjectionParams
     from pc2scan.core.project import ProjectedScan
     from pc2scan.messages.pointcloud2 import PointCloud2
+    from pc2scan.model import Buffer
 
     from .frames import Frames, Place
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from pc2scan.bags.model import Buffer
     from pc2scan.core.project import PointCounts
+    from pc2scan.model import Buffer
 
 __all__ = ["Conversion", "Converted", "Timing"]
 

@@ -6,14 +6,14 @@ import re
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from pc2scan.bags.model import Definition
 from pc2scan.bags.qos import merged_qos
 from pc2scan.errors import MessageError
+from pc2scan.model import Definition
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from pc2scan.bags.model import Connection, Writer
+    from pc2scan.model import Connection, Writer
 
 __all__ = ["Declarations"]
 

@@ -5,17 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from pc2scan.bags.files import opened_text
 from pc2scan.errors import DecodeError, ParameterError, Pc2ScanError, RecordingError, UsageError
+from pc2scan.files.source import opened_text
 from pc2scan.messages.tfmessage import TF_TYPES, decode_transforms
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
     from pathlib import Path
 
-    from pc2scan.bags.model import Connection
     from pc2scan.bags.reader import Reader
     from pc2scan.core.rigid import Rigid, TransformRow
+    from pc2scan.model import Connection
     from pc2scan.tf.buffer import TransformBuffer
 
 __all__ = [

@@ -23,11 +23,11 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pc2scan.bags.model import Connection
     from pc2scan.bags.reader import Reader
     from pc2scan.core.params import ProjectionParams
     from pc2scan.core.timing import Sweep
     from pc2scan.messages.pointcloud2 import PointCloud2
+    from pc2scan.model import Connection
 
     from .frames import Frames
 

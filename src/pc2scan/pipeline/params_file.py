@@ -6,8 +6,8 @@ import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, get_args
 
-from pc2scan.bags.files import opened_bytes
 from pc2scan.errors import ParameterError
+from pc2scan.files.source import opened_bytes
 
 from .parameters import (
     ALIASES,

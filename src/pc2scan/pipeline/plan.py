@@ -14,7 +14,7 @@ from pc2scan.messages.pointcloud2 import POINTCLOUD2
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from pc2scan.bags.model import Connection
+    from pc2scan.model import Connection
 
     from .options import ConvertOptions, TopicRequest
 

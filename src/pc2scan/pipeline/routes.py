@@ -6,10 +6,10 @@ import sys
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from pc2scan.bags.model import LATCHED_QOS, NEW_ID, ChunkRule, Connection
 from pc2scan.errors import MessageError, RecordingError
 from pc2scan.messages.definitions import definition
 from pc2scan.messages.tfmessage import encode_transforms
+from pc2scan.model import LATCHED_QOS, NEW_ID, ChunkRule, Connection
 
 from .frames import is_static
 from .report import TopicReport
@@ -17,9 +17,9 @@ from .report import TopicReport
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
-    from pc2scan.bags.model import Buffer, Definition, Writer
     from pc2scan.bags.reader import Reader
     from pc2scan.bags.registry import Destination
+    from pc2scan.model import Buffer, Definition, Writer
 
     from .conversion import Conversion, Converted
     from .declarations import Declarations

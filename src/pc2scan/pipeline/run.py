@@ -8,10 +8,9 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from pc2scan.bags.damage import RECOVER, Damage, count_details
-from pc2scan.bags.files import state_of
 from pc2scan.bags.merged import as_one
-from pc2scan.bags.overlap import Input, Output, refuse_overlap
 from pc2scan.bags.registry import (
+    beside_recording,
     default_destination,
     default_storage,
     kept_form,
@@ -19,9 +18,6 @@ from pc2scan.bags.registry import (
     open_writer,
     plan_destination,
 )
-from pc2scan.bags.staging import staged
-from pc2scan.bags.text_output import text_output
-from pc2scan.bags.threads import Threads
 from pc2scan.errors import (
     DamageError,
     DestinationError,
@@ -31,7 +27,12 @@ from pc2scan.errors import (
     TopicError,
     UsageError,
 )
+from pc2scan.files.overlap import Input, Output, refuse_overlap
+from pc2scan.files.source import state_of
+from pc2scan.files.staging import staged
+from pc2scan.files.text_output import text_output
 from pc2scan.messages.laserscan import LASERSCAN
+from pc2scan.threads import Threads
 
 from .acceptance import refusal
 from .declarations import Declarations
@@ -56,9 +57,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
     from pathlib import Path
 
-    from pc2scan.bags.model import Connection, Summary
     from pc2scan.bags.reader import Reader
     from pc2scan.bags.registry import Destination
+    from pc2scan.model import Connection, Summary
 
     from .conversion import Conversion
     from .options import ConvertOptions
@@ -132,7 +133,7 @@ def run(
         report.warnings += plan.warnings
         _refuse_overlap(sources, options, also_read or {}, path, output)
         deliver = _report_file(output, stack)
-        with staged(path, overwrite=output.overwrite) as partial:
+        with staged(path, overwrite=output.overwrite, beside_recording=beside_recording) as partial:
             span = _span(reader, options)
             conversion, others = _conversion(reader, plan, options, span, stack, report)
             writer = open_writer(target, partial, path.name)

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
     import numpy as np
 
-    from pc2scan.bags.model import Buffer
     from pc2scan.core.rigid import Rigid
+    from pc2scan.model import Buffer
 
     from .frames import Frames
 

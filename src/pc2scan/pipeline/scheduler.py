@@ -11,16 +11,16 @@ from collections import deque
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
-from pc2scan.bags.model import RawMessage, StoredChunk, owned
-from pc2scan.bags.threads import InOrder
 from pc2scan.bags.units import Handle, in_time_order, loaded, when_due
+from pc2scan.model import RawMessage, StoredChunk, owned
+from pc2scan.threads import InOrder
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable, Iterator
     from pathlib import Path
 
-    from pc2scan.bags.threads import Threads
     from pc2scan.bags.units import Timed, Unit
+    from pc2scan.threads import Threads
 
     Item = TypeVar("Item", bound=Timed)
 

@@ -7,8 +7,8 @@ from contextlib import closing
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.bags.model import StoredChunk, own, owned
 from pc2scan.errors import MessageError, UnwritableError
+from pc2scan.model import StoredChunk, own, owned
 
 from .report import Report, Skipped
 from .scheduler import Later, schedule
@@ -16,10 +16,10 @@ from .scheduler import Later, schedule
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterable, Iterator, Mapping
 
-    from pc2scan.bags.model import Buffer, ChunkRule, RawMessage, Writer
     from pc2scan.bags.reader import Reader
-    from pc2scan.bags.threads import Threads
     from pc2scan.bags.units import Unit
+    from pc2scan.model import Buffer, ChunkRule, RawMessage, Writer
+    from pc2scan.threads import Threads
 
     from .conversion import Converted
     from .options import ConvertOptions

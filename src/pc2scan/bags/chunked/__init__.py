@@ -1,0 +1,1 @@
+"""What containers that keep messages in chunks have in common."""

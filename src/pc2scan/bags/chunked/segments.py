@@ -1,0 +1,151 @@
+"""The stretches of a file that holds its messages in chunks, and which chunks may be handed on as a whole."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from dataclasses import dataclass
+from functools import partial
+from itertools import accumulate, zip_longest
+from operator import attrgetter
+from typing import TYPE_CHECKING, Protocol
+
+from pc2scan.bags.units import Stretch, Unit, by_start
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Iterable
+
+    from pc2scan.bags.units import Item
+    from pc2scan.files.source import SourceFile
+    from pc2scan.model import ChunkRule, RawMessage, StoredChunk
+
+#: Fewer uncompressed bytes are read in less time than handing them to another thread takes.
+_WORTH_A_THREAD = 1 << 20
+
+#: Chunks smaller than this, uncompressed, are not worth copying: their messages are gathered in larger ones.
+MIN_WHOLE_BYTES = 256 << 10
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """A stretch of a file that holds messages: a chunk, or a run of records outside any chunk.
+
+    Attributes
+    ----------
+    offset, length
+        The stored payload's place in the file, bytes.
+    compression
+        ``none``, ``bz2``, ``lz4`` or ``zstd``.
+    uncompressed_size
+        Bytes after decompression.
+    crc
+        CRC-32 of the uncompressed payload; 0 when there is none.
+    start_ns, end_ns
+        Log times of the earliest and the latest message, both inclusive.
+    connection_ids
+        The connections with messages in it; None when unknown (then it has to be read to find out).
+    """
+
+    offset: int
+    length: int
+    compression: str
+    uncompressed_size: int
+    crc: int
+    start_ns: int
+    end_ns: int
+    connection_ids: frozenset[int] | None = None
+
+    def may_hold(self, ids: frozenset[int] | None, start_ns: int | None, stop_ns: int | None) -> bool:
+        """Whether a message of these connections and times can be in it (``ids`` None: any connection)."""
+        return (
+            (start_ns is None or self.end_ns >= start_ns)
+            and (stop_ns is None or self.start_ns < stop_ns)
+            and (ids is None or self.connection_ids is None or not self.connection_ids.isdisjoint(ids))
+        )
+
+
+def standing_alone(
+    segments: Collection[Segment], rule: ChunkRule, start_ns: int | None, stop_ns: int | None
+) -> frozenset[Segment]:
+    """Find the chunks that can be handed on whole, by what is known of them without reading them.
+
+    Parameters
+    ----------
+    segments
+        All that are read.
+    rule
+        What the destination takes.
+    start_ns, stop_ns
+        The cut, ``start_ns <= log_time_ns < stop_ns``.
+
+    Returns
+    -------
+    frozenset[Segment]
+        Those of which everything is wanted, and between whose first and last message no other segment has any.
+    """
+    ordered = sorted(segments, key=attrgetter("start_ns", "offset"))
+    alone = []
+    latest = (-1, 0)
+    for segment, following in zip_longest(ordered, ordered[1:]):
+        if (
+            latest < (segment.start_ns, segment.offset)
+            and (following is None or segment.end_ns < following.start_ns)
+            and segment.connection_ids is not None
+            and segment.connection_ids <= rule.connection_ids
+            and segment.uncompressed_size >= MIN_WHOLE_BYTES
+            and (start_ns is None or start_ns <= segment.start_ns)
+            and (stop_ns is None or segment.end_ns < stop_ns)
+            and (rule.last_ns is None or segment.end_ns <= rule.last_ns)
+        ):
+            alone.append(segment)
+        latest = max(latest, (segment.end_ns, segment.offset))
+    return frozenset(alone)
+
+
+def times_around(segments: Iterable[Segment]) -> Callable[[int, int], dict[str, int | None]]:
+    """Tell the log times next to a place of the file.
+
+    The function returned takes where a stretch of the file starts and stops, and returns ``first_ns``, the latest log
+    time in front of it, and ``last_ns``, the earliest behind it; None where there are no messages. Segments
+    without times (``end_ns`` 0) do not count.
+    """
+    timed = sorted((segment for segment in segments if segment.end_ns), key=attrgetter("offset"))
+    offsets = [segment.offset for segment in timed]
+    latest = list(accumulate((segment.end_ns for segment in timed), max))
+    earliest = list(accumulate((segment.start_ns for segment in reversed(timed)), min))[::-1]
+
+    def around(start: int, stop: int) -> dict[str, int | None]:
+        before, behind = bisect_left(offsets, start), bisect_left(offsets, stop)
+        return {
+            "first_ns": latest[before - 1] if before else None,
+            "last_ns": earliest[behind] if behind < len(earliest) else None,
+        }
+
+    return around
+
+
+class LoadSegment(Protocol):
+    """Loads a segment; see `pc2scan.bags.units.Load`."""
+
+    def __call__(
+        self, segment: Segment, callback: Callable[[RawMessage], Item], *, whole: bool
+    ) -> list[Item] | StoredChunk:
+        """Return what the callback makes of each message, or the chunk as a whole."""
+        ...
+
+
+def units_of(
+    segments: Iterable[Segment], load: LoadSegment, alone: Collection[Segment], file: SourceFile
+) -> list[Unit]:
+    """Describe the segments of a file as units; those ``alone`` may be whole."""
+    return by_start(
+        Unit(
+            start_ns=segment.start_ns,
+            place=(segment.offset,),
+            size=segment.uncompressed_size,
+            load=partial(load, segment),
+            is_quick=segment.compression == "none" and segment.uncompressed_size < _WORTH_A_THREAD,
+            may_be_whole=segment in alone,
+            stretch=Stretch(file, segment.offset, segment.length),
+        )
+        for segment in segments
+    )

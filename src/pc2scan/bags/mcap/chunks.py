@@ -1,0 +1,210 @@
+"""MCAP's chunks: where one lies, and its records, decompressed."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeVar
+
+from pc2scan.bags.chunked.segments import Segment
+from pc2scan.files.crc32 import crc32
+from pc2scan.files.limits import allowed_bytes
+from pc2scan.model import own
+
+from .records import CHUNK, OP_CHUNK, RECORD, UINT64
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from pc2scan.model import Buffer
+
+    from .records import RecordFile
+
+__all__ = ["CHUNK_HEAD_SIZE", "ChunkSegment", "chunk_at", "payload", "stored_chunk", "unpacked_chunk", "with_payload"]
+
+_Result = TypeVar("_Result")
+
+# No compression has a longer name; a longer one is garbage.
+_MAX_COMPRESSION_NAME = 64
+
+CHUNK_HEAD_SIZE = RECORD.size + CHUNK.size + _MAX_COMPRESSION_NAME + UINT64.size
+
+
+@dataclass(frozen=True, slots=True)
+class ChunkSegment(Segment):
+    """A chunk. `crc` is that of a chunk whose header was read, else 0; loading goes by the header itself.
+
+    Attributes
+    ----------
+    record_offset
+        Where the chunk's record begins in the file.
+    index_length
+        Bytes of the message indexes behind it; 0 when unknown.
+    """
+
+    record_offset: int = 0
+    index_length: int = 0
+
+
+def chunk_at(data: Buffer, position: int, record_offset: int, file: RecordFile, *, exact: bool = True) -> ChunkSegment:
+    """Read the header of the chunk whose record begins at ``data[position]``.
+
+    ``exact`` asks that its payload ends where its record does.
+    """
+    malformed = f"the chunk at byte {record_offset} has a malformed header"
+    try:
+        _, record_length = RECORD.unpack_from(data, position)
+        start_ns, end_ns, size, crc, name_size = CHUNK.unpack_from(data, position + RECORD.size)
+        name_at = position + RECORD.size + CHUNK.size
+        (length,) = UINT64.unpack_from(data, name_at + min(name_size, _MAX_COMPRESSION_NAME))
+        name = str(data[name_at : name_at + name_size], "utf-8")
+    except (struct.error, UnicodeDecodeError) as err:
+        raise file.damage(malformed) from err
+    if name_size > _MAX_COMPRESSION_NAME:
+        raise file.damage(f"{malformed}: its compression has a name of {name_size} bytes")
+    head = CHUNK.size + name_size + UINT64.size
+    if head + length != record_length and exact:
+        raise file.damage(
+            f"the chunk at byte {record_offset} declares {length} bytes of records in {record_length} bytes",
+        )
+    return ChunkSegment(
+        offset=record_offset + RECORD.size + head,
+        length=length,
+        compression=name or "none",
+        uncompressed_size=size,
+        crc=crc,
+        start_ns=start_ns,
+        end_ns=end_ns,
+        record_offset=record_offset,
+    )
+
+
+def payload(file: RecordFile, segment: Segment, *, verify: bool = True) -> memoryview:
+    """Read a segment's records, decompressed.
+
+    Raises
+    ------
+    RecordingError
+        If the bytes are not there, do not decompress to the declared size, or fail their CRC.
+    """
+    return with_payload(file, segment, lambda data: memoryview(own(data)), verify=verify)
+
+
+def with_payload(
+    file: RecordFile, segment: Segment, callback: Callable[[memoryview], _Result], *, verify: bool = True
+) -> _Result:
+    """Call ``callback`` with what `payload` returns; they may be borrowed only, see `SourceFile.borrow`."""
+    if not isinstance(segment, ChunkSegment):
+        return file.borrow(segment.offset, segment.length, callback)
+    head = segment.offset - segment.record_offset
+
+    def unpacked(record: memoryview) -> _Result:
+        chunk = _confirmed(record, segment, file)
+        return callback(unpacked_chunk(file, chunk, record[head:], verify=verify))
+
+    return file.borrow(segment.record_offset, head + segment.length, unpacked)
+
+
+def stored_chunk(file: RecordFile, segment: ChunkSegment, more: int = 0) -> tuple[ChunkSegment, memoryview]:
+    """Read a chunk as it is stored.
+
+    Parameters
+    ----------
+    more
+        Bytes behind the chunk's records to read with them.
+
+    Returns
+    -------
+    tuple[ChunkSegment, memoryview]
+        What the chunk's own header says, and its compressed records with what is ``more``.
+
+    Raises
+    ------
+    RecordingError
+        If the bytes are not there, or the header is not what the index says.
+    """
+    head = segment.offset - segment.record_offset
+    record = memoryview(file.read(segment.record_offset, head + segment.length + more))
+    return _confirmed(record, segment, file), record[head:]
+
+
+def _confirmed(record: memoryview, segment: ChunkSegment, file: RecordFile) -> ChunkSegment:
+    """What a chunk's own header says, that comes with the same read: an index has no CRC, the header does."""
+    chunk = chunk_at(record, 0, segment.record_offset, file)
+    if record[0] != OP_CHUNK or _storage(chunk) != _storage(segment):
+        raise file.damage(f"the index and the chunk at byte {segment.record_offset} contradict each other")
+    return chunk
+
+
+def unpacked_chunk(file: RecordFile, chunk: ChunkSegment, data: memoryview, *, verify: bool = True) -> memoryview:
+    """Decompress a chunk's records, and compare them with the CRC that it has; see `payload`."""
+    unpacked = memoryview(_decompressed(data, chunk, file))
+    if verify and chunk.crc and (actual := crc32(unpacked)) != chunk.crc:
+        raise file.damage(
+            f"the chunk at byte {chunk.record_offset} has CRC {actual:08x}, recorded is {chunk.crc:08x}",
+        )
+    return unpacked
+
+
+def _storage(segment: Segment) -> tuple[int, int, str, int]:
+    return segment.offset, segment.length, segment.compression, segment.uncompressed_size
+
+
+def _decompressed(data: memoryview, chunk: ChunkSegment, file: RecordFile) -> Buffer:
+    """Decompress a chunk's payload into exactly the declared size."""
+    size = chunk.uncompressed_size
+    where = f"the chunk at byte {chunk.record_offset}"
+    if size == 0:
+        return b""
+    if size > (allowed := allowed_bytes(file.size)):
+        raise file.damage(
+            f"{where} declares {size} bytes uncompressed, in a file of {file.size} at most {allowed} may be"
+        )
+    if chunk.compression not in _DECOMPRESS:
+        raise file.damage(f"{where} has compression {chunk.compression!r}, known are none, lz4 and zstd")
+    try:
+        unpacked = _DECOMPRESS[chunk.compression](data, size)
+    except (MemoryError, OverflowError) as err:
+        raise file.damage(f"{where} declares {size} bytes uncompressed, which do not fit into memory") from err
+    except (ValueError, RuntimeError) as err:
+        raise file.damage(f"{where} cannot be decompressed to the declared {size} bytes: {err}") from err
+    if len(unpacked) != size:
+        raise file.damage(f"{where} decompresses to {len(unpacked)} bytes, declared are {size}")
+    return unpacked
+
+
+def _stored(data: memoryview, _size: int) -> Buffer:
+    return data
+
+
+def _from_lz4(data: memoryview, size: int) -> Buffer:
+    import lz4.frame  # noqa: PLC0415  (only recordings that need it pay for it)
+
+    decompressor = lz4.frame.LZ4FrameDecompressor()
+    # One byte more than allowed, to tell "too long" from "just right".
+    unpacked: bytes = decompressor.decompress(data, max_length=size + 1)
+    if len(unpacked) > size:
+        raise ValueError("there is more")
+    if not decompressor.eof:
+        raise ValueError(f"it ends after {len(unpacked)} bytes")
+    return unpacked
+
+
+def _from_zstd(data: memoryview, size: int) -> Buffer:
+    import zstandard  # noqa: PLC0415  (only recordings that need it pay for it)
+
+    try:
+        # The size in the frame's own header would win over the limit given here.
+        declared = zstandard.frame_content_size(data)
+        if declared >= 0 and declared != size:
+            raise ValueError(f"the compressed data declare {declared} bytes")
+        return zstandard.ZstdDecompressor().decompress(data, max_output_size=size)
+    except zstandard.ZstdError as err:
+        raise ValueError(str(err)) from err
+
+
+_DECOMPRESS: dict[str, Callable[[memoryview, int], Buffer]] = {
+    "none": _stored,
+    "lz4": _from_lz4,
+    "zstd": _from_zstd,
+}

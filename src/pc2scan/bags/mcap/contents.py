@@ -1,0 +1,444 @@
+"""What is where in an MCAP file.
+
+It is told by the summary at the end of the file, and by a walk over the headers of the records that the
+summary does not account for. A file without a summary is walked from end to end, in the same way.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections import Counter
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+from mcap import records
+from mcap.opcode import Opcode
+
+from pc2scan.bags.chunked.segments import Segment
+from pc2scan.bags.damage import MAX_PLACES
+from pc2scan.errors import DamageError
+from pc2scan.files.crc32 import crc32
+
+from .chunks import CHUNK_HEAD_SIZE, ChunkSegment, chunk_at
+from .records import CHUNK, MAGIC, MESSAGE, OP_CHUNK, OP_MESSAGE, OP_MESSAGE_INDEX, RECORD, UINT64, parse, split
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping
+
+    from pc2scan.bags.damage import DamageLog
+    from pc2scan.model import Buffer
+
+    from .records import RecordFile
+
+__all__ = ["RUN_SIZE", "Contents", "Walk", "find_contents", "find_declarations", "read_header", "read_summary"]
+
+_FOOTER_SIZE = RECORD.size + 20
+
+#: Messages outside chunks are read in stretches of about this size, bytes.
+RUN_SIZE = 4 << 20
+
+
+@dataclass(slots=True)
+class Contents:
+    """What is where in a file, however that was found out.
+
+    Attributes
+    ----------
+    profile
+        The header's.
+    schemas, channels
+        By id, in the order found.
+    segments
+        Chunks and runs of messages outside chunks, in the order found.
+    attachments, metadata
+        Where these records begin in the file.
+    statistics
+        The summary's, if it has them.
+    counts
+        Messages by channel, as far as they were counted.
+    all_counted
+        Whether `counts` tells of every message.
+    channels_listed
+        Whether the summary repeats the channels.
+    summarized
+        Whether a summary names the chunks.
+    verified
+        Whether the summary has the CRC that is recorded for it.
+    differing
+        Schemas and channels that are declared again, and differently: what and where.
+    """
+
+    profile: str = ""
+    schemas: dict[int, records.Schema] = field(default_factory=dict)
+    channels: dict[int, records.Channel] = field(default_factory=dict)
+    segments: list[Segment] = field(default_factory=list)
+    attachments: list[int] = field(default_factory=list)
+    metadata: list[int] = field(default_factory=list)
+    statistics: records.Statistics | None = None
+    counts: Counter[int] = field(default_factory=Counter)
+    all_counted: bool = True
+    channels_listed: bool = False
+    summarized: bool = False
+    verified: bool = False
+    differing: dict[str, int] = field(default_factory=dict)
+
+    def declare(self, opcode: int, content: Buffer, offset: int, file: RecordFile) -> None:
+        """Remember a Schema or a Channel; other records are ignored. The first of an id is kept."""
+        if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL):
+            return
+        record = _declared(opcode, content, offset, file)
+        known: dict[int, Any] = self.schemas if opcode == Opcode.SCHEMA else self.channels
+        # "A Schema record with an id of zero is invalid and should be ignored."
+        if (record.id or opcode == Opcode.CHANNEL) and known.setdefault(record.id, record) != record:
+            self._differs(_name_of(record), offset)
+
+    def contradicted_by(self, opcode: int, content: Buffer, offset: int, file: RecordFile) -> str | None:
+        """Name the schema or channel that this record declares otherwise than what is known; None if it does not."""
+        record = _declared(opcode, content, offset, file)
+        known: dict[int, Any] = self.schemas if opcode == Opcode.SCHEMA else self.channels
+        return _name_of(record) if known.get(record.id, record) != record else None
+
+    def _differs(self, what: str, offset: int) -> None:
+        if len(self.differing) < MAX_PLACES:
+            self.differing.setdefault(what, offset)
+
+
+def _declared(opcode: int, content: Buffer, offset: int, file: RecordFile) -> records.Schema | records.Channel:
+    if opcode == Opcode.SCHEMA:
+        return parse(records.Schema, content, offset, file)
+    return parse(records.Channel, content, offset, file)
+
+
+def _name_of(record: records.Schema | records.Channel) -> str:
+    return f"{type(record).__name__.lower()} {record.id}"
+
+
+def find_contents(file: RecordFile, *, verify: bool = True) -> Contents:
+    """Find out what is where in a sound file, but for channels that only chunks declare.
+
+    Parameters
+    ----------
+    file
+        The open file.
+    verify
+        Whether to compare the summary's CRC.
+
+    Raises
+    ------
+    RecordingError
+        If the file is not MCAP.
+    DamageError
+        If it is cut off, or contradicts itself.
+    """
+    contents = Contents()
+    start = read_header(file, contents)
+    end, accounted = read_summary(file, contents, verify=verify)
+    Walk(file, contents, accounted).run(start, end)
+    return contents
+
+
+def read_header(file: RecordFile, contents: Contents) -> int:
+    """Check the magic, note the profile, and return where the first record behind the header begins."""
+    magic = file.read(0, min(len(MAGIC), file.size))
+    if magic != MAGIC:
+        raise file.error(
+            f"is not an MCAP file: it begins with {magic.hex(' ') or 'nothing'}, expected {MAGIC.hex(' ')}"
+        )
+    content = file.record(len(MAGIC), Opcode.HEADER)
+    contents.profile = parse(records.Header, content, len(MAGIC), file).profile
+    return len(MAGIC) + RECORD.size + len(content)
+
+
+def read_summary(file: RecordFile, contents: Contents, *, verify: bool) -> tuple[int, dict[int, int]]:
+    """Read what the end of the file tells.
+
+    Returns
+    -------
+    tuple[int, dict[int, int]]
+        Where the data section ends, and for each chunk of it that the summary accounts for, its place
+        and the place of the record to look at next.
+    """
+    footer_offset = file.size - len(MAGIC) - _FOOTER_SIZE
+    tail = file.read(footer_offset, _FOOTER_SIZE + len(MAGIC)) if footer_offset > len(MAGIC) else b""
+    opcode, length = RECORD.unpack_from(tail) if tail else (0, 0)
+    if not tail.endswith(MAGIC) or opcode != Opcode.FOOTER or length != _FOOTER_SIZE - RECORD.size:
+        raise file.damage(f"has no footer at the end of its {file.size} bytes: the recording was cut off")
+    footer = parse(records.Footer, tail[RECORD.size : _FOOTER_SIZE], footer_offset, file)
+    start = footer.summary_start
+    if start == 0:
+        return footer_offset, {}
+    if not len(MAGIC) <= start <= footer_offset:
+        raise file.damage(f"the footer places the summary at byte {start}, allowed is up to {footer_offset}")
+    data = file.read(start, footer_offset - start)
+    if verify and footer.summary_crc:
+        # The footer counts too, up to the CRC itself.
+        actual = crc32(tail[: _FOOTER_SIZE - 4], crc32(data))
+        if actual != footer.summary_crc:
+            raise file.damage(f"the summary's CRC is {actual:08x}, recorded is {footer.summary_crc:08x}")
+        contents.verified = True
+    accounted: dict[int, int] = {}
+    for kind, content in split(memoryview(data), start, file):
+        if kind == Opcode.CHUNK_INDEX:
+            chunk, following = _indexed_chunk(content, start, file)
+            contents.segments.append(chunk)
+            contents.all_counted = False
+            accounted[chunk.record_offset] = following
+        elif kind == Opcode.STATISTICS:
+            contents.statistics = parse(records.Statistics, content, start, file)
+        else:
+            # Attachments and metadata are found by the walk: it costs little, and the index that @mcap/core
+            # 2.2.2 writes for files without chunks has wrong offsets.
+            contents.declare(kind, content, start, file)
+    if len(accounted) != len(contents.segments):
+        raise file.damage("the summary's index names a chunk twice")
+    contents.channels_listed = bool(contents.channels)
+    contents.summarized = bool(accounted)
+    return start, accounted
+
+
+def _indexed_chunk(content: memoryview, origin: int, file: RecordFile) -> tuple[ChunkSegment, int]:
+    """Read a ChunkIndex; returns the chunk and where its message indexes end."""
+    # Parsed here: the library's parser is many times slower, and a long recording has 100,000 of them.
+    try:
+        start_ns, end_ns, offset, length, offsets_size = struct.unpack_from("<QQQQI", content)
+        position = 36 + offsets_size
+        ids = frozenset(channel for channel, _ in struct.iter_unpack("<HQ", content[36:position]))
+        message_index_size, name_size = struct.unpack_from("<QI", content, position)
+        position += 12 + name_size
+        compressed, uncompressed = struct.unpack_from("<QQ", content, position)
+        name = str(content[position - name_size : position], "utf-8")
+    except (struct.error, UnicodeDecodeError) as err:
+        raise file.damage(f"a ChunkIndex record in the summary at byte {origin} is malformed") from err
+    chunk = ChunkSegment(
+        offset=offset + RECORD.size + CHUNK.size + name_size + UINT64.size,
+        length=compressed,
+        compression=name or "none",
+        uncompressed_size=uncompressed,
+        crc=0,
+        start_ns=start_ns,
+        end_ns=end_ns,
+        # Nothing listed: either there are no message indexes or no messages.
+        connection_ids=ids or None,
+        record_offset=offset,
+        index_length=message_index_size,
+    )
+    if chunk.offset + chunk.length > offset + length or offset + length > origin:
+        raise file.damage(
+            f"the index places a chunk of {length} bytes at byte {offset}, the data ends at byte {origin}",
+        )
+    return chunk, offset + length + message_index_size
+
+
+class _Window:
+    """A stretch of the file that moves along with a walk, so that small records cost no system call each."""
+
+    def __init__(self, file: RecordFile) -> None:
+        self._file = file
+        self._start = 0
+        self.data = b""
+
+    def locate(self, offset: int, length: int) -> int:
+        """Return where in `data` the bytes from ``offset`` on are (as many as the file has of ``length``)."""
+        position = offset - self._start
+        length = min(length, self._file.size - offset)
+        if position < 0 or position + length > len(self.data):
+            # After a jump over a large record probably comes another one: little is read ahead.
+            ahead = (1 << 18) if position <= len(self.data) else (1 << 12)
+            self.data = self._file.read(offset, min(max(length, ahead), self._file.size - offset))
+            self._start = offset
+            position = 0
+        return position
+
+
+class _Run:
+    """Messages one behind the other outside any chunk, while a walk collects them."""
+
+    __slots__ = ("end", "end_ns", "ids", "start", "start_ns")
+
+    def __init__(self, start: int, log_time_ns: int) -> None:
+        self.start = self.end = start
+        self.start_ns = self.end_ns = log_time_ns
+        self.ids: set[int] = set()
+
+    def add(self, channel_id: int, log_time_ns: int, end: int) -> None:
+        self.ids.add(channel_id)
+        self.end = end
+        self.start_ns = min(self.start_ns, log_time_ns)
+        self.end_ns = max(self.end_ns, log_time_ns)
+
+    def segment(self) -> Segment:
+        size = self.end - self.start
+        return Segment(self.start, size, "none", size, 0, self.start_ns, self.end_ns, frozenset(self.ids))
+
+
+class Walk:
+    """The linear pass: from record header to record header, without reading what lies between.
+
+    Parameters
+    ----------
+    file
+        The open file.
+    contents
+        Is completed. If the pass fails it holds everything in front of the damage.
+    accounted
+        Chunks that are known already: their place, and the place of the record to look at next.
+    """
+
+    def __init__(self, file: RecordFile, contents: Contents, accounted: Mapping[int, int] | None = None) -> None:
+        self._file = file
+        self._contents = contents
+        self._accounted = accounted or {}
+        self._run: _Run | None = None
+        self._chunk: ChunkSegment | None = None
+        self._indexed: Counter[int] = Counter()
+        #: The record looked at, and the one before it: where a pass that failed was.
+        self.offset = self.previous = 0
+
+    def run(self, offset: int, end: int) -> None:
+        """Walk from the record at byte ``offset`` until DataEnd or byte ``end``.
+
+        Raises
+        ------
+        RecordingError
+            If a record reaches beyond ``end`` or is malformed.
+        """
+        accounted, window = self._accounted, _Window(self._file)
+        unseen = len(accounted)
+        complete = False
+        try:
+            while offset < end:
+                self.previous, self.offset = self.offset, offset
+                if (following := accounted.get(offset)) is not None:
+                    self._close()
+                    unseen -= 1
+                    if not offset < following <= end:
+                        raise self._beyond(offset, following, end)
+                    offset = following
+                    continue
+                position = window.locate(offset, MESSAGE.size)
+                if offset + RECORD.size > end:
+                    raise self._beyond(offset, offset + RECORD.size, end)
+                opcode, length = RECORD.unpack_from(window.data, position)
+                following = offset + RECORD.size + length
+                if following > end:
+                    raise self._beyond(offset, following, end)
+                if opcode == OP_MESSAGE:
+                    self._message(window.data, position, offset, following)
+                elif opcode == Opcode.DATA_END:
+                    break
+                else:
+                    self._other(opcode, window, offset, following)
+                offset = following
+            if unseen:
+                raise self._file.damage("the summary's index names places where no chunk begins")
+            complete = True
+        finally:
+            self._close(complete=complete)
+
+    def _beyond(self, offset: int, following: int, end: int) -> DamageError:
+        return self._file.damage(f"the record at byte {offset} ends at byte {following}, the data at byte {end}")
+
+    def _message(self, data: bytes, position: int, offset: int, following: int) -> None:
+        if following - offset < MESSAGE.size:
+            raise self._file.damage(
+                f"the message at byte {offset} has {following - offset} bytes, at least 31 are needed"
+            )
+        _, _, channel_id, _, log_time_ns, _ = MESSAGE.unpack_from(data, position)
+        run = self._run
+        if run is None or following - run.start > RUN_SIZE:
+            self._close()
+            run = self._run = _Run(offset, log_time_ns)
+        run.add(channel_id, log_time_ns, following)
+        self._contents.counts[channel_id] += 1
+
+    def _other(self, opcode: int, window: _Window, offset: int, following: int) -> None:
+        """Take note of a record that is not a message."""
+        if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            # These may lie between messages of one run; loading the run steps over them.
+            content = self._file.read(offset + RECORD.size, following - offset - RECORD.size)
+            self._contents.declare(opcode, content, offset, self._file)
+        elif opcode == OP_MESSAGE_INDEX:
+            position = window.locate(offset, RECORD.size + 6) + RECORD.size
+            if following - offset < RECORD.size + 6:
+                raise self._file.damage(f"the message index at byte {offset} is too short")
+            channel_id, size = struct.unpack_from("<HI", window.data, position)
+            self._indexed[channel_id] += size // 16
+        else:
+            self._close()
+            if opcode == OP_CHUNK:
+                position = window.locate(offset, min(CHUNK_HEAD_SIZE, following - offset))
+                self._chunk = chunk_at(window.data, position, offset, self._file)
+            elif opcode == Opcode.ATTACHMENT:
+                self._contents.attachments.append(offset)
+            elif opcode == Opcode.METADATA:
+                self._contents.metadata.append(offset)
+
+    def _close(self, *, complete: bool = True) -> None:
+        """Finish the run or the chunk; message indexes are ``complete`` if another record follows."""
+        contents = self._contents
+        if self._run is not None:
+            contents.segments.append(self._run.segment())
+            self._run = None
+        if self._chunk is not None:
+            ids = frozenset(self._indexed) if complete and self._indexed else None
+            contents.segments.append(replace(self._chunk, connection_ids=ids))
+            contents.counts.update(self._indexed)
+            contents.all_counted = contents.all_counted and ids is not None
+            self._chunk = None
+        self._indexed.clear()
+
+
+def find_declarations(
+    file: RecordFile,
+    contents: Contents,
+    records_of: Callable[[ChunkSegment], Iterable[tuple[int, Buffer]]],
+    log: DamageLog,
+) -> None:
+    """Look for channels and schemas inside chunks, as far as they were not found outside.
+
+    ``records_of`` gives the opcodes and contents of a chunk's records; ``log`` takes note of those that are malformed.
+
+    Chunks are opened in the order of the file, first those with messages of unknown channels, and no
+    more of them than needed. Without a summary, a channel that has no messages may stay unknown.
+    """
+    chunks = [segment for segment in contents.segments if isinstance(segment, ChunkSegment)]
+    chunks.sort(key=lambda chunk: chunk.offset)
+    used = frozenset[int]().union(*(s.connection_ids for s in contents.segments if s.connection_ids))
+    all_used_known = all(segment.connection_ids is not None for segment in contents.segments)
+
+    def complete() -> bool:
+        """Whether every channel with messages and every schema of a channel is known."""
+        channels = contents.channels
+        if contents.statistics is not None:
+            enough = len(channels) >= contents.statistics.channel_count
+        else:
+            enough = contents.channels_listed or all_used_known
+        return (
+            enough
+            and used <= channels.keys()
+            and all(c.schema_id in contents.schemas for c in channels.values() if c.schema_id)
+        )
+
+    def promising(chunk: ChunkSegment) -> bool:
+        ids = chunk.connection_ids
+        return not contents.channels_listed if ids is None else not ids <= contents.channels.keys()
+
+    def declare_from(chunk: ChunkSegment) -> None:
+        for opcode, content in records_of(chunk):
+            try:
+                contents.declare(opcode, content, chunk.offset, file)
+            except DamageError as err:
+                log.note(err, offset=chunk.record_offset, key=opcode, bytes_lost=len(content))
+
+    rest = []
+    for chunk in chunks:
+        if complete():
+            return
+        if promising(chunk):
+            declare_from(chunk)
+        else:
+            rest.append(chunk)
+    for chunk in rest:
+        if complete():
+            return
+        declare_from(chunk)

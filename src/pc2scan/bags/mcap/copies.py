@@ -1,0 +1,136 @@
+"""Chunks of MCAP files that can be written again as a whole: their messages told without taking them out."""
+
+from __future__ import annotations
+
+import struct
+from typing import TYPE_CHECKING
+
+from pc2scan.bags.zstd import MAGIC as FRAME
+from pc2scan.files.crc32 import crc32
+from pc2scan.model import StoredChunk
+
+from .chunks import stored_chunk, unpacked_chunk
+from .records import MESSAGE, OP_MESSAGE, OP_MESSAGE_INDEX, RECORD, encoded
+
+if TYPE_CHECKING:
+    from collections.abc import Collection
+
+    from pc2scan.model import ChunkRule
+
+    from .chunks import ChunkSegment
+    from .contents import Contents
+    from .records import RecordFile
+
+    #: By channel: log times and places of its messages.
+    Index = dict[int, list[tuple[int, int]]]
+
+__all__ = ["agreed", "whole_by_content", "whole_by_index"]
+
+
+def agreed(contents: Contents, rule: ChunkRule) -> frozenset[int]:
+    """Find the channels that the destination declares as this file does: a chunk may repeat that unseen."""
+    found = []
+    for channel_id in rule.connection_ids & contents.channels.keys():
+        channel = contents.channels[channel_id]
+        schema = contents.schemas.get(channel.schema_id)
+        records = {encoded(channel)} if schema is None else {encoded(channel), encoded(schema)}
+        if records <= rule.declarations:
+            found.append(channel_id)
+    return frozenset(found)
+
+
+def whole_by_index(file: RecordFile, segment: ChunkSegment, rule: ChunkRule) -> StoredChunk | None:
+    """Read a chunk and the message indexes behind it, and decompress nothing.
+
+    Returns
+    -------
+    StoredChunk | None
+        None if it cannot keep its compression, its messages are not sorted by log time, the indexes do not tell of all
+        of them, or there may be declarations of others in front of the first one.
+
+    Raises
+    ------
+    RecordingError
+        If the bytes are not there, or the chunk's header is not what the index says.
+    """
+    if not segment.index_length or segment.compression not in rule.compressions:
+        return None
+    chunk, data = stored_chunk(file, segment, segment.index_length)
+    stored, indexes = data[: segment.length], data[segment.length :]
+    index: Index = {}
+    position = 0
+    while position < len(indexes):
+        if position + RECORD.size + 6 > len(indexes):
+            return None
+        opcode, length, channel_id, size = struct.unpack_from("<BQHI", indexes, position)
+        start = position + RECORD.size + 6
+        position += RECORD.size + length
+        if opcode != OP_MESSAGE_INDEX or size % 16 or start + size != position or position > len(indexes):
+            return None
+        if size:
+            index[channel_id] = sorted(struct.iter_unpack("<QQ", indexes[start:position]), key=_place)
+    entries = sorted((entry for found in index.values() for entry in found), key=_place)
+    if not entries or entries[0][1] != 0 or entries[-1][1] >= segment.uncompressed_size:
+        return None
+    if index.keys() != segment.connection_ids or not _in_order([time_ns for time_ns, _ in entries], segment):
+        return None
+    return StoredChunk(segment.compression, stored, segment.uncompressed_size, chunk.crc, index)
+
+
+def whole_by_content(
+    file: RecordFile, segment: ChunkSegment, rule: ChunkRule, *, verify: bool
+) -> StoredChunk | memoryview:
+    """Read a chunk, and decompress it to compare its CRC and to see what is in it.
+
+    Returns
+    -------
+    StoredChunk | memoryview
+        Its records, decompressed, if ``rule`` does not allow to copy it or its messages are not sorted by log time.
+
+    Raises
+    ------
+    RecordingError
+        As `pc2scan.bags.mcap.chunks.payload` does.
+    """
+    chunk, stored = stored_chunk(file, segment)
+    records = unpacked_chunk(file, chunk, stored, verify=verify)
+    index = _index_of(records, segment, rule.declarations)
+    if index is None or not index.keys() <= rule.connection_ids:
+        return records
+    crc = chunk.crc or crc32(records)
+    if chunk.compression not in rule.compressions:
+        return StoredChunk("", records, len(records), crc, index)
+    return StoredChunk(chunk.compression, stored, len(records), crc, index)
+
+
+def _index_of(records: memoryview, segment: ChunkSegment, declarations: Collection[bytes]) -> Index | None:
+    """Find a chunk's messages; None if there is anything but those, in order, and these declarations."""
+    index: Index = {}
+    times = []
+    position, size = 0, len(records)
+    while position + RECORD.size <= size:
+        opcode, length = RECORD.unpack_from(records, position)
+        following = position + RECORD.size + length
+        if following > size:
+            return None
+        if opcode != OP_MESSAGE:
+            if bytes(records[position:following]) not in declarations:
+                return None
+        elif following - position < MESSAGE.size or records[position + MESSAGE.size : following][:4] == FRAME:
+            # Messages that are packed one by one are unpacked, not copied.
+            return None
+        else:
+            _, _, channel_id, _, log_time_ns, _ = MESSAGE.unpack_from(records, position)
+            index.setdefault(channel_id, []).append((log_time_ns, position))
+            times.append(log_time_ns)
+        position = following
+    return index if position == size and times and _in_order(times, segment) else None
+
+
+def _in_order(times: list[int], segment: ChunkSegment) -> bool:
+    """Whether log times are sorted, and within those that are declared."""
+    return segment.start_ns <= times[0] and times[-1] <= segment.end_ns and times == sorted(times)
+
+
+def _place(entry: tuple[int, int]) -> int:
+    return entry[1]

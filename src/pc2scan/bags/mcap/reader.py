@@ -1,0 +1,543 @@
+"""Reading MCAP files, one chunk at a time."""
+
+from __future__ import annotations
+
+import struct
+from contextlib import suppress
+from functools import partial
+from typing import TYPE_CHECKING, NamedTuple
+
+from mcap import records
+from mcap.opcode import Opcode
+
+from pc2scan.bags.chunked.segments import standing_alone, units_of
+from pc2scan.bags.chunked.spans import SpanCheck
+from pc2scan.bags.damage import DamageLog
+from pc2scan.bags.qos import latches
+from pc2scan.bags.reader import Reader
+from pc2scan.bags.zstd import is_frame, unpacked_messages
+from pc2scan.errors import DamageError, stamp_text
+from pc2scan.files.crc32 import crc32
+from pc2scan.files.limits import MAX_CONNECTIONS
+from pc2scan.model import (
+    Attachment,
+    Connection,
+    Definition,
+    Metadata,
+    RawMessage,
+    StoredChunk,
+    Summary,
+    declared_counts,
+)
+
+from .chunks import ChunkSegment, chunk_at, payload, with_payload
+from .contents import Contents, find_contents, find_declarations
+from .copies import agreed, whole_by_content, whole_by_index
+from .records import FIRST_PRIVATE, MESSAGE, OP_MESSAGE, RECORD, RecordFile, parse, split
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from pc2scan.bags.chunked.segments import Segment
+    from pc2scan.bags.damage import Damage
+    from pc2scan.bags.units import Item, Unit
+    from pc2scan.model import ChunkRule
+
+__all__ = ["McapReader"]
+
+_SERIALIZATION_OF_SCHEMA = {"ros1msg": "ros1", "ros2msg": "cdr", "ros2idl": "cdr"}
+
+_ANY_TIME = (0, (1 << 64) - 1)
+
+_SERIALIZATION_OF_PROFILE = {"ros1": "ros1", "ros2": "cdr"}
+
+
+class McapReader(Reader):
+    """An open MCAP file; see `pc2scan.bags.reader.Reader`.
+
+    Channels become connections one to one: two channels of one topic stay two. Types, definitions
+    and metadata are passed on as recorded, whatever the profile.
+
+    Parameters
+    ----------
+    path
+        The file.
+    verify
+        Whether to compare the CRCs of the summary, the chunks and the attachments, where recorded. That
+        of the data section as a whole is not compared: it would need everything to be read.
+    strict
+        Whether damage is an error; otherwise it is read around, and told by `damage`.
+
+    Raises
+    ------
+    RecordingError
+        If the file cannot be read or is not MCAP.
+    DamageError
+        With ``strict``, if it is cut off or contradicts itself. Damage inside chunks is found when they are read.
+    """
+
+    def __init__(self, path: Path, *, verify: bool = True, strict: bool = False) -> None:
+        self._file = RecordFile(path)
+        self._log = DamageLog(strict=strict)
+        self._verify = verify
+        self._bytes_read = 0
+        self._connections: tuple[Connection, ...] = ()
+        #: Declarations in chunks that agree with those of the file.
+        self._agreed: set[bytes] = set()
+        try:
+            try:
+                self._contents = find_contents(self._file, verify=verify)
+            except DamageError as err:
+                from .recovery import recovered_contents  # noqa: PLC0415  # only damaged files pay for it
+
+                self._contents = recovered_contents(self._file, err, self._log, verify=verify)
+            find_declarations(self._file, self._contents, self._records, self._log)
+            self._note_differing(self._contents.differing)
+            self._compare_extras()
+            self._connections = tuple(_connections(self._contents, self._file, self._log))
+            self._spans = SpanCheck(
+                self._contents.segments,
+                self._indexed_span,
+                self._contained_span,
+                path,
+                self._log,
+                trusted=self._contents.verified,
+            )
+            self._spans.compare_ends()
+            self._summary = _summary(self._contents, self._file, self._log)
+        except BaseException:
+            self._file.close()
+            raise
+
+    @property
+    def path(self) -> Path:
+        """Where it was opened."""
+        return self._file.path
+
+    @property
+    def connections(self) -> Sequence[Connection]:
+        """One for each channel, in the order of the summary or, without one, of the file."""
+        return self._connections
+
+    @property
+    def summary(self) -> Summary:
+        """What is known without reading messages."""
+        return self._summary
+
+    @property
+    def bytes_read(self) -> int:
+        """Bytes of the segments loaded so far; those read twice count twice."""
+        return self._bytes_read
+
+    def units(
+        self,
+        connections: Collection[Connection] | None = None,
+        start_ns: int | None = None,
+        stop_ns: int | None = None,
+        rule: ChunkRule | None = None,
+    ) -> list[Unit]:
+        """Chunks, and runs of records outside chunks, by start; see `pc2scan.bags.reader.Reader`.
+
+        Without verifying, chunks whose message indexes tell everything are not decompressed where they are whole.
+        """
+        known = {connection.id: connection for connection in self._connections}
+        wanted = known
+        if connections is not None:
+            wanted = {connection.id: known[connection.id] for connection in connections if connection.id in known}
+        ids = None if connections is None else frozenset(wanted)
+        first = 0 if start_ns is None else start_ns
+        stop = 1 << 64 if stop_ns is None else stop_ns
+        if ids is not None and not ids:
+            return []
+        rule = rule if rule and rule.container == "mcap" else None
+        self._spans.compare_beside(ids, start_ns, stop_ns)
+        segments = [s for s in self._contents.segments if s.may_hold(ids, start_ns, stop_ns)]
+        alone = standing_alone(segments, rule, start_ns, stop_ns) if rule else frozenset()
+        blindly: frozenset[int] = frozenset()
+        if rule and alone and not self._verify and not self._packs(segments[0]):
+            blindly = agreed(self._contents, rule)
+
+        intolerant = DamageLog(strict=True)
+
+        def sound(segment: Segment, data: memoryview) -> list[RawMessage]:
+            span = _declared_span(segment)
+            further = partial(self._compare_declaration, data, segment) if isinstance(segment, ChunkSegment) else None
+            scan = _messages_in(data, wanted, first, stop, span or _ANY_TIME, further)
+            if scan.astray is not None and span:
+                raise self._file.damage(
+                    f"the chunk at byte {segment.offset} has a message of log time {stamp_text(scan.astray)}, "
+                    f"declared are {stamp_text(span[0])} to {stamp_text(span[1])}"
+                )
+            if scan.size != len(data):
+                raise self._file.damage(
+                    f"the records from byte {segment.offset} on are sound for {scan.size} of {len(data)} bytes"
+                )
+            if unknown := scan.others - known.keys():
+                raise self._file.damage(
+                    f"channel {min(unknown)} has messages near byte {segment.offset}, but is not declared"
+                )
+            return scan.messages
+
+        def load(segment: Segment, callback: Callable[[RawMessage], Item], *, whole: bool) -> list[Item] | StoredChunk:
+            self._bytes_read += segment.length
+            seen: StoredChunk | memoryview | None = None
+            if rule and whole and isinstance(segment, ChunkSegment):
+                # What is damaged is not copied.
+                with suppress(DamageError):
+                    if segment.connection_ids and segment.connection_ids <= blindly:
+                        seen = whole_by_index(self._file, segment, rule)
+                    seen = seen or whole_by_content(self._file, segment, rule, verify=self._verify)
+            if isinstance(seen, StoredChunk):
+                return seen
+
+            def taken(data: memoryview) -> list[Item]:
+                unpacked = unpacked_messages(sound(segment, data), intolerant, segment.offset, self._file.path)
+                return list(map(callback, unpacked))
+
+            # What is damaged is read again, to see what is left of it.
+            with suppress(DamageError):
+                return with_payload(self._file, segment, taken, verify=self._verify) if seen is None else taken(seen)
+            data, problem = self._prefix(segment)
+            found = []
+            try:
+                if problem is None:
+                    found = sound(segment, data)
+            except DamageError as err:
+                problem = err
+            if problem is not None:
+                left = self._salvaged(segment, data, problem)
+                found = [m for m in left if m.connection.id in wanted and first <= m.log_time_ns < stop]
+            return list(map(callback, unpacked_messages(found, self._log, segment.offset, self._file.path)))
+
+        return units_of(segments, load, alone, self._file)
+
+    def _prefix(self, segment: Segment) -> tuple[memoryview, DamageError | None]:
+        """A segment's records as far as they can be decompressed, and why that is not all."""
+        try:
+            return payload(self._file, segment, verify=self._verify), None
+        except DamageError as err:
+            if self._log.strict:
+                raise
+            from .recovery import payload_prefix  # noqa: PLC0415
+
+            return payload_prefix(self._file, segment, err)
+
+    def _packs(self, segment: Segment) -> bool:
+        """Whether messages are zstd frames of their own; one segment tells for all."""
+        data, _ = self._prefix(segment)
+        known = {connection.id: connection for connection in self._connections}
+        return any(map(is_frame, _messages_in(data, known, 0, 1 << 64).messages))
+
+    def _records(self, chunk: Segment) -> Iterator[tuple[int, memoryview]]:
+        """A chunk's records, as far as they can be read."""
+        data, problem = self._prefix(chunk)
+        if problem is None:
+            try:
+                return iter(list(split(data, chunk.offset, self._file)))
+            except DamageError as err:
+                problem = err
+        from .recovery import salvaged_records  # noqa: PLC0415
+
+        self._salvaged(chunk, data, problem)
+        return salvaged_records(data)
+
+    def _compare_declaration(self, data: memoryview, chunk: ChunkSegment, position: int) -> None:
+        """Take note if a chunk declares a schema or a channel otherwise than the rest of the file.
+
+        Raises
+        ------
+        DamageError
+            If the record is of a kind that no chunk may have.
+        """
+        opcode, length = RECORD.unpack_from(data, position)
+        if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL):
+            if opcode >= FIRST_PRIVATE:
+                return
+            raise self._file.damage(f"the chunk at byte {chunk.record_offset} has a record of kind {opcode} in it")
+        start = position + RECORD.size
+        record = bytes(data[position : start + length])
+        if record in self._agreed:
+            return
+        try:
+            what = self._contents.contradicted_by(opcode, record[RECORD.size :], chunk.record_offset, self._file)
+        except DamageError as err:
+            self._log.note(err, offset=chunk.record_offset, key=record[:64], messages_lost=0)
+            return
+        if what is not None:
+            self._note_differing({what: chunk.record_offset})
+        elif len(self._agreed) < MAX_CONNECTIONS:
+            self._agreed.add(record)
+
+    def _compare_extras(self) -> None:
+        """Take note of attachments and metadata records that the statistics count, and that are not there."""
+        statistics = self._contents.statistics
+        if statistics is None or self._log.found:
+            return
+        for kind, declared, places in (
+            ("attachments", statistics.attachment_count, self._contents.attachments),
+            ("metadata records", statistics.metadata_count, self._contents.metadata),
+        ):
+            if len(places) < declared:
+                error = f"the statistics count {declared} {kind}, {len(places)} were found"
+                self._log.note(self._file.damage(error), key=kind)
+
+    def _note_differing(self, places: Mapping[str, int]) -> None:
+        for what, offset in places.items():
+            error = self._file.damage(f"{what} is declared again, and differently, at byte {offset}")
+            self._log.note(error, offset=offset, key=what, messages_lost=0)
+
+    def _indexed_span(self, segment: Segment) -> tuple[int, int] | None:
+        """The log times of a chunk's messages by the records behind it, or by its own header; see `SpanCheck`."""
+        if not isinstance(segment, ChunkSegment):
+            return segment.start_ns, segment.end_ns
+        from .counts import indexed_span  # noqa: PLC0415
+
+        span = indexed_span(self._file, segment)
+        if span is None and self._contents.summarized:
+            with suppress(DamageError):
+                head = self._file.read(segment.record_offset, segment.offset - segment.record_offset)
+                chunk = chunk_at(head, 0, segment.record_offset, self._file)
+                span = chunk.start_ns, chunk.end_ns
+        return span
+
+    def _contained_span(self, segment: Segment) -> tuple[int, int] | None:
+        """The log times of a chunk's messages by themselves."""
+        data, problem = self._prefix(segment)
+        known = {connection.id: connection for connection in self._connections}
+        times = [message.log_time_ns for message in _messages_in(data, known, 0, 1 << 64).messages]
+        return (min(times), max(times)) if times and problem is None else None
+
+    def _salvaged(self, segment: Segment, data: memoryview, problem: DamageError) -> list[RawMessage]:
+        """Take note of a damaged segment, and find the messages that are left of it."""
+        if self._log.strict:
+            raise problem
+        from .recovery import salvaged_messages  # noqa: PLC0415
+
+        known = {connection.id: connection for connection in self._connections}
+        left = salvaged_messages(data, known, _declared_span(segment))
+        missing = max(segment.uncompressed_size - len(data), 0) + left.bytes_lost
+        last = left.messages[-1].log_time_ns if left.messages and len(data) < segment.uncompressed_size else None
+        self._log.note(
+            problem,
+            offset=segment.record_offset if isinstance(segment, ChunkSegment) else segment.offset,
+            bytes_lost=missing,
+            messages_lost=left.strangers if left.strangers and not missing else None if missing else 0,
+            first_ns=segment.start_ns if last is None else last,
+            last_ns=segment.end_ns,
+        )
+        return left.messages
+
+    @property
+    def damage(self) -> tuple[Damage, ...]:
+        """What is damaged, as far as it was read."""
+        return self._log.found
+
+    def counts(
+        self, connections: Collection[Connection], start_ns: int | None = None, stop_ns: int | None = None
+    ) -> dict[int, int]:
+        """Count by the statistics, or for a part of the time by message indexes; see `pc2scan.bags.reader.Reader`."""
+        declared = declared_counts(connections) if start_ns is None and stop_ns is None else {}
+        ids = frozenset(connection.id for connection in connections) - declared.keys()
+        if not ids:
+            return declared
+        from .counts import counts_between  # noqa: PLC0415  # only topics that are skipped need it
+
+        return declared | counts_between(self._file, self._contents.segments, ids, start_ns, stop_ns)
+
+    def attachments(self) -> Iterator[Attachment]:
+        """Attachments in the order of the file, each read when it is asked for."""
+        for offset in sorted(self._contents.attachments):
+            content = self._file.record(offset, Opcode.ATTACHMENT)
+            try:
+                record = parse(records.Attachment, content, offset, self._file)
+                # The CRC is behind the data, which are behind two times, two strings and their own length.
+                texts = len(record.name.encode()) + len(record.media_type.encode())
+                covered = 8 + 8 + 4 + 4 + texts + 8 + len(record.data)
+                (crc,) = struct.unpack_from("<I", content, covered)
+            except DamageError as err:
+                self._log.note(err, offset=offset, bytes_lost=len(content))
+                continue
+            if self._verify and crc and (actual := crc32(memoryview(content)[:covered])) != crc:
+                self._log.note(
+                    self._file.damage(f"attachment {record.name!r} has CRC {actual:08x}, recorded is {crc:08x}"),
+                    offset=offset,
+                )
+            yield Attachment(record.name, record.media_type, record.log_time, record.create_time, record.data)
+
+    def metadata(self) -> Iterator[Metadata]:
+        """Metadata records in the order of the file."""
+        for offset in sorted(self._contents.metadata):
+            content = self._file.record(offset, Opcode.METADATA)
+            try:
+                record = parse(records.Metadata, content, offset, self._file)
+            except DamageError as err:
+                self._log.note(err, offset=offset, bytes_lost=len(content))
+                continue
+            yield Metadata(record.name, record.metadata)
+
+    def close(self) -> None:
+        """Release the file."""
+        self._file.close()
+
+
+def _declared_span(segment: Segment) -> tuple[int, int] | None:
+    """The first and the last log time that a chunk declares; None if it does not."""
+    if isinstance(segment, ChunkSegment) and 0 < segment.start_ns <= segment.end_ns:
+        return segment.start_ns, segment.end_ns
+    return None
+
+
+class _Scan(NamedTuple):
+    """What is in a stretch of records.
+
+    Attributes
+    ----------
+    messages
+        The wanted ones, in the order of the file.
+    others
+        Further channels that have messages.
+    size
+        How many bytes are sound.
+    astray
+        The log time of a wanted message outside of the declared times.
+    """
+
+    messages: list[RawMessage]
+    others: set[int]
+    size: int
+    astray: int | None
+
+
+def _messages_in(
+    data: memoryview,
+    wanted: Mapping[int, Connection],
+    start_ns: int,
+    stop_ns: int,
+    span: tuple[int, int] = _ANY_TIME,
+    further: Callable[[int], None] | None = None,
+) -> _Scan:
+    """Scan records for messages; those outside of ``span``, the declared log times, are skipped.
+
+    ``further`` is called with the place of every record that is no message.
+    """
+    astray: int | None = None
+    first_ns, last_ns = span
+    # One comparison for both: which of them fails is found out only then.
+    start_ns, stop_ns = max(start_ns, first_ns), min(stop_ns, last_ns + 1)
+    found: list[RawMessage] = []
+    others: set[int] = set()
+    append, unpack = found.append, MESSAGE.unpack_from
+    # The class's own constructor takes twice as long, and this is where readers of small messages wait.
+    new: Callable[[type[RawMessage], tuple[object, ...]], RawMessage] = tuple.__new__
+    size = len(data)
+    last = size - MESSAGE.size
+    position = 0
+    while position <= last:
+        opcode, length, channel_id, sequence, log_time_ns, publish_time_ns = unpack(data, position)
+        following = position + 9 + length
+        if following > size:
+            return _Scan(found, others, position, astray)
+        if opcode == OP_MESSAGE:
+            if length < 22:
+                return _Scan(found, others, position, astray)
+            connection = wanted.get(channel_id)
+            if connection is None:
+                others.add(channel_id)
+            elif start_ns <= log_time_ns < stop_ns:
+                data_view = data[position + 31 : following]
+                append(new(RawMessage, (connection, log_time_ns, data_view, publish_time_ns, sequence)))
+            elif not first_ns <= log_time_ns <= last_ns:
+                astray = log_time_ns
+        elif further is not None:
+            further(position)
+        position = following
+    # What is left is too short for a message, but may be another record.
+    while position + 9 <= size and data[position] != OP_MESSAGE:
+        following = position + 9 + RECORD.unpack_from(data, position)[1]
+        if following > size:
+            break
+        if further is not None:
+            further(position)
+        position = following
+    return _Scan(found, others, position, astray)
+
+
+def _connections(contents: Contents, file: RecordFile, log: DamageLog) -> Iterator[Connection]:
+    for channel in contents.channels.values():
+        schema = contents.schemas.get(channel.schema_id)
+        if schema is None and channel.schema_id:
+            missing = f"channel {channel.id} has schema {channel.schema_id}, which is not in the file"
+            log.note(file.damage(missing), key=channel.id)
+        yield _connection(channel, schema, contents)
+
+
+def _connection(channel: records.Channel, schema: records.Schema | None, contents: Contents) -> Connection:
+    metadata = channel.metadata
+    encoding = schema.encoding if schema else ""
+    serialization = (
+        channel.message_encoding
+        or _SERIALIZATION_OF_SCHEMA.get(encoding)
+        or _SERIALIZATION_OF_PROFILE.get(contents.profile, "")
+    )
+    qos = metadata.get("offered_qos_profiles", "")
+    ros1 = serialization == "ros1"
+    return Connection(
+        id=channel.id,
+        topic=channel.topic,
+        msgtype=schema.name if schema else "",
+        serialization=serialization,
+        definition=Definition(encoding, schema.data) if schema else Definition(),
+        digest=metadata.get("topic_type_hash") or metadata.get("md5sum", ""),
+        callerid=metadata.get("callerid"),
+        latching=metadata.get("latching") in ("1", "true", "True") if ros1 else latches(qos),
+        qos=qos,
+        metadata=metadata,
+        message_count=_message_count(channel.id, contents),
+        schema_id=channel.schema_id,
+    )
+
+
+def _message_count(channel_id: int, contents: Contents) -> int | None:
+    statistics = contents.statistics
+    if statistics is None:
+        return contents.counts[channel_id] if contents.all_counted else None
+    # Writers may leave the counts by channel out.
+    if statistics.message_count and not statistics.channel_message_counts:
+        return None
+    return statistics.channel_message_counts.get(channel_id, 0)
+
+
+def _summary(contents: Contents, file: RecordFile, log: DamageLog) -> Summary:
+    statistics = contents.statistics
+    if statistics is not None:
+        count: int | None = statistics.message_count
+        times = (statistics.message_start_time, statistics.message_end_time) if count else None
+    else:
+        count, times = contents.counts.total() if contents.all_counted else None, None
+    if statistics is None or not contents.verified:
+        # A chunk without messages has both times zero.
+        held = [s for s in contents.segments if s.connection_ids is not None or s.end_ns]
+        found = (min(s.start_ns for s in held), max(s.end_ns for s in held)) if held else None
+        covers = times is not None and found is not None and times[0] <= found[0] <= found[1] <= times[1]
+        if times and found and not covers:
+            log.note(
+                file.damage(
+                    f"the statistics have log times {stamp_text(times[0])} to {stamp_text(times[1])}, "
+                    f"the messages {stamp_text(found[0])} to {stamp_text(found[1])}"
+                ),
+                key="statistics",
+                messages_lost=0,
+            )
+        # Of a damaged recording the statistics know more.
+        times = times if covers and log.found else found or times
+    return Summary(
+        container="mcap",
+        storage="",
+        compression=tuple(sorted({segment.compression for segment in contents.segments})),
+        size_bytes=file.size,
+        message_count=count,
+        start_ns=times[0] if times else None,
+        end_ns=times[1] if times else None,
+        profile=contents.profile,
+    )

@@ -1,0 +1,128 @@
+"""MCAP's records: their fixed parts, a file that they are read from, and taking them apart.
+
+Source of the format: https://mcap.dev/spec and https://mcap.dev/spec/registry.
+"""
+
+from __future__ import annotations
+
+import struct
+from io import BytesIO
+from typing import TYPE_CHECKING, TypeVar
+
+from mcap import records
+from mcap.data_stream import ReadDataStream, RecordBuilder
+from mcap.exceptions import EndOfFile
+
+from pc2scan.bags.damage import RECOVER
+from pc2scan.errors import DamageError
+from pc2scan.files.source import SourceFile
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from mcap.opcode import Opcode
+
+    from pc2scan.model import Buffer
+
+__all__ = [
+    "CHUNK",
+    "FIRST_PRIVATE",
+    "MAGIC",
+    "MESSAGE",
+    "OP_CHUNK",
+    "OP_MESSAGE",
+    "OP_MESSAGE_INDEX",
+    "RECORD",
+    "UINT64",
+    "RecordFile",
+    "encoded",
+    "parse",
+    "split",
+]
+
+#: The first and the last eight bytes of every file.
+MAGIC = b"\x89MCAP0\r\n"
+
+# Opcode and length of the content: how every record begins.
+RECORD = struct.Struct("<BQ")
+# The same with a message's channel id, sequence, log time and publish time.
+MESSAGE = struct.Struct("<BQHIQQ")
+# A chunk's first and last log time, uncompressed size, CRC, and the length of its compression's name.
+CHUNK = struct.Struct("<QQQII")
+UINT64 = struct.Struct("<Q")
+
+# Plain integers: comparing an IntEnum member costs a method call for each message.
+OP_MESSAGE, OP_CHUNK, OP_MESSAGE_INDEX = 0x05, 0x06, 0x07
+
+#: Opcodes from here on are anyone's.
+FIRST_PRIVATE = 0x80
+
+
+class RecordFile(SourceFile):
+    """An MCAP file that records are read from; whatever fails is a `RecordingError`."""
+
+    def damage(self, message: str) -> DamageError:
+        """Make the error for a file that is damaged."""
+        return DamageError(message, path=self.path, hint=RECOVER)
+
+    def record(self, offset: int, opcode: Opcode) -> bytes:
+        """Read the content of a record of a known kind."""
+        actual, length = RECORD.unpack(self.read(offset, RECORD.size))
+        if actual != opcode:
+            raise self.damage(
+                f"a record of kind {opcode} ({opcode.name}) is declared at byte {offset}, found {actual}",
+            )
+        return self.read(offset + RECORD.size, length)
+
+
+class _Fields(ReadDataStream):
+    """The content of one record for the library's parsers, which take short reads for granted otherwise."""
+
+    def __init__(self, content: Buffer) -> None:
+        super().__init__(BytesIO())
+        self._content = memoryview(content)
+
+    def read(self, length: int) -> bytes:
+        data = bytes(self._content[self._count : self._count + length])
+        if len(data) < length:
+            raise EndOfFile
+        self._count += length
+        return data
+
+
+_Record = TypeVar("_Record", bound=records.McapRecord)
+
+
+def parse(kind: type[_Record], content: Buffer, offset: int, file: RecordFile) -> _Record:
+    """Parse a record's content; ``offset`` is its place in the file, for the error."""
+    try:
+        parsed: _Record = kind.read(_Fields(content))  # type: ignore[attr-defined]
+    except (EndOfFile, struct.error, UnicodeDecodeError) as err:
+        raise file.damage(
+            f"the {kind.__name__} record at byte {offset} ({len(content)} bytes) contradicts its own lengths",
+        ) from err
+    return parsed
+
+
+def split(data: memoryview, origin: int, file: RecordFile) -> Iterator[tuple[int, memoryview]]:
+    """Split a sequence of records into opcodes and contents; ``origin`` is its place, for the error."""
+    position = 0
+    while position < len(data):
+        start = position + RECORD.size
+        if start > len(data):
+            break
+        opcode, length = RECORD.unpack_from(data, position)
+        position = start + length
+        if position > len(data):
+            break
+        yield opcode, data[start:position]
+    if position != len(data):
+        raise file.damage(f"the records from byte {origin} on do not end after {len(data)} bytes")
+
+
+def encoded(record: records.McapRecord) -> bytes:
+    """Pack a record, its opcode and length included."""
+    builder = RecordBuilder()
+    record.write(builder)
+    packed: bytes = builder.end()  # type: ignore[no-untyped-call]
+    return packed

@@ -1,0 +1,406 @@
+"""What is where in a damaged MCAP file, and which messages are left in a damaged chunk.
+
+Where the walk over the records loses its way, the file is searched for the next place that can only be a
+record; likewise inside a chunk. What no record accounts for is noted as lost.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from contextlib import suppress
+from dataclasses import replace
+from operator import attrgetter
+from typing import TYPE_CHECKING, NamedTuple
+
+from mcap import records
+from mcap.opcode import Opcode
+
+from pc2scan.bags.chunked.segments import times_around
+from pc2scan.errors import DamageError
+from pc2scan.files.salvage import Salvaged, decompressed_prefix, settled
+from pc2scan.model import RawMessage
+
+from .chunks import CHUNK_HEAD_SIZE, ChunkSegment, chunk_at
+from .contents import Contents, Walk, read_header, read_summary
+from .records import FIRST_PRIVATE, MAGIC, MESSAGE, OP_CHUNK, OP_MESSAGE, OP_MESSAGE_INDEX, RECORD, parse
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterable, Iterator, Mapping
+
+    from pc2scan.bags.chunked.segments import Segment
+    from pc2scan.bags.damage import DamageLog
+    from pc2scan.model import Connection
+
+    from .records import RecordFile
+
+__all__ = ["payload_prefix", "recovered_contents", "salvaged_messages", "salvaged_records"]
+
+#: Bytes that are searched at a time.
+_WINDOW = 1 << 20
+
+#: Opcodes up to here are the specification's.
+_LAST_OPCODE = 0x0F
+
+# An opcode and a length below 2^32 (messages) or 2^36 (all others).
+_MESSAGE_HEAD = re.compile(rb"(?=\x05[\s\S]{4}\0\0\0\0)")
+_RECORD_HEAD = re.compile(rb"(?=[\x03-\x07\x09\x0c][\s\S]{4}[\0-\x0f]\0\0\0)")
+
+#: Records that can be told from everything that a chunk may hold.
+_OUTSIDE_CHUNKS = frozenset({OP_CHUNK, OP_MESSAGE_INDEX, int(Opcode.ATTACHMENT), int(Opcode.METADATA)})
+_ANYWHERE = _OUTSIDE_CHUNKS | {OP_MESSAGE, int(Opcode.SCHEMA), int(Opcode.CHANNEL)}
+
+#: Records that chunks are made of.
+_INSIDE_CHUNKS = frozenset({OP_MESSAGE, int(Opcode.SCHEMA), int(Opcode.CHANNEL)})
+
+_COMPRESSIONS = ("none", "lz4", "zstd")
+
+
+class _Gap(NamedTuple):
+    """A stretch of the file that no record accounts for, and why."""
+
+    start: int
+    stop: int
+    error: DamageError
+
+
+def recovered_contents(file: RecordFile, problem: DamageError, log: DamageLog, *, verify: bool) -> Contents:
+    """Find out what is left in a damaged file.
+
+    Parameters
+    ----------
+    file
+        The open file.
+    problem
+        Why it is not sound.
+    log
+        Takes note of the damage.
+    verify
+        Whether a summary with a wrong CRC is distrusted.
+
+    Returns
+    -------
+    Contents
+        Chunks among its segments may reach to the end of the file and be cut off there.
+    """
+    if log.strict:
+        raise problem
+    contents = Contents()
+    noted: list[DamageError] = []
+    start = 0
+    try:
+        start = read_header(file, contents)
+    except DamageError as err:
+        noted.append(err)
+    if start < file.size and not _is_record(file, start, file.size):
+        start = _next_record(file, len(MAGIC) + 1, file.size, ())
+    summary, end = Contents(), file.size - len(MAGIC) * _ends_with_magic(file)
+    try:
+        end, _ = read_summary(file, summary, verify=verify)
+    except DamageError as err:
+        noted.append(err)
+        # A walk over the records of a summary does no harm, and finds channels.
+        summary = Contents()
+    contents.statistics = summary.statistics
+    gaps = list(_walked(file, contents, summary, start, end))
+    for identity, schema in summary.schemas.items():
+        contents.schemas.setdefault(identity, schema)
+    for identity, channel in summary.channels.items():
+        contents.channels.setdefault(identity, channel)
+    contents.channels_listed = summary.channels_listed
+    _adopt(contents, summary.segments, gaps)
+    around = times_around(contents.segments)
+    for error in noted or ([] if gaps else [problem]):
+        log.note(error, **around(file.size, file.size))
+    for gap in gaps:
+        log.note(gap.error, offset=gap.start, bytes_lost=gap.stop - gap.start, **around(gap.start, gap.stop))
+    return contents
+
+
+def _ends_with_magic(file: RecordFile) -> bool:
+    return file.size >= 2 * len(MAGIC) and file.read(file.size - len(MAGIC), len(MAGIC)) == MAGIC
+
+
+def _walked(file: RecordFile, contents: Contents, summary: Contents, start: int, end: int) -> Iterator[_Gap]:
+    """Walk, and where that fails go on at the next record; yields what lies between."""
+    position = start
+    while position < end:
+        walk = Walk(file, contents)
+        try:
+            walk.run(position, end)
+        except DamageError as err:
+            failed, previous, error = walk.offset, walk.previous, err
+        else:
+            if walk.offset and (rest := _behind_data_end(file, walk.offset, end)) is not None:
+                position = rest
+                continue
+            return
+        known = contents.channels.keys() | summary.channels.keys()
+        chunk = _chunk_in_front(file, failed, end)
+        if chunk is not None:
+            position = _end_of_chunk(file, chunk, end, known)
+            contents.segments.append(replace(chunk, length=min(chunk.length, position - chunk.offset)))
+            contents.all_counted = False
+            if position < chunk.offset + chunk.length:
+                # The chunk's own damage is noted when it is read; here only that it is not whole.
+                yield _Gap(failed, failed, error)
+            continue
+        # A record with a wrong length may have swallowed others, unless it is a chunk, whose lengths agree.
+        if previous and file.read(previous, 1)[0] != OP_CHUNK:
+            again = _next_record(file, previous + 1, end, known, limit=failed)
+            if again < failed:
+                _forget(contents, previous)
+                yield _Gap(previous, again, error)
+                position = again
+                continue
+        position = _next_record(file, failed + 1, end, known)
+        yield _Gap(failed, position, error)
+
+
+def _forget(contents: Contents, offset: int) -> None:
+    """Take back what was noted of the record that begins here, the last one of the walk."""
+    for places in (contents.attachments, contents.metadata):
+        if offset in places:
+            places.remove(offset)
+    run = contents.segments[-1] if contents.segments else None
+    if run is not None and not isinstance(run, ChunkSegment) and run.offset <= offset < run.offset + run.length:
+        contents.segments.pop()
+        if run.offset < offset:
+            contents.segments.append(replace(run, length=offset - run.offset))
+
+
+def _behind_data_end(file: RecordFile, offset: int, end: int) -> int | None:
+    """Where to go on if the walk ended at a DataEnd before ``end``: a summary without a footer follows."""
+    with suppress(DamageError):
+        opcode, length = RECORD.unpack(file.read(offset, RECORD.size))
+        if opcode == Opcode.DATA_END and offset + RECORD.size + length < end:
+            return int(offset + RECORD.size + length)
+    return None
+
+
+def _chunk_in_front(file: RecordFile, offset: int, end: int) -> ChunkSegment | None:
+    """The chunk whose record begins here, if its header makes sense though its length does not."""
+    size = min(CHUNK_HEAD_SIZE, end - offset)
+    if size < RECORD.size:
+        return None
+    data = file.read(offset, size)
+    if data[0] != OP_CHUNK:
+        return None
+    try:
+        chunk = chunk_at(data, 0, offset, file, exact=False)
+    except DamageError:
+        return None
+    return chunk if chunk.compression in _COMPRESSIONS and chunk.start_ns <= chunk.end_ns else None
+
+
+def _end_of_chunk(file: RecordFile, chunk: ChunkSegment, end: int, known: Collection[int]) -> int:
+    """Where the record behind a chunk with contradicting lengths begins."""
+    _, length = RECORD.unpack(file.read(chunk.record_offset, RECORD.size))
+    for stop in (chunk.offset + chunk.length, chunk.record_offset + RECORD.size + length):
+        if stop == end or (chunk.offset < stop < end and _is_record(file, stop, end)):
+            return int(stop)
+    return _next_record(file, chunk.offset, end, known, _OUTSIDE_CHUNKS)
+
+
+def _is_record(file: RecordFile, offset: int, end: int) -> bool:
+    """Whether a record can begin here: an opcode of the specification, and a length that fits."""
+    if offset + RECORD.size > end:
+        return False
+    opcode, length = RECORD.unpack(file.read(offset, RECORD.size))
+    return bool(0 < opcode <= _LAST_OPCODE and offset + RECORD.size + length <= end)
+
+
+def _next_record(
+    file: RecordFile,
+    start: int,
+    end: int,
+    known: Collection[int],
+    kinds: frozenset[int] = _ANYWHERE,
+    *,
+    limit: int | None = None,
+) -> int:
+    """Search, up to ``limit``, for a place where a record certainly begins; ``end`` if there is none."""
+    overlap = RECORD.size - 1
+    stop = end if limit is None else min(end, limit + overlap)
+    while start < stop:
+        window = file.read(start, min(_WINDOW + overlap, stop - start))
+        for match in _RECORD_HEAD.finditer(window):
+            position = match.start()
+            opcode, length = RECORD.unpack_from(window, position)
+            if opcode in kinds and _certain(file, opcode, start + position, length, end, known):
+                return start + position
+        if start + len(window) >= stop:
+            break
+        start += len(window) - overlap
+    return end
+
+
+def _certain(file: RecordFile, opcode: int, offset: int, length: int, end: int, known: Collection[int]) -> bool:
+    """Whether what looks like a record's beginning is one."""
+    if opcode == OP_CHUNK:
+        head = _chunk_in_front(file, offset, end)
+        return head is not None and bool(head.offset + head.length == offset + RECORD.size + length)
+    following = offset + RECORD.size + length
+    if following > end:
+        return False
+    if opcode == OP_MESSAGE:
+        if length < MESSAGE.size - RECORD.size:
+            return False
+        (channel,) = struct.unpack("<H", file.read(offset + RECORD.size, 2))
+        return channel in known and (following == end or _is_record(file, following, end))
+    if opcode == OP_MESSAGE_INDEX:
+        if length < 6:
+            return False
+        _, size = struct.unpack("<HI", file.read(offset + RECORD.size, 6))
+        return bool(size == length - 6 and size % 16 == 0)
+    # A parser allocates what lengths declare: nothing large is tried but attachments.
+    if not (following == end or _is_record(file, following, end)) or (length > _WINDOW and opcode != Opcode.ATTACHMENT):
+        return False
+    if opcode == Opcode.ATTACHMENT:
+        return length >= 40
+    kind = {Opcode.SCHEMA: records.Schema, Opcode.CHANNEL: records.Channel, Opcode.METADATA: records.Metadata}
+    try:
+        parse(kind[Opcode(opcode)], file.read(offset + RECORD.size, length), offset, file)
+    except DamageError:
+        return False
+    return True
+
+
+def _adopt(contents: Contents, indexed: Iterable[Segment], gaps: list[_Gap]) -> None:
+    """Take chunks from the summary's index that the walk found nothing of: their headers are damaged."""
+    found = sorted(contents.segments, key=attrgetter("offset"))
+    for segment in indexed:
+        stop = segment.offset + segment.length
+        if any(other.offset < stop and segment.offset < other.offset + other.length for other in found):
+            continue
+        contents.segments.append(segment)
+        contents.all_counted = False
+        for number, gap in enumerate(gaps):
+            if gap.start <= segment.offset and stop <= gap.stop:
+                # Its header is known from the index: nothing is lost here.
+                gaps[number] = gap._replace(stop=gap.start)
+
+
+# --- Inside chunks ---
+
+
+def payload_prefix(file: RecordFile, segment: Segment, problem: DamageError) -> tuple[memoryview, DamageError]:
+    """Read the records of a damaged segment as far as they can be decompressed, and tell better what the problem is."""
+    chunk: Segment = segment
+    if isinstance(segment, ChunkSegment):
+        head = file.read(segment.record_offset, min(CHUNK_HEAD_SIZE, file.size - segment.record_offset))
+        with suppress(DamageError):
+            found = chunk_at(head, 0, segment.record_offset, file)
+            if found.offset + found.length > file.size:
+                there = file.size - found.offset
+                problem = file.damage(
+                    f"the chunk at byte {segment.record_offset} is cut off: it has {there} of {found.length} bytes"
+                )
+            # A header that agrees with itself is right; another one is worth less than what was found otherwise.
+            if head[0] == OP_CHUNK and found.compression in _COMPRESSIONS and found.offset + found.length <= file.size:
+                chunk = found
+    data = file.read(chunk.offset, min(chunk.length, file.size - chunk.offset))
+    return memoryview(decompressed_prefix(data, chunk.compression, chunk.uncompressed_size)), problem
+
+
+def salvaged_messages(data: memoryview, known: Mapping[int, Connection], span: tuple[int, int] | None) -> Salvaged:
+    """Find the messages of a damaged chunk.
+
+    Parameters
+    ----------
+    data
+        Its records, as far as they could be decompressed.
+    known
+        Every channel.
+    span
+        The first and the last log time that the chunk declares, if it does; see `settled`.
+    """
+    messages: list[RawMessage] = []
+    strangers = lost = 0
+    for start, stop, sound in _framed(data, known, span):
+        if not sound or (data[start] not in _INSIDE_CHUNKS and data[start] < FIRST_PRIVATE):
+            lost += stop - start
+        elif data[start] == OP_MESSAGE:
+            _, _, channel_id, sequence, log_time_ns, publish_time_ns = MESSAGE.unpack_from(data, start)
+            connection = known.get(channel_id)
+            if connection is None:
+                strangers += 1
+                continue
+            messages.append(
+                RawMessage(connection, log_time_ns, data[start + MESSAGE.size : stop], publish_time_ns, sequence)
+            )
+    return Salvaged(settled(messages, span) if span else messages, lost, strangers)
+
+
+def salvaged_records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
+    """Split what is left of a chunk into opcodes and contents."""
+    for start, stop, sound in _framed(data, None, None):
+        if sound:
+            yield data[start], data[start + RECORD.size : stop]
+
+
+def _framed(
+    data: memoryview, known: Collection[int] | None, span: tuple[int, int] | None
+) -> Iterator[tuple[int, int, bool]]:
+    """Records and what lies between them: start, stop, and whether it is a record.
+
+    ``known`` None means that no channel is known as yet, and any is plausible.
+    """
+    size = len(data)
+    position = 0
+    # A record is held back until the next one begins where it ends: its length may be the damaged part.
+    held: tuple[int, int] | None = None
+    while position < size:
+        stop = _record_end(data, position)
+        if stop is not None:
+            if held is not None:
+                yield *held, True
+            held = (position, stop)
+            position = stop
+            continue
+        begin = position
+        if held is not None:
+            again = _next_message(data, held[0] + 1, position, known, span)
+            if again is not None:
+                begin, position = held[0], again
+            else:
+                yield *held, True
+        held = None
+        if begin == position:
+            found = _next_message(data, position + 1, size, known, span)
+            position = size if found is None else found
+        yield begin, position, False
+    if held is not None:
+        yield *held, True
+
+
+def _record_end(data: memoryview, position: int) -> int | None:
+    """Where the record that begins here ends; None if none does."""
+    if position + RECORD.size > len(data):
+        return None
+    opcode, length = RECORD.unpack_from(data, position)
+    stop = position + RECORD.size + length
+    if stop > len(data) or not (0 < opcode <= _LAST_OPCODE or opcode >= FIRST_PRIVATE):
+        return None
+    return None if opcode == OP_MESSAGE and length < MESSAGE.size - RECORD.size else int(stop)
+
+
+def _next_message(
+    data: memoryview, start: int, end: int, known: Collection[int] | None, span: tuple[int, int] | None
+) -> int | None:
+    """Search for a place before ``end`` where a message certainly begins."""
+    for match in _MESSAGE_HEAD.finditer(data, start):
+        position = match.start()
+        if position >= end:
+            return None
+        stop = _record_end(data, position)
+        if stop is None:
+            continue
+        _, _, channel_id, _, log_time_ns, _ = MESSAGE.unpack_from(data, position)
+        if known is not None and channel_id not in known:
+            continue
+        if span is not None and not span[0] <= log_time_ns <= span[1]:
+            continue
+        if stop + RECORD.size > len(data) or _record_end(data, stop) is not None or span is not None:
+            return position
+    return None

@@ -1,0 +1,258 @@
+"""The chunks of ROS 1 bags: decompressing them, and finding the records and messages in them.
+
+Messages are found by walking through a chunk. The INDEX DATA records behind it are never looked at: they hold
+nothing that the chunk does not, and some recorders get their length wrong.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, field
+from itertools import permutations
+from operator import itemgetter
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
+
+from pc2scan.errors import stamp_text
+from pc2scan.files.limits import allowed_bytes
+from pc2scan.model import RawMessage
+
+from .records import (
+    CONNECTION,
+    MESSAGE,
+    SECOND_NS,
+    UINT32,
+    UINT32_MAX,
+    Damaged,
+    kind_of,
+    parsed_fields,
+    time_field,
+    uint32_field,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+
+    from pc2scan.bags.chunked.segments import Segment
+    from pc2scan.model import Buffer, Connection
+
+    from .records import BagFile
+
+__all__ = ["USUAL_LAYOUT", "Places", "decompressed", "messages_in", "payload", "records_in", "with_payload"]
+
+_Result = TypeVar("_Result")
+
+#: Later than any time that a bag can hold.
+_LATEST_NS = (UINT32_MAX + 8) * SECOND_NS
+
+
+def payload(file: BagFile, segment: Segment) -> bytes:
+    """Read and decompress a chunk."""
+    return with_payload(file, segment, bytes)
+
+
+def with_payload(file: BagFile, segment: Segment, callback: Callable[[Buffer], _Result]) -> _Result:
+    """Call ``callback`` with a chunk, decompressed; it may be borrowed only, see `SourceFile.borrow`."""
+
+    def unpacked(data: memoryview) -> _Result:
+        return callback(decompressed(file, segment, data))
+
+    return file.borrow(segment.offset, segment.length, unpacked)
+
+
+def decompressed(file: BagFile, segment: Segment, data: Buffer) -> Buffer:
+    """Decompress a chunk's ``data`` to the size that it declares; one byte more shows an excess."""
+    compression, size = segment.compression, segment.uncompressed_size
+    if size > (allowed := allowed_bytes(file.size)):
+        raise Damaged(f"it declares {size} bytes, in a bag of {file.size} at most {allowed} may be")
+    if compression == "none":
+        return _checked(data, size)
+    try:
+        if compression == "bz2":
+            import bz2  # noqa: PLC0415  # heavy
+
+            bunzip2 = bz2.BZ2Decompressor()
+            data, complete = bunzip2.decompress(data, size + 1), bunzip2.eof
+        else:
+            import lz4.frame  # noqa: PLC0415  # heavy
+
+            # LZ4 allocates its limit at once, and cannot expand more than 255 times.
+            unlz4 = lz4.frame.LZ4FrameDecompressor()
+            data, complete = unlz4.decompress(data, min(size, 255 * len(data)) + 1), unlz4.eof
+    except (OSError, RuntimeError, EOFError, MemoryError) as err:
+        raise Damaged(f"its {compression} data cannot be decompressed: {err}") from err
+    if not complete and len(data) <= size:
+        raise Damaged(f"its {compression} data ends early, {size} bytes are declared")
+    return _checked(data, size)
+
+
+def _checked(data: Buffer, size: int) -> Buffer:
+    if len(data) != size:
+        observed = f"more than {size}" if len(data) > size else str(len(data))
+        raise Damaged(f"it holds {observed} bytes when decompressed, {size} are declared")
+    return data
+
+
+def _record(data: memoryview, position: int) -> tuple[dict[bytes, bytes], int, int]:
+    """Take a record of a chunk: its fields, and where its body starts and stops."""
+    lengths = []
+    for _ in range(2):
+        if position + 4 > len(data):
+            raise Damaged(f"a record's length does not fit into the {len(data)} bytes of its chunk")
+        (length,) = UINT32.unpack_from(data, position)
+        lengths.append(position + 4)
+        position += 4 + length
+        lengths.append(position)
+        if position > len(data):
+            raise Damaged(f"a record reaches to byte {position} of a chunk of {len(data)} bytes")
+    header, header_stop, body, body_stop = lengths
+    return parsed_fields(data[header:header_stop]), body, body_stop
+
+
+def records_in(data: memoryview) -> Iterator[tuple[dict[bytes, bytes], memoryview]]:
+    """All records of a chunk, as fields and body."""
+    position = 0
+    while position < len(data):
+        fields, start, position = _record(data, position)
+        yield fields, data[start:position]
+
+
+class _Layout(NamedTuple):
+    """A message record up to its body, its three fields in one of six orders.
+
+    Everything but the values is literal, so that one `struct` call takes the record apart, and comparing the
+    literals says whether it really was laid out so.
+    """
+
+    layout: struct.Struct
+    literals: itemgetter[tuple[object, ...]]
+    expected: tuple[bytes, ...]
+    connection: int
+    seconds: int
+
+
+def _layout(order: Sequence[bytes]) -> _Layout:
+    pieces = {
+        b"conn": (b"\x09\0\0\0conn=", "I"),
+        b"op": (b"\x04\0\0\0op=\x02", ""),
+        b"time": (b"\x0d\0\0\0time=", "II"),
+    }
+    code = "<"
+    literal = b"\x26\0\0\0"  # the length of the header: 38 bytes in any order
+    expected = []
+    for name in order:
+        more, values = pieces[name]
+        literal += more
+        if values:
+            expected.append(literal)
+            code += f"{len(literal)}s{values}"
+            literal = b""
+    expected.append(literal)
+    code += f"{len(literal)}sI"
+    if order.index(b"conn") < order.index(b"time"):
+        return _Layout(struct.Struct(code), itemgetter(0, 2, 5), tuple(expected), 1, 3)
+    return _Layout(struct.Struct(code), itemgetter(0, 3, 5), tuple(expected), 4, 1)
+
+
+_LAYOUTS = {order: _layout(order) for order in permutations((b"conn", b"op", b"time"))}
+
+USUAL_LAYOUT = _LAYOUTS[b"conn", b"op", b"time"]
+
+
+@dataclass(slots=True)
+class Places:
+    """Where in a chunk its messages begin, all of them, and which connections it describes.
+
+    ``contradicts`` tells whether one of these is described otherwise in the index.
+    """
+
+    messages: list[int] = field(default_factory=list)
+    described: set[int] = field(default_factory=set)
+    contradicts: bool = False
+
+
+def messages_in(
+    chunk: Buffer,
+    wanted: Mapping[int, Connection | None],
+    start_ns: int | None,
+    stop_ns: int | None,
+    *,
+    span: tuple[int, int] | None = None,
+    places: list[int] | None = None,
+    describe: Callable[[Mapping[bytes, bytes], Buffer], object] | None = None,
+) -> list[RawMessage]:
+    """Find the messages of a decompressed chunk.
+
+    Parameters
+    ----------
+    chunk
+        Its records; the messages' data are views into it.
+    wanted
+        For every connection that there is, itself, or None if its messages are to be passed over.
+    start_ns, stop_ns
+        Only messages with ``start_ns <= log_time_ns < stop_ns``.
+    span
+        The first and the last log time that the index declares, if it does.
+    places
+        Gets the place of every message, if given.
+    describe
+        Called with the fields and the body of each connection that the chunk describes.
+
+    Raises
+    ------
+    Damaged
+        If a record does not fit, is no message or connection, or is of a connection not in ``wanted``, or if a wanted
+        message lies outside of ``span``.
+    """
+    data = memoryview(chunk)
+    end = len(data)
+    low = 0 if start_ns is None else start_ns
+    high = _LATEST_NS if stop_ns is None else stop_ns
+    first, last = span or (0, _LATEST_NS)
+    # One comparison for both: which of them fails is found out only then.
+    low, high = max(low, first), min(high, last + 1)
+    messages = []
+    layout, literals, expected, at_connection, at_seconds = current = USUAL_LAYOUT
+    prefix = layout.size
+    position = 0
+    while position < end:
+        origin = position
+        values = layout.unpack_from(data, position) if position + prefix <= end else None
+        if values and literals(values) == expected:
+            identity = values[at_connection]
+            stamp = values[at_seconds] * SECOND_NS + values[at_seconds + 1]
+            start = position + prefix
+            position = start + values[6]
+            if position > end:
+                raise Damaged(f"a message reaches to byte {position} of a chunk of {end} bytes")
+        else:
+            fields, start, stop = _record(data, position)
+            # A writer keeps to its order of fields: follow it, and look at this record again.
+            other = _LAYOUTS.get(tuple(fields), current)
+            if other is not current and kind_of(fields) == MESSAGE:
+                layout, literals, expected, at_connection, at_seconds = current = other
+                continue
+            position = stop
+            if kind_of(fields) == CONNECTION:
+                if describe is not None:
+                    describe(fields, data[start:stop])
+                continue
+            if kind_of(fields) != MESSAGE:
+                raise Damaged(f"a record of kind {kind_of(fields)} lies where only messages and connections may")
+            identity = uint32_field(fields, "conn")
+            stamp = time_field(fields, "time")
+        try:
+            connection = wanted[identity]
+        except KeyError:
+            raise Damaged(f"it has a message of connection {identity}, which the index does not know") from None
+        if places is not None:
+            places.append(origin)
+        if connection is None:
+            continue
+        if low <= stamp < high:
+            messages.append(RawMessage(connection, stamp, data[start:position], stamp))
+        elif not first <= stamp <= last:
+            raise Damaged(
+                f"it has a message of log time {stamp_text(stamp)}, "
+                f"declared are {stamp_text(first)} to {stamp_text(last)}"
+            )
+    return messages

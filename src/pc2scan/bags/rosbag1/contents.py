@@ -1,0 +1,227 @@
+"""What a ROS 1 bag holds: its connections and chunks, from its index."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from pc2scan.bags.chunked.segments import Segment
+from pc2scan.errors import RecordingError
+from pc2scan.files.limits import MAX_CONNECTIONS
+
+from .chunks import payload, records_in
+from .records import (
+    BAG_HEADER,
+    CHUNK,
+    CHUNK_INFO,
+    COMPRESSIONS,
+    CONNECTION,
+    FIRST_LINE,
+    MESSAGE,
+    Damaged,
+    field_of,
+    kind_of,
+    parsed_connection,
+    text_of,
+    time_field,
+    uint32_field,
+    uint64_field,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from pc2scan.model import Buffer, Connection
+
+    from .records import BagFile
+
+__all__ = ["Contents", "Copies", "chunk_segment", "contained_span", "read_index"]
+
+
+@dataclass(frozen=True, slots=True)
+class Contents:
+    """What a bag holds, whichever way it was found out."""
+
+    connections: dict[int, Connection]
+    segments: list[Segment]
+
+
+class Copies:
+    """Compares what chunks say of connections with what the index says.
+
+    Parameters
+    ----------
+    connections
+        Those of the index.
+    """
+
+    def __init__(self, connections: Mapping[int, Connection]) -> None:
+        self._connections = connections
+        # What was equal is compared byte by byte from then on: some recorders repeat it in every chunk.
+        self._equal: dict[int, tuple[bytes | None, bytes]] = {}
+
+    def difference(self, fields: Mapping[bytes, bytes], body: Buffer) -> str | None:
+        """Say what is different in a chunk's copy of a connection; None if nothing is."""
+        try:
+            identity = uint32_field(fields, "conn")
+            record = (fields.get(b"topic"), bytes(body))
+            if self._equal.get(identity) == record:
+                return None
+            copy, known = parsed_connection(fields, body), self._connections.get(identity)
+        except Damaged as err:
+            return f"it describes a connection that cannot be read: {err}"
+        if known is None:
+            return f"it describes connection {identity}, which the index does not know"
+        if known == replace(copy, message_count=known.message_count):
+            self._equal[identity] = record
+            return None
+        for name in ("topic", "msgtype", "digest", "callerid"):
+            ours, theirs = getattr(known, name), getattr(copy, name)
+            if ours != theirs:
+                word = {"msgtype": "type", "digest": "md5sum"}.get(name, name)
+                return f"connection {identity} has {word} {theirs!r:.80} in it, {ours!r:.80} elsewhere"
+        part = "definition" if known.definition != copy.definition else "header"
+        return f"connection {identity} has another {part} in it than elsewhere"
+
+
+def read_index(file: BagFile) -> Contents:
+    """Find out what a bag holds from its index."""
+    position, connection_count, chunk_count = _read_bag_header(file)
+    if connection_count > MAX_CONNECTIONS:
+        raise Damaged(f"{connection_count} connections are declared, at most {MAX_CONNECTIONS} are believed")
+    connections: dict[int, Connection] = {}
+    for _ in range(connection_count):
+        fields, start, position = file.record(position, CONNECTION)
+        connection = parsed_connection(fields, file.body(start, position))
+        connections.setdefault(connection.id, connection)
+
+    counts = dict.fromkeys(connections, 0)
+    located = []
+    # Most chunks have the same connections: one set serves them all.
+    sets: dict[frozenset[int], frozenset[int]] = {}
+    for _ in range(chunk_count):
+        fields, start, position = file.record(position, CHUNK_INFO)
+        if (version := uint32_field(fields, "ver")) != 1:
+            raise Damaged(f"a chunk info has version {version}, only 1 can be read")
+        entries = uint32_field(fields, "count")
+        if 8 * entries != position - start:
+            raise Damaged(f"a chunk info of {position - start} bytes declares {entries} counts of 8 bytes")
+        numbers = struct.unpack(f"<{2 * entries}I", file.body(start, start + 8 * entries))
+        for identity, count in zip(numbers[::2], numbers[1::2], strict=True):
+            counts[identity] = counts.get(identity, 0) + count
+        ids = frozenset(numbers[::2])
+        if ids:
+            place = uint64_field(fields, "chunk_pos")
+            times = (time_field(fields, "start_time"), time_field(fields, "end_time"))
+            located.append((place, *times, sets.setdefault(ids, ids)))
+
+    if position < file.size:
+        _refuse_further(file, position)
+
+    segments = []
+    placed = [
+        replace(_segment(file, place), start_ns=start_ns, end_ns=end_ns, connection_ids=ids)
+        for place, start_ns, end_ns, ids in located
+    ]
+    _refuse_overlaps(placed, file.size)
+    for segment in placed:
+        # Zeros of a recorder that did not know are found out by looking.
+        known = segment if segment.end_ns else _with_times(file, segment)
+        if known:
+            segments.append(known)
+    connections.update(_find_connections(file, segments, set(counts) - set(connections)))
+    return Contents(
+        {key: replace(connection, message_count=counts[key]) for key, connection in connections.items()},
+        segments,
+    )
+
+
+def _refuse_further(file: BagFile, position: int) -> None:
+    """Raise if the index goes on behind what the bag header counts."""
+    try:
+        file.record(position, CHUNK_INFO)
+    except Damaged:
+        return
+    raise Damaged(f"it goes on at byte {position}, behind what the bag header counts")
+
+
+def _read_bag_header(file: BagFile) -> tuple[int, int, int]:
+    """Read where the index is, and how many connections and chunks it holds."""
+    first = file.head(len(FIRST_LINE))
+    if first != FIRST_LINE:
+        if first.startswith((b"#ROSBAG V1", b"#ROSRECORD")):
+            raise RecordingError(
+                f"begins with {first!r}, only bags of format 2.0 can be read",
+                path=file.path,
+                hint="rewrite it with ROS 1: rosbag fix OLD.bag NEW.bag",
+            )
+        raise RecordingError(f"begins with {first!r}, a ROS 1 bag begins with {FIRST_LINE!r}", path=file.path)
+    fields, _, _ = file.record(len(FIRST_LINE), BAG_HEADER)
+    if encryptor := text_of(fields.get(b"encryptor", b"")):
+        raise RecordingError(
+            f"is encrypted ({encryptor}), only bags that are not can be read",
+            path=file.path,
+            hint="decrypt it with ROS 1: rosbag decrypt FILE",
+        )
+    index_pos = uint64_field(fields, "index_pos")
+    if index_pos == 0:
+        raise Damaged("there is none, the bag was never closed (index_pos is 0)")
+    if index_pos > file.size:
+        raise Damaged(f"the index should be at byte {index_pos}, the file has {file.size} bytes")
+    return index_pos, uint32_field(fields, "conn_count"), uint32_field(fields, "chunk_count")
+
+
+def _segment(file: BagFile, chunk_pos: int) -> Segment:
+    fields, start, stop = file.record(chunk_pos, CHUNK)
+    return chunk_segment(fields, chunk_pos, start, stop)
+
+
+def chunk_segment(fields: Mapping[bytes, bytes], chunk_pos: int, start: int, stop: int) -> Segment:
+    """Make a segment of a chunk's record, as yet without times and connections."""
+    compression = text_of(field_of(fields, "compression"))
+    if compression not in COMPRESSIONS:
+        raise Damaged(
+            f"the chunk at byte {chunk_pos} is compressed with {compression!r}, a ROS 1 bag knows "
+            f"{', '.join(COMPRESSIONS)}"
+        )
+    size = uint32_field(fields, "size")
+    return Segment(start, stop - start, compression, size, crc=0, start_ns=0, end_ns=0)
+
+
+def _refuse_overlaps(segments: Sequence[Segment], size: int) -> None:
+    """A short file could otherwise hold its chunks as often as its index likes."""
+    if len({segment.offset for segment in segments}) < len(segments):
+        raise Damaged("the index names a chunk twice")
+    # One damaged length may reach into the next chunk, but not all of them.
+    if (stored := sum(segment.length for segment in segments)) > 2 * size:
+        raise Damaged(f"the chunks have {stored} bytes together, in a bag of {size}")
+
+
+def contained_span(file: BagFile, segment: Segment) -> tuple[int, int] | None:
+    """Read a chunk for the first and the last log time of its messages; None if it has none."""
+    records = records_in(memoryview(payload(file, segment)))
+    stamps = [time_field(fields, "time") for fields, _ in records if kind_of(fields) == MESSAGE]
+    return (min(stamps), max(stamps)) if stamps else None
+
+
+def _with_times(file: BagFile, segment: Segment) -> Segment | None:
+    """Find out a chunk's times by reading it; None if it has no messages."""
+    span = contained_span(file, segment)
+    return replace(segment, start_ns=span[0], end_ns=span[1]) if span else None
+
+
+def _find_connections(
+    file: BagFile, segments: Sequence[Segment], missing: set[int]
+) -> Iterator[tuple[int, Connection]]:
+    """Look inside the chunks for connections that have messages and are not in the index."""
+    for segment in segments:
+        if not missing:
+            return
+        for fields, body in records_in(memoryview(payload(file, segment))):
+            if kind_of(fields) == CONNECTION and uint32_field(fields, "conn") in missing:
+                connection = parsed_connection(fields, body)
+                missing.discard(connection.id)
+                yield connection.id, connection
+    if missing:
+        raise Damaged(f"connection {min(missing)} has messages and is described nowhere")

@@ -1,0 +1,229 @@
+"""Reading ROS 1 bags, one chunk at a time."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from functools import partial
+from typing import TYPE_CHECKING
+
+from pc2scan.bags.chunked.segments import standing_alone, units_of
+from pc2scan.bags.chunked.spans import SpanCheck
+from pc2scan.bags.damage import DamageLog
+from pc2scan.bags.reader import Reader
+from pc2scan.model import StoredChunk, Summary, declared_counts
+
+from .chunks import Places, decompressed, messages_in, with_payload
+from .contents import Copies, contained_span, read_index
+from .copies import first_uses, whole_chunk
+from .records import BagFile, Damaged, uint32_field
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Mapping, Sequence
+    from pathlib import Path
+
+    from pc2scan.bags.chunked.segments import Segment
+    from pc2scan.bags.damage import Damage
+    from pc2scan.bags.units import Item, Unit
+    from pc2scan.model import Buffer, ChunkRule, Connection, RawMessage
+
+__all__ = ["Rosbag1Reader"]
+
+
+class Rosbag1Reader(Reader):
+    """An open ROS 1 bag; a `Reader`.
+
+    Opening reads the index and the headers of the chunks. Chunks are read and decompressed one at a time,
+    when their first message is due, and their messages are views into them.
+
+    Parameters
+    ----------
+    path
+        A bag of format 2.0.
+
+    strict
+        Whether damage is an error; otherwise it is read around, and told by `damage`. Of a bag without an index that
+        can be used, the chunks whose own index records cannot be either are then read to open it.
+
+    Raises
+    ------
+    RecordingError
+        If it cannot be opened, is of format 1.x or encrypted.
+    DamageError
+        With ``strict``, if it has no index or contradicts itself; while messages are read, if a chunk does.
+    """
+
+    def __init__(self, path: Path, *, strict: bool = False) -> None:
+        self._path = path
+        self._log = DamageLog(strict=strict)
+        self._file = BagFile(path)
+        self._bytes_read = 0
+        try:
+            try:
+                self._contents = read_index(self._file)
+            except Damaged as err:
+                problem = self._file.damage_error(f"its index cannot be read: {err}")
+                from .recovery import recovered_contents  # noqa: PLC0415  # only damaged bags pay for it
+
+                self._contents = recovered_contents(self._file, problem, self._log)
+            self._copies = Copies(self._contents.connections)
+            self._spans = SpanCheck(
+                self._contents.segments, self._indexed_span, self._contained_span, path, self._log, trusted=False
+            )
+            self._spans.compare_ends()
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def path(self) -> Path:
+        """Where it was opened."""
+        return self._path
+
+    @property
+    def connections(self) -> Sequence[Connection]:
+        """Every connection, in the order of the index; those that only chunks describe come last."""
+        return tuple(self._contents.connections.values())
+
+    @property
+    def summary(self) -> Summary:
+        """What the index tells."""
+        segments = self._contents.segments
+        counts = [connection.message_count for connection in self.connections]
+        return Summary(
+            container="rosbag1",
+            storage="",
+            compression=tuple(sorted({segment.compression for segment in segments})),
+            size_bytes=self._file.size,
+            message_count=None if None in counts else sum(filter(None, counts)),
+            start_ns=min((segment.start_ns for segment in segments), default=None),
+            end_ns=max((segment.end_ns for segment in segments), default=None),
+        )
+
+    @property
+    def bytes_read(self) -> int:
+        """Stored bytes of the chunks that the latest call of `messages` has read so far."""
+        return min(self._bytes_read, self._file.size)
+
+    def units(
+        self,
+        connections: Collection[Connection] | None = None,
+        start_ns: int | None = None,
+        stop_ns: int | None = None,
+        rule: ChunkRule | None = None,
+    ) -> list[Unit]:
+        """Chunks by start; see `pc2scan.bags.reader.Reader`. They are decompressed to see whether they can be whole."""
+        rule = rule if rule and rule.container == "rosbag1" else None
+        known = self._contents.connections
+        ids = None if connections is None else frozenset(connection.id for connection in connections)
+        wanted = {key: item if ids is None or key in ids else None for key, item in known.items()}
+        self._bytes_read = 0
+        self._spans.compare_beside(ids, start_ns, stop_ns)
+        due = [segment for segment in self._contents.segments if segment.may_hold(ids, start_ns, stop_ns)]
+        alone = standing_alone(due, rule, start_ns, stop_ns) if rule else frozenset()
+        needed = first_uses(due, start_ns) if alone else {}
+
+        def load_whole(segment: Segment, rule: ChunkRule) -> list[RawMessage] | StoredChunk:
+            stored = self._file.read(segment.offset, segment.length)
+            chunk = decompressed(self._file, segment, stored)
+            places = Places()
+
+            def describe(fields: Mapping[bytes, bytes], body: Buffer) -> None:
+                places.described.add(uint32_field(fields, "conn"))
+                if not self._agrees(segment, fields, body):
+                    places.contradicts = True
+
+            span = (segment.start_ns, segment.end_ns)
+            messages = messages_in(
+                chunk, wanted, start_ns, stop_ns, span=span, places=places.messages, describe=describe
+            )
+            return whole_chunk(segment, stored, chunk, messages, places, rule, needed[segment]) or messages
+
+        def load(segment: Segment, callback: Callable[[RawMessage], Item], *, whole: bool) -> list[Item] | StoredChunk:
+            self._bytes_read += segment.length
+            if rule and whole:
+                # What is damaged is not copied.
+                with suppress(Damaged):
+                    found = load_whole(segment, rule)
+                    return found if isinstance(found, StoredChunk) else list(map(callback, found))
+
+            def taken(chunk: Buffer) -> list[Item]:
+                describe, span = partial(self._agrees, segment), (segment.start_ns, segment.end_ns)
+                return list(map(callback, messages_in(chunk, wanted, start_ns, stop_ns, span=span, describe=describe)))
+
+            try:
+                return with_payload(self._file, segment, taken)
+            except Damaged as err:
+                problem = err
+            low, high = start_ns or 0, stop_ns
+            left = [
+                message
+                for message in self._salvaged(segment, problem)
+                if wanted[message.connection.id] is not None
+                and low <= message.log_time_ns
+                and (high is None or message.log_time_ns < high)
+            ]
+            return list(map(callback, left))
+
+        return units_of(due, load, alone, self._file)
+
+    def _agrees(self, segment: Segment, fields: Mapping[bytes, bytes], body: Buffer) -> bool:
+        """Whether a chunk describes a connection as the index does; takes note if not."""
+        difference = self._copies.difference(fields, body)
+        if difference is not None:
+            error = f"the chunk with data at byte {segment.offset} contradicts the index: {difference}"
+            self._log.note(self._file.damage_error(error), offset=segment.offset, key=difference, messages_lost=0)
+        return difference is None
+
+    def _indexed_span(self, segment: Segment) -> tuple[int, int] | None:
+        from .counts import indexed_span  # noqa: PLC0415
+
+        return indexed_span(self._file, segment)
+
+    def _contained_span(self, segment: Segment) -> tuple[int, int] | None:
+        try:
+            return contained_span(self._file, segment)
+        except Damaged:
+            return None
+
+    def _salvaged(self, segment: Segment, problem: Damaged) -> list[RawMessage]:
+        """Take note of a damaged chunk, and find the messages that are left of it."""
+        error = self._file.damage_error(f"the chunk with data at byte {segment.offset} cannot be read: {problem}")
+        if self._log.strict:
+            raise error from problem
+        from .recovery import payload_prefix, salvaged_messages  # noqa: PLC0415
+
+        chunk = payload_prefix(self._file, segment)
+        left = salvaged_messages(chunk, self._contents.connections, (segment.start_ns, segment.end_ns))
+        missing = max(segment.uncompressed_size - len(chunk), 0)
+        last = left.messages[-1].log_time_ns if left.messages and missing else None
+        missing += left.bytes_lost
+        self._log.note(
+            error,
+            offset=segment.offset,
+            bytes_lost=missing,
+            messages_lost=None if missing else left.strangers,
+            first_ns=segment.start_ns if last is None else last,
+            last_ns=segment.end_ns,
+        )
+        return left.messages
+
+    def counts(
+        self, connections: Collection[Connection], start_ns: int | None = None, stop_ns: int | None = None
+    ) -> dict[int, int]:
+        """Count by the index, or for a part of the time by the chunks' own; see `pc2scan.bags.reader.Reader`."""
+        declared = declared_counts(connections) if start_ns is None and stop_ns is None else {}
+        ids = frozenset(connection.id for connection in connections) - declared.keys()
+        if not ids:
+            return declared
+        from .counts import counts_between  # noqa: PLC0415  # only topics that are skipped need it
+
+        return declared | counts_between(self._file, self._contents.segments, ids, start_ns, stop_ns)
+
+    @property
+    def damage(self) -> tuple[Damage, ...]:
+        """What is damaged, as far as it was read."""
+        return self._log.found
+
+    def close(self) -> None:
+        """Release the file. Messages that were handed out stay valid."""
+        self._file.close()

@@ -1,0 +1,223 @@
+"""The records of ROS 1 bags, format 2.0, and a file that they are read from.
+
+A bag is a line of magic and a run of records; a record is a header of named fields and a body, each behind
+a uint32 length. Messages lie in chunks, in which records are packed and compressed together. Behind the
+chunks stands the index: every connection, and for every chunk its place, times and counts.
+
+::
+
+    #ROSBAG V2.0
+    BAG HEADER                         padded to 4096 bytes; says where the index is
+    CHUNK { CONNECTION | MESSAGE }*    followed by an INDEX DATA record for each connection in it
+    ...
+    CONNECTION ...                     the index
+    CHUNK INFO ...
+
+Source: http://wiki.ros.org/Bags/Format/2.0, and where that is silent, what ROS 1's own reader accepts.
+"""
+
+from __future__ import annotations
+
+import struct
+from typing import TYPE_CHECKING
+
+from pc2scan.bags.damage import RECOVER
+from pc2scan.errors import DamageError
+from pc2scan.files.source import SourceFile
+from pc2scan.model import Connection, Definition
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from pc2scan.model import Buffer
+
+__all__ = [
+    "BAG_HEADER",
+    "CHUNK",
+    "CHUNK_INFO",
+    "COMPRESSIONS",
+    "CONNECTION",
+    "FIRST_LINE",
+    "INDEX_DATA",
+    "MESSAGE",
+    "OWN_FIELDS",
+    "PAIR",
+    "SECOND_NS",
+    "UINT32",
+    "UINT32_MAX",
+    "UINT64",
+    "BagFile",
+    "Damaged",
+    "field_of",
+    "kind_of",
+    "parsed_connection",
+    "parsed_fields",
+    "text_of",
+    "time_field",
+    "uint32_field",
+    "uint64_field",
+]
+
+FIRST_LINE = b"#ROSBAG V2.0\n"
+COMPRESSIONS = ("none", "bz2", "lz4")
+
+MESSAGE, BAG_HEADER, INDEX_DATA, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
+_KINDS = {
+    MESSAGE: "message",
+    BAG_HEADER: "bag header",
+    INDEX_DATA: "index data",
+    CHUNK: "chunk",
+    CHUNK_INFO: "chunk info",
+    CONNECTION: "connection",
+}
+
+#: Fields of a connection's header that have a place of their own in `Connection`.
+OWN_FIELDS = frozenset({"callerid", "latching", "md5sum", "message_definition", "topic", "type"})
+
+UINT32_MAX = 0xFFFF_FFFF
+SECOND_NS = 1_000_000_000
+_READ_AHEAD = 4096
+
+UINT32 = struct.Struct("<I")
+UINT64 = struct.Struct("<Q")
+PAIR = struct.Struct("<II")
+
+
+class Damaged(Exception):  # noqa: N818  # it never leaves the reader
+    """Bytes that break the format; the reader adds the place and makes it a DamageError."""
+
+
+def parsed_fields(raw: Buffer) -> dict[bytes, bytes]:
+    """Take a header apart: each field is a uint32 length and ``name=value``."""
+    raw = bytes(raw)
+    fields = {}
+    position = 0
+    while position < len(raw):
+        start = position + 4
+        if start > len(raw):
+            raise Damaged(f"a header of {len(raw)} bytes ends inside a field's length")
+        (size,) = UINT32.unpack_from(raw, position)
+        position = start + size
+        if position > len(raw):
+            raise Damaged(f"a header field of {size} bytes does not fit into its header of {len(raw)} bytes")
+        name, equals, value = raw[start:position].partition(b"=")
+        if not equals:
+            raise Damaged(f"the header field {name[:40]!r} has no '='")
+        fields[name] = value
+    return fields
+
+
+def field_of(fields: Mapping[bytes, bytes], name: str, size: int | None = None) -> bytes:
+    """One field that must be there, of ``size`` bytes if given."""
+    value = fields.get(name.encode())
+    if value is None:
+        raise Damaged(f"a record's header has no field '{name}'")
+    if size is not None and len(value) != size:
+        raise Damaged(f"the header field '{name}' has {len(value)} bytes, {size} are needed")
+    return value
+
+
+def uint32_field(fields: Mapping[bytes, bytes], name: str) -> int:
+    """One field with a number of 32 bits."""
+    value: int = UINT32.unpack(field_of(fields, name, 4))[0]
+    return value
+
+
+def uint64_field(fields: Mapping[bytes, bytes], name: str) -> int:
+    """One field with a number of 64 bits."""
+    value: int = UINT64.unpack(field_of(fields, name, 8))[0]
+    return value
+
+
+def time_field(fields: Mapping[bytes, bytes], name: str) -> int:
+    """One field with a time, as nanoseconds."""
+    seconds, nanoseconds = PAIR.unpack(field_of(fields, name, 8))
+    return int(seconds) * SECOND_NS + int(nanoseconds)
+
+
+def kind_of(fields: Mapping[bytes, bytes]) -> int:
+    """What kind of record has these fields."""
+    return field_of(fields, "op", 1)[0]
+
+
+def text_of(value: bytes) -> str:
+    """Text in UTF-8; bytes that are not survive being written again."""
+    return value.decode("utf-8", "surrogateescape")
+
+
+def parsed_connection(fields: Mapping[bytes, bytes], body: Buffer) -> Connection:
+    """Make a connection of its record. The body is a header of its own: the publisher's."""
+    topic = text_of(field_of(fields, "topic"))
+    header = parsed_fields(body)
+    texts = {text_of(name): text_of(value) for name, value in header.items() if name != b"message_definition"}
+    metadata = {name: value for name, value in texts.items() if name not in OWN_FIELDS}
+    # What the publisher called the topic, and a latching that is not plainly "1", would otherwise be lost.
+    if texts.get("topic", topic) != topic:
+        metadata["topic"] = texts["topic"]
+    if texts.get("latching", "1") != "1":
+        metadata["latching"] = texts["latching"]
+    definition = header.get(b"message_definition")
+    return Connection(
+        id=uint32_field(fields, "conn"),
+        topic=topic,
+        msgtype=text_of(field_of(header, "type")),
+        serialization="ros1",
+        definition=Definition() if definition is None else Definition("ros1msg", definition),
+        digest=texts.get("md5sum", ""),
+        callerid=texts.get("callerid"),
+        latching=texts.get("latching") == "1",
+        metadata=metadata,
+    )
+
+
+class BagFile(SourceFile):
+    """A bag that records are read from; records in a row cost no system call each."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self._ahead_start = 0
+        self._ahead = b""
+
+    def damage(self, message: str) -> Damaged:
+        """Make the error for a bag that is damaged; the reader adds the place."""
+        return Damaged(message)
+
+    def damage_error(self, message: str) -> DamageError:
+        """Make the error that leaves the reader."""
+        return DamageError(message, path=self.path, hint=RECOVER)
+
+    def head(self, length: int) -> bytes:
+        """Read the first bytes, fewer if there are fewer."""
+        return self.read(0, min(length, self.size))
+
+    def record(self, offset: int, kind: int) -> tuple[dict[bytes, bytes], int, int]:
+        """Take a record that must be of a kind: its fields, and where its body starts and stops."""
+        (length,) = UINT32.unpack(self.nearby(offset, 4))
+        body = offset + 4 + length + 4
+        fields = parsed_fields(self.nearby(offset + 4, length))
+        (length,) = UINT32.unpack(self.nearby(body - 4, 4))
+        if kind_of(fields) != kind:
+            raise Damaged(
+                f"the record at byte {offset} is a {_KINDS.get(kind_of(fields), kind_of(fields))}, "
+                f"a {_KINDS[kind]} should be there"
+            )
+        if body + length > self.size:
+            raise Damaged(
+                f"the {_KINDS[kind]} at byte {offset} reaches to byte {body + length}, the file has {self.size} bytes"
+            )
+        return fields, body, body + length
+
+    def body(self, start: int, stop: int) -> bytes:
+        """Read the body of a small record."""
+        return self.nearby(start, stop - start)
+
+    def nearby(self, offset: int, length: int) -> bytes:
+        """Read a little, and ahead: an index is many small records in a row."""
+        start = offset - self._ahead_start
+        if start < 0 or start + length > len(self._ahead):
+            ahead = min(max(length, _READ_AHEAD), max(self.size - offset, length))
+            self._ahead = self.read(offset, ahead)
+            self._ahead_start = offset
+            start = 0
+        return self._ahead[start : start + length]

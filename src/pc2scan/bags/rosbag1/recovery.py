@@ -1,0 +1,462 @@
+"""What is left of a damaged ROS 1 bag: its records found without the index, and the messages of a damaged chunk.
+
+The chunks are visited one after the other. Where the next record does not begin where it should, the file is searched
+for the next place that can only be a record. A bag that was never closed (``.bag.active``) has no index either,
+and is read in the same way.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, NamedTuple
+
+from pc2scan.bags.chunked.segments import Segment, times_around
+from pc2scan.files.salvage import Salvaged, decompressed_prefix, settled
+from pc2scan.model import RawMessage
+
+from .chunks import payload
+from .contents import Contents, chunk_segment
+from .records import (
+    BAG_HEADER,
+    CHUNK,
+    CHUNK_INFO,
+    CONNECTION,
+    FIRST_LINE,
+    INDEX_DATA,
+    MESSAGE,
+    SECOND_NS,
+    UINT32,
+    Damaged,
+    kind_of,
+    parsed_connection,
+    parsed_fields,
+    time_field,
+    uint32_field,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping
+
+    from pc2scan.bags.damage import DamageLog
+    from pc2scan.errors import DamageError
+    from pc2scan.model import Connection
+
+    from .records import BagFile
+
+__all__ = ["payload_prefix", "recovered_contents", "salvaged_messages"]
+
+#: Bytes that are searched at a time.
+_WINDOW = 1 << 20
+
+#: Messages outside chunks, which only damage puts there, are read in stretches of about this size, bytes.
+_RUN_SIZE = 4 << 20
+
+#: No header of a record is longer, but for connections whose topic is.
+_MAX_HEADER = 4096
+
+# The field that says of what kind a record is; the fields in front of it are few and short.
+_OP = re.compile(rb"\x04\0\0\0op=[\x02-\x07]")
+_REACH = 72
+
+_ANYWHERE = frozenset({MESSAGE, INDEX_DATA, CHUNK, CHUNK_INFO, CONNECTION})
+#: Records that no chunk holds.
+_OUTSIDE_CHUNKS = frozenset({INDEX_DATA, CHUNK, CHUNK_INFO})
+
+#: The fields that a record of each kind must have, so that no text is taken for one.
+_NEEDED = {
+    MESSAGE: {b"conn", b"time"},
+    INDEX_DATA: {b"ver", b"conn", b"count"},
+    CHUNK: {b"compression", b"size"},
+    CHUNK_INFO: {b"ver", b"chunk_pos", b"start_time", b"end_time", b"count"},
+    CONNECTION: {b"conn", b"topic"},
+    BAG_HEADER: {b"index_pos"},
+}
+
+Fields = dict[bytes, bytes]
+
+
+class _Record(NamedTuple):
+    """A record: its fields, and where its body starts and stops."""
+
+    fields: Fields
+    start: int
+    stop: int
+
+    @property
+    def kind(self) -> int:
+        return self.fields[b"op"][0]
+
+
+def _checked(fields: Fields) -> bool:
+    kind = fields.get(b"op", b"")
+    if len(kind) != 1 or not _NEEDED.get(kind[0], {b""}) <= fields.keys():
+        return False
+    return all(len(fields[name]) == size for name, size in ((b"conn", 4), (b"time", 8), (b"size", 4)) if name in fields)
+
+
+def _record_at(read: Callable[[int, int], bytes], position: int, size: int) -> _Record | None:
+    """The record that begins here, if one does; its body may reach beyond ``size``."""
+    if position + 8 > size:
+        return None
+    (length,) = UINT32.unpack(read(position, 4))
+    if not 8 <= length <= _MAX_HEADER or position + 8 + length > size:
+        return None
+    try:
+        fields = parsed_fields(read(position + 4, length))
+    except Damaged:
+        return None
+    if not _checked(fields):
+        return None
+    (body,) = UINT32.unpack(read(position + 4 + length, 4))
+    start = position + 8 + length
+    return _Record(fields, start, start + body)
+
+
+def _record_in(window: bytes, op_at: int) -> int | None:
+    """Where the record whose ``op`` field is here begins."""
+    # The usual places first: ``op`` is the header's first field, or behind ``conn``, ``compression``...
+    for start in range(op_at - 4, max(-1, op_at - _REACH), -1):
+        (length,) = struct.unpack_from("<I", window, start)
+        if op_at - start + 5 <= length + 4 <= _MAX_HEADER and start + 8 + length <= len(window):
+            try:
+                fields = parsed_fields(window[start + 4 : start + 4 + length])
+            except Damaged:
+                continue
+            if _checked(fields):
+                return start
+    return None
+
+
+def _next_record(
+    read: Callable[[int, int], bytes], start: int, size: int, kinds: frozenset[int], limit: int | None = None
+) -> int:
+    """Search, before ``limit``, for a place where a record begins; ``size`` if there is none."""
+    stop = size if limit is None else min(size, limit + _REACH)
+    begin = start
+    while begin < stop:
+        window = read(begin, min(_WINDOW, size - begin))
+        for match in _OP.finditer(window):
+            if match[0][-1] not in kinds:
+                continue
+            found = _record_in(window, match.start())
+            if found is not None and begin + found >= start:
+                position = begin + found
+                if limit is not None and position >= limit:
+                    return size
+                record = _record_at(read, position, size)
+                # A chunk may be cut off by the end of the file; everything else must be whole.
+                if record is not None and (record.stop <= size or record.kind == CHUNK):
+                    return position
+        if begin + len(window) >= size:
+            break
+        begin += len(window) - _MAX_HEADER - _REACH
+    return size
+
+
+# --- The file ---
+
+
+@dataclass(slots=True)
+class _Found:
+    """What the pass over the file finds."""
+
+    connections: dict[int, Connection] = field(default_factory=dict)
+    counts: dict[int, int] = field(default_factory=dict)
+    segments: list[Segment] = field(default_factory=list)
+    gaps: list[tuple[int, int, str]] = field(default_factory=list)
+
+
+class _Stamps:
+    """The log times and connections of a stretch of messages."""
+
+    def __init__(self) -> None:
+        self.first_ns = self.last_ns = 0
+        self.counts: dict[int, int] = {}
+
+    def add(self, connection: int, stamp_ns: int) -> None:
+        if not self.counts:
+            self.first_ns = self.last_ns = stamp_ns
+        self.first_ns, self.last_ns = min(self.first_ns, stamp_ns), max(self.last_ns, stamp_ns)
+        self.counts[connection] = self.counts.get(connection, 0) + 1
+
+
+def recovered_contents(file: BagFile, problem: DamageError, log: DamageLog) -> Contents:
+    """Find out what a bag holds without its index.
+
+    Parameters
+    ----------
+    file
+        The open file.
+    problem
+        Why its index cannot be used.
+    log
+        Takes note of it, and of whatever no record accounts for.
+
+    Returns
+    -------
+    Contents
+        The connections have no counts: how many messages there were is what the index would tell.
+    """
+    if log.strict:
+        raise problem
+    found = _Found()
+    position = _next_after_header(file)
+    loose = _Stamps()
+    loose_start = position
+    # What the index records behind the last chunk say of it; None if they cannot be relied on.
+    index: _Stamps | None = None
+    previous: tuple[int, _Record] | None = None
+
+    def end_run(at: int) -> None:
+        nonlocal loose
+        if loose.counts:
+            size = at - loose_start
+            found.segments.append(
+                Segment(loose_start, size, "none", size, 0, loose.first_ns, loose.last_ns, frozenset(loose.counts))
+            )
+        loose = _Stamps()
+
+    while position < file.size:
+        record = _record_at(file.nearby, position, file.size)
+        whole = record is not None and record.stop <= file.size
+        if record is None or not whole:
+            end_run(position)
+            index = None
+            # The record in front may have the wrong length: then it swallowed others, or is itself too short.
+            if previous is not None and record is None:
+                if previous[1].kind != CHUNK:
+                    again = _next_record(file.nearby, previous[0] + 1, file.size, _ANYWHERE, position)
+                    if again < position:
+                        previous, position = None, again
+                        continue
+                elif not _is_sound(file, found, previous[1]):
+                    position = _next_record(file.nearby, previous[1].start, file.size, _OUTSIDE_CHUNKS)
+                    _set_end(found, previous[1], position)
+                    previous = None
+                    continue
+            if record is not None and record.kind == CHUNK:
+                again = _next_record(file.nearby, record.start, file.size, _OUTSIDE_CHUNKS)
+                _add_chunk(file, found, position, again)
+                previous, position = None, again
+                continue
+            again = _next_record(file.nearby, position + 1, file.size, _ANYWHERE)
+            found.gaps.append((position, again, "no record begins here"))
+            previous, position = None, again
+            continue
+        if record.kind == MESSAGE:
+            if not loose.counts or record.stop - loose_start > _RUN_SIZE:
+                end_run(position)
+                loose_start = position
+            loose.add(uint32_field(record.fields, "conn"), time_field(record.fields, "time"))
+        else:
+            end_run(position)
+            if record.kind == INDEX_DATA:
+                index = _with_entries(index, file, record)
+            else:
+                # Whole only if another record follows; then it spares reading the chunk to know its times.
+                _set_times(found, index)
+                _note_record(file, found, position, record)
+                noted = record.kind == CHUNK and found.segments and found.segments[-1].offset == record.start
+                index = _Stamps() if noted else None
+        previous, position = (position, record), record.stop
+    end_run(file.size)
+    _find_times(file, found, log)
+    _note(file, found, problem, log)
+    connections = {key: replace(item, message_count=None) for key, item in sorted(found.connections.items())}
+    return Contents(connections, [segment for segment in found.segments if segment.end_ns])
+
+
+def _next_after_header(file: BagFile) -> int:
+    """Where the records behind the bag header begin."""
+    header = _record_at(file.nearby, len(FIRST_LINE), file.size)
+    if header is not None and header.kind == BAG_HEADER and header.stop <= file.size:
+        return header.stop
+    return _next_record(file.nearby, len(FIRST_LINE), file.size, _ANYWHERE)
+
+
+def _note_record(file: BagFile, found: _Found, position: int, record: _Record) -> None:
+    if record.kind == CHUNK:
+        _add_chunk(file, found, position, record.stop)
+    elif record.kind == CONNECTION:
+        try:
+            connection = parsed_connection(record.fields, file.nearby(record.start, record.stop - record.start))
+        except Damaged as err:
+            found.gaps.append((position, record.stop, str(err)))
+        else:
+            found.connections.setdefault(connection.id, connection)
+
+
+def _with_entries(index: _Stamps | None, file: BagFile, record: _Record) -> _Stamps | None:
+    """Add what one index record says: times and places of a connection's messages, 12 bytes each."""
+    count = uint32_field(record.fields, "count")
+    if index is None or 12 * count != record.stop - record.start or uint32_field(record.fields, "ver") != 1:
+        return None
+    connection = uint32_field(record.fields, "conn")
+    entries = file.nearby(record.start, record.stop - record.start)
+    for seconds, nanoseconds, _ in struct.iter_unpack("<III", entries):
+        index.add(connection, seconds * SECOND_NS + nanoseconds)
+    return index
+
+
+def _set_times(found: _Found, index: _Stamps | None) -> None:
+    """Let the last chunk have the times that its index records have."""
+    if index is not None and index.counts and found.segments and not found.segments[-1].end_ns:
+        found.segments[-1] = replace(
+            found.segments[-1],
+            start_ns=index.first_ns,
+            end_ns=max(index.last_ns, 1),
+            connection_ids=frozenset(index.counts),
+        )
+
+
+def _add_chunk(file: BagFile, found: _Found, position: int, stop: int) -> None:
+    record = _record_at(file.nearby, position, file.size)
+    assert record is not None
+    try:
+        found.segments.append(chunk_segment(record.fields, position, record.start, stop))
+    except Damaged as err:
+        found.gaps.append((position, stop, str(err)))
+
+
+def _is_sound(file: BagFile, found: _Found, record: _Record) -> bool:
+    """Whether the last chunk decompresses to what it declares."""
+    segment = found.segments[-1] if found.segments else None
+    if segment is None or segment.offset != record.start:
+        return True
+    try:
+        return bool(payload(file, segment))
+    except Damaged:
+        return False
+
+
+def _set_end(found: _Found, record: _Record, stop: int) -> None:
+    """Let the last chunk end where the next record was found."""
+    if found.segments and found.segments[-1].offset == record.start:
+        found.segments[-1] = replace(found.segments[-1], length=stop - record.start)
+
+
+def _find_times(file: BagFile, found: _Found, log: DamageLog) -> None:
+    """Read the chunks whose times no index tells, or that may describe connections which nothing else does."""
+    segments = []
+    for segment in found.segments:
+        if segment.end_ns and segment.connection_ids is not None and segment.connection_ids <= found.connections.keys():
+            segments.append(segment)
+            continue
+        try:
+            data = payload(file, segment)
+        except Damaged:
+            data = payload_prefix(file, segment)
+        stamps = _Stamps()
+        for fields, start, stop, sound in framed(data):
+            if not sound:
+                continue
+            if kind_of(fields) == MESSAGE:
+                stamps.add(uint32_field(fields, "conn"), time_field(fields, "time"))
+            elif kind_of(fields) == CONNECTION:
+                try:
+                    connection = parsed_connection(fields, data[start:stop])
+                except Damaged:
+                    continue
+                found.connections.setdefault(connection.id, connection)
+        if stamps.counts:
+            segments.append(
+                replace(
+                    segment,
+                    start_ns=stamps.first_ns,
+                    end_ns=max(stamps.last_ns, 1),
+                    connection_ids=frozenset(stamps.counts),
+                )
+            )
+        elif len(data) != segment.uncompressed_size:
+            log.note(
+                file.damage_error(f"in the chunk with data at byte {segment.offset} no message is whole"),
+                offset=segment.offset,
+                bytes_lost=segment.uncompressed_size,
+                **times_around(segments)(segment.offset, segment.offset),
+            )
+    found.segments = segments
+
+
+def _note(file: BagFile, found: _Found, problem: DamageError, log: DamageLog) -> None:
+    around = times_around(found.segments)
+    log.note(problem, **around(file.size, file.size))
+    for start, stop, what in found.gaps:
+        error = file.damage_error(f"{what} (bytes {start} to {stop})")
+        log.note(error, offset=start, bytes_lost=stop - start, **around(start, stop))
+
+
+# --- Inside chunks ---
+
+
+def payload_prefix(file: BagFile, segment: Segment) -> bytes:
+    """Read the records of a damaged chunk as far as they can be decompressed."""
+    data = file.read(segment.offset, min(segment.length, file.size - segment.offset))
+    return decompressed_prefix(data, segment.compression, segment.uncompressed_size)
+
+
+def salvaged_messages(chunk: bytes, known: Mapping[int, Connection], span: tuple[int, int]) -> Salvaged:
+    """Find the messages of a damaged chunk.
+
+    Parameters
+    ----------
+    chunk
+        Its records, as far as they could be decompressed.
+    known
+        Every connection.
+    span
+        The first and the last log time that the index gives the chunk; see `settled`.
+    """
+    data = memoryview(chunk)
+    messages = []
+    lost = strangers = 0
+    for fields, start, stop, sound in framed(chunk):
+        if not sound:
+            lost += stop - start
+        elif kind_of(fields) == MESSAGE:
+            connection = known.get(uint32_field(fields, "conn"))
+            if connection is None:
+                strangers += 1
+                continue
+            seconds, nanoseconds = divmod(time_field(fields, "time"), SECOND_NS)
+            stamp = seconds * SECOND_NS + nanoseconds
+            messages.append(RawMessage(connection, stamp, data[start:stop], stamp))
+    return Salvaged(settled(messages, span), lost, strangers)
+
+
+def framed(chunk: bytes) -> Iterator[tuple[Fields, int, int, bool]]:
+    """Records of a chunk (fields, and where the body starts and stops) and what lies between them.
+
+    The last value tells which it is.
+    """
+    inside = frozenset({MESSAGE, CONNECTION})
+
+    def read(offset: int, length: int) -> bytes:
+        return chunk[offset : offset + length]
+
+    size = len(chunk)
+    position = 0
+    # A record is held back until another begins where it ends: its length may be the damaged part.
+    held: tuple[int, _Record] | None = None
+    while position < size:
+        record = _record_at(read, position, size)
+        if record is not None and record.stop <= size and record.kind in inside:
+            if held is not None:
+                yield *held[1], True
+            held = (position, record)
+            position = record.stop
+            continue
+        begin, following = position, size
+        if held is not None:
+            following = _next_record(read, held[0] + 1, size, inside, position)
+            if following < position:
+                begin = held[0]
+            else:
+                yield *held[1], True
+                following = size
+        held = None
+        position = following if begin < position else _next_record(read, position + 1, size, inside)
+        yield {}, begin, position, False
+    if held is not None:
+        yield *held[1], True

@@ -1,0 +1,324 @@
+"""rosbag2's metadata.yaml, and the storage files that it is about.
+
+Versions of metadata.yaml (source: rosbag2_storage/yaml.hpp and bag_metadata.hpp):
+
+========  ==============================================================================
+version   what it added
+========  ==============================================================================
+1, 2      the beginning; paths are prefixed with the directory's name
+3         ``compression_format`` and ``compression_mode``
+4         ``offered_qos_profiles`` (YAML in a string, enumerations as numbers)
+5         ``files``, with times and counts
+6         ``custom_data``
+7         ``type_description_hash``
+8         ``ros_distro``
+9         ``offered_qos_profiles`` as a list, enumerations by name
+========  ==============================================================================
+
+Reading takes keys where they are, whatever the version says.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections import Counter
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path, PureWindowsPath
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from pc2scan.bags import zstd
+from pc2scan.bags.damage import DamageLog
+from pc2scan.bags.qos import latches
+from pc2scan.errors import DamageError, RecordingError
+from pc2scan.files.source import opened_text
+from pc2scan.files.yaml import MAX_CHARACTERS, dump_yaml, load_yaml
+from pc2scan.model import Connection
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping
+
+__all__ = [
+    "MAGICS",
+    "METADATA_NAME",
+    "NEWEST_VERSION",
+    "RECORD_NAME",
+    "ROOT",
+    "BagInfo",
+    "Extent",
+    "beside_recording",
+    "located_file",
+    "read_info",
+    "storage_files",
+]
+
+METADATA_NAME = "metadata.yaml"
+
+#: The name of the MCAP metadata record in which rosbag2 repeats metadata.yaml.
+RECORD_NAME = "rosbag2"
+
+ROOT = "rosbag2_bagfile_information"
+NEWEST_VERSION = 9
+#: What SQLite keeps beside a database.
+_LOGS = ("-wal", "-shm", "-journal")
+_SUFFIXES = {".db3": "sqlite3", ".mcap": "mcap"}
+
+#: How the files of each storage begin.
+MAGICS = {"sqlite3": b"SQLite format 3\0", "mcap": b"\x89MCAP0\r\n"}
+
+_WITHOUT_METADATA = f"move {METADATA_NAME} away to have the files beside it read without it"
+
+
+class UnsupportedError(ValueError):
+    """metadata.yaml is sound, but what it tells of cannot be read."""
+
+
+class Extent(NamedTuple):
+    """What metadata.yaml says of one file: its messages, and the first and the last log time."""
+
+    message_count: int
+    first_ns: int
+    last_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class BagInfo:
+    """What metadata.yaml says, as far as it matters.
+
+    Attributes
+    ----------
+    topics
+        Connections with ids from 1 on.
+    message_count
+        In all; None where it does not say.
+    topic_counts
+        By topic and type.
+    extents
+        By file; older versions have none.
+    """
+
+    storage: str
+    files: tuple[str, ...]
+    message_compression: str = "none"
+    topics: tuple[Connection, ...] = ()
+    custom_data: Mapping[str, str] = field(default_factory=dict)
+    message_count: int | None = None
+    topic_counts: Mapping[tuple[str, str], int] = field(default_factory=dict)
+    extents: Mapping[str, Extent] = field(default_factory=dict)
+
+
+def read_info(folder: Path, log: DamageLog) -> BagInfo:
+    """Read metadata.yaml, or find out what matters from the files where there is none.
+
+    ``log`` takes note of one that cannot be understood; the files are then read without it.
+
+    Raises
+    ------
+    RecordingError
+        If it cannot be read, tells of what is not supported, or there is no recording.
+    """
+    path = folder / METADATA_NAME
+    try:
+        if not os.path.lexists(path):
+            return _guessed_info(folder)
+        with opened_text(path) as file:
+            # One more than allowed: what is too long is refused, not read.
+            text = file.read(MAX_CHARACTERS + 1)
+        info = _parsed_info(load_yaml(text))
+        return info if info.storage else replace(info, storage=_shown_storage(folder, info.files))
+    except UnicodeDecodeError as err:
+        log.note(DamageError(f"is not UTF-8: {err.reason}", path=path, hint=_WITHOUT_METADATA))
+    except OSError as err:
+        raise RecordingError(f"cannot be read: {err.strerror}", path=Path(err.filename or path)) from err
+    except UnsupportedError as err:
+        raise RecordingError(str(err), path=path, hint=_WITHOUT_METADATA) from err
+    except ValueError as err:
+        log.note(DamageError(str(err), path=path, hint=_WITHOUT_METADATA))
+    return _guessed_info(folder)
+
+
+def storage_files(folder: Path) -> list[Path]:
+    """Files of a directory that are named like rosbag2's storages, in natural order: 2 comes before 10."""
+    found = [path for path in folder.iterdir() if path.is_file() and _storage_of(path.name) is not None]
+    return sorted(found, key=lambda path: [int(part) if part.isdigit() else part for part in _parts(path.name)])
+
+
+def located_file(folder: Path, name: str) -> Path:
+    """Find a file that metadata.yaml names, or its like.
+
+    Files get packed and unpacked without metadata.yaml being told.
+
+    Raises
+    ------
+    DamageError
+        If it is not in the directory.
+    """
+    plain = zstd.without_suffix(name)
+    for candidate in (name, plain, *(plain + suffix for suffix in zstd.SUFFIXES)):
+        # A name may be longer than names can be.
+        with suppress(OSError):
+            if (folder / candidate).is_file():
+                return folder / candidate
+    raise DamageError(
+        f"{METADATA_NAME} names {name:.300}, which is not in the directory",
+        path=folder,
+        hint=f"copy the missing file, or move {METADATA_NAME} away to read the files that are there",
+    )
+
+
+def beside_recording(folder: Path) -> str:
+    """Say why a directory is not a rosbag2 recording and nothing else; empty if it is, or if it holds nothing.
+
+    A recording's files are its metadata.yaml, the storage files that this names, and the logs beside them.
+    """
+    entries = sorted(folder.iterdir())
+    if not entries:
+        return ""
+    if not (folder / METADATA_NAME).is_file():
+        return f"it has no {METADATA_NAME}"
+    try:
+        info = read_info(folder, DamageLog(strict=True))
+    except RecordingError as err:
+        return f"its {METADATA_NAME} is not understood: {err.message}"
+    plain = {zstd.without_suffix(name) for name in info.files if _storage_of(name) is not None}
+    own = {METADATA_NAME, *(name + suffix for name in plain for suffix in ("", *zstd.SUFFIXES, *_LOGS))}
+    foreign = next((entry.name for entry in entries if entry.name not in own or not _is_file_or_link(entry)), None)
+    return f"its {METADATA_NAME} does not name {foreign}" if foreign else ""
+
+
+def _is_file_or_link(path: Path) -> bool:
+    return path.is_symlink() or path.is_file()
+
+
+def _storage_of(name: str) -> str | None:
+    return _SUFFIXES.get(Path(zstd.without_suffix(name)).suffix)
+
+
+def _shown_storage(folder: Path, names: Iterable[str]) -> str:
+    """The storage of files whose metadata.yaml does not name it: by content, or by name where that is compressed."""
+    for name in names:
+        try:
+            path = located_file(folder, name)
+        except DamageError:
+            continue
+        with path.open("rb") as file:
+            head = file.read(16)
+        for storage, magic in MAGICS.items():
+            if head.startswith(magic):
+                return storage
+        if found := _storage_of(path.name):
+            return found
+    raise ValueError(f"storage_identifier of {ROOT} is empty, and no file shows which storage it is")
+
+
+def _parts(name: str) -> list[str]:
+    # Text and numbers take turns, so that only like is compared with like.
+    return re.split(r"(\d+)", name, flags=re.ASCII)
+
+
+def _guessed_info(folder: Path) -> BagInfo:
+    files = storage_files(folder)
+    storages = sorted({_storage_of(file.name) or "" for file in files})
+    if not files:
+        raise RecordingError(f"has neither {METADATA_NAME} nor .db3 or .mcap files", path=folder)
+    if len(storages) > 1:
+        raise RecordingError(
+            f"has {' and '.join(storages)} files, but no {METADATA_NAME} that tells which are the recording",
+            path=folder,
+            hint="name the files themselves",
+        )
+    return BagInfo(storages[0], tuple(file.name for file in files))
+
+
+def _parsed_info(document: Any) -> BagInfo:
+    root = _get(document, ROOT, dict, "the file")
+    version = _get(root, "version", int, ROOT)
+    if not 1 <= version <= NEWEST_VERSION:
+        raise UnsupportedError(f"has version {version}; 1 to {NEWEST_VERSION} are known")
+    storage = _get(root, "storage_identifier", str, ROOT)
+    if storage not in ("", *_SUFFIXES.values()):
+        raise UnsupportedError(f"has storage {storage!r}; {' and '.join(sorted(_SUFFIXES.values()))} can be read")
+    files = [_file_name(path) for path in _get(root, "relative_file_paths", list, ROOT)]
+    if not files:
+        raise ValueError("names no files")
+    entries = _get(root, "topics_with_message_count", list, ROOT, [])
+    topics = tuple(_topic(number, entry) for number, entry in enumerate(entries, 1))
+    counts: Counter[tuple[str, str]] = Counter()
+    for topic, entry in zip(topics, entries, strict=True):
+        counts[topic.topic, topic.msgtype] += _get(entry, "message_count", int, f"topic {topic.id}", 0)
+    return BagInfo(
+        storage=storage,
+        files=tuple(dict.fromkeys(files)),
+        message_compression=_message_compression(root),
+        topics=topics,
+        topic_counts=counts,
+        custom_data={str(key): str(value) for key, value in _get(root, "custom_data", dict, ROOT, {}).items()},
+        message_count=_get(root, "message_count", int, ROOT, 0),
+        extents=dict(_extents(root)),
+    )
+
+
+def _extents(root: Any) -> Iterator[tuple[str, Extent]]:
+    """What is said of the files one by one; of no consequence where all are there, so lenient."""
+    entries = root.get("files")
+    for entry in entries if isinstance(entries, list) else ():
+        try:
+            first_ns = int(entry["starting_time"]["nanoseconds_since_epoch"])
+            last_ns = first_ns + int(entry["duration"]["nanoseconds"])
+            yield _file_name(entry["path"]), Extent(int(entry["message_count"]), first_ns, last_ns)
+        except (KeyError, TypeError, ValueError):
+            continue
+
+
+def _get(mapping: Any, key: str, kind: type, where: str, default: Any = None) -> Any:
+    """One value of a mapping, checked; absent or null gives the default, which None makes an error."""
+    value = mapping.get(key) if isinstance(mapping, dict) else None
+    if value is None and default is not None:
+        return default
+    if not isinstance(value, kind) or isinstance(value, bool):
+        found = "is missing" if value is None else f"is {value!r:.60}"
+        raise ValueError(f"{key} of {where} {found}, expected {_KINDS[kind]}")  # noqa: TRY004 - of a file
+    return value
+
+
+_KINDS = {dict: "a mapping", list: "a list", int: "an integer", str: "text"}
+
+
+def _file_name(path: Any) -> str:
+    """The last part of a path: what lies outside the directory is not part of the recording."""
+    name = PureWindowsPath(path).name if isinstance(path, str) else ""
+    if name in {"", ".."}:
+        raise ValueError(f"relative_file_paths names {path!r:.60}, expected a file")
+    return name
+
+
+def _message_compression(root: Any) -> str:
+    mode = _get(root, "compression_mode", str, ROOT, "").lower()
+    if mode in {"", "none", "storage"}:
+        return "none"
+    if mode not in {"file", "message"}:
+        raise UnsupportedError(f"has compression_mode {mode!r}, expected none, file or message")
+    name = _get(root, "compression_format", str, ROOT, "").lower()
+    if name != "zstd":
+        raise UnsupportedError(f"has compression_format {name!r}; only zstd can be read")
+    # Compressed files are recognised by their content.
+    return "zstd" if mode == "message" else "none"
+
+
+def _topic(number: int, entry: Any) -> Connection:
+    where = f"topic {number}"
+    topic = _get(entry, "topic_metadata", dict, where)
+    qos = topic.get("offered_qos_profiles") or ""
+    if not isinstance(qos, str):
+        qos = dump_yaml(qos)
+    return Connection(
+        id=number,
+        topic=_get(topic, "name", str, where),
+        msgtype=_get(topic, "type", str, where),
+        serialization=_get(topic, "serialization_format", str, where, "cdr"),
+        digest=_get(topic, "type_description_hash", str, where, ""),
+        latching=latches(qos),
+        qos=qos,
+        message_count=0,
+    )

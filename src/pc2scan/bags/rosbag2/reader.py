@@ -1,0 +1,222 @@
+"""Reading rosbag2 directories: the storage files merged, and what metadata.yaml adds to them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pc2scan.bags import zstd
+from pc2scan.bags.damage import RECOVER, DamageLog, count_details
+from pc2scan.bags.merged import MergedReader
+from pc2scan.errors import DamageError, RecordingError
+from pc2scan.files.source import opened_bytes
+from pc2scan.files.temporary import private_folder
+
+from .metadata import MAGICS, METADATA_NAME, RECORD_NAME, located_file, read_info
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+    from tempfile import TemporaryDirectory
+
+    from pc2scan.bags.damage import Damage
+    from pc2scan.bags.reader import Reader
+    from pc2scan.model import Connection, Metadata, Summary
+
+__all__ = ["Rosbag2Reader"]
+
+
+class Rosbag2Reader(MergedReader):
+    """A rosbag2 directory; satisfies `pc2scan.bags.reader.Reader`.
+
+    The files of a split recording are merged by time. Without metadata.yaml the storage files are read in the
+    natural order of their names. Where metadata.yaml and the storage disagree, the storage is right; what it
+    lacks (QoS profiles and hashes in older files, topics without messages) comes from metadata.yaml.
+
+    Parameters
+    ----------
+    path
+        The directory. Only files in it are opened, whatever metadata.yaml names.
+    verify
+        Whether checksums of MCAP files are verified.
+    strict
+        Whether damage is an error, and so are a missing file and messages that metadata.yaml counts and the files do
+        not have; otherwise what there is is read, and `damage` tells the rest.
+
+    Raises
+    ------
+    RecordingError
+        If metadata.yaml tells of what is not supported, or no file can be read.
+    DamageError
+        With ``strict``, if metadata.yaml cannot be understood, or a file is missing or damaged.
+    """
+
+    def __init__(self, path: Path, *, verify: bool = True, strict: bool = False) -> None:
+        self._path = path
+        self._log = DamageLog(strict=strict)
+        self._temporary: TemporaryDirectory[str] | None = None
+        #: What was unpacked, and from which file.
+        self._origins: dict[Path, Path] = {}
+        self._info = read_info(path, self._log)
+        files: list[Path] = []
+        opened: list[Reader] = []
+        with ExitStack() as undo:
+            undo.callback(self._discard_temporary)
+            for name in self._info.files:
+                try:
+                    file = located_file(path, name)
+                    reader = self._open(file, verify=verify)
+                except DamageError as err:
+                    err.path = self._origins.get(Path(err.path or name), Path(err.path or name))
+                    if strict or (name == self._info.files[-1] and not opened):
+                        raise
+                    self._lose(name, err)
+                    continue
+                undo.callback(reader.close)
+                files.append(file)
+                opened.append(reader)
+            super().__init__(opened)
+            undo.pop_all()
+        try:
+            self._compare_counts()
+        except BaseException:
+            self.close()
+            raise
+        amended, added = _completed(self.connections, self._info.topics)
+        self._amend(amended, added)
+        self._inner = super().summary
+        packed = self._info.message_compression == "zstd" or any(zstd.is_zstd(file) for file in files)
+        self._summary = replace(
+            self._inner,
+            container="rosbag2",
+            storage=self._info.storage,
+            compression=zstd.compressions(self._inner.compression) if packed else self._inner.compression,
+            size_bytes=sum(file.stat().st_size for file in files),
+        )
+
+    @property
+    def path(self) -> Path:
+        """The directory."""
+        return self._path
+
+    @property
+    def summary(self) -> Summary:
+        """Counts and times are the storage's, not metadata.yaml's."""
+        return self._summary
+
+    @property
+    def bytes_read(self) -> int:
+        """Bytes consumed so far; of compressed files the share."""
+        return super().bytes_read * self._summary.size_bytes // max(1, self._inner.size_bytes)
+
+    @property
+    def custom_data(self) -> Mapping[str, str]:
+        """metadata.yaml's ``custom_data``."""
+        return self._info.custom_data
+
+    @property
+    def damage(self) -> tuple[Damage, ...]:
+        """What is damaged: the directory's own first, then file by file."""
+        inner = (replace(place, path=self._origins.get(place.path, place.path)) for place in super().damage)
+        return (*self._log.found, *inner)
+
+    def metadata(self) -> Iterator[Metadata]:
+        """MCAP metadata records, without rosbag2's copy of metadata.yaml, which is about these files only."""
+        return (record for record in super().metadata() if record.name != RECORD_NAME)
+
+    def close(self) -> None:
+        """Close the files and remove what was unpacked."""
+        super().close()
+        self._discard_temporary()
+
+    def _open(self, file: Path, *, verify: bool) -> Reader:
+        if zstd.is_zstd(file):
+            if self._temporary is None:
+                self._temporary = private_folder(self._path)
+            unpacked = zstd.unpacked_file(file, Path(self._temporary.name), self._log)
+            self._origins[unpacked] = file
+            file = unpacked
+        _refuse_others(file, self._info.storage)
+        if self._info.storage == "sqlite3":
+            from .sqlite3_reader import Sqlite3Reader  # noqa: PLC0415  (a recording needs one of the two)
+
+            return Sqlite3Reader(file, message_compression=self._info.message_compression, strict=self._log.strict)
+        from pc2scan.bags.mcap.reader import McapReader  # noqa: PLC0415
+
+        return McapReader(file, verify=verify, strict=self._log.strict)
+
+    def _lose(self, name: str, err: DamageError) -> None:
+        """Take note of a file that is missing or cannot be read at all."""
+        extent = self._info.extents.get(name)
+        self._log.note(
+            err,
+            key=name,
+            messages_lost=extent.message_count if extent else None,
+            first_ns=extent.first_ns if extent else None,
+            last_ns=extent.last_ns if extent else None,
+        )
+
+    def _compare_counts(self) -> None:
+        """Take note if the files have other numbers of messages than metadata.yaml counts, in all or of a topic."""
+        stored, declared = super().summary.message_count, self._info.message_count
+        known = [damage.messages_lost for damage in self._log.found if damage.loses]
+        if stored is None or declared is None or None in known:
+            return
+        missing = declared - stored - sum(filter(None, known))
+        details = ""
+        if not known and all(connection.message_count is not None for connection in self.connections):
+            found = Counter[tuple[str, str]]()
+            for connection in self.connections:
+                found[connection.topic, connection.msgtype] += connection.message_count or 0
+            told = self._info.topic_counts
+            pairs = [(key[0], told.get(key, 0), found[key]) for key in {**told, **found}]
+            fewer = [(topic, count, there) for topic, count, there in pairs if there < count]
+            # Who adds up to another sum did not count; then only messages that are missing are worth a word.
+            details = count_details(pairs if sum(told.values()) == declared else fewer)
+            missing = max(missing, sum(count - there for _, count, there in fewer))
+        if missing > 0 or details:
+            problem = f"{METADATA_NAME} counts {declared} messages, its files have {stored}{details}"
+            self._log.note(
+                DamageError(problem, path=self._path, hint=RECOVER), key="count", messages_lost=max(0, missing)
+            )
+
+    def _discard_temporary(self) -> None:
+        if self._temporary is not None:
+            self._temporary.cleanup()
+            self._temporary = None
+
+
+def _refuse_others(file: Path, storage: str) -> None:
+    """Raise if a file is not of the storage that it should be of."""
+    try:
+        with opened_bytes(file) as stream:
+            head = stream.read(16)
+    except OSError as err:
+        raise RecordingError(f"cannot be read: {err.strerror}", path=file) from err
+    if not head.startswith(MAGICS[storage]):
+        found = f"begins with {head!r:.40}" if head else "is empty"
+        raise DamageError(f"is no {storage} file: it {found}", path=file, hint=RECOVER)
+
+
+def _completed(
+    stored: Sequence[Connection], listed: Sequence[Connection]
+) -> tuple[dict[int, Connection], list[Connection]]:
+    """What metadata.yaml adds to the storage's connections: their missing parts, and further connections."""
+    by_name = {(topic.topic, topic.msgtype): topic for topic in reversed(listed)}
+    amended = {}
+    for connection in stored:
+        topic = by_name.get((connection.topic, connection.msgtype))
+        if topic is not None:
+            amended[connection.id] = replace(
+                connection,
+                serialization=connection.serialization or topic.serialization,
+                digest=connection.digest or topic.digest,
+                latching=connection.latching if connection.qos else topic.latching,
+                qos=connection.qos or topic.qos,
+            )
+    names = {(connection.topic, connection.msgtype) for connection in stored}
+    unused = max((connection.id for connection in stored), default=0) + 1
+    missing = [topic for topic in listed if (topic.topic, topic.msgtype) not in names]
+    return amended, [replace(topic, id=unused + offset) for offset, topic in enumerate(missing)]

@@ -1,0 +1,215 @@
+"""Writing rosbag2's sqlite3 storage: one ``.db3`` file of schema version 4, as rosbag2 does since Iron.
+
+It does not use rosbags' writer, which takes QoS profiles apart and puts them together again, and so refuses those with
+keys missing, and which is bound to a directory of its own making.
+
+Source: rosbag2_storage_sqlite3/sqlite_storage.cpp.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+from contextlib import suppress
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import zstandard
+
+from pc2scan.errors import OutputError, UnwritableError
+from pc2scan.files.staging import sync_file
+from pc2scan.files.write_ahead import WriteAhead
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Sequence
+    from pathlib import Path
+
+    from pc2scan.model import Attachment, Buffer, Connection, Metadata, StoredChunk
+    from pc2scan.threads import Threads
+
+__all__ = ["Sqlite3Writer"]
+
+_SCHEMA = """
+CREATE TABLE schema(schema_version INTEGER PRIMARY KEY, ros_distro TEXT NOT NULL);
+CREATE TABLE metadata(id INTEGER PRIMARY KEY, metadata_version INTEGER NOT NULL, metadata TEXT NOT NULL);
+CREATE TABLE topics(
+  id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL, serialization_format TEXT NOT NULL,
+  offered_qos_profiles TEXT NOT NULL, type_description_hash TEXT NOT NULL);
+CREATE TABLE message_definitions(
+  id INTEGER PRIMARY KEY, topic_type TEXT NOT NULL, encoding TEXT NOT NULL,
+  encoded_message_definition TEXT NOT NULL, type_description_hash TEXT NOT NULL);
+CREATE TABLE messages(
+  id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL, timestamp INTEGER NOT NULL, data BLOB NOT NULL);
+CREATE INDEX timestamp_idx ON messages (timestamp ASC);
+INSERT INTO schema(schema_version, ros_distro) VALUES (4, '');
+"""
+
+#: Bytes of messages after which a transaction ends, so that what SQLite has to remember stays bounded.
+_BATCH_BYTES = 16 << 20
+
+#: rosbag2's own level; messages are compressed one by one, so speed matters more than size.
+_ZSTD_LEVEL = 1
+
+
+class Sqlite3Writer:
+    """A ``.db3`` file being written; satisfies `pc2scan.model.Writer`.
+
+    The file has schema version 4, as rosbag2 has written it since Iron. ``ros_distro`` is empty: what is
+    written must not depend on the machine. QoS profiles and definitions are written verbatim, definitions
+    once a type.
+
+    Parameters
+    ----------
+    path
+        Must not exist.
+    compression
+        ``none``, or ``zstd``: every message is compressed by itself.
+
+    Raises
+    ------
+    OutputError
+        From every method, if the file cannot be written.
+    """
+
+    def __init__(self, path: Path, *, compression: str = "none") -> None:
+        self._path = path
+        self._compresses = compression == "zstd"
+        self._ahead = WriteAhead()
+        self._pending = 0
+        self._defined: set[tuple[str, str]] = set()
+        try:
+            # SQLite would open an existing file and add to it.
+            path.open("xb").close()
+            self._database = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
+        except (OSError, sqlite3.Error) as err:
+            raise self._failed(err) from err
+        try:
+            # What goes wrong leaves a file that is thrown away as a whole: no journal on the disk, no waiting
+            # for the disk before the end.
+            self._database.execute("PRAGMA journal_mode=MEMORY")
+            self._database.execute("PRAGMA synchronous=OFF")
+            self._database.executescript(_SCHEMA)
+            self._database.execute("BEGIN")
+        except sqlite3.Error as err:
+            self.abort()
+            raise self._failed(err) from err
+
+    def keep_ids(self, connections: Collection[Connection]) -> None:
+        """Do nothing: there are no chunks that would carry ids."""
+
+    def compress_ahead(self, pool: Threads) -> None:
+        """Compress messages on these threads from now on; the file stays the same."""
+        self._ahead.use(pool)
+
+    def add_connection(self, connection: Connection) -> int:
+        """Add a row to ``topics``, and its definition if it is the first of its type and hash."""
+        self._ahead.finish()
+        connection = connection.in_utf8
+        definition = connection.definition
+        identity = (connection.msgtype, connection.digest)
+        if definition.encoding and identity not in self._defined:
+            self._defined.add(identity)
+            self._insert(
+                "INSERT INTO message_definitions(topic_type, encoding, encoded_message_definition, "
+                "type_description_hash) VALUES (?, ?, CAST(? AS TEXT), ?)",
+                (connection.msgtype, definition.encoding, definition.data, connection.digest),
+            )
+        return self._insert(
+            "INSERT INTO topics(name, type, serialization_format, offered_qos_profiles, "
+            "type_description_hash) VALUES (?, ?, ?, ?, ?)",
+            (
+                connection.topic,
+                connection.msgtype,
+                connection.serialization,
+                connection.qos,
+                connection.digest,
+            ),
+        )
+
+    def declarations(self) -> frozenset[bytes]:
+        """None: there are no chunks that could repeat any."""
+        return frozenset()
+
+    def write(
+        self,
+        handle: int,
+        log_time_ns: int,
+        data: Buffer,
+        publish_time_ns: int,  # noqa: ARG002 - the storage has one time a message
+        sequence: int = 0,  # noqa: ARG002 - and no sequence number
+    ) -> None:
+        """Append a message.
+
+        Raises
+        ------
+        UnwritableError
+            If its log time does not fit 64 bits with a sign; nothing is written then.
+        """
+        if not -(2**63) <= log_time_ns < 2**63:
+            raise UnwritableError(
+                f"log time {log_time_ns} ns is too large for SQLite, whose numbers have 63 bits and a sign",
+                path=self._path,
+            )
+        insert = partial(self._insert_message, handle, log_time_ns)
+        if self._compresses:
+            # A view would keep alive the whole chunk that it was read from.
+            self._ahead.put(partial(_packed, bytes(data)), insert, len(data))
+        else:
+            insert(data)
+
+    def write_chunk(self, chunk: StoredChunk) -> None:
+        """Refuse: the storage has no chunks."""
+        raise NotImplementedError
+
+    def _insert_message(self, handle: int, log_time_ns: int, data: Buffer) -> None:
+        self._insert("INSERT INTO messages(timestamp, topic_id, data) VALUES (?, ?, ?)", (log_time_ns, handle, data))
+        self._pending += len(data)
+        if self._pending >= _BATCH_BYTES:
+            self._pending = 0
+            self._run("COMMIT")
+            self._run("BEGIN")
+
+    def add_attachment(self, attachment: Attachment) -> None:
+        """Ignored: the storage has no attachments."""
+
+    def add_metadata(self, metadata: Metadata) -> None:
+        """Ignored: the storage has no metadata records."""
+
+    def add_bag_metadata(self, version: int, text: str) -> None:
+        """Keep rosbag2's metadata.yaml (its ``rosbag2_bagfile_information``) in the file, as rosbag2 does."""
+        self._ahead.finish()
+        self._insert("INSERT INTO metadata(metadata_version, metadata) VALUES (?, ?)", (version, text))
+
+    def finish(self) -> None:
+        """Commit, close, and put the file on the disk."""
+        self._ahead.finish()
+        self._run("COMMIT")
+        try:
+            self._database.close()
+            sync_file(self._path)
+        except (OSError, sqlite3.Error) as err:
+            raise self._failed(err) from err
+
+    def abort(self) -> None:
+        """Close; the file is not a recording."""
+        self._ahead.cancel()
+        with suppress(sqlite3.Error):
+            self._database.close()
+
+    def _insert(self, sql: str, values: Sequence[Any]) -> int:
+        row = self._run(sql, values).lastrowid
+        return row or 0
+
+    def _run(self, sql: str, values: Sequence[Any] = ()) -> sqlite3.Cursor:
+        try:
+            return self._database.execute(sql, values)
+        except (sqlite3.Error, OverflowError) as err:
+            raise self._failed(err) from err
+
+    def _failed(self, err: Exception) -> OutputError:
+        reason = err.strerror if isinstance(err, OSError) else str(err)
+        return OutputError(f"cannot be written: {reason}", path=self._path)
+
+
+def _packed(data: bytes) -> bytes:
+    # One for each: a compressor serves one thread at a time.
+    return zstandard.ZstdCompressor(level=_ZSTD_LEVEL).compress(data)

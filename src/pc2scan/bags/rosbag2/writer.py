@@ -1,0 +1,216 @@
+"""Writing rosbag2 directories: one storage file, and metadata.yaml."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from pc2scan.bags.qos import parsed_qos, respelled_qos
+from pc2scan.errors import OutputError, UnwritableError
+from pc2scan.files.yaml import dump_yaml
+from pc2scan.model import MAX_ROSBAG2_NS, Connection, Metadata
+
+from .metadata import METADATA_NAME, NEWEST_VERSION, RECORD_NAME, ROOT
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Mapping
+    from pathlib import Path
+
+    from pc2scan.model import Attachment, Buffer, StoredChunk, Writer
+    from pc2scan.threads import Threads
+
+__all__ = ["Rosbag2Writer"]
+
+
+class Rosbag2Writer:
+    """A rosbag2 directory being written, with one storage file; satisfies `pc2scan.model.Writer`.
+
+    Nothing in it depends on the machine: ``ros_distro`` is empty.
+
+    Parameters
+    ----------
+    path
+        The directory; must not exist.
+    name
+        What the directory will be called, which its files' names begin with.
+    storage
+        ``mcap`` or ``sqlite3``.
+    compression
+        With ``mcap``: ``none``, ``lz4`` or ``zstd``, inside the file. With ``sqlite3``: ``none``, or
+        ``zstd``, message by message.
+    metadata_version
+        8 (to ROS 2 Iron) or 9 (from Jazzy on). QoS profiles are spelled accordingly: enumerations as numbers
+        or by name. Profiles that cannot be understood, and unknown or missing keys, stay as they are.
+    custom_data
+        For metadata.yaml.
+
+    Raises
+    ------
+    OutputError
+        From every method, if it cannot be written.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        name: str,
+        *,
+        storage: str = "mcap",
+        compression: str = "none",
+        metadata_version: int = 8,
+        custom_data: Mapping[str, str] | None = None,
+    ) -> None:
+        self._path = path
+        self._storage_name = storage
+        self._version = metadata_version
+        self._custom_data = dict(custom_data or {})
+        self._message_compression = compression if storage == "sqlite3" else "none"
+        self._file_name = f"{name}_0.{'db3' if storage == 'sqlite3' else 'mcap'}"
+        self._connections: dict[int, Connection] = {}
+        self._counts: dict[int, int] = {}
+        self._span_ns: tuple[int, int] | None = None
+        try:
+            path.mkdir()
+        except OSError as err:
+            raise self._failed(err) from err
+        self._storage: Writer
+        self._keep_info: Callable[[str], None]
+        file = path / self._file_name
+        if storage == "sqlite3":
+            from .sqlite3_writer import Sqlite3Writer  # noqa: PLC0415  (a recording needs one of the two)
+
+            database = Sqlite3Writer(file, compression=compression)
+            self._keep_info = lambda text: database.add_bag_metadata(metadata_version, text)
+            self._storage = database
+        else:
+            from pc2scan.bags.mcap.writer import McapWriter  # noqa: PLC0415
+
+            mcap = McapWriter(file, compression, "ros2")
+            self._keep_info = lambda text: mcap.add_metadata(Metadata(RECORD_NAME, {"serialized_metadata": text}))
+            self._storage = mcap
+
+    def keep_ids(self, connections: Collection[Connection]) -> None:
+        """Let these keep their ids when they are declared, and no other one have them."""
+        self._storage.keep_ids(connections)
+
+    def compress_ahead(self, pool: Threads) -> None:
+        """Compress on these threads from now on; what is written stays the same."""
+        self._storage.compress_ahead(pool)
+
+    def add_connection(self, connection: Connection) -> int:
+        """Declare a topic, with type and QoS profiles as rosbag2 spells them."""
+        connection = connection.in_utf8
+        qos = respelled_qos(connection.qos, by_name=self._version >= NEWEST_VERSION)
+        # The MCAP writer prefers the text among the channel's metadata.
+        metadata = {key: qos if key == "offered_qos_profiles" else value for key, value in connection.metadata.items()}
+        msgtype = connection.ros_type if connection.serialization == "cdr" else connection.msgtype
+        spelled = replace(connection, msgtype=msgtype, qos=qos, metadata=metadata)
+        handle = self._storage.add_connection(spelled)
+        self._connections[handle] = spelled
+        self._counts[handle] = 0
+        return handle
+
+    def declarations(self) -> frozenset[bytes]:
+        """What a chunk may repeat of the topics declared so far."""
+        return self._storage.declarations()
+
+    def write(self, handle: int, log_time_ns: int, data: Buffer, publish_time_ns: int, sequence: int = 0) -> None:
+        """Append a message.
+
+        Raises
+        ------
+        UnwritableError
+            If its log time is more than the format can hold; nothing is written then.
+        """
+        if log_time_ns > MAX_ROSBAG2_NS:
+            raise UnwritableError(
+                f"log time {log_time_ns} ns is beyond the {MAX_ROSBAG2_NS} ns that rosbag2 can hold",
+                path=self._path,
+                topic=self._connections[handle].topic,
+            )
+        self._storage.write(handle, log_time_ns, data, publish_time_ns, sequence)
+        self._counts[handle] += 1
+        self._extend(log_time_ns, log_time_ns)
+
+    def write_chunk(self, chunk: StoredChunk) -> None:
+        """Append a whole chunk, if the storage is MCAP."""
+        self._storage.write_chunk(chunk)
+        for handle, entries in chunk.index.items():
+            self._counts[handle] += len(entries)
+        self._extend(*chunk.span_ns())
+
+    def _extend(self, first_ns: int, last_ns: int) -> None:
+        earliest_ns, latest_ns = self._span_ns or (first_ns, last_ns)
+        self._span_ns = (min(earliest_ns, first_ns), max(latest_ns, last_ns))
+
+    def add_attachment(self, attachment: Attachment) -> None:
+        """Append an attachment, if the storage is MCAP."""
+        self._storage.add_attachment(attachment)
+
+    def add_metadata(self, metadata: Metadata) -> None:
+        """Append a metadata record, if the storage is MCAP; rosbag2's own about other files is ignored."""
+        if metadata.name != RECORD_NAME:
+            self._storage.add_metadata(metadata)
+
+    def finish(self) -> None:
+        """Finish the storage, write metadata.yaml, and put everything on the disk."""
+        from pc2scan.files.staging import sync_directory  # noqa: PLC0415
+
+        info = self._info()
+        self._keep_info(dump_yaml(info).rstrip("\n"))
+        self._storage.finish()
+        try:
+            with (self._path / METADATA_NAME).open("x", encoding="utf-8", newline="\n") as file:
+                file.write(dump_yaml({ROOT: info}))
+                file.flush()
+                os.fsync(file.fileno())
+            sync_directory(self._path)
+        except OSError as err:
+            raise self._failed(err) from err
+
+    def abort(self) -> None:
+        """Release the storage; the directory is left for the caller to remove."""
+        self._storage.abort()
+
+    def _info(self) -> dict[str, Any]:
+        packed = self._message_compression != "none"
+        return {
+            "version": self._version,
+            "storage_identifier": self._storage_name,
+            **self._extent(),
+            "topics_with_message_count": [
+                {"topic_metadata": self._topic(connection), "message_count": self._counts[handle]}
+                for handle, connection in self._connections.items()
+            ],
+            "compression_format": self._message_compression if packed else "",
+            "compression_mode": "MESSAGE" if packed else "",
+            "relative_file_paths": [self._file_name],
+            "files": [{"path": self._file_name, **self._extent()}],
+            "custom_data": self._custom_data or None,
+            "ros_distro": "",
+        }
+
+    def _extent(self) -> dict[str, Any]:
+        first_ns, last_ns = self._span_ns or (MAX_ROSBAG2_NS, MAX_ROSBAG2_NS)
+        return {
+            "duration": {"nanoseconds": last_ns - first_ns},
+            "starting_time": {"nanoseconds_since_epoch": first_ns},
+            "message_count": sum(self._counts.values()),
+        }
+
+    def _topic(self, connection: Connection) -> dict[str, Any]:
+        qos: Any = connection.qos
+        if self._version >= NEWEST_VERSION:
+            profiles = parsed_qos(qos) if qos else []
+            qos = qos if profiles is None else profiles
+        return {
+            "name": connection.topic,
+            "type": connection.msgtype,
+            "serialization_format": connection.serialization,
+            "offered_qos_profiles": qos,
+            "type_description_hash": connection.digest,
+        }
+
+    def _failed(self, err: OSError) -> OutputError:
+        return OutputError(f"cannot be written: {err.strerror}", path=self._path)

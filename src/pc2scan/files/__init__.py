@@ -1,0 +1,1 @@
+"""Files: where bytes come from and go to."""

@@ -1,0 +1,218 @@
+"""As much of broken compressed data as can be decompressed.
+
+Only damaged chunks come here. Data are fed in small pieces, because a decompressor that fails forgets what it
+made of the piece that it failed on. LZ4 frames are taken apart block by block, so that a broken block costs only
+itself, and of it only what follows the break.
+"""
+
+from __future__ import annotations
+
+import struct
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from .limits import allowed_bytes
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from pc2scan.model import Buffer, RawMessage
+
+__all__ = ["SIZE_LIMIT", "Salvaged", "decompressed_prefix", "settled"]
+
+#: A chunk whose declared size may be damaged too is decompressed to this many bytes, if it declares fewer.
+SIZE_LIMIT = 16 << 20
+
+_PIECE = 64
+_LZ4_MAGIC = b"\x04\x22\x4d\x18"
+_LZ4_WINDOW = 1 << 16
+_LZ4_BLOCK_SIZES = {4: 1 << 16, 5: 1 << 18, 6: 1 << 20, 7: 4 << 20}
+
+
+class Salvaged(NamedTuple):
+    """What is left of a chunk.
+
+    Attributes
+    ----------
+    messages
+        In the order of the chunk.
+    bytes_lost
+        Uncompressed bytes that no record accounts for.
+    strangers
+        Messages of channels (connections) that nothing describes.
+    """
+
+    messages: list[RawMessage]
+    bytes_lost: int
+    strangers: int
+
+
+def settled(messages: list[RawMessage], span: tuple[int, int]) -> list[RawMessage]:
+    """Give messages whose log times lie outside of their chunk's declared ones the nearest of these.
+
+    If there are several of them, and all messages are in order by their own times, it is the declared times that are
+    wrong: all keep theirs.
+
+    Parameters
+    ----------
+    messages
+        All of a chunk, in its order.
+    span
+        The first and the last log time that are declared.
+    """
+    low, high = span
+    times = [message.log_time_ns for message in messages]
+    outside = sum(not low <= time_ns <= high for time_ns in times)
+    if outside == 0 or (outside > 1 and times == sorted(times)):
+        return messages
+    return [message if low <= message.log_time_ns <= high else _moved(message, span) for message in messages]
+
+
+def _moved(message: RawMessage, span: tuple[int, int]) -> RawMessage:
+    """Give a message the nearest log time in a span; where it is the time of publishing too, that as well."""
+    nearest = max(span[0], min(message.log_time_ns, span[1]))
+    publish_time_ns = nearest if message.publish_time_ns == message.log_time_ns else message.publish_time_ns
+    return message._replace(log_time_ns=nearest, publish_time_ns=publish_time_ns)
+
+
+def decompressed_prefix(data: Buffer, compression: str, declared: int) -> bytes:
+    """Decompress until it fails.
+
+    Parameters
+    ----------
+    data
+        The compressed data, perhaps cut off.
+    compression
+        ``none``, ``bz2``, ``lz4`` or ``zstd``; of anything else nothing is made.
+    declared
+        The size that the chunk declares, bytes. It may be exceeded up to `SIZE_LIMIT`, since it may be wrong.
+
+    Returns
+    -------
+    bytes
+        What came out, from the beginning. After a broken block of an LZ4 frame with independent blocks, the next
+        ones follow without a gap.
+    """
+    limit = min(max(declared, SIZE_LIMIT), allowed_bytes(len(data)))
+    if compression == "none":
+        return bytes(data)
+    if compression == "lz4":
+        return _lz4_frame(memoryview(data), limit)
+    if compression == "bz2":
+        import bz2  # noqa: PLC0415  # heavy
+
+        bunzip2 = bz2.BZ2Decompressor()
+        return _fed(bunzip2, bunzip2.decompress, memoryview(data), limit, (OSError, EOFError, MemoryError))
+    if compression == "zstd":
+        import zstandard  # noqa: PLC0415  (only recordings that need it pay for it)
+
+        unzstd = zstandard.ZstdDecompressor().decompressobj()
+        # A piece is at most some dozen blocks of 128 KB.
+        return _fed(
+            unzstd,
+            lambda piece, _: unzstd.decompress(piece),
+            memoryview(data),
+            limit,
+            (zstandard.ZstdError, MemoryError),
+        )
+    return b""
+
+
+def _fed(
+    decoder: Any,
+    decompress: Callable[[bytes, int], bytes],
+    data: memoryview,
+    limit: int,
+    failures: tuple[type[Exception], ...],
+) -> bytes:
+    """Decompress piece by piece; ``decompress`` takes a piece and how many bytes it may return."""
+    parts = []
+    size = 0
+    for start in range(0, len(data), _PIECE):
+        try:
+            part = decompress(bytes(data[start : start + _PIECE]), limit - size)
+        except failures:
+            break
+        if part:
+            parts.append(part)
+            size += len(part)
+        if decoder.eof or size >= limit:
+            break
+    return b"".join(parts)[:limit]
+
+
+def _lz4_frame(data: memoryview, limit: int) -> bytes:
+    """Take an LZ4 frame apart. Source: lz4_Frame_format.md of the LZ4 project."""
+    import lz4.block  # noqa: PLC0415  (only recordings that need it pay for it)
+
+    if len(data) < 7 or bytes(data[:4]) != _LZ4_MAGIC:
+        return b""
+    flags, sizes = data[4], data[5]
+    linked, block_checksums = not flags & 0x20, bool(flags & 0x10)
+    block_size = _LZ4_BLOCK_SIZES.get(sizes >> 4 & 7, _LZ4_BLOCK_SIZES[7])
+    position = 7 + (8 if flags & 0x08 else 0) + (4 if flags & 0x01 else 0)
+    out = bytearray()
+    while position + 4 <= len(data) and len(out) < limit:
+        (length,) = struct.unpack_from("<I", data, position)
+        stored, length = length >> 31, length & 0x7FFF_FFFF
+        # No block is longer than what it decompresses to: such a one would be stored.
+        if length == 0 or length > block_size:
+            break
+        block = bytes(data[position + 4 : position + 4 + length])
+        position += 4 + length + 4 * block_checksums
+        if stored:
+            out += block
+            continue
+        history = bytes(out[-_LZ4_WINDOW:]) if linked else b""
+        try:
+            if len(block) < length:
+                raise ValueError("cut off")
+            # lz4 raises RuntimeError on truncated dictionaries, and its own errors are ValueErrors and MemoryErrors.
+            out += lz4.block.decompress(block, uncompressed_size=block_size, dict=history)
+        except (lz4.block.LZ4BlockError, ValueError, RuntimeError, MemoryError):
+            out += _lz4_block_prefix(block, history, block_size)
+            if linked:
+                break
+    return bytes(out[:limit])
+
+
+def _lz4_block_prefix(block: bytes, history: bytes, limit: int) -> bytes:
+    """Decode the sequences of an LZ4 block until one is impossible. Source: lz4_Block_format.md."""
+    out = bytearray(history)
+    limit += len(history)
+    position, end = 0, len(block)
+
+    def extended(length: int) -> int:
+        nonlocal position
+        while length >= 15:
+            if position >= end:
+                return -1
+            more = block[position]
+            position += 1
+            length += more
+            if more != 255:
+                break
+        return length
+
+    while position < end and len(out) < limit:
+        token = block[position]
+        position += 1
+        literals = extended(token >> 4)
+        if literals < 0:
+            break
+        out += block[position : position + literals]
+        position += literals
+        if position + 2 > end:
+            break
+        distance = block[position] | block[position + 1] << 8
+        position += 2
+        length = extended(token & 15)
+        if length < 0 or not 0 < distance <= len(out):
+            break
+        length += 4
+        start = len(out) - distance
+        if distance >= length:
+            out += out[start : start + length]
+        else:
+            pattern = bytes(out[start:])
+            out += (pattern * (length // distance + 1))[:length]
+    return bytes(out[len(history) : limit])

@@ -1,0 +1,100 @@
+"""A text that a run writes, such as its report: whole or not at all, and over no file of the user's."""
+
+from __future__ import annotations
+
+import os
+import stat
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from pc2scan.errors import DestinationError, OutputError
+
+from .source import NewFile
+from .staging import prepared
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+
+__all__ = ["text_output"]
+
+
+@contextmanager
+def text_output(path: Path, *, beginning: bytes, overwrite: bool) -> Iterator[Callable[[str], None]]:
+    """Make sure that a text can be written, and give the function that writes it.
+
+    Parameters
+    ----------
+    path
+        The file that is to appear, as `pc2scan.files.staging.staged` makes it.
+    beginning
+        What files of this kind begin with: one that does may be replaced, as may an empty file.
+    overwrite
+        Whether any other file may be replaced. A symbolic link is replaced by the file, what it leads to is not.
+
+    Yields
+    ------
+    function
+        Writes a text, to be called once. Without the call nothing appears.
+
+    Raises
+    ------
+    DestinationError
+        If something else is there, or it is not a file.
+    OutputError
+        If it cannot be written; by the function too.
+    """
+
+    def check() -> bool:
+        return _may_replace(path, beginning, overwrite=overwrite)
+
+    with prepared(path, check) as (partial, commit):
+        try:
+            file = NewFile(partial)
+        except OSError as err:
+            raise _unwritable(path, err) from err
+
+        def write(text: str) -> None:
+            try:
+                file.put(text.encode("utf-8"))
+                file.finish()
+            except OutputError as err:
+                # What the user knows is the name that it will have.
+                raise OutputError(err.message, path=path) from err
+            commit()
+
+        try:
+            yield write
+        finally:
+            file.abort()
+
+
+def _may_replace(path: Path, beginning: bytes, *, overwrite: bool) -> bool:
+    if not os.path.lexists(path):
+        return False
+    if path.is_dir() and not path.is_symlink():
+        raise DestinationError("cannot be written: it is a directory", path=path, hint="choose another name")
+    if path.exists() and not path.is_file() and not path.is_dir():
+        raise DestinationError("cannot be written: it is not a file", path=path, hint="choose another name")
+    if not overwrite and not _is_ours(path, beginning):
+        raise DestinationError(
+            "exists already, and is not what pc2scan writes there",
+            path=path,
+            hint="choose another name; or `overwrite=True` replaces it",
+        )
+    return True
+
+
+def _is_ours(path: Path, beginning: bytes) -> bool:
+    """Whether a file has nothing in it to lose: a text of the same kind, or nothing at all."""
+    try:
+        if not stat.S_ISREG(path.lstat().st_mode):
+            return False
+        with path.open("rb") as file:
+            return file.read(len(beginning)) in (beginning, b"")
+    except OSError as err:
+        raise _unwritable(path, err) from err
+
+
+def _unwritable(path: Path, err: OSError) -> OutputError:
+    return OutputError(f"cannot be written: {err.strerror}", path=path)

@@ -1,0 +1,341 @@
+"""What every container has in common: connections, messages, and the protocols of readers and writers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from itertools import chain
+from typing import TYPE_CHECKING, NamedTuple, Protocol
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterable, Mapping, Sequence
+
+    from .threads import Threads
+
+Buffer = bytes | memoryview
+
+#: The id of a connection that no recording has yet.
+NEW_ID = -1
+
+#: The latest log time that rosbag2 can hold; it writes this for the start of a recording without messages.
+MAX_ROSBAG2_NS = 2**63 - 1
+
+#: Latched, as rosbag2 (metadata version 8) writes it: keep last 1, reliable, transient local, automatic
+#: liveliness, every duration infinite. Topics that are not latched get none: ``ros2 bag play`` then
+#: publishes with its default.
+LATCHED_QOS = """\
+- history: 1
+  depth: 1
+  reliability: 1
+  durability: 1
+  deadline:
+    sec: 9223372036
+    nsec: 854775807
+  lifespan:
+    sec: 9223372036
+    nsec: 854775807
+  liveliness: 1
+  liveliness_lease_duration:
+    sec: 9223372036
+    nsec: 854775807
+  avoid_ros_namespace_conventions: false
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Definition:
+    """A message definition, verbatim.
+
+    Attributes
+    ----------
+    encoding
+        MCAP's words: ``ros1msg``, ``ros2msg``, ``ros2idl``, another schema encoding, or empty for none.
+    data
+        The definition with those it depends on, byte for byte as the recording carries it.
+    """
+
+    encoding: str = ""
+    data: bytes = b""
+
+    @property
+    def text(self) -> str:
+        """The definition as text; bytes that are not UTF-8 become replacement characters."""
+        return self.data.decode("utf-8", "replace")
+
+
+def _in_utf8(text: str) -> str:
+    """The text, with replacement characters for the bytes that were kept as surrogates."""
+    return text.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
+
+
+@dataclass(frozen=True, slots=True)
+class Connection:
+    """One publisher's stream of one topic: a ROS 1 connection, a rosbag2 topic or an MCAP channel.
+
+    Attributes
+    ----------
+    id
+        Unique within its reader, and for a chunked container the id that its messages carry. `NEW_ID` for a connection
+        that is made, not read.
+    topic
+        As recorded.
+    msgtype
+        As recorded: ``sensor_msgs/PointCloud2`` or ``sensor_msgs/msg/PointCloud2``.
+    serialization
+        MCAP's words: ``ros1``, ``cdr``, or another message encoding.
+    definition
+        What the recording says of the type.
+    digest
+        The type's identity where recorded: md5sum (ROS 1), RIHS01 hash (ROS 2), or empty.
+    callerid
+        ROS 1's name of the publishing node; None when not recorded.
+    latching
+        ROS 1: latched. ROS 2: durability transient local in any of the offered profiles.
+    qos
+        rosbag2's ``offered_qos_profiles``, verbatim (YAML text); empty when not recorded.
+    metadata
+        MCAP channel metadata or further ROS 1 connection header fields, verbatim.
+    message_count
+        None where the container does not say.
+    schema_id
+        In an MCAP file: the id of its definition; 0 for none.
+    """
+
+    id: int
+    topic: str
+    msgtype: str
+    serialization: str
+    definition: Definition = Definition()
+    digest: str = ""
+    callerid: str | None = None
+    latching: bool = False
+    qos: str = ""
+    metadata: Mapping[str, str] = field(default_factory=dict)
+    message_count: int | None = None
+    schema_id: int = 0
+
+    @property
+    def ros_type(self) -> str:
+        """The type in ROS 2's spelling, whatever the recording's: ``sensor_msgs/msg/PointCloud2``."""
+        return normalized_type(self.msgtype)
+
+    @property
+    def in_utf8(self) -> Connection:
+        """The same for a container whose texts are UTF-8; ROS 1's may be any bytes, and are kept as surrogates."""
+        texts = (self.topic, self.msgtype, self.digest, self.callerid or "", *chain(*self.metadata.items()))
+        if all(map(str.isascii, texts)):
+            return self
+        return replace(
+            self,
+            topic=_in_utf8(self.topic),
+            msgtype=_in_utf8(self.msgtype),
+            digest=_in_utf8(self.digest),
+            callerid=None if self.callerid is None else _in_utf8(self.callerid),
+            metadata={_in_utf8(key): _in_utf8(value) for key, value in self.metadata.items()},
+        )
+
+    @property
+    def generation(self) -> int | None:
+        """1 or 2 for the ROS generation that serialised the messages, None for another encoding."""
+        return {"ros1": 1, "cdr": 2}.get(self.serialization)
+
+
+class RawMessage(NamedTuple):
+    """One recorded message, not decoded.
+
+    ``log_time_ns`` is the time of recording, ``publish_time_ns`` (equal to it where the container has
+    only one) the time of publishing, both in integer nanoseconds. ``data`` may be a view into a larger buffer.
+    """
+
+    connection: Connection
+    log_time_ns: int
+    data: Buffer
+    publish_time_ns: int
+    sequence: int = 0
+
+
+def own(data: Buffer) -> Buffer:
+    """Return data that may be kept: a copy, if borrowed (see `pc2scan.files.source.SourceFile.borrow`)."""
+    return data if isinstance(data, bytes) or isinstance(data.obj, bytes) else bytes(data)
+
+
+def owned(message: RawMessage) -> RawMessage:
+    """Return a message whose data may be kept."""
+    data = own(message.data)
+    return message if data is message.data else message._replace(data=data)
+
+
+def declared_counts(connections: Iterable[Connection]) -> dict[int, int]:
+    """Messages of each connection in the whole recording, by id, where the container declares them."""
+    return {c.id: c.message_count for c in connections if c.message_count is not None}
+
+
+@dataclass(frozen=True, slots=True)
+class StoredChunk:
+    """A chunk as a whole, to be written without taking it apart.
+
+    Attributes
+    ----------
+    compression
+        ``none``, ``bz2``, ``lz4`` or ``zstd``: it is written as it is. Empty: its records are not compressed, and are
+        to be as the destination's own chunks are.
+    stored
+        Its records, compressed so.
+    size
+        Bytes of its records, uncompressed.
+    crc
+        CRC-32 of its records; 0 when there is none.
+    index
+        For every connection with messages in it, by id: their log times (ns) and places among the uncompressed
+        records, in the order of the file.
+    """
+
+    compression: str
+    stored: Buffer
+    size: int
+    crc: int
+    index: Mapping[int, Sequence[tuple[int, int]]]
+
+    def span_ns(self) -> tuple[int, int]:
+        """Log times of the earliest and the latest message."""
+        return min(map(min, self.index.values()))[0], max(map(max, self.index.values()))[0]
+
+
+@dataclass(frozen=True, slots=True)
+class ChunkRule:
+    """Which chunks a destination takes as they are.
+
+    Attributes
+    ----------
+    container
+        Whose chunks: ``rosbag1`` or ``mcap``.
+    compressions
+        Those that a chunk may keep; one of another is compressed again, as a whole.
+    connection_ids
+        The connections that go to the destination untouched and have the same ids there. A chunk with anything of
+        another one is not taken.
+    declarations
+        Schema and Channel records of the destination, byte for byte. A chunk may repeat these and has no others.
+    last_ns
+        The latest log time that the destination can hold; None if that is any that the source can.
+    """
+
+    container: str
+    compressions: frozenset[str]
+    connection_ids: frozenset[int]
+    declarations: frozenset[bytes] = frozenset()
+    last_ns: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Attachment:
+    """An MCAP attachment: a file carried along."""
+
+    name: str
+    media_type: str
+    log_time_ns: int
+    create_time_ns: int
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Metadata:
+    """An MCAP metadata record: named key-value text."""
+
+    name: str
+    entries: Mapping[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """What a reader knows of its recording without reading the messages.
+
+    Attributes
+    ----------
+    container
+        ``rosbag1``, ``rosbag2`` (a directory), ``sqlite3`` (a bare ``.db3``) or ``mcap``.
+    storage
+        Of a rosbag2 directory: ``sqlite3`` or ``mcap``; else empty.
+    compression
+        The compressions that occur, sorted: ``none``, ``bz2``, ``lz4``, ``zstd``.
+    size_bytes
+        Of all files together.
+    message_count, start_ns, end_ns
+        None where only reading every message would tell. ``end_ns`` is the last message's log time.
+    """
+
+    container: str
+    storage: str
+    compression: tuple[str, ...]
+    size_bytes: int
+    message_count: int | None
+    start_ns: int | None
+    end_ns: int | None
+    profile: str = ""
+
+    @property
+    def chunks(self) -> str:
+        """Whose chunks its messages lie in: ``rosbag1`` or ``mcap``; empty for none."""
+        form = self.storage or self.container
+        return form if form in {"rosbag1", "mcap"} else ""
+
+
+class Writer(Protocol):
+    """A recording being written; it becomes valid with `finish` and not before."""
+
+    def keep_ids(self, connections: Collection[Connection]) -> None:
+        """Let these connections keep their ids when they are declared, and no other one have them."""
+        ...
+
+    def add_connection(self, connection: Connection) -> int:
+        """Declare a connection; returns the handle that `write` takes. Its ``id`` matters only to `keep_ids`."""
+        ...
+
+    def declarations(self) -> frozenset[bytes]:
+        """What a chunk may repeat of the connections declared so far; see `ChunkRule`."""
+        ...
+
+    def compress_ahead(self, pool: Threads) -> None:
+        """Compress on these threads, which outlive the writer's work; what is written stays the same."""
+        ...
+
+    def write(self, handle: int, log_time_ns: int, data: Buffer, publish_time_ns: int, sequence: int = 0) -> None:
+        """Append a message; ``UnwritableError``, and nothing is written, if the format cannot hold it."""
+        ...
+
+    def write_chunk(self, chunk: StoredChunk) -> None:
+        """Append a whole chunk, whose connections have been declared and have kept their ids."""
+        ...
+
+    def add_attachment(self, attachment: Attachment) -> None:
+        """Append an attachment; containers without attachments ignore it."""
+        ...
+
+    def add_metadata(self, metadata: Metadata) -> None:
+        """Append a metadata record; containers without them ignore it."""
+        ...
+
+    def finish(self) -> None:
+        """Write indexes and summaries, and put everything on the disk."""
+        ...
+
+    def abort(self) -> None:
+        """Release the files; what was written is left for the caller to remove."""
+        ...
+
+
+def normalized_type(msgtype: str) -> str:
+    """Spell a ROS type as ROS 2 does.
+
+    >>> normalized_type("tf/tfMessage"), normalized_type("std_msgs/msg/Header")
+    ('tf/msg/tfMessage', 'std_msgs/msg/Header')
+    """
+    package, _, name = msgtype.rpartition("/")
+    if not package or "/" in package:
+        return msgtype
+    return f"{package}/msg/{name}"
+
+
+def ros1_type(msgtype: str) -> str:
+    """Spell a ROS type as ROS 1 does: ``sensor_msgs/PointCloud2``."""
+    parts = msgtype.split("/")
+    return f"{parts[0]}/{parts[-1]}" if len(parts) == 3 else msgtype

@@ -1,0 +1,117 @@
+"""Chunks that are told whole by their message indexes alone, and what makes that impossible."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from contextlib import closing
+from typing import TYPE_CHECKING, Any
+
+import pytest
+import zstandard
+
+from bags.mcap_files import write
+from pc2scan.bags.chunked import segments
+from pc2scan.bags.mcap.copies import whole_by_content, whole_by_index
+from pc2scan.bags.mcap.reader import McapReader
+from pc2scan.bags.mcap.records import RecordFile
+from pc2scan.bags.units import in_time_order
+from pc2scan.model import ChunkRule, StoredChunk
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+ROWS = [(i % 2, 1000 + 10 * i, bytes([i]) * 40) for i in range(8)]
+RULE = ChunkRule("mcap", frozenset({"zstd"}), frozenset({1, 2}))
+
+
+class Chunk:
+    """The one chunk of a file, and a copy of the file that can be changed."""
+
+    def __init__(self, path: Path, rows: list[tuple[int, int, bytes]]) -> None:
+        write(path, rows, compression="zstd")
+        with closing(McapReader(path)) as reader:
+            contents: Any = reader._contents
+            (self.segment,) = contents.segments
+        self.path = path
+        self.data = bytearray(path.read_bytes())
+
+    @property
+    def indexes(self) -> int:
+        """Where the message indexes begin."""
+        return int(self.segment.offset + self.segment.length)
+
+    def by_index(self, rule: ChunkRule = RULE) -> StoredChunk | None:
+        self.path.write_bytes(self.data)
+        with closing(RecordFile(self.path)) as file:
+            return whole_by_index(file, self.segment, rule)
+
+    def by_content(self, rule: ChunkRule = RULE) -> StoredChunk | memoryview:
+        self.path.write_bytes(self.data)
+        with closing(RecordFile(self.path)) as file:
+            return whole_by_content(file, self.segment, rule, verify=True)
+
+
+@pytest.fixture
+def chunk(tmp_path: Path) -> Chunk:
+    return Chunk(tmp_path / "chunk.mcap", ROWS)
+
+
+def test_both_ways_find_the_same(chunk: Chunk) -> None:
+    found = chunk.by_index()
+    assert found is not None
+    assert found == chunk.by_content()
+    assert {channel: [time_ns for time_ns, _ in entries] for channel, entries in found.index.items()} == {
+        1: [1000, 1020, 1040, 1060],
+        2: [1010, 1030, 1050, 1070],
+    }
+    assert found.span_ns() == (1000, 1070)
+    assert bytes(found.stored) == bytes(chunk.data[chunk.segment.offset : chunk.indexes])
+
+
+@pytest.mark.parametrize(
+    ("at", "form", "value"),
+    [
+        (0, "<B", 0x0F),  # not a message index
+        (1, "<Q", 3),  # of another length
+        (9, "<H", 7),  # of a channel that the summary does not list
+        (11, "<I", 24),  # half an entry
+        (15, "<Q", 2000),  # a time after the chunk's last
+        (15, "<Q", 1065),  # out of order
+        (23, "<Q", 5),  # something in front of the first message
+        (-8, "<Q", 1 << 40),  # a place beyond the records
+    ],
+)
+def test_indexes_that_cannot_be_trusted_are_not(chunk: Chunk, at: int, form: str, value: int) -> None:
+    assert chunk.by_index() is not None
+    struct.pack_into(form, chunk.data, chunk.indexes + (at if at >= 0 else chunk.segment.index_length + at), value)
+    assert chunk.by_index() is None
+    assert isinstance(chunk.by_content(), StoredChunk)
+
+
+def test_messages_that_are_packed_by_themselves_are_not_copied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(segments, "MIN_WHOLE_BYTES", 1)
+    packed = [(channel, time_ns, zstandard.compress(data)) for channel, time_ns, data in ROWS]
+    assert isinstance(Chunk(tmp_path / "packed.mcap", packed).by_content(), memoryview)
+    with closing(McapReader(tmp_path / "packed.mcap", verify=False)) as reader:
+        found: list[Any] = list(in_time_order(reader.units(rule=RULE)))
+    assert [bytes(message.data) for message in found] == [row[2] for row in ROWS]
+
+
+def test_another_compression_cannot_be_had_without_decompressing(chunk: Chunk) -> None:
+    rule = ChunkRule("mcap", frozenset({"none"}), frozenset({1, 2}))
+    assert chunk.by_index(rule) is None
+    found = chunk.by_content(rule)
+    assert isinstance(found, StoredChunk)
+    assert (found.compression, len(found.stored)) == ("", found.size)
+    assert zlib.crc32(found.stored) == found.crc
+
+
+def test_unsorted_messages_are_found_both_ways(tmp_path: Path) -> None:
+    chunk = Chunk(tmp_path / "chunk.mcap", [ROWS[0], ROWS[2], ROWS[1]])
+    assert chunk.by_index() is None
+    assert isinstance(chunk.by_content(), memoryview)
+
+
+def test_a_channel_that_the_rule_does_not_name_keeps_its_chunk_from_being_copied(chunk: Chunk) -> None:
+    assert isinstance(chunk.by_content(ChunkRule("mcap", frozenset({"zstd"}), frozenset({1}))), memoryview)

@@ -1,0 +1,276 @@
+"""What is left of damaged MCAP files: cut anywhere, bytes flipped anywhere."""
+
+from __future__ import annotations
+
+import io
+import struct
+from collections import Counter
+from contextlib import closing
+from typing import TYPE_CHECKING
+
+import pytest
+from mcap.records import DataEnd, Footer, Message, MessageIndex
+from mcap.stream_reader import StreamReader
+
+from bags.mcap_files import (
+    LIBRARY_OPTIONS,
+    content,
+    encoded,
+    library_file,
+    raw_channel,
+    raw_chunk,
+    raw_file,
+    raw_message,
+    write,
+    zstd,
+)
+from pc2scan.bags.mcap.reader import McapReader
+from pc2scan.bags.mcap.records import MAGIC
+from pc2scan.errors import DamageError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from pc2scan.bags.damage import Damage
+
+Rows = list[tuple[int, int, int, int, bytes]]
+
+#: Chunks overlap in time, and the data are told from each other.
+MESSAGES = [(i % 2, 1_000_000 + 10 * (i // 2) + (i * 7) % 13, b"\0\1\0\0" + bytes([i]) * (20 + i)) for i in range(9)]
+
+CASES = {
+    name: LIBRARY_OPTIONS[name] for name in ("default", "lz4", "uncompressed", "unchunked", "no summary", "no crc")
+}
+
+
+def recovered(path: Path) -> tuple[Rows, tuple[Damage, ...]]:
+    with closing(McapReader(path)) as reader:
+        rows = content(reader)
+        list(reader.attachments())
+        list(reader.metadata())
+        return rows, reader.damage
+
+
+def stretches(data: bytes) -> list[tuple[int, int, list[bytes]]]:
+    """Where each chunk, or message outside chunks, is in a sound file, and the data of its messages."""
+    found = []
+    position = 8
+    while position < len(data) - 8:
+        opcode, length = struct.unpack_from("<BQ", data, position)
+        stop = position + 9 + length
+        if opcode in (5, 6):
+            stream = StreamReader(io.BytesIO(data[position:stop] + encoded(Footer(0, 0, 0)) + MAGIC), skip_magic=True)
+            inner = [r.data for r in stream.records if isinstance(r, Message)]
+            found.append((position, stop, inner))
+        position = stop
+    return found
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_cut_at_every_byte(tmp_path: Path, case: str) -> None:
+    source = library_file(tmp_path / "a.mcap", MESSAGES, extras=True, chunk_size=300, **CASES[case])
+    data = source.read_bytes()
+    complete, damage = recovered(source)
+    assert len(complete) == len(MESSAGES)
+    assert damage == ()
+    places = stretches(data)
+    path = tmp_path / "b.mcap"
+    most = 0
+    for size in range(8, len(data)):
+        path.write_bytes(data[:size])
+        rows, damage = recovered(path)
+        # A file whose summary lacks only its end may still be whole; everything shorter says what is missing.
+        assert damage, size
+        assert all(place.what for place in damage)
+        # What is returned is true, and nothing that is all there is missing.
+        assert Counter(rows) <= Counter(complete), size
+        there = {data for _, stop, inner in places if stop <= size for data in inner}
+        found = {row[4] for row in rows}
+        assert there <= found, size
+        assert len(found) >= most, size
+        most = len(found)
+        with pytest.raises(DamageError), closing(McapReader(path, strict=True)) as strict:
+            content(strict)
+    assert most == len(MESSAGES)
+
+
+@pytest.mark.parametrize("case", ["uncompressed", "unchunked"])
+def test_a_cut_loses_only_the_message_it_cuts(tmp_path: Path, case: str) -> None:
+    source = library_file(tmp_path / "a.mcap", MESSAGES, chunk_size=300, **CASES[case])
+    data = source.read_bytes()
+    path = tmp_path / "b.mcap"
+    ends = sorted(data.index(message) + len(message) for _, _, message in MESSAGES)
+    for size in range(ends[0], ends[-1] + 1, 3):
+        path.write_bytes(data[:size])
+        rows, _ = recovered(path)
+        assert len(rows) == sum(end <= size for end in ends), size
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_any_byte_flipped(tmp_path: Path, case: str) -> None:
+    source = library_file(tmp_path / "a.mcap", MESSAGES, extras=True, chunk_size=300, **CASES[case])
+    data = source.read_bytes()
+    places = stretches(data)
+    path = tmp_path / "b.mcap"
+    for position in range(8, len(data)):
+        flipped = bytearray(data)
+        flipped[position] ^= 0xFF if position % 2 else 0x01
+        path.write_bytes(flipped)
+        rows, damage = recovered(path)
+        # Damage costs no more than the chunk or message that it is in, wherever it is.
+        found = {row[4] for row in rows}
+        for number, (start, stop, inner) in enumerate(places):
+            # What the channels are is told by the first chunk alone, if by no summary.
+            if case == "no summary" and number and places[0][0] <= position < places[0][1]:
+                continue
+            # A wrong length may by chance end where another record does.
+            if case == "unchunked" and position < places[0][0]:
+                continue
+            # A record in front of it with a wrong length may be taken for longer; never beyond what follows.
+            if not start - 1 <= position < stop:
+                assert set(inner) <= found, (position, start, stop)
+        # Without a CRC or an index, a flip may turn a message or a chunk into a record of another kind.
+        if len(rows) < len(MESSAGES) and case not in ("no crc", "unchunked", "no summary"):
+            assert damage, position
+
+
+def test_an_uncompressed_chunk_with_a_wrong_crc_keeps_its_messages(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.mcap", MESSAGES, compression="none")
+    data = bytearray(path.read_bytes())
+    data[data.index(bytes([7]) * 27)] ^= 1
+    path.write_bytes(data)
+    rows, (damage,) = recovered(path)
+    assert len(rows) == len(MESSAGES)
+    assert "has CRC" in damage.what
+    assert (damage.bytes_lost, damage.messages_lost) == (0, 0)
+    with closing(McapReader(path, verify=False)) as reader:
+        assert len(content(reader)) == len(MESSAGES)
+        assert reader.damage == ()
+
+
+def test_a_wrong_length_inside_a_chunk_costs_that_message(tmp_path: Path) -> None:
+    body = raw_channel() + b"".join(raw_message(1, t, bytes([t]) * 40) for t in range(1, 9))
+    for wrong in (3, 45, 100, 1 << 40):
+        broken = bytearray(body)
+        at = body.index(bytes([4]) * 40) - 30
+        struct.pack_into("<Q", broken, at, wrong)
+        path = raw_file(tmp_path / "a.mcap", raw_chunk(bytes(broken), message_end_time=8))
+        rows, (damage,) = recovered(path)
+        assert {row[2] for row in rows} >= {1, 2, 3, 5, 6, 7, 8}, wrong
+        assert damage.bytes_lost > 0
+        assert damage.offset is not None
+
+
+def test_a_message_with_an_impossible_time_gets_the_nearest(tmp_path: Path) -> None:
+    body = bytearray(raw_channel() + b"".join(raw_message(1, 100 + t, bytes([t]) * 40) for t in range(4)))
+    chunk = bytearray(raw_chunk(bytes(body), message_start_time=100, message_end_time=103))
+    at = chunk.index(bytes([2]) * 40) - 16
+    chunk[at + 7] = 0x7F
+    path = raw_file(tmp_path / "a.mcap", bytes(chunk))
+    rows, damage = recovered(path)
+    assert sorted(row[2] for row in rows) == [100, 101, 103, 103]
+    assert damage
+
+
+@pytest.mark.parametrize("compression", ["lz4", "zstd"])
+def test_of_a_chunk_that_breaks_midway_the_front_is_kept(tmp_path: Path, compression: str) -> None:
+    import random
+
+    noise = random.Random(5)
+    words = (b"alpha", b"bravo", b"charlie", b"delta", b"echo")
+    messages = [(0, 1000 + i, b"\0\1\0\0" + b" ".join(noise.choices(words, k=600))) for i in range(200)]
+    path = write(tmp_path / "a.mcap", messages, topics=1, compression=compression)
+    data = bytearray(path.read_bytes())
+    at = len(data) * 3 // 4
+    data[at : at + 300] = bytes(300)
+    path.write_bytes(data)
+    rows, damage = recovered(path)
+    assert 60 <= len(rows) < 200
+    assert len(damage) == 1
+    # The message that the break goes through may look whole.
+    assert len({row[4] for row in rows} - {message for _, _, message in messages}) <= 1
+    assert damage[0].bytes_lost > 0
+    assert damage[0].last_ns == 1199
+    assert damage[0].first_ns is not None
+    assert damage[0].first_ns >= 1000
+
+
+def test_a_chunk_with_a_broken_header_is_read_by_the_index(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.mcap", MESSAGES, chunk_size=300)
+    data = bytearray(path.read_bytes())
+    start = struct.unpack_from("<Q", data, len(data) - 28)[0]
+    at = data.index(b"\x04\0\0\0zstd")
+    data[at + 4] ^= 0xFF
+    path.write_bytes(data)
+    rows, damage = recovered(path)
+    assert start
+    assert len(rows) == len(MESSAGES)
+    assert damage
+
+
+def test_channels_that_nothing_describes(tmp_path: Path) -> None:
+    body = raw_channel(1) + raw_message(1, 5) + raw_message(2, 6)
+    path = raw_file(tmp_path / "a.mcap", raw_chunk(body, message_start_time=5, message_end_time=6))
+    rows, (damage,) = recovered(path)
+    assert [row[2] for row in rows] == [5]
+    assert damage.messages_lost == 1
+    assert "channel 2 has messages" in damage.what
+
+
+def test_a_schema_that_is_missing_costs_nothing_else(tmp_path: Path) -> None:
+    path = raw_file(tmp_path / "a.mcap", raw_channel(1, schema=9), raw_message(1, 5))
+    with closing(McapReader(path)) as reader:
+        assert [c.msgtype for c in reader.connections] == [""]
+        assert len(content(reader)) == 1
+        assert "has schema 9" in reader.damage[0].what
+
+
+def test_a_gap_says_where_and_when(tmp_path: Path) -> None:
+    chunks = [raw_chunk(raw_message(1, t), message_start_time=t, message_end_time=t) for t in (10, 20, 30)]
+    index = encoded(MessageIndex(channel_id=1, records=[(10, 0)]))
+    path = raw_file(tmp_path / "a.mcap", raw_channel(), chunks[0], index, b"\xee" * 500, chunks[2], index)
+    at = path.read_bytes().index(b"\xee")
+    rows, damage = recovered(path)
+    assert [row[2] for row in rows] == [10, 30]
+    (gap,) = [place for place in damage if place.bytes_lost]
+    assert (gap.offset, gap.bytes_lost, gap.first_ns, gap.last_ns) == (at, 500, 10, 30)
+
+
+def test_damage_is_noted_once_however_often_it_is_read(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.mcap", MESSAGES, chunk_size=300)
+    data = bytearray(path.read_bytes())
+    data[data.index(b"\x04\0\0\0zstd") + 60] ^= 0xFF
+    path.write_bytes(data)
+    with closing(McapReader(path)) as reader:
+        first = content(reader)
+        assert len(reader.damage) == 1
+        assert content(reader) == first
+        assert content(reader, start_ns=0) == first
+        assert len(reader.damage) == 1
+
+
+@pytest.mark.parametrize("packed", [True, False])
+def test_messages_packed_one_by_one_are_found_out(tmp_path: Path, packed: bool) -> None:
+    pack = zstd if packed else bytes
+    path = write(tmp_path / "a.mcap", [(i, t, pack(data)) for i, t, data in MESSAGES])
+    rows, damage = recovered(path)
+    assert sorted(row[4] for row in rows) == sorted(data for _, _, data in MESSAGES)
+    assert damage == ()
+
+
+def test_a_packed_message_that_is_broken_is_left_out(tmp_path: Path) -> None:
+    packed = [(i, t, zstd(data)) for i, t, data in MESSAGES]
+    packed[5] = (packed[5][0], packed[5][1], packed[5][2][:-3])
+    path = write(tmp_path / "a.mcap", packed)
+    rows, (damage,) = recovered(path)
+    assert len(rows) == len(MESSAGES) - 1
+    assert damage.messages_lost == 1
+    assert damage.first_ns == packed[5][1]
+    with closing(McapReader(path, strict=True)) as reader, pytest.raises(DamageError, match="full frame"):
+        content(reader)
+
+
+def test_nothing_behind_the_data_end_is_taken_for_a_message(tmp_path: Path) -> None:
+    path = raw_file(tmp_path / "a.mcap", raw_channel(), raw_message(1, 5), encoded(DataEnd(0)), raw_message(1, 6))
+    with closing(McapReader(path)) as reader:
+        assert [row[2] for row in content(reader)] == [5]

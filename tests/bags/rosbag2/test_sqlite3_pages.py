@@ -1,0 +1,253 @@
+"""What is left of damaged databases: cut at every page and between, pages overwritten, logs beside them."""
+
+from __future__ import annotations
+
+import random
+import shutil
+import sqlite3
+import struct
+from collections import Counter
+from contextlib import closing
+from typing import TYPE_CHECKING
+
+import pytest
+
+from bags.rosbag2_files import topic
+from fuzz.watch import watched
+from pc2scan.bags.rosbag2.sqlite3_logs import side_logs
+from pc2scan.bags.rosbag2.sqlite3_pages import PageFile, declared_size, rebuilt
+from pc2scan.bags.rosbag2.sqlite3_reader import Sqlite3Reader
+from pc2scan.bags.rosbag2.sqlite3_writer import Sqlite3Writer
+from pc2scan.errors import DamageError, RecordingError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from pc2scan.bags.damage import Damage
+
+Rows = list[tuple[str, int, bytes]]
+
+
+def build(path: Path, count: int = 120) -> Rows:
+    """A database with messages that fit into a page, and such that go on in several."""
+    noise = random.Random(11)
+    writer = Sqlite3Writer(path)
+    handles = [writer.add_connection(topic(name)) for name in ("/a", "/b")]
+    rows = []
+    for number in range(count):
+        size = 9000 if number % 10 == 3 else noise.randrange(20, 700)
+        data = b"\0\1\0\0" + noise.randbytes(size)
+        time_ns = 1_000_000 + 10 * number + (number * 7) % 25
+        writer.write(handles[number % 2], time_ns, data, time_ns)
+        rows.append((("/a", "/b")[number % 2], time_ns, data))
+    writer.finish()
+    return rows
+
+
+def recovered(path: Path) -> tuple[Rows, tuple[Damage, ...]]:
+    with closing(Sqlite3Reader(path)) as reader:
+        rows = [(m.connection.topic, m.log_time_ns, bytes(m.data)) for m in reader.messages()]
+        return rows, reader.damage
+
+
+def test_a_sound_database_has_all_its_rows_in_its_pages(tmp_path: Path) -> None:
+    rows = build(tmp_path / "a.db3")
+    size = (tmp_path / "a.db3").stat().st_size
+    assert declared_size((tmp_path / "a.db3").read_bytes()[:100]) == size
+    with closing(PageFile(tmp_path / "a.db3")) as pages:
+        cells = list(pages.cells())
+        messages = [cell for cell in cells if cell.is_message]
+        assert [pages.payload(c.page, c.offset) for c in sorted(messages, key=lambda c: c.rowid)] == [
+            data for _, _, data in rows
+        ]
+        assert [cell.values[1] for cell in cells if cell.is_topic] == ["/a", "/b"]
+        assert [cell.values[2] for cell in cells if cell.is_definition] == ["ros2msg"]
+
+
+def test_cut_at_every_page(tmp_path: Path) -> None:
+    complete = build(tmp_path / "a.db3")
+    data = (tmp_path / "a.db3").read_bytes()
+    path = tmp_path / "b.db3"
+    sizes = {0, 1, 511, 2048, 4095}
+    found = []
+    for size in sorted({page + more for page in range(0, len(data), 4096) for more in sizes}):
+        if not 16 <= size < len(data):
+            continue
+        path.write_bytes(data[:size])
+        try:
+            rows, damage = recovered(path)
+        except DamageError as err:
+            # The first page has the schema, and the topics are in the next ones: before them there is nothing.
+            assert size < 7 * 4096, size
+            assert "nothing of it can be recovered" in err.message  # noqa: PT017
+            found.append(0)
+            continue
+        assert Counter(rows) <= Counter(complete), size
+        assert rows == sorted(rows, key=lambda row: row[1])
+        assert damage, size
+        assert damage[0].bytes_lost == len(data) - size
+        found.append(len(rows))
+        with pytest.raises(DamageError, match="is cut off"):
+            Sqlite3Reader(path, strict=True)
+    assert found == sorted(found)
+    # What lies in front of a cut is all there is to be had: rows in proportion to bytes, or nearly.
+    assert found[len(found) // 2] > len(complete) // 3
+    assert found[-1] >= len(complete) - 1
+
+
+def test_of_an_overwritten_page_only_its_own_rows_are_lost(tmp_path: Path) -> None:
+    complete = build(tmp_path / "a.db3")
+    data = (tmp_path / "a.db3").read_bytes()
+    path = tmp_path / "b.db3"
+    for page in range(8, len(data) // 4096, 5):
+        broken = bytearray(data)
+        broken[page * 4096 : (page + 1) * 4096] = b"\xa5" * 4096
+        path.write_bytes(broken)
+        rows, damage = recovered(path)
+        found = Counter(rows)
+        # A page has about ten of these messages; one in a chain of pages may be found with the page's garbage in it.
+        lost = Counter(complete) - found
+        assert lost.total() <= 40, page
+        if len(rows) < len(complete):
+            assert damage, page
+        assert rows == sorted(rows, key=lambda row: row[1])
+
+
+def test_damage_that_shows_midway_repeats_nothing(tmp_path: Path) -> None:
+    complete = build(tmp_path / "a.db3", 600)
+    data = bytearray((tmp_path / "a.db3").read_bytes())
+    # A leaf of the index: SQLite meets it while it reads in order of time.
+    leaves = [at for at in range(0, len(data), 4096) if data[at] == 0x0A]
+    data[leaves[len(leaves) // 2] : leaves[len(leaves) // 2] + 4096] = b"\xa5" * 4096
+    (tmp_path / "a.db3").write_bytes(data)
+    rows, damage = recovered(tmp_path / "a.db3")
+    assert Counter(rows) == Counter(complete)
+    assert rows == sorted(rows, key=lambda row: row[1])
+    assert ["SQLite cannot read it" in place.what for place in damage] == [True]
+    with pytest.raises(DamageError, match="malformed"), closing(Sqlite3Reader(tmp_path / "a.db3", strict=True)) as r:
+        list(r.messages())
+
+
+def test_messages_of_a_topic_that_is_not_described_are_counted(tmp_path: Path) -> None:
+    build(tmp_path / "a.db3")
+    with closing(sqlite3.connect(tmp_path / "a.db3")) as database, database:
+        database.execute("DELETE FROM topics WHERE name = '/b'")
+    rows, (damage,) = recovered(tmp_path / "a.db3")
+    assert {row[0] for row in rows} == {"/a"}
+    assert damage.messages_lost == 60
+    assert "60 messages are of topic 2" in damage.what
+
+
+def hot_log(folder: Path) -> tuple[Path, Rows]:
+    """A database and the log of a recorder that died: most rows are in the log."""
+    live = folder / "live.db3"
+    rows = build(live, 20)
+    path = folder / "a.db3"
+    with closing(sqlite3.connect(live)) as database:
+        database.execute("PRAGMA journal_mode=WAL")
+        database.execute("PRAGMA wal_autocheckpoint=0")
+        for number in range(50):
+            time_ns = 2_000_000 + number
+            data = b"\0\1\0\0" + bytes([number]) * 900
+            database.execute("INSERT INTO messages(topic_id, timestamp, data) VALUES (1, ?, ?)", (time_ns, data))
+            database.commit()
+            rows.append(("/a", time_ns, data))
+        shutil.copyfile(live, path)
+        shutil.copyfile(f"{live}-wal", f"{path}-wal")
+    return path, rows
+
+
+def test_rows_of_a_hot_log_count(tmp_path: Path) -> None:
+    path, complete = hot_log(tmp_path)
+    rows, damage = recovered(path)
+    assert Counter(rows) == Counter(complete)
+    assert damage == ()
+
+
+def test_rows_of_a_hot_log_beside_a_broken_database_count(tmp_path: Path) -> None:
+    path, complete = hot_log(tmp_path)
+    data = bytearray(path.read_bytes())
+    # A page that the log does not have: an inner one is enough for SQLite to give up.
+    number = next(at for at in range(4096 * 7, len(data), 4096) if data[at] == 0x0D)
+    data[number : number + 4096] = b"\xa5" * 4096
+    path.write_bytes(data)
+    rows, damage = recovered(path)
+    assert damage
+    assert {row for row in complete if row[1] >= 2_000_000} <= set(rows)
+
+
+@pytest.mark.parametrize("size", [0, 20, 5000])
+def test_a_cut_log_keeps_what_was_committed(tmp_path: Path, size: int) -> None:
+    path, complete = hot_log(tmp_path)
+    log = path.with_name("a.db3-wal")
+    log.write_bytes(log.read_bytes()[:size])
+    rows, _ = recovered(path)
+    assert set(rows) <= set(complete)
+    assert len(rows) >= 20
+
+
+def test_a_log_may_name_any_page(tmp_path: Path) -> None:
+    path, complete = hot_log(tmp_path)
+    log = path.with_name("a.db3-wal")
+    data = bytearray(log.read_bytes())
+    data[32:36] = b"\xff" * 4
+    log.write_bytes(data)
+    logs = side_logs(path)
+    with closing(logs[0].file), closing(PageFile(path, logs)) as pages:
+        found = {cell.values[2] for cell in pages.cells() if cell.is_message}
+    assert {time_ns for _, time_ns, _ in complete} <= found | {2_000_000}
+
+
+def varint(value: int) -> bytes:
+    parts = [value & 0x7F]
+    while value := value >> 7:
+        parts.append(value & 0x7F | 0x80)
+    return bytes(reversed(parts))
+
+
+@pytest.mark.parametrize("rowid", [1, (1 << 64) - 5])
+def test_a_chain_of_pages_that_leads_back_to_itself_ends(rowid: int, tmp_path: Path) -> None:
+    # A message of a terabyte whose second page is followed by itself; 39 bytes of it are in the first one.
+    blob = 508 * (1 << 31) + 495
+    types = b"\0\1\1" + varint(2 * blob + 12)
+    record = bytes([1 + len(types)]) + types + b"\1\5"
+    size = len(record) + blob
+    assert (size - 39) % 508 > 438
+    cell = varint(size) + varint(rowid & (1 << 56) - 1)
+    if rowid > 1 << 63:
+        cell = varint(size) + b"\xff" * 8 + bytes([rowid & 0xFF])
+    cell += record.ljust(39, b"d") + struct.pack(">I", 2)
+    head = b"SQLite format 3\0" + struct.pack(">H", 512)
+    leaf = head.ljust(100, b"\0") + struct.pack(">BHHHBH", 0x0D, 0, 1, 200, 0, 200)
+    path = tmp_path / "a.db3"
+    path.write_bytes((leaf.ljust(200, b"\0") + cell).ljust(512, b"\0") + struct.pack(">I", 2).ljust(512, b"d"))
+    with watched(path.stat().st_size, 5), closing(PageFile(path)) as pages:
+        (found,) = pages.cells()
+        assert found.is_message
+        assert found.rowid == (rowid if rowid == 1 else -5)
+        assert pages.payload(found.page, found.offset) is None
+        database, last_ns = rebuilt(pages)
+        with closing(database):
+            assert list(database.execute("SELECT id, data FROM messages")) == [(found.rowid, None)]
+        assert last_ns == 5
+
+
+def test_no_database_at_all(tmp_path: Path) -> None:
+    path = tmp_path / "a.db3"
+    path.write_bytes(b"SQLite format 3\0" + b"\xff" * 20_000)
+    with pytest.raises(RecordingError, match="nothing of it can be recovered"):
+        Sqlite3Reader(path)
+
+
+def test_a_name_that_is_not_text_is_damage_too(tmp_path: Path) -> None:
+    """SQLite quotes it in its message, on which Python's own module fails."""
+    complete = build(tmp_path / "a.db3")
+    data = bytearray((tmp_path / "a.db3").read_bytes())
+    at = data.index(b"CREATE TABLE messages")
+    data[at : at + 6] = b"CRE\xff\xfeE"
+    at = data.rindex(b"messages", 0, at)
+    data[at : at + 8] = b"mess\xffges"
+    (tmp_path / "a.db3").write_bytes(data)
+    rows, damage = recovered(tmp_path / "a.db3")
+    assert Counter(rows) == Counter(complete)
+    assert damage

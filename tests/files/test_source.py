@@ -1,0 +1,231 @@
+"""The file of a recording: read at given places, or written from start to end."""
+
+from __future__ import annotations
+
+import errno
+import os
+import random
+import sys
+from contextlib import closing
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from pc2scan.errors import OutputError, RecordingError
+from pc2scan.files import source as files
+from pc2scan.files.source import FreeIds, NewFile, SourceFile
+from pc2scan.model import own
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    path = tmp_path / "file"
+    path.write_bytes(bytes(range(100)))
+    return path
+
+
+@pytest.fixture
+def file(path: Path) -> Iterator[SourceFile]:
+    with closing(SourceFile(path)) as opened:
+        yield opened
+
+
+def test_exactly_what_was_asked_for(file: SourceFile) -> None:
+    assert file.size == 100
+    assert file.read(0, 100) == bytes(range(100))
+    assert file.read(10, 3) == b"\x0a\x0b\x0c"
+    assert file.read(100, 0) == b""
+
+
+def test_short_answers_of_the_system_are_completed(file: SourceFile, monkeypatch: pytest.MonkeyPatch) -> None:
+    real = os.pread
+    monkeypatch.setattr(os, "pread", lambda fd, length, offset: real(fd, min(length, 7), offset))
+    assert file.read(5, 90) == bytes(range(5, 95))
+
+
+def test_announcing_what_comes_changes_nothing(file: SourceFile, monkeypatch: pytest.MonkeyPatch) -> None:
+    file.expect(10, 1000)
+    assert file.read(10, 3) == b"\x0a\x0b\x0c"
+    file.close()
+    file.expect(10, 3)
+    for name in ("posix_fadvise", "RWF_NOWAIT"):
+        monkeypatch.delattr(os, name, raising=False)
+    file.expect(10, 3)
+
+
+@pytest.mark.skipif(not hasattr(os, "RWF_NOWAIT"), reason="this system cannot be asked what it has at hand")
+def test_what_is_at_hand_is_not_announced(file: SourceFile, monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[tuple[int, ...]] = []
+    monkeypatch.setattr(os, "posix_fadvise", lambda _, *args: told.append(args))
+    file.read(0, 100)
+    file.expect(10, 20)
+    assert told == []
+
+    def refuse(*_: object) -> int:
+        raise BlockingIOError
+
+    monkeypatch.setattr(os, "preadv", refuse)
+    file.expect(10, 20)
+    assert told == [(10, 20, os.POSIX_FADV_WILLNEED)]
+
+
+LARGE = random.Random(1).randbytes(3 << 20)
+
+
+@pytest.fixture
+def large(tmp_path: Path) -> Path:
+    path = tmp_path / "large"
+    path.write_bytes(LARGE)
+    return path
+
+
+def unmapped(_: int, __: int) -> None:
+    """As where there can be no map."""
+
+
+@pytest.mark.parametrize("mapped", [True, False])
+@pytest.mark.parametrize(
+    ("offset", "length"), [(0, 3 << 20), (12_345, 1 << 20), (3 << 20, 0), (5, (1 << 18) - 1), (5, 1 << 18)]
+)
+def test_what_is_lent_is_what_would_be_read(
+    offset: int, length: int, mapped: bool, large: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if not mapped:
+        monkeypatch.setattr(files, "_map_of", unmapped)
+    with closing(SourceFile(large)) as file:
+        seen = file.borrow(offset, length, lambda data: (data.readonly, bytes(data), own(data)))
+        assert seen == (True, LARGE[offset : offset + length], file.read(offset, length))
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="maps are for Linux")
+def test_much_is_not_copied_and_little_is(large: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("pc2scan.files._map", reason="there was no C compiler")
+    read: list[int] = []
+    real = os.pread
+
+    def counting(descriptor: int, length: int, offset: int) -> bytes:
+        read.append(length)
+        return real(descriptor, length, offset)
+
+    with closing(SourceFile(large)) as file:
+        monkeypatch.setattr(os, "pread", counting)
+        for length in (100, 1 << 20):
+            assert file.borrow(7, length, len) == length
+    assert read == [100]
+
+
+@pytest.mark.parametrize("shorter", [0, 1 << 20, (3 << 20) - 1])
+@pytest.mark.parametrize("fails", [False, True])
+def test_what_is_cut_while_it_is_lent_is_an_error(shorter: int, fails: bool, large: Path) -> None:
+    def use(data: memoryview) -> int:
+        os.truncate(large, shorter)
+        total = int(np.frombuffer(data, np.uint8).sum())
+        if fails:
+            raise ValueError("these bytes make no sense")
+        return total
+
+    with closing(SourceFile(large)) as file:
+        for _ in range(2):
+            with pytest.raises(RecordingError, match=f"ended at byte {shorter} while it was read; it had 3145728"):
+                file.borrow(0, 3 << 20, use)
+
+
+def test_an_error_of_who_uses_it_is_passed_on(large: Path) -> None:
+    def use(_: memoryview) -> None:
+        raise ValueError("these bytes make no sense")
+
+    with closing(SourceFile(large)) as file, pytest.raises(ValueError, match="no sense"):
+        file.borrow(0, 1 << 20, use)
+
+
+def test_what_was_closed_is_not_lent(large: Path) -> None:
+    file = SourceFile(large)
+    file.close()
+    for length in (10, 1 << 20):
+        with pytest.raises(RecordingError, match="cannot be read"):
+            file.borrow(0, length, len)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="maps are for Linux")
+def test_with_few_addresses_there_is_no_map(large: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import resource
+
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (1 << 40, resource.RLIM_INFINITY))
+    with closing(SourceFile(large)) as file:
+        assert file._map is None
+        assert file.borrow(1, 1 << 20, bytes) == LARGE[1 : 1 + (1 << 20)]
+
+
+def test_what_is_not_there_is_an_error(file: SourceFile) -> None:
+    with pytest.raises(RecordingError, match="2 bytes are declared from byte 99 on, but the file has 100 bytes"):
+        file.read(99, 2)
+
+
+def test_a_file_that_became_shorter(file: SourceFile, path: Path) -> None:
+    os.truncate(path, 60)
+    with pytest.raises(RecordingError, match="ended at byte 60 while it was read; it had 100 bytes") as caught:
+        file.read(50, 20)
+    assert caught.value.path == path
+
+
+def test_a_format_makes_its_own_error_of_damage(path: Path) -> None:
+    class Strict(SourceFile):
+        def damage(self, message: str) -> Exception:
+            return ValueError(message)
+
+    with closing(Strict(path)) as file, pytest.raises(ValueError, match="declared from byte 101"):
+        file.read(101, 1)
+
+
+def test_a_file_that_is_closed_or_missing(file: SourceFile, tmp_path: Path) -> None:
+    file.close()
+    file.close()
+    with pytest.raises(RecordingError, match="cannot be read at byte 3: Bad file descriptor"):
+        file.read(3, 1)
+    with pytest.raises(RecordingError, match="cannot be opened: No such file"):
+        SourceFile(tmp_path / "none")
+
+
+def test_a_new_file_tells_where_everything_is(tmp_path: Path) -> None:
+    file = NewFile(tmp_path / "new")
+    assert file.put(b"head", memoryview(b"er")) == 0
+    assert file.put(b"body") == 6
+    assert file.position == 10
+    file.replace(0, b"HEAD")
+    file.finish()
+    assert (tmp_path / "new").read_bytes() == b"HEADerbody"
+
+
+def test_a_new_file_overwrites_nothing(path: Path) -> None:
+    with pytest.raises(FileExistsError):
+        NewFile(path)
+    assert path.stat().st_size == 100
+
+
+def test_a_disk_that_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fsync(_fd: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    file = NewFile(tmp_path / "new")
+    monkeypatch.setattr(os, "fsync", fsync)
+    with pytest.raises(OutputError, match="cannot be written: No space left on device") as caught:
+        file.finish()
+    assert caught.value.path == tmp_path / "new"
+    file.abort()
+    file.abort()
+
+
+def test_kept_ids_are_for_those_who_ask_for_them() -> None:
+    ids = FreeIds(1)
+    ids.keep([1, 2, 4, 900])
+    assert [ids.take(wanted) for wanted in (-1, 2, 900, 7, 2, 1, 4, 0)] == [3, 2, 900, 5, 6, 1, 4, 7]
+
+
+def test_ids_are_handed_out_in_a_row_when_none_is_own() -> None:
+    ids = FreeIds(0)
+    assert [ids.take(wanted) for wanted in (5, 5, 0)] == [0, 1, 2]

@@ -1,0 +1,95 @@
+from __future__ import annotations
+
+import threading
+from threading import Event, Thread, current_thread, main_thread
+
+import pytest
+
+from pc2scan.threads import Threads
+
+
+def test_who_waits_works() -> None:
+    with Threads(1) as pool:
+        tasks = [pool.submit(current_thread) for _ in range(5)]
+        assert not any(task.done() for task in tasks)
+        assert tasks[2].result() is main_thread()
+        # What was given before it is done, what was given after is not.
+        assert [task.done() for task in tasks] == [True, True, True, False, False]
+        assert [task.result() for task in tasks] == [main_thread()] * 5
+
+
+def test_others_work_meanwhile() -> None:
+    begun, release = Event(), Event()
+
+    def hold() -> str:
+        begun.set()
+        assert release.wait(30)
+        return current_thread().name
+
+    with Threads(2) as pool:
+        slow = pool.submit(hold)
+        assert begun.wait(30)
+        more = [pool.submit(current_thread) for _ in range(3)]
+        more[2].add_done_callback(lambda _: release.set())
+        # The only other thread is busy until all that is left to do is done by the one that waits.
+        assert slow.result() == "pc2scan_0"
+        assert [task.result() for task in more] == [main_thread()] * 3
+
+
+def test_there_are_no_more_threads_than_jobs() -> None:
+    together = threading.Barrier(3)
+
+    def meet() -> Thread:
+        together.wait(30)
+        return current_thread()
+
+    with Threads(3) as pool:
+        tasks = [pool.submit(meet) for _ in range(9)]
+        assert len({task.result() for task in tasks}) == 3
+        assert threading.active_count() >= 3
+    assert not any(thread.name.startswith("pc2scan") for thread in threading.enumerate())
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_an_error_is_that_of_the_task(jobs: int) -> None:
+    def fail() -> None:
+        raise ValueError("packed badly")
+
+    with Threads(jobs) as pool:
+        first, second = pool.submit(fail), pool.submit(lambda: "done")
+        assert second.result() == "done"
+        assert isinstance(first.exception(), ValueError)
+        with pytest.raises(ValueError, match="packed badly"):
+            first.result()
+
+
+def test_an_interruption_is_raised_at_once() -> None:
+    def interrupted() -> None:
+        raise KeyboardInterrupt
+
+    with Threads(1) as pool:
+        first, second = pool.submit(interrupted), pool.submit(lambda: "done")
+        with pytest.raises(KeyboardInterrupt):
+            second.result()
+        assert isinstance(first.exception(), KeyboardInterrupt)
+        assert second.result() == "done"
+
+
+def test_what_is_given_up_is_not_done() -> None:
+    done: list[int] = []
+    with Threads(1) as pool:
+        tasks = [pool.submit(done.append, number) for number in range(4)]
+        assert tasks[1].cancel()
+        tasks[3].result()
+        assert not tasks[0].cancel()
+    assert done == [0, 2, 3]
+
+
+def test_where_there_may_be_no_more_threads_those_that_are_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(_: Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr(Thread, "start", refuse)
+    with Threads(4) as pool:
+        tasks = [pool.submit(current_thread) for _ in range(6)]
+        assert [task.result() for task in tasks] == [main_thread()] * 6
