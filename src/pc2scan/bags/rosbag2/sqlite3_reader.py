@@ -346,7 +346,11 @@ class Sqlite3Reader(Reader):
         self._index = None
         if last_ns is None and not self._database.execute("SELECT 1 FROM topics").fetchone():
             raise self._damage(f"nothing of it can be recovered: {problem.message}")
-        self._log.note(problem, bytes_lost=self._missing_bytes(), first_ns=last_ns)
+        if any(log.broken for log in self._logs):
+            # What is missing, and where, is noted of the log.
+            self._log.note(problem)
+        else:
+            self._log.note(problem, bytes_lost=self._missing_bytes(), first_ns=last_ns)
 
     def _open(self) -> sqlite3.Connection:
         """Open without a trace: an immutable database is neither locked nor recovered."""
