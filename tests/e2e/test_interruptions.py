@@ -308,6 +308,26 @@ def test_a_source_that_changes_while_it_is_read(change: str, large: Path, tmp_pa
     assert list(output.iterdir()) == []
 
 
+def test_a_log_that_grows_while_its_database_is_read(large: Path, tmp_path: Path) -> None:
+    assert run("repair", large, "-o", tmp_path / "drive", "--storage", "sqlite3").status == 0
+    (database,) = (tmp_path / "drive").glob("*.db3")
+    source = database.rename(tmp_path / "drive.db3")
+    output = tmp_path / "output"
+    output.mkdir()
+    with closing(sqlite3.connect(source)) as recorder:
+        recorder.execute("PRAGMA journal_mode = WAL")
+        recorder.execute("INSERT INTO messages(topic_id, timestamp, data) VALUES (1, 1, x'00')")
+        recorder.commit()
+        with started(source, output / "out.bag") as process:
+            assert half_done(process, output)
+            recorder.execute("INSERT INTO messages(topic_id, timestamp, data) VALUES (1, 2, x'00')")
+            recorder.commit()
+            _, stderr = process.communicate(timeout=60)
+    assert process.returncode == 1, stderr
+    assert "was changed while it was read" in stderr
+    assert list(output.iterdir()) == []
+
+
 @pytest.mark.parametrize("name", ["metadata.yaml", "drive_0.mcap"])
 def test_a_directory_whose_file_is_written_over(name: str, large: Path, tmp_path: Path) -> None:
     source = tmp_path / "drive"

@@ -105,7 +105,9 @@ def test_whatever_lies_beside_a_database_stays(suffix: str, kind: str, tmp_path:
     assert run(tmp_path, "convert", source) in (0, 3)
 
 
-@pytest.mark.parametrize("name", ["a?mode=rwc.db3", "a#b.db3", "a%41.db3", "file:a.db3", ":memory:"])
+@pytest.mark.parametrize(
+    "name", ["a?mode=rwc.db3", "a#b.db3", "a%41.db3", "file:a.db3", ":memory:", f"{'a' * 251}.db3"]
+)
 def test_names_that_mean_something_to_sqlite(name: str, tmp_path: Path) -> None:
     source = recording(tmp_path)
     source = source.rename(source.with_name(name))

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from ._map import Map
 
-__all__ = ["FreeIds", "NewFile", "SourceFile", "opened_bytes", "opened_text", "state_of"]
+__all__ = ["FreeIds", "NewFile", "SourceFile", "file_beside", "opened_bytes", "opened_text", "state_of"]
 
 _Result = TypeVar("_Result")
 
@@ -28,18 +28,33 @@ _Result = TypeVar("_Result")
 #: memory beside what is made of them.
 _BORROWED_BYTES = range(1 << 18, 1 << 24)
 
+#: What SQLite keeps beside a database that is written to.
+_LOGS = ("-wal", "-journal")
+
 
 def state_of(path: Path) -> tuple[tuple[str, int, int, int, int], ...]:
     """What shows whether a recording was changed: of each file the name, inode, size and both times of change.
 
-    Anyone can set a file's modification time back (``cp -p``, ``rsync -t``, ``touch -r``), but not its ctime.
+    Anyone can set a file's modification time back (``cp -p``, ``rsync -t``, ``touch -r``), but not its ctime. The logs
+    beside a database belong to it: a recorder that is still running may write to nothing else.
     """
     try:
-        files = sorted(path.iterdir()) if path.is_dir() else [path]
+        if path.is_dir():
+            files = sorted(path.iterdir())
+        else:
+            files = [path, *(side for suffix in _LOGS if (side := file_beside(path, suffix)))]
         states = [(file.name, file.stat()) for file in files]
     except OSError:
         return ()
     return tuple((name, state.st_ino, state.st_size, state.st_mtime_ns, state.st_ctime_ns) for name, state in states)
+
+
+def file_beside(path: Path, suffix: str) -> Path | None:
+    """Return the file whose name is that of another and ``suffix``, if it is there; with it a name may be too long."""
+    side = path.with_name(path.name + suffix)
+    with suppress(OSError):
+        return side if side.is_file() else None
+    return None
 
 
 def opened_bytes(path: Path) -> BinaryIO:

@@ -10,7 +10,7 @@ import shutil
 import struct
 from typing import TYPE_CHECKING
 
-from pc2scan.files.source import SourceFile
+from pc2scan.files.source import SourceFile, file_beside
 
 from .sqlite3_journal import read_journal
 from .sqlite3_page_log import PageLog
@@ -94,7 +94,7 @@ def write_merged(path: Path, logs: Sequence[PageLog], target: Path) -> None:
 def _beside(path: Path, suffix: str) -> Path | None:
     """Return a log that has content; of a database that is a link also one where the link leads, as SQLite does."""
     for place in (path, path.resolve()):
-        side = place.with_name(place.name + suffix)
-        if side.is_file() and side.stat().st_size:
+        side = file_beside(place, suffix)
+        if side is not None and side.stat().st_size:
             return side
     return None
