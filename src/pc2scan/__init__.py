@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     from .core.unproject import UnprojectParams as UnprojectParams
     from .inspect.check import check as check
     from .inspect.info import info as info
-    from .pipeline.frames import FrameOptions as FrameOptions
-    from .pipeline.frames import StaticTransform as StaticTransform
     from .pipeline.report import Report as Report
+    from .tf.options import FrameOptions as FrameOptions
+    from .tf.options import StaticTransform as StaticTransform
 
 __all__ = [
     "Difference",
@@ -48,12 +48,12 @@ __all__ = [
 
 _HOMES = {
     "Difference": "compare.result",
-    "FrameOptions": "pipeline.frames",
+    "FrameOptions": "tf.options",
     "PointCounts": "core.project",
     "ProjectedScan": "core.project",
     "ProjectionParams": "core.params",
     "Report": "pipeline.report",
-    "StaticTransform": "pipeline.frames",
+    "StaticTransform": "tf.options",
     "UnprojectParams": "core.unproject",
     "check": "inspect.check",
     "convert": "api",

@@ -11,9 +11,10 @@ from pc2scan.compare.diff import TopicPair
 from pc2scan.compare.diff import diff as compare
 from pc2scan.compare.rules import Rules
 from pc2scan.core.params import ProjectionParams
-from pc2scan.pipeline.frames import FrameOptions, recorded_transforms
 from pc2scan.pipeline.options import ConvertOptions
 from pc2scan.pipeline.run import OutputOptions, Progress, run
+from pc2scan.tf.options import FrameOptions
+from pc2scan.tf.reading import recorded_transforms
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

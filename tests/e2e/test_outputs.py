@@ -18,7 +18,7 @@ import pc2scan
 from builders import CONTENT, POINTS, T0, Recording, cloud, item, points_of, write_rosbag1, write_rosbag2
 from e2e.command import COMMAND, environment, run
 from pc2scan.errors import DestinationError
-from pc2scan.pipeline.frames import FrameOptions
+from pc2scan.tf.options import FrameOptions
 from support import ROOT
 
 if TYPE_CHECKING:

@@ -50,7 +50,7 @@ def _serialization(data: bytes) -> tuple[bytes, str]:
 def _cloud(data: bytes) -> None:
     from pc2scan import ProjectionParams
     from pc2scan.pipeline.cloud_to_scan import CloudToScan
-    from pc2scan.pipeline.frames import Frames
+    from pc2scan.tf.placing import Frames
 
     content, serialization = _serialization(data)
     CloudToScan(ProjectionParams(min_height=-9.0), Frames()).for_topic("/points", serialization, "cdr")(content)

@@ -31,9 +31,9 @@ from pc2scan.bags.registry import open_recording
 from pc2scan.inspect.check import check
 from pc2scan.inspect.info import info
 from pc2scan.inspect.tf import frame_tree
-from pc2scan.pipeline.frames import FrameOptions
 from pc2scan.pipeline.options import ConvertOptions
 from pc2scan.pipeline.run import OutputOptions, run
+from pc2scan.tf.options import FrameOptions
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -13,7 +13,7 @@ from builders import IMU, Recording, Stream, imu, item, write_mcap, write_rosbag
 from pc2scan.core.consumers import CONSUMERS
 from pc2scan.errors import RecordingError, TopicError, UsageError
 from pc2scan.inspect.check import Check, TopicCheck, check
-from pc2scan.pipeline.frames import FrameOptions
+from pc2scan.tf.options import FrameOptions
 from scan_recordings import GOOD, START, STEP, recording, scans, write
 from support import ROOT
 

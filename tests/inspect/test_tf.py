@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from pc2scan.inspect.tf import frame_tree
-from pc2scan.pipeline.frames import FrameOptions, StaticTransform
+from pc2scan.tf.options import FrameOptions, StaticTransform
 from support import ROOT
 
 HALL = ROOT / "fixtures" / "hall.bag"

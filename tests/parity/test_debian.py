@@ -20,8 +20,8 @@ from pc2scan.core.rigid import Rigid
 from pc2scan.errors import MessageError, TransformError
 from pc2scan.messages.laserscan import LaserScan, encode_laserscan
 from pc2scan.messages.pointcloud2 import decode_pointcloud2
-from pc2scan.pipeline.frames import Frames
 from pc2scan.pipeline.scan_to_cloud import ScanToCloud
+from pc2scan.tf.placing import Frames
 from tf.trees import EPOCH, SECOND, built, changing_tree, random_pose, random_questions, random_tree, row
 
 if TYPE_CHECKING:

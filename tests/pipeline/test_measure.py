@@ -13,9 +13,9 @@ from pc2scan.bags.registry import open_recording
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import ParameterError
 from pc2scan.pipeline import measure as measure_module
-from pc2scan.pipeline.frames import Frames
 from pc2scan.pipeline.measure import measure
 from pc2scan.tf.buffer import TransformBuilder
+from pc2scan.tf.placing import Frames
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -14,6 +14,7 @@ module               what it is about
 ``files``            a recording's file, read at given places
 ``segments``         the order of time within a chunked file
 ``merged``           several recordings as one
+``topics``           topics as people name them
 ``staging``          a destination appears whole or not at all
 ``damage``           what is damaged in a recording, noted by its reader
 ``salvage``          as much of broken compressed data as can be decompressed

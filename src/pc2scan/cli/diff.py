@@ -119,7 +119,7 @@ def diff(
         pairs = [TopicPair.parse(topic) for topic in topics]
         compared = partial(compare, a, b, topics=pairs, all_topics=all_topics, rules=rules)
         if explain or clouds is not None:
-            from pc2scan.pipeline.frames import recorded_transforms
+            from pc2scan.tf.reading import recorded_transforms
 
             compared = partial(compared, transforms_of=recorded_transforms, clouds=clouds)
         result = compared()

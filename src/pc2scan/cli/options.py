@@ -20,9 +20,9 @@ from .spelling import as_typed
 
 if TYPE_CHECKING:
     from pc2scan.core.unproject import UnprojectParams
-    from pc2scan.pipeline.frames import FrameOptions
     from pc2scan.pipeline.options import ConvertOptions
     from pc2scan.pipeline.run import OutputOptions
+    from pc2scan.tf.options import FrameOptions
 
 __all__ = [
     "Compression",
@@ -240,7 +240,7 @@ class TfSources(Group):
 
     def options(self) -> "FrameOptions":
         """What the library takes."""
-        from pc2scan.pipeline.frames import FrameOptions
+        from pc2scan.tf.options import FrameOptions
 
         return FrameOptions(tf_topics=tuple(self.tf_topic), tf_from=tuple(self.tf_from))
 
@@ -274,7 +274,8 @@ class Frames(Group):
 
     def options(self) -> "FrameOptions":
         """What the library takes."""
-        from pc2scan.pipeline.frames import FrameOptions, StaticTransform, load_static_transforms
+        from pc2scan.tf.options import FrameOptions, StaticTransform
+        from pc2scan.tf.static_file import load_static_transforms
 
         return FrameOptions(
             tf_topics=tuple(self.transforms.tf_topic),

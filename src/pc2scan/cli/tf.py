@@ -51,7 +51,7 @@ def tf(
     told apart.
     """
     from pc2scan.inspect.tf import frame_tree
-    from pc2scan.pipeline.frames import FrameOptions, StaticTransform
+    from pc2scan.tf.options import FrameOptions, StaticTransform
 
     if at is not None and frames is None:
         raise UsageError("--at goes with --lookup", hint="--lookup base_link lidar --at 1604515190.25")

@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 from pc2scan.bags.merged import as_one
 from pc2scan.bags.registry import open_recordings
+from pc2scan.bags.topics import find_topic
 from pc2scan.core.consumers import CONSUMERS, Outcome
 from pc2scan.errors import DecodeError, TopicError, UsageError
 from pc2scan.json_types import json_value
 from pc2scan.messages.laserscan import LASERSCAN, decode_laserscan
-from pc2scan.pipeline.frames import FrameOptions, read_transforms
-from pc2scan.pipeline.plan import find_topic
+from pc2scan.tf.options import FrameOptions
+from pc2scan.tf.reading import read_transforms
 
 from .scan_frames import ScanFrames, no_transforms
 from .scan_topic import Finding, ScanTopic

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 
 from pc2scan.core.consumers import CONSUMERS, OUTCOMES, Outcome, Scan, Verdict, judge
 from pc2scan.errors import stamp_text
-from pc2scan.pipeline.acceptance import described
+from pc2scan.messages.consumed import consumed_scan
 
 if TYPE_CHECKING:
     from pc2scan.messages.laserscan import LaserScan
@@ -139,7 +139,7 @@ class ScanTopic:
     def add(self, message: LaserScan, log_time_ns: int) -> None:
         """Look at the next scan."""
         stamp_ns = message.stamp_ns
-        scan = described(message)
+        scan = consumed_scan(message)
         self.scans += 1
         self.first = self.first or scan
         self.frames[message.frame_id] += 1

@@ -7,7 +7,8 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.bags.registry import open_recordings
-from pc2scan.pipeline.frames import FrameOptions, read_transforms
+from pc2scan.tf.options import FrameOptions
+from pc2scan.tf.reading import read_transforms
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -4,29 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pc2scan.core.consumers import CONSUMERS, Scan, judge
+from pc2scan.core.consumers import CONSUMERS, judge
+from pc2scan.messages.consumed import consumed_scan
 from pc2scan.messages.laserscan import decode_laserscan
 
 if TYPE_CHECKING:
-    from pc2scan.messages.laserscan import LaserScan
     from pc2scan.model import Buffer
 
-__all__ = ["described", "refusal"]
-
-
-def described(message: LaserScan) -> Scan:
-    """A decoded scan as the consumers' rules see it."""
-    return Scan.of(
-        message.ranges,
-        angle_min=message.angle_min,
-        angle_max=message.angle_max,
-        angle_increment=message.angle_increment,
-        range_min=message.range_min,
-        range_max=message.range_max,
-        scan_time=message.scan_time,
-        time_increment=message.time_increment,
-        intensities=len(message.intensities),
-    )
+__all__ = ["refusal"]
 
 
 def refusal(data: Buffer, serialization: str) -> str:
@@ -41,7 +26,7 @@ def refusal(data: Buffer, serialization: str) -> str:
     serialization
         ``ros1`` or ``cdr``.
     """
-    scan = described(decode_laserscan(data, serialization))
+    scan = consumed_scan(decode_laserscan(data, serialization))
     verdicts = [verdict for consumer in CONSUMERS if (verdict := judge(consumer, scan)).refused]
     if not verdicts:
         return ""

@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     from pc2scan.core.project import ProjectedScan
     from pc2scan.messages.pointcloud2 import PointCloud2
     from pc2scan.model import Buffer
-
-    from .frames import Frames, Place
+    from pc2scan.tf.placing import Frames, Placement
 
 __all__ = ["CloudToScan"]
 
@@ -89,7 +88,7 @@ class CloudToScan:
         )
         return Converted(encode_laserscan(message, target), scan.counts, scan.ranges.tobytes() == self._no_returns)
 
-    def _projected(self, cloud: PointCloud2, place: Place) -> ProjectedScan:
+    def _projected(self, cloud: PointCloud2, place: Placement) -> ProjectedScan:
         moved = place.target_from_source
         transform = None if moved is None else moved.as_float32()
         name = self.params.intensity_field

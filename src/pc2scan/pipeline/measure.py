@@ -28,8 +28,7 @@ if TYPE_CHECKING:
     from pc2scan.core.timing import Sweep
     from pc2scan.messages.pointcloud2 import PointCloud2
     from pc2scan.model import Connection
-
-    from .frames import Frames
+    from pc2scan.tf.placing import Frames
 
 __all__ = ["measure"]
 

@@ -11,8 +11,7 @@ from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import UsageError
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
-
-from .frames import FrameOptions
+from pc2scan.tf.options import FrameOptions
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import difflib
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING
 
+from pc2scan.bags.topics import find_topic, listed, short_type
 from pc2scan.errors import TopicError
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from .options import ConvertOptions, TopicRequest
 
-__all__ = ["Plan", "Route", "find_topic", "make_plan"]
+__all__ = ["Plan", "Route", "make_plan"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,43 +100,13 @@ def _targets(connections: Sequence[Connection], options: ConvertOptions) -> dict
     }
 
 
-def find_topic(asked: str, types: dict[str, set[str]], candidates: list[str], kind: str) -> str:
-    """The topic of a type that a name means; a leading slash is no difference.
-
-    Parameters
-    ----------
-    asked
-        The name.
-    types
-        The types that each topic of the recording has.
-    candidates
-        The topics of the type.
-    kind
-        The type, in ROS 2's spelling.
-
-    Raises
-    ------
-    TopicError
-        If there is no such topic, or it has another type.
-    """
-    there = f"{_short(kind)} topics: {_listed(candidates)}"
-    for name in (asked, f"/{asked}", asked.removeprefix("/")):
-        if name in types:
-            if kind in types[name]:
-                return name
-            raise TopicError(f"topic {name} is {', '.join(sorted(types[name]))}, not {kind}", hint=there)
-    near = difflib.get_close_matches(asked, candidates, n=1)
-    hint = f"did you mean {near[0]}? " if near else ""
-    raise TopicError(f"no topic {asked} in the recording", hint=f"{hint}{there}")
-
-
 def _nothing_to_convert(types: dict[str, set[str]], candidates: list[str], kind: str) -> str:
     if candidates:
-        return f"every {_short(kind)} topic is dropped: {_listed(candidates)}"
+        return f"every {short_type(kind)} topic is dropped: {listed(candidates)}"
     if not types:
         return "the recording has no topics"
     described = [f"{topic} ({', '.join(sorted(kinds))})" for topic, kinds in sorted(types.items())]
-    return f"the recording has no {_short(kind)} topic; its topics are: {_listed(described)}"
+    return f"the recording has no {short_type(kind)} topic; its topics are: {listed(described)}"
 
 
 def _other_direction(types: dict[str, set[str]], kind: str) -> str | None:
@@ -147,10 +117,6 @@ def _other_direction(types: dict[str, set[str]], kind: str) -> str | None:
     if kind == LASERSCAN:
         return "it has PointCloud2 topics; without `reverse` they become scans"
     return "it has LaserScan topics; `reverse=True` turns those into clouds"
-
-
-def _short(kind: str) -> str:
-    return kind.rsplit("/", 1)[-1]
 
 
 def _refuse_collisions(routes: Sequence[Route], requests: dict[str, TopicRequest]) -> None:
@@ -211,11 +177,3 @@ def _kind(connection: Connection) -> str:
     if connection.generation is None:
         return f"{connection.msgtype or 'untyped'} in {connection.serialization or 'no encoding'}"
     return connection.ros_type
-
-
-def _listed(names: Sequence[str], limit: int = 20) -> str:
-    """Names for an error message: all of them, or the first ones and how many more."""
-    if not names:
-        return "none"
-    more = f" and {len(names) - limit} more" if len(names) > limit else ""
-    return ", ".join(names[:limit]) + more

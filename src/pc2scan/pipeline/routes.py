@@ -10,8 +10,8 @@ from pc2scan.errors import MessageError, RecordingError
 from pc2scan.messages.definitions import definition
 from pc2scan.messages.tfmessage import encode_transforms
 from pc2scan.model import LATCHED_QOS, NEW_ID, ChunkRule, Connection
+from pc2scan.tf.reading import is_static
 
-from .frames import is_static
 from .report import TopicReport
 
 if TYPE_CHECKING:
@@ -20,10 +20,10 @@ if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
     from pc2scan.bags.registry import Destination
     from pc2scan.model import Buffer, Definition, Writer
+    from pc2scan.tf.options import FrameOptions
 
     from .conversion import Conversion, Converted
     from .declarations import Declarations
-    from .frames import FrameOptions
     from .options import ConvertOptions
     from .plan import Route
     from .report import Report

@@ -32,11 +32,12 @@ from pc2scan.files.source import state_of
 from pc2scan.files.staging import staged
 from pc2scan.files.text_output import text_output
 from pc2scan.messages.laserscan import LASERSCAN
+from pc2scan.tf.placing import Frames
+from pc2scan.tf.reading import read_transforms
 from pc2scan.threads import Threads
 
 from .acceptance import refusal
 from .declarations import Declarations
-from .frames import Frames, read_transforms
 from .memory import keep_freed_memory
 from .plan import make_plan
 from .report import BEGINNING, Report

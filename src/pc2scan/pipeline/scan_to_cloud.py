@@ -21,8 +21,7 @@ if TYPE_CHECKING:
 
     from pc2scan.core.rigid import Rigid
     from pc2scan.model import Buffer
-
-    from .frames import Frames
+    from pc2scan.tf.placing import Frames
 
 __all__ = ["ScanToCloud"]
 

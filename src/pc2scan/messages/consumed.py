@@ -1,0 +1,27 @@
+"""LaserScan messages as the consumers' rules see them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pc2scan.core.consumers import Scan
+
+if TYPE_CHECKING:
+    from .laserscan import LaserScan
+
+__all__ = ["consumed_scan"]
+
+
+def consumed_scan(message: LaserScan) -> Scan:
+    """A decoded scan as the consumers' rules see it."""
+    return Scan.of(
+        message.ranges,
+        angle_min=message.angle_min,
+        angle_max=message.angle_max,
+        angle_increment=message.angle_increment,
+        range_min=message.range_min,
+        range_max=message.range_max,
+        scan_time=message.scan_time,
+        time_increment=message.time_increment,
+        intensities=len(message.intensities),
+    )

@@ -1,0 +1,71 @@
+"""Which frame a message is converted in, and the transform that takes it there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    from pc2scan.core.rigid import Rigid
+
+    from .buffer import TransformBuffer
+
+__all__ = ["Frames", "Placement"]
+
+
+class Placement(NamedTuple):
+    """Where a message goes: the output's ``frame_id``, and the transform to it (None where it stays)."""
+
+    frame_id: str
+    target_from_source: Rigid | None
+
+
+@dataclass(frozen=True, slots=True)
+class Frames:
+    """The transforms of a conversion.
+
+    Attributes
+    ----------
+    target_frame
+        Empty where every message stays in its own frame.
+    source_frame
+        See `FrameOptions`.
+    buffer
+        None where there is no target frame.
+    tolerance_ns
+        How far a stamp may lie outside the known transforms.
+    """
+
+    target_frame: str = ""
+    source_frame: str = ""
+    buffer: TransformBuffer | None = None
+    tolerance_ns: int = 0
+
+    def place(self, frame_id: str, stamp_ns: int) -> Placement:
+        """Where a message of this frame and stamp goes.
+
+        Raises
+        ------
+        TransformError
+            If there is no transform to the target frame at the stamp.
+        """
+        source = self.source_frame or frame_id
+        target = self.target_frame
+        # Source of the rule: upstream transforms only if the names differ; tf2 strips one leading slash.
+        if self.buffer is None or target.removeprefix("/") == source.removeprefix("/"):
+            return Placement(target or source, None)
+        return Placement(target, self.buffer.lookup(target, source, stamp_ns, self.tolerance_ns))
+
+    def transform_stamp(self, frame_id: str, stamp_ns: int) -> int:
+        """The stamp of the transform that `place` gives, in nanoseconds.
+
+        That is the message's; for a message with the stamp 0, the time that this was looked up for.
+
+        Raises
+        ------
+        TransformError
+            As `place` does.
+        """
+        if stamp_ns or self.buffer is None:
+            return stamp_ns
+        return self.buffer.latest_common_ns(self.target_frame, self.source_frame or frame_id)

@@ -1,0 +1,129 @@
+"""Reading the transforms of recordings, wherever in a file they are."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pc2scan.errors import DecodeError, RecordingError, UsageError
+from pc2scan.messages.tfmessage import TF_TYPES, decode_transforms
+
+from .options import FrameOptions
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
+    from pathlib import Path
+
+    from pc2scan.bags.reader import Reader
+    from pc2scan.core.rigid import Rigid
+    from pc2scan.model import Connection
+
+    from .buffer import TransformBuffer
+
+__all__ = ["is_static", "read_transforms", "recorded_transforms", "tf_connections"]
+
+
+def tf_connections(connections: Sequence[Connection], topics: Sequence[str] = ()) -> list[Connection]:
+    """The connections that carry transforms.
+
+    Parameters
+    ----------
+    topics
+        Names to take; empty means ``/tf`` and ``/tf_static``, or those of the only namespace that has them.
+
+    Raises
+    ------
+    UsageError
+        If a name is not there, or several namespaces have transforms and none was named.
+    """
+    candidates = [c for c in connections if c.ros_type in TF_TYPES and c.generation is not None]
+    names = {c.topic.strip("/") for c in candidates}
+    if topics:
+        missing = [topic for topic in topics if topic.strip("/") not in names]
+        if missing:
+            known = ", ".join(f"/{name}" for name in sorted(names)) or "none"
+            raise UsageError(f"no transforms on {missing[0]}", hint=f"topics with transforms: {known}")
+        wanted = {topic.strip("/") for topic in topics}
+        return [c for c in candidates if c.topic.strip("/") in wanted]
+    spaces: dict[str, list[Connection]] = {}
+    for c in candidates:
+        namespace, _, name = c.topic.strip("/").rpartition("/")
+        if name in ("tf", "tf_static"):
+            spaces.setdefault(namespace, []).append(c)
+    if "" in spaces or len(spaces) <= 1:
+        return spaces.get("", next(iter(spaces.values()), []))
+    raise UsageError(
+        f"several robots have transforms: {', '.join(f'/{space}' for space in sorted(spaces))}",
+        hint=f"choose one: `tf_topics=/{min(spaces)}/tf` `tf_topics=/{min(spaces)}/tf_static`",
+    )
+
+
+def is_static(topic: str) -> bool:
+    """Whether transforms on this topic hold at any time."""
+    return topic.rsplit("/", 1)[-1] == "tf_static"
+
+
+def read_transforms(readers: Iterable[Reader], options: FrameOptions) -> tuple[TransformBuffer, list[str]]:
+    """Read every transform of recordings, whatever their place in the file, and the user's own.
+
+    Parameters
+    ----------
+    readers
+        The sources first, then those of ``tf_from``.
+
+    Returns
+    -------
+    TransformBuffer, list of str
+        The transforms, and warnings: transforms that cannot be used, and messages that cannot be decoded.
+    """
+    from .buffer import TransformBuilder  # noqa: PLC0415  # only conversions with transforms pay for it
+
+    builder = TransformBuilder()
+    # The user's word comes first: whoever adds a transform does so because the recording's is wrong or lacking.
+    builder.add((static.row(0) for static in options.static), static=True)
+    overridden = {static.child.removeprefix("/") for static in options.static}
+    warnings: dict[str, int] = {}
+    for reader in readers:
+        connections = tf_connections(reader.connections, options.tf_topics)
+        if not connections:
+            continue
+        for message in reader.messages(connections):
+            connection = message.connection
+            try:
+                rows = decode_transforms(message.data, connection.serialization)
+            except DecodeError as err:
+                text = f"{connection.topic}: a transform message cannot be decoded: {err.message}"
+                warnings[text] = warnings.get(text, 0) + 1
+                continue
+            if overridden:
+                rows = [row for row in rows if row[1].removeprefix("/") not in overridden]
+            try:
+                builder.add(rows, static=is_static(connection.topic))
+            except RecordingError as err:
+                err.path, err.topic = reader.path, connection.topic
+                raise
+    buffer = builder.build()
+    told = [f"{text} ({count} times)" if count > 1 else text for text, count in warnings.items()]
+    told += [
+        f"{r.count} transforms from {r.parent!r} to {r.child!r} are not usable: {r.reason}" for r in buffer.rejections
+    ]
+    return buffer, told
+
+
+def recorded_transforms(path: Path) -> Callable[[str, str, int], Rigid]:
+    """Read a recording's transforms as a conversion without options does; return the lookup of one at a stamp.
+
+    Returns
+    -------
+    callable
+        ``lookup(target, source, stamp_ns)``; raises TransformError if there is no transform.
+    """
+    from pc2scan.bags.registry import open_recording  # noqa: PLC0415  # only who has no reader yet pays for it
+    from pc2scan.core.params import ProjectionParams  # noqa: PLC0415
+
+    reader = open_recording(path)
+    try:
+        buffer, _ = read_transforms([reader], FrameOptions())
+    finally:
+        reader.close()
+    tolerance_ns = round(ProjectionParams().transform_tolerance * 1e9)
+    return lambda target, source, stamp_ns: buffer.lookup(target, source, stamp_ns, tolerance_ns)

@@ -1,0 +1,80 @@
+"""A file of static transforms that a user adds to a recording's."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from pc2scan.errors import Pc2ScanError, UsageError
+from pc2scan.files.source import opened_text
+
+from .options import StaticTransform
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+__all__ = ["load_static_transforms"]
+
+#: A file of static transforms is a page of text.
+_MAX_FILE_BYTES = 1_000_000
+
+
+def load_static_transforms(path: Path) -> tuple[StaticTransform, ...]:
+    """Read a YAML list of static transforms.
+
+    Each entry is a text as `StaticTransform.parse` reads it, or a mapping of ``parent`` (or ``frame_id``), ``child``
+    (or ``child_frame_id``), ``translation: [x, y, z]`` and ``rotation: [qx, qy, qz, qw]`` or
+    ``rpy: [roll, pitch, yaw]``.
+
+    Raises
+    ------
+    UsageError
+        If the file cannot be read as that.
+    """
+    from ruamel.yaml import YAML  # noqa: PLC0415  # heavy
+    from ruamel.yaml.error import YAMLError  # noqa: PLC0415
+
+    try:
+        if path.stat().st_size > _MAX_FILE_BYTES:
+            raise UsageError(f"{path.stat().st_size} bytes are no list of transforms", path=path)
+        with opened_text(path) as file:
+            document = YAML(typ="safe", pure=True).load(file.read(_MAX_FILE_BYTES))
+    except OSError as err:
+        raise UsageError(f"cannot be read: {err.strerror}", path=path) from err
+    except (YAMLError, UnicodeDecodeError, RecursionError) as err:
+        raise UsageError(f"is not YAML: {str(err).splitlines()[0]}", path=path) from err
+    if not isinstance(document, list):
+        raise UsageError("is not a YAML list of static transforms", path=path)
+    transforms = []
+    for number, entry in enumerate(document, 1):
+        try:
+            transforms.append(_static_transform(entry))
+        except Pc2ScanError as err:
+            raise UsageError(f"entry {number}: {err.message}", path=path, hint=err.hint) from err
+    return tuple(transforms)
+
+
+def _static_transform(entry: Any) -> StaticTransform:
+    if isinstance(entry, str):
+        return StaticTransform.parse(entry)
+    if not isinstance(entry, dict):
+        raise UsageError(f"{entry!r} is not a transform")
+    known = {"parent", "frame_id", "child", "child_frame_id", "translation", "rotation", "rpy"}
+    if unknown := entry.keys() - known:
+        raise UsageError(f"unknown key {min(map(str, unknown))!r}", hint=f"known: {', '.join(sorted(known))}")
+
+    def numbers(key: str, count: int) -> list[float]:
+        values = entry.get(key, [0.0] * (count - 1) + [float(count == 4)])
+        if (
+            not isinstance(values, list)
+            or len(values) != count
+            or not all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)
+        ):
+            raise UsageError(f"{key} is {values!r}, expected {count} numbers")
+        return [float(v) for v in values]
+
+    return StaticTransform.of(
+        str(entry.get("parent", entry.get("frame_id", ""))),
+        str(entry.get("child", entry.get("child_frame_id", ""))),
+        numbers("translation", 3),
+        numbers("rpy", 3) if "rpy" in entry else numbers("rotation", 4),
+    )
