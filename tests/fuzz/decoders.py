@@ -65,7 +65,7 @@ def _scan(data: bytes) -> None:
 
 def _transforms(data: bytes) -> None:
     from pc2scan.messages.tfmessage import decode_transforms, encode_transforms
-    from pc2scan.tf.buffer import TransformBuilder
+    from pc2scan.tf.builder import TransformBuilder
 
     rows = decode_transforms(*_serialization(data))
     builder = TransformBuilder()

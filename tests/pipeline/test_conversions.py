@@ -17,7 +17,7 @@ from pc2scan.messages.pointcloud2 import PointCloud2, PointField, decode_pointcl
 from pc2scan.pipeline.cloud_to_scan import CloudToScan
 from pc2scan.pipeline.conversion import Conversion, Converted, Timing
 from pc2scan.pipeline.scan_to_cloud import ScanToCloud
-from pc2scan.tf.buffer import TransformBuilder
+from pc2scan.tf.builder import TransformBuilder
 from pc2scan.tf.placing import Frames
 
 XYZ = [PointField("x", 0, 7), PointField("y", 4, 7), PointField("z", 8, 7)]

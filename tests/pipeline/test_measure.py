@@ -14,7 +14,7 @@ from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import ParameterError
 from pc2scan.pipeline import measure as measure_module
 from pc2scan.pipeline.measure import measure
-from pc2scan.tf.buffer import TransformBuilder
+from pc2scan.tf.builder import TransformBuilder
 from pc2scan.tf.placing import Frames
 
 if TYPE_CHECKING:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import pickle
-import struct
 from bisect import bisect_right
 from dataclasses import FrozenInstanceError
 from itertools import pairwise
@@ -14,48 +13,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pc2scan.core.rigid import Rigid, TransformRow, interpolate, interpolate_poses
-from pc2scan.errors import RecordingError, TransformError
+from pc2scan.core.rigid import Rigid, interpolate, interpolate_poses
+from pc2scan.errors import TransformError
 from pc2scan.messages.tfmessage import decode_transforms
-from pc2scan.tf.buffer import (
-    MAX_NAMES,
-    MAX_REJECTIONS,
-    FrameInfo,
-    Rejection,
-    TransformBuffer,
-    TransformBuilder,
-    Tree,
-)
+from pc2scan.tf.builder import TransformBuilder
 from support import GOLDEN
-
-SECOND = 1_000_000_000
-EPOCH = 1_700_000_000 * SECOND
-
-
-def row(parent: str, child: str, second: float, x: float = 0.0, yaw: float = 0.0, *, norm: float = 1.0) -> TransformRow:
-    z, w = math.sin(yaw / 2) * norm, math.cos(yaw / 2) * norm
-    return (parent, child, EPOCH + round(second * SECOND), x, 0.0, 0.0, 0.0, 0.0, z, w)
-
-
-def at(second: float) -> int:
-    return EPOCH + round(second * SECOND)
-
-
-def built(dynamic: list[TransformRow] | None = None, static: list[TransformRow] | None = None) -> TransformBuffer:
-    builder = TransformBuilder()
-    builder.add(static or [], static=True)
-    builder.add(dynamic or [], static=False)
-    return builder.build()
-
-
-def x_of(buffer: TransformBuffer, target: str, source: str, stamp_ns: int, tolerance_ns: int = 0) -> float:
-    return float(buffer.lookup(target, source, stamp_ns, tolerance_ns).translation[0])
-
-
-def refusal(buffer: TransformBuffer, target: str, source: str, stamp_ns: int, tolerance_ns: int = 0) -> TransformError:
-    with pytest.raises(TransformError) as caught:
-        buffer.lookup(target, source, stamp_ns, tolerance_ns)
-    return caught.value
+from tf.small_buffers import EPOCH, SECOND, at, built, refusal, row, x_of
 
 
 class TestLookup:
@@ -208,187 +171,7 @@ class TestTolerance:
         assert "too late" in refusal(buffer, "c", "b", at(2.2), SECOND // 10).message
 
 
-class TestRefusal:
-    def test_unknown_frame_names_the_ones_there_are(self) -> None:
-        error = refusal(built(static=[row("base", "lidar", 0)]), "base", "velodyne", at(1))
-        assert error.message == (
-            '"velodyne" passed to lookupTransform argument source_frame does not exist. '
-            "The 2 frames with transforms are base, lidar"
-        )
-        assert error.stamp_ns == at(1)
-        assert "`source_frame`" in str(error.hint)
-
-    def test_unknown_target(self) -> None:
-        assert '"map" passed to lookupTransform argument target_frame' in str(
-            refusal(built(static=[row("base", "lidar", 0)]), "map", "lidar", at(1))
-        )
-
-    def test_names_are_not_endless(self) -> None:
-        buffer = built(static=[row("base", f"f{number:03}", 0) for number in range(100)])
-        message = refusal(buffer, "base", "x", at(1)).message
-        assert message.count(",") == MAX_NAMES - 1
-        assert message.endswith("f018 and 81 more")
-
-    def test_no_transforms_at_all(self) -> None:
-        assert "There are no transforms" in refusal(built(), "a", "b", at(1)).message
-
-    def test_unknown_for_having_been_rejected(self) -> None:
-        buffer = built([row("odom", "base", 0), row("base", "lidar", 0, norm=0)])
-        assert refusal(buffer, "odom", "lidar", at(0)).message.endswith(
-            "; [lidar] in [base] was rejected: TF_DENORMALIZED_QUATERNION: the quaternion is zero"
-        )
-
-    @pytest.mark.parametrize("names", [("", "a"), ("a", ""), ("", ""), ("/", "a")])
-    def test_empty_names(self, names: tuple[str, str]) -> None:
-        assert "cannot be empty" in refusal(built(static=[row("a", "b", 0)]), *names, at(0)).message
-
-    def test_not_connected_describes_both_trees(self) -> None:
-        buffer = built(static=[row("map", "odom", 0), row("base", "lidar", 0), row("base", "imu", 0)])
-        error = refusal(buffer, "odom", "lidar", at(0))
-        assert error.message == (
-            "Could not find a connection between 'odom' and 'lidar' because they are not part of the same "
-            "tree. Tf has two or more unconnected trees: [odom] is in the tree of [map] (map, odom), "
-            "[lidar] in the tree of [base] (base, imu, lidar)"
-        )
-
-    def test_too_late(self) -> None:
-        buffer = built([row("odom", "base", second) for second in (1, 2)], [row("base", "lidar", 0)])
-        assert refusal(buffer, "odom", "lidar", at(2.25), SECOND // 100).message == (
-            "Lookup would require extrapolation 0.250000000s into the future. Requested time "
-            "1700000002.250000000 but the latest data is at time 1700000002.000000000, when looking up "
-            "transform from frame [lidar] to frame [odom]: [base] in [odom] is known from "
-            "1700000001.000000000 to 1700000002.000000000, the time is 0.250000000 s too late, the "
-            "tolerance is 0.010000000 s"
-        )
-
-    def test_too_early(self) -> None:
-        error = refusal(built([row("odom", "base", second) for second in (1, 2)]), "odom", "base", at(0.5))
-        assert "0.500000000s into the past" in error.message
-        assert "earliest data is at time 1700000001.000000000" in error.message
-        assert "0.500000000 s too early" in error.message
-        assert "at least 0.500000000 s" in str(error.hint)
-
-    def test_only_one_sample(self) -> None:
-        message = refusal(built([row("odom", "base", 1)]), "odom", "base", at(2)).message
-        assert "at time 1700000002.000000000, but only time 1700000001.000000000 is in the buffer" in message
-
-    def test_of_several_frames_the_farthest_is_named(self) -> None:
-        buffer = built([row("a", "b", 5), row("b", "c", 1), row("c", "d", 3)])
-        assert "[c] in [b] is known" in refusal(buffer, "a", "d", at(6)).message
-
-    def test_loops(self) -> None:
-        edges = [("a", "b"), ("b", "c"), ("c", "a"), ("c", "d")]
-        buffer = built(static=[row(parent, child, 0) for parent, child in edges])
-        for target, source in [("a", "b"), ("b", "a"), ("a", "d"), ("d", "c")]:
-            assert "contains a loop" in refusal(buffer, target, source, at(0)).message
-            assert "contains a loop" in refusal(buffer, target, source, 0).message
-        assert "[d] to frame [a]: [c] in [b] in [a] in [c]" in refusal(buffer, "a", "d", at(0)).message
-
-    def test_two_frames_in_each_other(self) -> None:
-        buffer = built([row(*pair, second) for second in (0, 1) for pair in (("a", "b"), ("b", "a"))])
-        assert "[b] in [a] in [b]" in refusal(buffer, "a", "b", at(0.5)).message
-
-
-class TestRejections:
-    GOOD = row("odom", "base", 0, x=1)
-
-    @pytest.mark.parametrize(
-        ("entry", "reason"),
-        [
-            (row("a", "a", 7), "TF_SELF_TRANSFORM"),
-            (row("/a", "a", 7), "TF_SELF_TRANSFORM"),
-            (row("a", "", 7), "TF_NO_CHILD_FRAME_ID"),
-            (row("", "a", 7), "TF_NO_FRAME_ID"),
-            (row("/", "a", 7), "TF_NO_FRAME_ID"),
-            (row("", "", 7), "TF_NO_CHILD_FRAME_ID"),
-            (row("a", "b", 7, x=math.nan), "TF_NAN_INPUT"),
-            (row("a", "b", 7, x=-math.inf), "TF_NAN_INPUT"),
-            (row("a", "b", 7, norm=math.nan), "TF_NAN_INPUT"),
-            (row("a", "b", 7, norm=0), "TF_DENORMALIZED_QUATERNION"),
-        ],
-    )
-    def test_offender_is_named_and_the_rest_used(self, entry: TransformRow, reason: str) -> None:
-        buffer = built([self.GOOD, entry, entry])
-        (rejection,) = buffer.rejections
-        assert rejection.reason.startswith(reason + ": ")
-        assert rejection == Rejection(
-            entry[1].removeprefix("/"), entry[0].removeprefix("/"), at(7), rejection.reason, 2
-        )
-        assert buffer.rejected == 2
-        assert buffer.frames == ("odom", "base")
-        assert x_of(buffer, "odom", "base", at(0)) == 1
-
-    def test_a_nan_that_signals_is_a_nan_like_any_other(self) -> None:
-        (signalling,) = struct.unpack("<d", bytes.fromhex("010000000000f47f"))
-        entry = (*row("a", "b", 7)[:-1], signalling)
-        (rejection,) = built([self.GOOD, entry]).rejections
-        assert rejection.reason.startswith("TF_NAN_INPUT: ")
-
-    @pytest.mark.parametrize("norm", [1.0, 1.001, 0.998, -1.0])
-    def test_quaternions_that_tf2_takes_stay_as_they_are(self, norm: float) -> None:
-        entry = row("a", "b", 0, yaw=0.5, norm=norm)
-        buffer = built([entry])
-        assert buffer.rejected == 0
-        assert buffer.lookup("a", "b", at(0)).quaternion.tolist() == list(entry[6:])
-
-    @pytest.mark.parametrize("norm", [2.0, 1e-200, 1e200, 1.006, 0.994])
-    def test_quaternions_that_tf2_refuses_are_refused(self, norm: float) -> None:
-        buffer = built([self.GOOD, row("a", "b", 0, yaw=0.5, norm=norm)])
-        (rejection,) = buffer.rejections
-        assert rejection.reason == (
-            "TF_DENORMALIZED_QUATERNION: the squared norm of the quaternion differs from 1 by 0.01 or more"
-        )
-        assert "[b] in [a] was rejected: TF_DENORM" in refusal(buffer, "a", "b", at(0)).message
-
-    def test_list_is_bounded_and_in_order_and_the_count_is_not(self) -> None:
-        rows = [row("a", f"f{number}", number, norm=0) for number in range(MAX_REJECTIONS + 50)]
-        buffer = built(rows[::-1] + rows)
-        assert len(buffer.rejections) == MAX_REJECTIONS
-        assert buffer.rejected == 2 * len(rows)
-        assert [entry.child for entry in buffer.rejections[:2]] == ["f149", "f148"]
-        assert {entry.count for entry in buffer.rejections} == {2}
-        assert buffer.frames == ()
-
-
-class TestInfos:
-    def test_dynamic_static_and_changing_frames(self) -> None:
-        buffer = built(
-            [row("odom", "base", second) for second in (0, 1, 2, 5, 6, 6)]
-            + [row("odom", "cart", 3), row("base", "cart", 1), row("base", "cart", 2)],
-            [row("base", "lidar", 4), row("base", "lidar", 9)],
-        )
-        base, cart, lidar = buffer.infos
-        assert base == FrameInfo(
-            child="base",
-            parents=("odom",),
-            static=False,
-            transforms=5,
-            received=6,
-            first_ns=at(0),
-            last_ns=at(6),
-            rate_hz=4 * 1e9 / (6 * SECOND),
-            largest_gap_ns=3 * SECOND,
-            largest_gap_at_ns=at(2),
-        )
-        assert (cart.parents, cart.transforms) == (("base", "odom"), 3)
-        assert (lidar.static, lidar.transforms, lidar.received, lidar.first_ns) == (True, 1, 2, at(9))
-        assert (lidar.rate_hz, lidar.largest_gap_ns, lidar.largest_gap_at_ns) == (None, None, None)
-
-    def test_trees(self) -> None:
-        buffer = built(
-            [row("map", "base", 0), row("odom", "base", 1), row("x", "y", 0), row("y", "x", 0)],
-            [row("base", "lidar", 0), row("world", "camera", 0)],
-        )
-        assert buffer.trees == (
-            Tree(roots=("map", "odom"), frames=("base", "lidar", "map", "odom")),
-            Tree(roots=("world",), frames=("camera", "world")),
-            Tree(roots=(), frames=("x", "y")),
-        )
-
-    def test_nothing(self) -> None:
-        buffer = built()
-        assert (buffer.infos, buffer.trees, buffer.frames, len(buffer)) == ((), (), (), 0)
-
+class TestBuffer:
     def test_history(self) -> None:
         buffer = built([row("a", "b", second, x=second) for second in (2, 1)], [row("b", "c", 0)])
         history = buffer.history("/b")
@@ -402,8 +185,6 @@ class TestInfos:
         assert buffer.history("a") is None
         assert buffer.history("unknown") is None
 
-
-class TestBuffer:
     def test_is_frozen(self) -> None:
         buffer = built([row("a", "b", 0)])
         with pytest.raises(FrozenInstanceError):
@@ -418,16 +199,6 @@ class TestBuffer:
         buffer = built([row("a", "b", 0, x=1), row("a", "b", 2, x=3)])
         assert x_of(buffer, "a", "b", at(1)) == 2
         assert x_of(pickle.loads(pickle.dumps(buffer)), "a", "b", at(1)) == 2
-
-    def test_builder_goes_on_after_building(self) -> None:
-        builder = TransformBuilder()
-        builder.add([row("a", "b", 0, x=1)], static=False)
-        first = builder.build()
-        builder.add([row("a", "b", 2, x=3)], static=False)
-        second = builder.build()
-        assert (len(first), len(second), len(builder)) == (1, 2, 2)
-        assert x_of(second, "a", "b", at(1)) == 2
-        assert "extrapolation" in refusal(first, "a", "b", at(1)).message
 
     @pytest.mark.parametrize("norm", [1.0049, 0.9951])
     def test_rotations_that_grow_beyond_all_bounds_are_no_crash(self, norm: float) -> None:
@@ -450,16 +221,6 @@ class TestBuffer:
         assert x_of(buffer, f"f{depth}", "f0", at(5)) == -depth
         (tree,) = buffer.trees
         assert (tree.roots, len(tree.frames)) == (("f0",), depth + 1)
-
-    def test_more_frames_than_a_robot_has_are_refused(self) -> None:
-        builder = TransformBuilder()
-        with pytest.raises(RecordingError, match="more than 100,000 frames"):
-            builder.add((row(f"f{n}", f"f{n + 1}", 0) for n in range(100_000)), static=True)
-
-    def test_more_pairs_of_frames_than_a_robot_has_are_refused(self) -> None:
-        builder = TransformBuilder()
-        with pytest.raises(RecordingError, match="200,000 pairs"):
-            builder.add((row(f"f{n % 500}", f"g{n // 500}", n) for n in range(200_001)), static=False)
 
     @given(
         stamps=st.lists(st.integers(1, 60), min_size=1, max_size=25),

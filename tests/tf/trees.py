@@ -6,10 +6,11 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from pc2scan.tf.buffer import TransformBuffer, TransformBuilder
+from pc2scan.tf.builder import TransformBuilder
 
 if TYPE_CHECKING:
     from pc2scan.core.rigid import TransformRow
+    from pc2scan.tf.buffer import TransformBuffer
 
 __all__ = [
     "EPOCH",

@@ -16,7 +16,7 @@ from .render import count, print_json, printable, table, warn
 if TYPE_CHECKING:
     from pc2scan.core.rigid import Rigid
     from pc2scan.inspect.tf import FrameTree
-    from pc2scan.tf.buffer import FrameInfo
+    from pc2scan.tf.summary import FrameInfo
 
 __all__ = ["tf"]
 

@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pc2scan.bags.damage import Damage
-    from pc2scan.tf.buffer import FrameInfo, TransformBuffer, Tree
+    from pc2scan.tf.buffer import TransformBuffer
+    from pc2scan.tf.summary import FrameInfo, Tree
 
 __all__ = ["FrameTree", "frame_tree"]
 

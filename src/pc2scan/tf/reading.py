@@ -75,7 +75,7 @@ def read_transforms(readers: Iterable[Reader], options: FrameOptions) -> tuple[T
     TransformBuffer, list of str
         The transforms, and warnings: transforms that cannot be used, and messages that cannot be decoded.
     """
-    from .buffer import TransformBuilder  # noqa: PLC0415  # only conversions with transforms pay for it
+    from .builder import TransformBuilder  # noqa: PLC0415  # only conversions with transforms pay for it
 
     builder = TransformBuilder()
     # The user's word comes first: whoever adds a transform does so because the recording's is wrong or lacking.

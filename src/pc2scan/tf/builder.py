@@ -1,0 +1,164 @@
+"""Collecting the transforms of a recording for the buffer."""
+
+from __future__ import annotations
+
+import struct
+from array import array
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pc2scan.errors import RecordingError
+
+from .buffer import TransformBuffer
+from .rejections import ACCEPTED, REASONS, Rejection, reason_of_names, reasons_of
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from numpy.typing import NDArray
+
+    from pc2scan.core.rigid import TransformRow
+
+__all__ = ["TransformBuilder"]
+
+#: Groups of rejected transforms that are named one by one; all are counted.
+MAX_REJECTIONS = 100
+
+#: Frames, and pairs of a child and a parent, that are accepted; each takes about a kilobyte. Robots have hundreds.
+MAX_FRAMES = 100_000
+MAX_PAIRS = 200_000
+
+
+class TransformBuilder:
+    """Collects transforms in the order of the recording; `build` turns them into a `TransformBuffer`.
+
+    Holds 69 bytes a transform until then.
+    """
+
+    # Pair of frames, stamp_ns, whether static, and the pose.
+    _RECORD = struct.Struct("<iq?7d")
+    _DTYPE = np.dtype([("pair", "<i4"), ("stamp_ns", "<i8"), ("static", "?"), ("pose", "<f8", 7)])
+
+    def __init__(self) -> None:
+        self._records = bytearray()
+        self._pairs: dict[tuple[str, str], int] = {}
+        self._names: dict[str, int] = {}
+        # Parent, child and, where the names alone rule it out, the reason; three numbers a pair.
+        self._pair_table = array("i")
+
+    def __len__(self) -> int:
+        """How many transforms were added."""
+        return len(self._records) // self._RECORD.size
+
+    def add(self, rows: Iterable[TransformRow], *, static: bool) -> None:
+        """Append transforms in the order in which they were recorded.
+
+        Parameters
+        ----------
+        rows
+            ``(parent, child, stamp_ns, tx, ty, tz, qx, qy, qz, qw)``: ``parent_from_child`` in metres. Names
+            and numbers may be anything; `build` sets aside what is unusable.
+        static
+            Whether they came on a static topic (``/tf_static``) or hold at any time by the user's word.
+
+        Raises
+        ------
+        RecordingError
+            If there are more frames than `MAX_FRAMES`, or more pairs than `MAX_PAIRS`.
+        """
+        pairs, pack = self._pairs, self._RECORD.pack
+        for parent, child, stamp_ns, *pose in rows:
+            pair = pairs.get((parent, child))
+            if pair is None:
+                pair = self._add_pair(parent, child)
+            self._records += pack(pair, stamp_ns, static, *pose)
+
+    def _add_pair(self, parent: str, child: str) -> int:
+        pair = self._pairs[parent, child] = len(self._pairs)
+        parent, child = parent.removeprefix("/"), child.removeprefix("/")
+        numbers = [self._names.setdefault(name, len(self._names)) for name in (parent, child)]
+        if len(self._names) > MAX_FRAMES or len(self._pairs) > MAX_PAIRS:
+            raise RecordingError(
+                f"the transforms have more than {MAX_FRAMES:,} frames or {MAX_PAIRS:,} pairs of frames, "
+                "which no robot has",
+                hint="`tf_topics` names the topics whose transforms count",
+            )
+        self._pair_table.extend((*numbers, reason_of_names(parent, child)))
+        return pair
+
+    def build(self) -> TransformBuffer:
+        """Sort what was added and set aside what cannot be used. More may be added afterwards."""
+        records = np.frombuffer(self._records, self._DTYPE)
+        pairs = np.array(self._pair_table, np.int32).reshape(-1, 3)
+        poses = records["pose"]
+        reasons = reasons_of(poses, pairs[records["pair"], 2])
+
+        good = np.flatnonzero(reasons == ACCEPTED)
+        frames, parents, children = self._renumbered(pairs[records["pair"][good], :2])
+        is_static = _first_of_each(children, records["static"][good], len(frames))
+        order = _kept_order(children, records["stamp_ns"][good], is_static)
+        kept = good[order]
+        return TransformBuffer(
+            frames=frames,
+            rejections=self._rejections(records, pairs, reasons),
+            rejected=len(records) - len(good),
+            _stamps_ns=_read_only(records["stamp_ns"][kept]),
+            _poses=_read_only(poses[kept]),
+            _parents=_read_only(parents[order]),
+            _offsets=np.searchsorted(children[order], np.arange(len(frames) + 1)),
+            _static=is_static,
+            _received=np.bincount(children, minlength=len(frames)),
+            _numbers={name: number for number, name in enumerate(frames)},
+        )
+
+    def _renumbered(self, used: NDArray[np.int32]) -> tuple[tuple[str, ...], NDArray[np.int32], NDArray[np.int32]]:
+        """Names of the frames that accepted transforms have, as tf2 knows no others; parents, children."""
+        occurs = np.zeros(len(self._names), dtype=np.bool_)
+        occurs[used] = True
+        numbers = (np.cumsum(occurs) - 1).astype(np.int32)
+        names = (name for name, known in zip(self._names, occurs.tolist(), strict=True) if known)
+        return tuple(names), numbers[used[:, 0]], numbers[used[:, 1]]
+
+    def _rejections(
+        self, records: NDArray[np.void], pairs: NDArray[np.int32], reasons: NDArray[np.int32]
+    ) -> tuple[Rejection, ...]:
+        bad = np.flatnonzero(reasons != ACCEPTED)
+        causes = np.stack((records["pair"][bad], reasons[bad]), axis=1)
+        groups, first, counts = np.unique(causes, axis=0, return_index=True, return_counts=True)
+        names = list(self._names)
+        rejections = []
+        for group in np.argsort(first)[:MAX_REJECTIONS].tolist():
+            pair, reason = groups[group].tolist()
+            parent, child, _ = pairs[pair].tolist()
+            stamp_ns = records["stamp_ns"].item(bad[first[group]])
+            rejections.append(Rejection(names[child], names[parent], stamp_ns, REASONS[reason], counts.item(group)))
+        return tuple(rejections)
+
+
+def _first_of_each(children: NDArray[np.int32], flags: NDArray[np.bool_], count: int) -> NDArray[np.bool_]:
+    """The flag of each child's first transform; False for frames without one."""
+    result = np.zeros(count, dtype=np.bool_)
+    numbers, first = np.unique(children, return_index=True)
+    result[numbers] = flags[first]
+    return result
+
+
+def _kept_order(
+    children: NDArray[np.int32], stamps_ns: NDArray[np.int64], is_static: NDArray[np.bool_]
+) -> NDArray[np.int64]:
+    """Indices of the transforms to keep, by child and stamp.
+
+    Of a dynamic child's transforms with one stamp the first is kept, of all a static one's the last.
+    """
+    static = is_static[children]
+    arrival = np.arange(len(children))
+    stamps_ns = np.where(static, 0, stamps_ns)
+    order = np.lexsort((np.where(static, -arrival, arrival), stamps_ns, children))
+    changes = (np.diff(children[order]) != 0) | (np.diff(stamps_ns[order]) != 0)
+    return order[np.concatenate(([True], changes))] if len(order) else order
+
+
+def _read_only(values: NDArray[Any]) -> NDArray[Any]:
+    values.flags.writeable = False
+    return values

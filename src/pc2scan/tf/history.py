@@ -1,0 +1,95 @@
+"""The transforms of one child frame over time, as tf2's ``TimeCache`` and ``StaticCache`` answer for them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from pc2scan.core.rigid import interpolate_poses
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from pc2scan.core.rigid import Pose
+
+__all__ = ["FrameHistory"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameHistory:
+    """The transforms ``parent_from_child`` of one child frame, in the order of their stamps.
+
+    Attributes
+    ----------
+    child
+        Index of the frame in `TransformBuffer.frames`.
+    static
+        Whether the only transform holds at any time.
+    stamps_ns
+        (N,) int64, increasing, N > 0.
+    poses
+        (N, 7) float64: translation x, y, z in metres, then quaternion x, y, z, w, as published.
+    parents
+        (N,) int32, indices of frames.
+    sole_parent
+        The parent, or -1 if it changes.
+    """
+
+    child: int
+    static: bool
+    stamps_ns: NDArray[np.int64]
+    poses: NDArray[np.float64]
+    parents: NDArray[np.int32]
+    sole_parent: int
+    first_ns: int
+    last_ns: int
+
+    @property
+    def translations(self) -> NDArray[np.float64]:
+        """(N, 3) float64, metres, a view."""
+        return self.poses[:, :3]
+
+    @property
+    def quaternions(self) -> NDArray[np.float64]:
+        """(N, 4) float64 x, y, z, w, a view."""
+        return self.poses[:, 3:]
+
+    def gap_ns(self, stamp_ns: int | None) -> int:
+        """How far a stamp lies outside: negative before the first sample, positive after the last."""
+        if self.static or stamp_ns is None:
+            return 0
+        return min(stamp_ns - self.first_ns, 0) or max(stamp_ns - self.last_ns, 0)
+
+    def _older(self, stamp_ns: int | None) -> int:
+        """Index of the sample at a stamp or before it, the first one at least; None asks for the latest."""
+        if self.static or stamp_ns is None or stamp_ns >= self.last_ns:
+            return len(self.stamps_ns) - 1
+        return max(int(self.stamps_ns.searchsorted(stamp_ns, "right")) - 1, 0)
+
+    def parent_at(self, stamp_ns: int | None) -> int:
+        """Index of the parent at a stamp, the nearest known one outside the history."""
+        return self.sole_parent if self.sole_parent >= 0 else int(self.parents[self._older(stamp_ns)])
+
+    def pose_at(self, stamp_ns: int | None) -> Pose:
+        """``parent_from_child`` at a stamp, the nearest known one outside the history."""
+        older = self._older(stamp_ns)
+        first = self._pose(older)
+        if self.static or stamp_ns is None or older + 1 == len(self.stamps_ns):
+            return first
+        # The first sample has no older one; what lies in front of it is within the tolerance.
+        if stamp_ns <= self.first_ns or (self.sole_parent < 0 and self.parents[older] != self.parents[older + 1]):
+            return first
+        begin_ns, end_ns = self.stamps_ns[older : older + 2].tolist()
+        ratio = _float_seconds(stamp_ns - begin_ns) / _float_seconds(end_ns - begin_ns)
+        return interpolate_poses(first, self._pose(older + 1), ratio)
+
+    def _pose(self, sample: int) -> Pose:
+        x, y, z, i, j, k, r = self.poses[sample].tolist()
+        return (x, y, z, i, j, k, r)
+
+
+def _float_seconds(duration_ns: int) -> float:
+    """Seconds as ``ros::Duration::toSec`` rounds them."""
+    seconds, nanoseconds = divmod(duration_ns, 1_000_000_000)
+    return seconds + 1e-9 * nanoseconds

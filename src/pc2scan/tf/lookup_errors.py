@@ -1,0 +1,123 @@
+"""Why there is no transform between two frames at a stamp, in tf2's words and with what to do about it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pc2scan.errors import TransformError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from .history import FrameHistory
+    from .query import Query
+    from .rejections import Rejection
+    from .summary import Tree
+    from .walk import Walk
+
+__all__ = ["empty_name", "extrapolation", "looping", "unconnected", "unknown_frame"]
+
+#: Frames that an error message names.
+MAX_NAMES = 20
+
+_SEE_TF = "`pc2scan tf` shows the frames of a recording and the times they are known for"
+
+
+def empty_name(role: str, stamp_ns: int) -> TransformError:
+    """One of the names is empty."""
+    return TransformError(
+        f"Invalid argument passed to lookupTransform argument {role}: frame_ids cannot be empty",
+        stamp_ns=stamp_ns,
+        hint="`source_frame` names the frame of clouds whose frame_id is empty",
+    )
+
+
+def unknown_frame(
+    name: str, role: str, stamp_ns: int, frames: Sequence[str], rejections: Sequence[Rejection]
+) -> TransformError:
+    """No transform has this frame."""
+    there_are = (
+        f"The {len(frames)} frames with transforms are {_named(sorted(frames))}"
+        if frames
+        else "There are no transforms"
+    )
+    rejected = next((entry for entry in rejections if name in (entry.child, entry.parent)), None)
+    if rejected is not None:
+        there_are += f"; [{rejected.child}] in [{rejected.parent}] was rejected: {rejected.reason}"
+    return TransformError(
+        f'"{name}" passed to lookupTransform argument {role} does not exist. {there_are}',
+        stamp_ns=stamp_ns,
+        hint="`static` adds a transform, `tf_from` takes them from another recording, "
+        "`source_frame` corrects a wrong frame_id",
+    )
+
+
+def extrapolation(query: Query, link: FrameHistory, frames: Sequence[str], time_ns: int | None) -> TransformError:
+    """A frame on the way is not known at the time; ``frames`` are the names of all."""
+    time_ns = time_ns or 0
+    gap_ns = link.gap_ns(time_ns)
+    gap, time, first, last = (_seconds(ns) for ns in (abs(gap_ns), time_ns, link.first_ns, link.last_ns))
+    if link.first_ns == link.last_ns:
+        text = f"Lookup would require extrapolation at time {time}, but only time {last} is in the buffer"
+    else:
+        way, end, known = ("past", "earliest", first) if gap_ns < 0 else ("future", "latest", last)
+        text = (
+            f"Lookup would require extrapolation {gap}s into the {way}. "
+            f"Requested time {time} but the {end} data is at time {known}"
+        )
+    child, parent = frames[link.child], frames[link.parent_at(time_ns)]
+    return TransformError(
+        f"{text}, when looking up transform from frame [{query.source}] to frame [{query.target}]: "
+        f"[{child}] in [{parent}] is known from {first} to {last}, "
+        f"the time is {gap} s too {'early' if gap_ns < 0 else 'late'}, "
+        f"the tolerance is {_seconds(query.tolerance_ns)} s",
+        stamp_ns=query.stamp_ns,
+        hint=f"a transform_tolerance of at least {gap} s would use the nearest transform; {_SEE_TF}",
+    )
+
+
+def unconnected(
+    query: Query, source_walk: Walk, target_walk: Walk, frames: Sequence[str], trees: Sequence[Tree]
+) -> TransformError:
+    """The walks from both frames do not meet."""
+    source_top, target_top = (frames[next(reversed(walk.links))] for walk in (source_walk, target_walk))
+    source_tree, target_tree = (
+        next(tree for tree in trees if name in tree.frames) for name in (query.source, query.target)
+    )
+    where = (
+        f"[{query.target}] is in {_described(target_tree)}, [{query.source}] in {_described(source_tree)}"
+        if source_tree is not target_tree
+        else f"at this time [{query.target}] leads up to [{target_top}], [{query.source}] to [{source_top}]"
+    )
+    return TransformError(
+        f"Could not find a connection between '{query.target}' and '{query.source}' because they are not "
+        f"part of the same tree. Tf has two or more unconnected trees: {where}",
+        stamp_ns=query.stamp_ns,
+        hint=f"`static` or `tf_from` adds what connects them; {_SEE_TF}",
+    )
+
+
+def looping(query: Query, walk: Walk, loop: int, frames: Sequence[str]) -> TransformError:
+    """A walk comes back to the frame ``loop``."""
+    met = list(walk.links)
+    names = [f"[{frames[frame]}]" for frame in met[met.index(loop) :][:MAX_NAMES]]
+    return TransformError(
+        "The tf tree is invalid because it contains a loop, when looking up transform from frame "
+        f"[{query.source}] to frame [{query.target}]: {' in '.join([*names, names[0]])}",
+        stamp_ns=query.stamp_ns,
+        hint=_SEE_TF,
+    )
+
+
+def _seconds(stamp_ns: int) -> str:
+    seconds, nanoseconds = divmod(abs(stamp_ns), 1_000_000_000)
+    return f"{'-' if stamp_ns < 0 else ''}{seconds}.{nanoseconds:09d}"
+
+
+def _named(names: Sequence[str]) -> str:
+    more = len(names) - MAX_NAMES
+    return ", ".join(names[:MAX_NAMES]) + (f" and {more} more" if more > 0 else "")
+
+
+def _described(tree: Tree) -> str:
+    return f"the tree of [{', '.join(tree.roots[:MAX_NAMES]) or 'no root'}] ({_named(tree.frames)})"

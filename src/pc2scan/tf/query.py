@@ -1,0 +1,19 @@
+"""A lookup as it was asked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = ["Query"]
+
+
+@dataclass(frozen=True, slots=True)
+class Query:
+    """The names and numbers of two frames, the stamp, and the tolerance."""
+
+    target: str
+    source: str
+    target_number: int
+    source_number: int
+    stamp_ns: int
+    tolerance_ns: int

@@ -1,0 +1,69 @@
+"""Transforms that tf2 does not take, and why."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pc2scan.core.rigid import are_taken
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = ["ACCEPTED", "REASONS", "Rejection", "reason_of_names", "reasons_of"]
+
+ACCEPTED, NO_CHILD, NO_PARENT, SELF, NOT_FINITE, ZERO, DENORMALIZED = range(7)
+REASONS = {
+    NO_CHILD: "TF_NO_CHILD_FRAME_ID: child_frame_id is empty",
+    NO_PARENT: "TF_NO_FRAME_ID: frame_id is empty",
+    SELF: "TF_SELF_TRANSFORM: frame_id and child_frame_id are the same",
+    NOT_FINITE: "TF_NAN_INPUT: a component is NaN or infinite",
+    ZERO: "TF_DENORMALIZED_QUATERNION: the quaternion is zero",
+    DENORMALIZED: "TF_DENORMALIZED_QUATERNION: the squared norm of the quaternion differs from 1 by 0.01 or more",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Rejection:
+    """Transforms that were not taken, those of one pair of frames and one reason together.
+
+    Attributes
+    ----------
+    child, parent
+        Frame names, a leading slash stripped.
+    stamp_ns
+        The first one's stamp.
+    reason
+        tf2's name for it and why.
+    count
+        How many there were.
+    """
+
+    child: str
+    parent: str
+    stamp_ns: int
+    reason: str
+    count: int
+
+
+def reason_of_names(parent: str, child: str) -> int:
+    """Why a pair of frames, leading slashes stripped, is unusable, or `ACCEPTED`."""
+    if not child:
+        return NO_CHILD
+    if not parent:
+        return NO_PARENT
+    return SELF if parent == child else ACCEPTED
+
+
+def reasons_of(poses: NDArray[np.float64], reasons: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Why each transform is unusable, or `ACCEPTED`; ``reasons`` are those that the names alone give."""
+    finite = np.isfinite(poses).all(axis=1)
+    with np.errstate(invalid="ignore"):  # a NaN may be one that signals
+        zero = ~poses[:, 3:].any(axis=1)
+    return np.select(
+        [reasons != ACCEPTED, ~finite, zero, ~are_taken(poses[:, 3:])],
+        [reasons, NOT_FINITE, ZERO, DENORMALIZED],
+        ACCEPTED,
+    ).astype(np.int32)

@@ -1,0 +1,131 @@
+"""The frames of a recording, for people."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from .history import FrameHistory
+
+__all__ = ["FrameInfo", "Tree", "frame_info", "trees_of"]
+
+
+@dataclass(frozen=True, slots=True)
+class FrameInfo:
+    """What is known of one child frame, for people.
+
+    Attributes
+    ----------
+    child
+        The frame.
+    parents
+        Every parent that it has had, the first first.
+    static
+        Whether its transform holds at any time.
+    transforms
+        Samples that are kept.
+    received
+        Transforms that were accepted, repeated stamps and overwritten static ones included.
+    first_ns, last_ns
+        Earliest and latest stamp.
+    rate_hz
+        Mean rate of the samples; None for fewer than two, or a static frame.
+    largest_gap_ns
+        Longest time between two neighbouring samples; None where there is no rate.
+    largest_gap_at_ns
+        Stamp at which it begins.
+    """
+
+    child: str
+    parents: tuple[str, ...]
+    static: bool
+    transforms: int
+    received: int
+    first_ns: int
+    last_ns: int
+    rate_hz: float | None
+    largest_gap_ns: int | None
+    largest_gap_at_ns: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class Tree:
+    """Frames that hang together at some time of the recording.
+
+    Attributes
+    ----------
+    roots
+        Frames without a parent, sorted. More than one where a child changed from one tree to another; none
+        where the frames form a loop.
+    frames
+        All frames, the roots included, sorted.
+    """
+
+    roots: tuple[str, ...]
+    frames: tuple[str, ...]
+
+
+def frame_info(link: FrameHistory, received: int, names: Sequence[str]) -> FrameInfo:
+    """What is known of one child frame; ``names`` are those of all frames."""
+    parents, first = np.unique(link.parents, return_index=True)
+    count = len(link.stamps_ns)
+    gaps = np.diff(link.stamps_ns)
+    widest = int(gaps.argmax()) if count > 1 else 0
+    return FrameInfo(
+        child=names[link.child],
+        parents=tuple(names[parent] for parent in parents[np.argsort(first)].tolist()),
+        static=link.static,
+        transforms=count,
+        received=received,
+        first_ns=link.first_ns,
+        last_ns=link.last_ns,
+        rate_hz=(count - 1) * 1e9 / (link.last_ns - link.first_ns) if count > 1 else None,
+        largest_gap_ns=int(gaps[widest]) if count > 1 else None,
+        largest_gap_at_ns=link.stamps_ns.item(widest) if count > 1 else None,
+    )
+
+
+def trees_of(names: Sequence[str], offsets: NDArray[np.int64], parents: NDArray[np.int32]) -> tuple[Tree, ...]:
+    """The frames that hang together, the largest tree first.
+
+    Parameters
+    ----------
+    names
+        Those of all frames.
+    offsets
+        The samples of frame i are those from ``offsets[i]`` to ``offsets[i + 1]``.
+    parents
+        The parent in each sample.
+    """
+    # Union-find: every frame points to another of its tree, and in the end to the one that stands for it.
+    stands_for = list(range(len(names)))
+
+    def leader(frame: int) -> int:
+        while stands_for[frame] != frame:
+            stands_for[frame] = frame = stands_for[stands_for[frame]]
+        return frame
+
+    counts = np.diff(offsets)
+    edges = np.repeat(np.arange(len(names)), counts) * len(names) + parents
+    for edge in np.unique(edges).tolist():
+        child, parent = divmod(edge, len(names))
+        stands_for[leader(child)] = leader(parent)
+    members: dict[int, list[int]] = {}
+    for frame in range(len(names)):
+        members.setdefault(leader(frame), []).append(frame)
+    is_child = (counts > 0).tolist()
+    trees = (
+        Tree(
+            roots=tuple(sorted(names[frame] for frame in frames if not is_child[frame])),
+            frames=tuple(sorted(names[frame] for frame in frames)),
+        )
+        for frames in members.values()
+    )
+    return tuple(sorted(trees, key=lambda tree: (-len(tree.frames), tree.frames)))

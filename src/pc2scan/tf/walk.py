@@ -1,0 +1,67 @@
+"""Walks up from frames, and where two of them meet."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from .chain import Chain, Side
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from .history import FrameHistory
+
+__all__ = ["Walk", "joined", "walk_up"]
+
+
+@dataclass(frozen=True, slots=True)
+class Walk:
+    """A way up from a frame.
+
+    Attributes
+    ----------
+    links
+        The link up from each frame met, by the frame's index, in this order; None for a root.
+    blocked
+        The child whose parent is not known at the time, where that ended the walk.
+    loop
+        The frame that was met for the second time, where that ended the walk.
+    """
+
+    links: dict[int, FrameHistory | None]
+    blocked: FrameHistory | None = None
+    loop: int | None = None
+
+
+def walk_up(
+    start: int, history: Callable[[int], FrameHistory | None], parent_of: Callable[[FrameHistory], int]
+) -> Walk:
+    """Walk up from a frame; ``parent_of`` returns -1 where it cannot say."""
+    met: dict[int, FrameHistory | None] = {}
+    frame = start
+    while frame not in met:
+        link = met[frame] = history(frame)
+        if link is None:
+            return Walk(met)
+        frame = parent_of(link)
+        if frame < 0:
+            return Walk(met, blocked=link)
+    return Walk(met, loop=frame)
+
+
+def joined(target_walk: Walk, source_walk: Walk) -> Chain | None:
+    """The way between the starts of two walks; None where they do not meet."""
+    common = next((frame for frame in target_walk.links if frame in source_walk.links), None)
+    if common is None:
+        return None
+    target_side, _ = _parted(target_walk, common)
+    source_side, above = _parted(source_walk, common)
+    return Chain(Side.of(target_side), Side.of(source_side), above)
+
+
+def _parted(walk: Walk, ancestor: int) -> tuple[tuple[FrameHistory, ...], tuple[FrameHistory, ...]]:
+    """The links of a walk below an ancestor, and from it on."""
+    links = list(walk.links.values())
+    below = list(walk.links).index(ancestor)
+    return tuple(link for link in links[:below] if link), tuple(link for link in links[below:] if link)
