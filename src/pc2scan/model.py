@@ -272,12 +272,6 @@ class Summary:
     end_ns: int | None
     profile: str = ""
 
-    @property
-    def chunks(self) -> str:
-        """Whose chunks its messages lie in: ``rosbag1`` or ``mcap``; empty for none."""
-        form = self.storage or self.container
-        return form if form in {"rosbag1", "mcap"} else ""
-
 
 class Writer(Protocol):
     """A recording being written; it becomes valid with `finish` and not before."""

@@ -11,7 +11,7 @@ import pytest
 
 from bags.mcap_files import LIBRARY_OPTIONS, SAMPLE, library_file
 from builders import CONTENT, SOURCES
-from pc2scan.bags.registry import open_recording
+from pc2scan.bags.opening import open_recording
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from benchmarks.test_projection import cloud
-from pc2scan.bags.registry import open_writer, plan_destination
+from pc2scan.bags.destinations import open_writer, plan_destination
 from pc2scan.messages.definitions import definition
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointField, encode_pointcloud2
 from pc2scan.model import Connection

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from builders import POINTS, T0, Item, Recording, cloud, item, points_of, write_mcap
-from pc2scan.bags.registry import open_recording
+from pc2scan.bags.opening import open_recording
 from pc2scan.compare.libm import Clouds, Explainer, Explanation
 from pc2scan.compare.rules import Rules
 from pc2scan.core.rounding import CORRECT, GLIBC

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from pc2scan.bags.registry import open_recording
+from pc2scan.bags.opening import open_recording
 from support import ROOT
 
 if TYPE_CHECKING:

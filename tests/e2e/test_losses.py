@@ -32,7 +32,7 @@ from builders import (
     write_rosbag2,
 )
 from e2e.command import run
-from pc2scan.bags.registry import open_recording
+from pc2scan.bags.opening import open_recording
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable

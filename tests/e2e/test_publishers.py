@@ -33,7 +33,7 @@ from builders import (
 from e2e.command import run
 from e2e.npm import needs_npm, node
 from e2e.outputs import opened
-from pc2scan.bags.registry import open_recording
+from pc2scan.bags.opening import open_recording
 
 if TYPE_CHECKING:
     from collections.abc import Callable

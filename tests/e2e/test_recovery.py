@@ -22,7 +22,7 @@ from bags.rosbag1_files import ROS1, SCRIPT, ros1, ros1_missing
 from builders import CONTENT, SOURCES, T0, Mcap, Recording, write_db3, write_mcap, write_rosbag1, write_rosbag2
 from e2e.command import run
 from e2e.outputs import opened
-from pc2scan.bags.registry import open_recording
+from pc2scan.bags.opening import open_recording
 from pc2scan.errors import DamageError, RecordingError
 from pc2scan.pipeline.options import ConvertOptions
 from pc2scan.pipeline.run import OutputOptions

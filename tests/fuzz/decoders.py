@@ -132,7 +132,7 @@ def _file(name: str, data: bytes, read: Callable[[Path], None]) -> None:
 
 
 def _recording(path: Path) -> None:
-    from pc2scan.bags.registry import open_recording
+    from pc2scan.bags.opening import open_recording
 
     with closing(open_recording(path)) as reader:
         for message in reader.messages():

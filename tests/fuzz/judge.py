@@ -20,7 +20,7 @@ from fuzz.mutants.seeds import Seed, place
 from fuzz.watch import watched
 from hostile.bounded import size_of
 from pc2scan import ProjectionParams
-from pc2scan.bags.registry import open_recording
+from pc2scan.bags.opening import open_recording
 from pc2scan.pipeline.options import ConvertOptions, TimeBound
 from pc2scan.pipeline.run import OutputOptions, run
 

@@ -27,7 +27,7 @@ import pc2scan
 from builders import CONTENT, SOURCES, Recording
 from fuzz.watch import watched
 from hostile.bounded import size_of
-from pc2scan.bags.registry import open_recording
+from pc2scan.bags.opening import open_recording
 from pc2scan.inspect.check import check
 from pc2scan.inspect.info import info
 from pc2scan.inspect.tf import frame_tree

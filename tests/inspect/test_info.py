@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from pc2scan.bags.registry import open_writer, plan_destination
+from pc2scan.bags.destinations import open_writer, plan_destination
 from pc2scan.errors import RecordingError
 from pc2scan.inspect.info import info
 from pc2scan.messages.definitions import definition

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from builders import CLOUD, SECOND, T0, Item, Recording, Stream, cloud, item, write_mcap
-from pc2scan.bags.registry import open_recording
+from pc2scan.bags.opening import open_recording
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import ParameterError
 from pc2scan.pipeline import measure as measure_module

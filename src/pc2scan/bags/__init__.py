@@ -1,6 +1,5 @@
-"""Recordings: one module a format, one protocol for all, and a registry that picks by content.
+"""Recordings: a package for each container, and what they share.
 
-===================  =======================================================================
 module               what it is about
 ===================  =======================================================================
 ``model``            connections, messages, and the protocols `Reader` and `Writer`
@@ -20,10 +19,29 @@ module               what it is about
 ``salvage``          as much of broken compressed data as can be decompressed
 ``sqlite3_pages``    the rows of a damaged ``.db3``
 ===================  =======================================================================
+=======
+=================  =======================================================================
+module             what it is about
+=================  =======================================================================
+``formats``        the table of formats: the one place that lists containers
+``opening``        detecting a recording's format by content, and opening it
+``destinations``   what a destination's name and the options mean
+``reader``         what readers have in common
+``units``          what can be loaded by itself, and its messages merged by log time
+``merged``         several recordings as one
+``topics``         topics as people name them
+``damage``         what is damaged in a recording, noted by its reader
+``zstd``           zstd around files and messages; ``unpacked``: such a file as a recording
+``qos``            QoS profiles
+``chunked``        what containers that keep messages in chunks have in common
+``rosbag1``        ROS 1 bags (``.bag``)
+``mcap``           MCAP files
+``rosbag2``        rosbag2 directories: metadata.yaml, and the sqlite3 storage (``.db3``)
+=================  =======================================================================
 
-Of a chunked format, ``*_records`` knows its records and ``*_chunks`` its chunks; ``*_contents`` finds out
-what is where, and ``*_recovery`` does so in a damaged file; ``*_reader`` and ``*_writer`` have the classes
-that the registry opens.
+Of a chunked format, ``records`` knows its records and ``chunks`` its chunks; ``contents`` finds out
+what is where, and ``recovery`` does so in a damaged file; ``reader`` and ``writer`` have the classes
+that the table of formats opens.
 
 Importing this package imports no format: each is loaded when the first file of its kind is opened.
 """
@@ -43,23 +61,20 @@ from pc2scan.model import (
     ros1_type,
 )
 
-from .reader import Reader
-from .registry import (
-    Container,
+from .destinations import (
     Destination,
     default_destination,
     default_storage,
-    open_recording,
     open_writer,
     plan_destination,
-    sniff,
 )
+from .opening import open_recording, sniff
+from .reader import Reader
 
 __all__ = [
     "Attachment",
     "Buffer",
     "Connection",
-    "Container",
     "Definition",
     "Destination",
     "Metadata",

@@ -26,6 +26,7 @@ __all__ = [
     "is_frame",
     "is_zstd",
     "unpacked_file",
+    "unpacked_head",
     "unpacked_message",
     "unpacked_messages",
     "without_suffix",
@@ -48,6 +49,23 @@ def is_zstd(path: Path) -> bool:
             return file.read(4) == MAGIC
     except OSError as err:
         raise RecordingError(f"cannot be read: {err.strerror}", path=path) from err
+
+
+def unpacked_head(path: Path) -> bytes:
+    """Decompress the first bytes of a zstd file, enough to recognise what is in it.
+
+    Raises
+    ------
+    RecordingError
+        If they cannot be decompressed.
+    """
+    import zstandard  # noqa: PLC0415  (only compressed recordings need it)
+
+    try:
+        with opened_bytes(path) as file:
+            return zstandard.ZstdDecompressor().stream_reader(file).read(64)
+    except (OSError, zstandard.ZstdError) as err:
+        raise RecordingError(f"cannot be decompressed: {err}", path=path) from err
 
 
 def unpacked_file(path: Path, folder: Path, log: DamageLog) -> Path:

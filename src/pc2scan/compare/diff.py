@@ -6,7 +6,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from pc2scan.bags.registry import open_recording
+from pc2scan.bags.opening import open_recording
 from pc2scan.errors import TopicError, UsageError
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.messages.pointcloud2 import POINTCLOUD2

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.bags.merged import as_one
-from pc2scan.bags.registry import open_recordings
+from pc2scan.bags.opening import open_recordings
 from pc2scan.bags.topics import find_topic
 from pc2scan.core.consumers import CONSUMERS, Outcome
 from pc2scan.errors import DecodeError, TopicError, UsageError

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pc2scan.bags.merged import as_one
-from pc2scan.bags.registry import open_recordings
+from pc2scan.bags.opening import open_recordings
 from pc2scan.errors import DecodeError
 from pc2scan.messages.pointcloud2 import DATATYPES, POINTCLOUD2, decode_pointcloud2
 

@@ -6,7 +6,7 @@ from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
-from pc2scan.bags.registry import open_recordings
+from pc2scan.bags.opening import open_recordings
 from pc2scan.tf.options import FrameOptions
 from pc2scan.tf.reading import read_transforms
 

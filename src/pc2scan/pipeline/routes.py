@@ -6,6 +6,7 @@ import sys
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from pc2scan.bags.formats import FORMATS
 from pc2scan.errors import MessageError, RecordingError
 from pc2scan.messages.definitions import definition
 from pc2scan.messages.tfmessage import encode_transforms
@@ -17,8 +18,8 @@ from .report import TopicReport
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
+    from pc2scan.bags.destinations import Destination
     from pc2scan.bags.reader import Reader
-    from pc2scan.bags.registry import Destination
     from pc2scan.model import Buffer, Definition, Writer
     from pc2scan.tf.options import FrameOptions
 
@@ -177,7 +178,7 @@ def _prepare_passing(
     connection = route.connection
     foreign = connection.generation is None
     # A container holds whatever the same kind of container held: nothing of it needs to be understood.
-    as_it_is = (same_kind and (foreign or options.repair)) or (foreign and target.container == "mcap")
+    as_it_is = (same_kind and (foreign or options.repair)) or (foreign and target.format.holds_any)
     defined_already = connection.definition.data or options.repair
     if as_it_is or (connection.generation == target.generation and defined_already):
         route.passing_handle = declared.add(connection)
@@ -191,7 +192,7 @@ def _prepare_passing(
         return
     if foreign:
         error: MessageError = MessageError(
-            f"{connection.serialization or 'unspecified'} messages fit only into an .mcap file"
+            f"{connection.serialization or 'unspecified'} messages fit only into an {_holding_any()} file"
         )
     else:
         try:
@@ -215,6 +216,11 @@ def _prepare_passing(
         raise error
     entry.note, entry.lost = error.message, True
     entry.action, entry.target = "left out", None
+
+
+def _holding_any() -> str:
+    """The suffixes of files that hold messages of every encoding."""
+    return " or ".join(entry.suffix for entry in FORMATS.values() if entry.holds_any)
 
 
 def _converted_connection(source: Connection, topic: str, msgtype: str, target: Destination) -> Connection:
@@ -246,7 +252,7 @@ def chunk_rule(routes: Mapping[int, OpenRoute], target: Destination, writer: Wri
 
 def carry_extras(reader: Reader, target: Destination, writer: Writer, report: Report) -> None:
     """Carry MCAP's attachments and metadata records where the destination has them."""
-    carries = target.container == "mcap" or target.storage == "mcap"
+    carries = target.file_format.has_extras
     lost = 0
     for attachment in reader.attachments():
         if carries:
@@ -255,7 +261,7 @@ def carry_extras(reader: Reader, target: Destination, writer: Writer, report: Re
             lost += 1
     for record in reader.metadata():
         # rosbag2 keeps a copy of metadata.yaml under this name; its writer makes a true one.
-        if record.name == "rosbag2" and target.container != "mcap":
+        if record.name == "rosbag2" and not target.format.has_extras:
             continue
         if carries:
             writer.add_metadata(record)

@@ -8,16 +8,17 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from pc2scan.bags.damage import RECOVER, Damage, count_details
-from pc2scan.bags.merged import as_one
-from pc2scan.bags.registry import (
+from pc2scan.bags.destinations import (
     beside_recording,
     default_destination,
     default_storage,
     kept_form,
-    open_recordings,
     open_writer,
     plan_destination,
 )
+from pc2scan.bags.formats import chunk_format
+from pc2scan.bags.merged import as_one
+from pc2scan.bags.opening import open_recordings
 from pc2scan.errors import (
     DamageError,
     DestinationError,
@@ -58,8 +59,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
     from pathlib import Path
 
+    from pc2scan.bags.destinations import Destination
     from pc2scan.bags.reader import Reader
-    from pc2scan.bags.registry import Destination
     from pc2scan.model import Connection, Summary
 
     from .conversion import Conversion
@@ -139,14 +140,14 @@ def run(
             conversion, others = _conversion(reader, plan, options, span, stack, report)
             writer = open_writer(target, partial, path.name)
             try:
-                copying = target.chunks == reader.summary.chunks != ""
+                copying = target.chunks == chunk_format(reader.summary) != ""
                 if copying:
                     writer.keep_ids(reader.connections)
                 same_kind = target.same_kind(reader.summary)
                 declared = Declarations()
                 routes = open_routes(plan.routes, conversion, target, same_kind, options, declared, report)
                 added = declared.add(static_connection(target)) if options.frames.write_static else None
-                handles = declared.declare(writer, one_a_topic=target.container == "rosbag2")
+                handles = declared.declare(writer, one_a_topic=target.format.one_a_topic)
                 bind(routes.values(), handles)
                 routes = count_skipped(routes, reader, span.start_ns, span.stop_ns)
                 if not options.only_scans:
@@ -257,7 +258,7 @@ def _target(
         source_generation=generation,
     )
     # A recording without any message of ROS is of neither profile.
-    if options.repair and generation is None and target.container == "mcap" and output.profile is None:
+    if options.repair and generation is None and target.format.profiles and output.profile is None:
         return replace(target, profile=summaries[0].profile)
     return target
 

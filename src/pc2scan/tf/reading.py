@@ -117,7 +117,7 @@ def recorded_transforms(path: Path) -> Callable[[str, str, int], Rigid]:
     callable
         ``lookup(target, source, stamp_ns)``; raises TransformError if there is no transform.
     """
-    from pc2scan.bags.registry import open_recording  # noqa: PLC0415  # only who has no reader yet pays for it
+    from pc2scan.bags.opening import open_recording  # noqa: PLC0415  # only who has no reader yet pays for it
     from pc2scan.core.params import ProjectionParams  # noqa: PLC0415
 
     reader = open_recording(path)

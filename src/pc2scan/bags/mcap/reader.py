@@ -41,16 +41,22 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.chunked.segments import Segment
     from pc2scan.bags.damage import Damage
+    from pc2scan.bags.formats import ReadOptions
     from pc2scan.bags.units import Item, Unit
     from pc2scan.model import ChunkRule
 
-__all__ = ["McapReader"]
+__all__ = ["McapReader", "open_reader"]
 
 _SERIALIZATION_OF_SCHEMA = {"ros1msg": "ros1", "ros2msg": "cdr", "ros2idl": "cdr"}
 
 _ANY_TIME = (0, (1 << 64) - 1)
 
 _SERIALIZATION_OF_PROFILE = {"ros1": "ros1", "ros2": "cdr"}
+
+
+def open_reader(path: Path, options: ReadOptions) -> McapReader:
+    """Open an MCAP file; see `pc2scan.bags.formats.Format`."""
+    return McapReader(path, verify=options.verify, strict=options.strict)
 
 
 class McapReader(Reader):

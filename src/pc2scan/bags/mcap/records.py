@@ -14,6 +14,7 @@ from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.exceptions import EndOfFile
 
 from pc2scan.bags.damage import RECOVER
+from pc2scan.bags.formats import FORMATS
 from pc2scan.errors import DamageError
 from pc2scan.files.source import SourceFile
 
@@ -41,7 +42,7 @@ __all__ = [
 ]
 
 #: The first and the last eight bytes of every file.
-MAGIC = b"\x89MCAP0\r\n"
+MAGIC = FORMATS["mcap"].magic
 
 # Opcode and length of the content: how every record begins.
 RECORD = struct.Struct("<BQ")

@@ -24,10 +24,11 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable
     from pathlib import Path
 
+    from pc2scan.bags.formats import WriteOptions
     from pc2scan.model import Attachment, Buffer, Connection, Metadata
     from pc2scan.threads import Threads
 
-__all__ = ["McapWriter"]
+__all__ = ["McapWriter", "open_writer"]
 
 _MAX_CHANNELS = 0xFFFF
 
@@ -40,6 +41,11 @@ _SUMMARY_GROUPS = (
     Opcode.ATTACHMENT_INDEX,
     Opcode.METADATA_INDEX,
 )
+
+
+def open_writer(path: Path, options: WriteOptions) -> McapWriter:
+    """Start an MCAP file; see `pc2scan.bags.formats.Format`."""
+    return McapWriter(path, options.compression, options.profile)
 
 
 class McapWriter:

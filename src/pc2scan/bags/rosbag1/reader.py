@@ -23,10 +23,16 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.chunked.segments import Segment
     from pc2scan.bags.damage import Damage
+    from pc2scan.bags.formats import ReadOptions
     from pc2scan.bags.units import Item, Unit
     from pc2scan.model import Buffer, ChunkRule, Connection, RawMessage
 
-__all__ = ["Rosbag1Reader"]
+__all__ = ["Rosbag1Reader", "open_reader"]
+
+
+def open_reader(path: Path, options: ReadOptions) -> Rosbag1Reader:
+    """Open a ROS 1 bag; see `pc2scan.bags.formats.Format`."""
+    return Rosbag1Reader(path, strict=options.strict)
 
 
 class Rosbag1Reader(Reader):

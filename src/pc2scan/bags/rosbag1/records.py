@@ -22,6 +22,7 @@ import struct
 from typing import TYPE_CHECKING
 
 from pc2scan.bags.damage import RECOVER
+from pc2scan.bags.formats import FORMATS
 from pc2scan.errors import DamageError
 from pc2scan.files.source import SourceFile
 from pc2scan.model import Connection, Definition
@@ -59,8 +60,8 @@ __all__ = [
     "uint64_field",
 ]
 
-FIRST_LINE = b"#ROSBAG V2.0\n"
-COMPRESSIONS = ("none", "bz2", "lz4")
+FIRST_LINE = FORMATS["rosbag1"].magic
+COMPRESSIONS = FORMATS["rosbag1"].compressions
 
 MESSAGE, BAG_HEADER, INDEX_DATA, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
 _KINDS = {

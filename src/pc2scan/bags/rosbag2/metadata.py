@@ -30,6 +30,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.bags import zstd
 from pc2scan.bags.damage import DamageLog
+from pc2scan.bags.formats import listed, storages
 from pc2scan.bags.qos import latches
 from pc2scan.errors import DamageError, RecordingError
 from pc2scan.files.source import opened_text
@@ -40,7 +41,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
 
 __all__ = [
-    "MAGICS",
     "METADATA_NAME",
     "NEWEST_VERSION",
     "RECORD_NAME",
@@ -48,6 +48,7 @@ __all__ = [
     "BagInfo",
     "Extent",
     "beside_recording",
+    "is_in",
     "located_file",
     "read_info",
     "storage_files",
@@ -62,10 +63,6 @@ ROOT = "rosbag2_bagfile_information"
 NEWEST_VERSION = 9
 #: What SQLite keeps beside a database.
 _LOGS = ("-wal", "-shm", "-journal")
-_SUFFIXES = {".db3": "sqlite3", ".mcap": "mcap"}
-
-#: How the files of each storage begin.
-MAGICS = {"sqlite3": b"SQLite format 3\0", "mcap": b"\x89MCAP0\r\n"}
 
 _WITHOUT_METADATA = f"move {METADATA_NAME} away to have the files beside it read without it"
 
@@ -138,6 +135,11 @@ def read_info(folder: Path, log: DamageLog) -> BagInfo:
     return _guessed_info(folder)
 
 
+def is_in(folder: Path) -> bool:
+    """Whether a directory holds a recording: metadata.yaml, or files that are named like storages."""
+    return (folder / METADATA_NAME).exists() or bool(storage_files(folder))
+
+
 def storage_files(folder: Path) -> list[Path]:
     """Files of a directory that are named like rosbag2's storages, in natural order: 2 comes before 10."""
     found = [path for path in folder.iterdir() if path.is_file() and _storage_of(path.name) is not None]
@@ -192,7 +194,8 @@ def _is_file_or_link(path: Path) -> bool:
 
 
 def _storage_of(name: str) -> str | None:
-    return _SUFFIXES.get(Path(zstd.without_suffix(name)).suffix)
+    suffix = Path(zstd.without_suffix(name)).suffix
+    return next((storage for storage, entry in storages().items() if entry.suffix == suffix), None)
 
 
 def _shown_storage(folder: Path, names: Iterable[str]) -> str:
@@ -204,8 +207,8 @@ def _shown_storage(folder: Path, names: Iterable[str]) -> str:
             continue
         with path.open("rb") as file:
             head = file.read(16)
-        for storage, magic in MAGICS.items():
-            if head.startswith(magic):
+        for storage, entry in storages().items():
+            if head.startswith(entry.magic):
                 return storage
         if found := _storage_of(path.name):
             return found
@@ -237,8 +240,8 @@ def _parsed_info(document: Any) -> BagInfo:
     if not 1 <= version <= NEWEST_VERSION:
         raise UnsupportedError(f"has version {version}; 1 to {NEWEST_VERSION} are known")
     storage = _get(root, "storage_identifier", str, ROOT)
-    if storage not in ("", *_SUFFIXES.values()):
-        raise UnsupportedError(f"has storage {storage!r}; {' and '.join(sorted(_SUFFIXES.values()))} can be read")
+    if storage not in ("", *storages()):
+        raise UnsupportedError(f"has storage {storage!r}; {listed(sorted(storages()))} can be read")
     files = [_file_name(path) for path in _get(root, "relative_file_paths", list, ROOT)]
     if not files:
         raise ValueError("names no files")

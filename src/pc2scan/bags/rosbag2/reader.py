@@ -10,22 +10,29 @@ from typing import TYPE_CHECKING
 
 from pc2scan.bags import zstd
 from pc2scan.bags.damage import RECOVER, DamageLog, count_details
+from pc2scan.bags.formats import ReadOptions, storages
 from pc2scan.bags.merged import MergedReader
 from pc2scan.errors import DamageError, RecordingError
 from pc2scan.files.source import opened_bytes
 from pc2scan.files.temporary import private_folder
 
-from .metadata import MAGICS, METADATA_NAME, RECORD_NAME, located_file, read_info
+from .metadata import METADATA_NAME, RECORD_NAME, located_file, read_info
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from tempfile import TemporaryDirectory
 
     from pc2scan.bags.damage import Damage
+    from pc2scan.bags.formats import Format
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Connection, Metadata, Summary
 
-__all__ = ["Rosbag2Reader"]
+__all__ = ["Rosbag2Reader", "open_reader"]
+
+
+def open_reader(path: Path, options: ReadOptions) -> Rosbag2Reader:
+    """Open a rosbag2 directory; see `pc2scan.bags.formats.Format`."""
+    return Rosbag2Reader(path, verify=options.verify, strict=options.strict)
 
 
 class Rosbag2Reader(MergedReader):
@@ -138,14 +145,12 @@ class Rosbag2Reader(MergedReader):
             unpacked = zstd.unpacked_file(file, Path(self._temporary.name), self._log)
             self._origins[unpacked] = file
             file = unpacked
-        _refuse_others(file, self._info.storage)
-        if self._info.storage == "sqlite3":
-            from .sqlite3_reader import Sqlite3Reader  # noqa: PLC0415  (a recording needs one of the two)
-
-            return Sqlite3Reader(file, message_compression=self._info.message_compression, strict=self._log.strict)
-        from pc2scan.bags.mcap.reader import McapReader  # noqa: PLC0415
-
-        return McapReader(file, verify=verify, strict=self._log.strict)
+        storage = storages()[self._info.storage]
+        _refuse_others(file, storage)
+        packed = self._info.message_compression
+        return storage.open_reader(
+            file, ReadOptions(verify=verify, strict=self._log.strict, message_compression=packed)
+        )
 
     def _lose(self, name: str, err: DamageError) -> None:
         """Take note of a file that is missing or cannot be read at all."""
@@ -188,16 +193,16 @@ class Rosbag2Reader(MergedReader):
             self._temporary = None
 
 
-def _refuse_others(file: Path, storage: str) -> None:
+def _refuse_others(file: Path, storage: Format) -> None:
     """Raise if a file is not of the storage that it should be of."""
     try:
         with opened_bytes(file) as stream:
             head = stream.read(16)
     except OSError as err:
         raise RecordingError(f"cannot be read: {err.strerror}", path=file) from err
-    if not head.startswith(MAGICS[storage]):
+    if not head.startswith(storage.magic):
         found = f"begins with {head!r:.40}" if head else "is empty"
-        raise DamageError(f"is no {storage} file: it {found}", path=file, hint=RECOVER)
+        raise DamageError(f"is no {storage.name} file: it {found}", path=file, hint=RECOVER)
 
 
 def _completed(

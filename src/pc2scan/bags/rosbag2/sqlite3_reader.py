@@ -47,12 +47,13 @@ if TYPE_CHECKING:
     from tempfile import TemporaryDirectory
 
     from pc2scan.bags.damage import Damage
+    from pc2scan.bags.formats import ReadOptions
     from pc2scan.bags.units import Item
     from pc2scan.model import ChunkRule
 
     from .sqlite3_page_log import PageLog
 
-__all__ = ["Sqlite3Reader"]
+__all__ = ["Sqlite3Reader", "open_reader"]
 
 #: A column's default value takes the place of every value that is not stored: it must not be long, nor computed.
 _SHORT_DEFAULT = re.compile(r"[+-]?\w{1,20}|'[^']{0,40}'|\"[^\"]{0,40}\"")
@@ -87,6 +88,11 @@ class _Rows:
         if not rows:
             rows = [message for _, message in islice(self.read_again(), self.count)]
         return list(map(callback, rows))
+
+
+def open_reader(path: Path, options: ReadOptions) -> Sqlite3Reader:
+    """Open a ``.db3`` file; see `pc2scan.bags.formats.Format`."""
+    return Sqlite3Reader(path, message_compression=options.message_compression, strict=options.strict)
 
 
 class Sqlite3Reader(Reader):

@@ -20,13 +20,14 @@ from pc2scan.files.staging import sync_file
 from pc2scan.files.write_ahead import WriteAhead
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
+    from collections.abc import Callable, Collection, Sequence
     from pathlib import Path
 
+    from pc2scan.bags.formats import WriteOptions
     from pc2scan.model import Attachment, Buffer, Connection, Metadata, StoredChunk
     from pc2scan.threads import Threads
 
-__all__ = ["Sqlite3Writer"]
+__all__ = ["Sqlite3Writer", "open_storage"]
 
 _SCHEMA = """
 CREATE TABLE schema(schema_version INTEGER PRIMARY KEY, ros_distro TEXT NOT NULL);
@@ -48,6 +49,12 @@ _BATCH_BYTES = 16 << 20
 
 #: rosbag2's own level; messages are compressed one by one, so speed matters more than size.
 _ZSTD_LEVEL = 1
+
+
+def open_storage(path: Path, options: WriteOptions) -> tuple[Sqlite3Writer, Callable[[str], None]]:
+    """Start the file of a directory; see `pc2scan.bags.formats.Format`."""
+    writer = Sqlite3Writer(path, compression=options.compression)
+    return writer, partial(writer.add_bag_metadata, options.metadata_version)
 
 
 class Sqlite3Writer:

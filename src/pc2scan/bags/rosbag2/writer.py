@@ -6,6 +6,7 @@ import os
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from pc2scan.bags.formats import WriteOptions, storages
 from pc2scan.bags.qos import parsed_qos, respelled_qos
 from pc2scan.errors import OutputError, UnwritableError
 from pc2scan.files.yaml import dump_yaml
@@ -17,10 +18,30 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping
     from pathlib import Path
 
-    from pc2scan.model import Attachment, Buffer, StoredChunk, Writer
+    from pc2scan.bags.mcap.writer import McapWriter
+    from pc2scan.model import Attachment, Buffer, StoredChunk
     from pc2scan.threads import Threads
 
-__all__ = ["Rosbag2Writer"]
+__all__ = ["Rosbag2Writer", "open_mcap_storage", "open_writer"]
+
+
+def open_writer(path: Path, options: WriteOptions) -> Rosbag2Writer:
+    """Start a rosbag2 directory; see `pc2scan.bags.formats.Format`."""
+    return Rosbag2Writer(
+        path,
+        options.name,
+        storage=options.storage,
+        compression=options.compression,
+        metadata_version=options.metadata_version,
+    )
+
+
+def open_mcap_storage(path: Path, options: WriteOptions) -> tuple[McapWriter, Callable[[str], None]]:
+    """Start the MCAP file of a directory, which repeats metadata.yaml; see `pc2scan.bags.formats.Format`."""
+    from pc2scan.bags.mcap.writer import McapWriter  # noqa: PLC0415  (not every directory has MCAP in it)
+
+    writer = McapWriter(path, options.compression, "ros2")
+    return writer, lambda text: writer.add_metadata(Metadata(RECORD_NAME, {"serialized_metadata": text}))
 
 
 class Rosbag2Writer:
@@ -65,8 +86,9 @@ class Rosbag2Writer:
         self._storage_name = storage
         self._version = metadata_version
         self._custom_data = dict(custom_data or {})
-        self._message_compression = compression if storage == "sqlite3" else "none"
-        self._file_name = f"{name}_0.{'db3' if storage == 'sqlite3' else 'mcap'}"
+        entry = storages()[storage]
+        self._message_compression = compression if entry.packs_messages else "none"
+        self._file_name = f"{name}_0{entry.suffix}"
         self._connections: dict[int, Connection] = {}
         self._counts: dict[int, int] = {}
         self._span_ns: tuple[int, int] | None = None
@@ -74,21 +96,9 @@ class Rosbag2Writer:
             path.mkdir()
         except OSError as err:
             raise self._failed(err) from err
-        self._storage: Writer
-        self._keep_info: Callable[[str], None]
-        file = path / self._file_name
-        if storage == "sqlite3":
-            from .sqlite3_writer import Sqlite3Writer  # noqa: PLC0415  (a recording needs one of the two)
-
-            database = Sqlite3Writer(file, compression=compression)
-            self._keep_info = lambda text: database.add_bag_metadata(metadata_version, text)
-            self._storage = database
-        else:
-            from pc2scan.bags.mcap.writer import McapWriter  # noqa: PLC0415
-
-            mcap = McapWriter(file, compression, "ros2")
-            self._keep_info = lambda text: mcap.add_metadata(Metadata(RECORD_NAME, {"serialized_metadata": text}))
-            self._storage = mcap
+        options = WriteOptions(name=name, compression=compression, metadata_version=metadata_version)
+        assert entry.open_storage is not None
+        self._storage, self._keep_info = entry.open_storage(path / self._file_name, options)
 
     def keep_ids(self, connections: Collection[Connection]) -> None:
         """Let these keep their ids when they are declared, and no other one have them."""

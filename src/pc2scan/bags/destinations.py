@@ -1,0 +1,283 @@
+"""Destinations: what a name and the options mean, and writers for them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from pc2scan.errors import DestinationError
+from pc2scan.files.staging import LEFTOVERS
+
+from . import zstd
+from .formats import FORMATS, Format, WriteOptions
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from pc2scan.model import Summary, Writer
+
+__all__ = [
+    "Destination",
+    "beside_recording",
+    "default_destination",
+    "default_storage",
+    "kept_form",
+    "open_writer",
+    "plan_destination",
+]
+
+_METADATA_VERSIONS = (8, 9)
+
+#: Names that promise something that is not written; a directory called so would only confuse.
+_REFUSED_SUFFIXES = {
+    **dict.fromkeys((".db3", ".sqlite3", ".db"), "rosbag2 keeps .db3 files in a directory: name that directory"),
+    **dict.fromkeys((".yaml", ".yml"), "metadata.yaml is written inside a directory: name that directory"),
+    **dict.fromkeys(
+        (".zip", ".gz", ".tgz", ".bz2", ".xz", ".7z", ".tar", ".lz4", ".zst", ".zstd"),
+        "recordings are compressed inside: `compression` chooses how",
+    ),
+    **dict.fromkeys(
+        (".active", ".pcap", ".pcd", ".ply", ".las", ".laz", ".csv", ".json", ".txt", ".npy", ".npz"),
+        "this format is not written",
+    ),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Destination:
+    """What will be written, decided and consistent.
+
+    Attributes
+    ----------
+    path
+        Where.
+    container
+        The name of a format: ``rosbag1``, ``mcap`` or ``rosbag2`` (a directory).
+    storage
+        Of a rosbag2 directory: ``mcap`` or ``sqlite3``; else empty.
+    compression
+        ``none``, ``bz2``, ``lz4`` or ``zstd``.
+    profile
+        Of an MCAP file: ``ros1`` or ``ros2``; else empty.
+    metadata_version
+        Of a rosbag2 directory: 8 or 9.
+    chunk_compressions
+        Those that chunks copied from the source may have: the one that was asked for, else any that the container
+        knows.
+    """
+
+    path: Path
+    container: str
+    storage: str
+    compression: str
+    profile: str
+    metadata_version: int
+    chunk_compressions: frozenset[str]
+
+    @property
+    def format(self) -> Format:
+        """The table's entry of the container."""
+        return FORMATS[self.container]
+
+    @property
+    def file_format(self) -> Format:
+        """The table's entry of the files: of a directory the storage's, else the container's."""
+        return FORMATS[self.storage or self.container]
+
+    @property
+    def chunks(self) -> str:
+        """Whose chunks its messages lie in: ``rosbag1`` or ``mcap``; empty for none."""
+        return self.file_format.name if self.file_format.has_chunks else ""
+
+    @property
+    def times_ns(self) -> tuple[int, int]:
+        """The first and the last log time that it can hold."""
+        (first, last), (first_in_file, last_in_file) = self.format.times_ns, self.file_format.times_ns
+        return max(first, first_in_file), min(last, last_in_file)
+
+    def same_kind(self, source: Summary) -> bool:
+        """Whether the source is in this kind of container, so that whatever serialisation it holds fits."""
+        entry = FORMATS.get(source.container)
+        return entry is not None and self.container == (entry.written_as or entry.name)
+
+    @property
+    def generation(self) -> int:
+        """The ROS generation whose messages it holds: 1 or 2."""
+        profiles = self.format.profiles
+        return 1 if profiles and self.profile == profiles[0] else self.format.generation
+
+    @property
+    def serialization(self) -> str:
+        """How those are serialised: ``ros1`` or ``cdr``."""
+        return "ros1" if self.generation == 1 else "cdr"
+
+
+def plan_destination(
+    path: Path,
+    *,
+    storage: str | None = None,
+    compression: str | None = None,
+    profile: str | None = None,
+    metadata_version: int = 8,
+    source_generation: int | None,
+) -> Destination:
+    """Decide what a destination's name and the options mean.
+
+    ``*.bag`` is a ROS 1 bag, ``*.mcap`` an MCAP file, and any other name a rosbag2 directory.
+
+    Parameters
+    ----------
+    path
+        The destination. Not looked at, only its name is.
+    storage
+        For a rosbag2 directory: ``mcap`` (default) or ``sqlite3``.
+    compression
+        Default: ``zstd`` for MCAP, ``lz4`` for ROS 1 bags, ``none`` for sqlite3. Chunks that are copied whole have
+        this one only if it is given.
+    profile
+        For an MCAP file: ``ros1`` or ``ros2``; default: the source's.
+    metadata_version
+        For a rosbag2 directory: 8 or 9.
+    source_generation
+        1, 2, or None if the source has no ROS messages.
+
+    Raises
+    ------
+    DestinationError
+        If the name promises what is not written, or the options contradict it or each other.
+    """
+    suffix = path.suffix.lower()
+    written = _written()
+    if suffix in _REFUSED_SUFFIXES and suffix not in written:
+        names = ", ".join(f"NAME{known}" for known in written if known)
+        raise DestinationError(
+            f"{suffix} is not a destination",
+            path=path,
+            hint=f"{_REFUSED_SUFFIXES[suffix]}. Use {names}, or NAME for a rosbag2 directory",
+        )
+    entry = _named(path)
+    if storage is not None and not entry.storages:
+        raise DestinationError(
+            "`storage` is for rosbag2 directories",
+            path=path,
+            hint=f"leave it out, or leave {suffix} out of the name",
+        )
+    if profile is not None and not entry.profiles:
+        suffixes = " and ".join(known for known, other in written.items() if other.profiles)
+        raise DestinationError(f"`profile` is for {suffixes} files", path=path, hint="leave it out")
+    if entry.storages:
+        storage = _one_of("storage", storage or entry.storages[0], entry.storages, path)
+    if entry.profiles:
+        default = entry.profiles[0 if source_generation == 1 else 1]
+        profile = _one_of("profile", profile or default, entry.profiles, path)
+    if metadata_version not in _METADATA_VERSIONS:
+        raise DestinationError(f"metadata version {metadata_version} cannot be written, only 8 and 9", path=path)
+    files = FORMATS[storage] if storage else entry
+    return Destination(
+        path=path,
+        container=entry.name,
+        storage=storage or "",
+        compression=_one_of("compression", compression or files.default_compression, files.compressions, path),
+        profile=profile or "",
+        metadata_version=metadata_version,
+        chunk_compressions=frozenset((compression,) if compression else files.compressions),
+    )
+
+
+def _written() -> dict[str, Format]:
+    """The formats that are destinations, by suffix."""
+    return {entry.suffix: entry for entry in FORMATS.values() if entry.open_writer is not None}
+
+
+def _named(path: Path) -> Format:
+    """The format of a destination of this name."""
+    written = _written()
+    return written.get(path.suffix.lower(), written[""])
+
+
+def _one_of(option: str, value: str, allowed: Sequence[str], path: Path) -> str:
+    if value not in allowed:
+        raise DestinationError(f"`{option}={value}` is not possible here; allowed: {', '.join(allowed)}", path=path)
+    return value
+
+
+def default_destination(sources: Sequence[Path], summaries: Sequence[Summary], mark: str = "_scan") -> Path:
+    """Name a destination beside the first source, in its format: ``drive.bag`` becomes ``drive_scan.bag``.
+
+    ``mark`` is put behind the name. What an interrupted run left is named like its destination. A bare ``.db3`` file
+    becomes a rosbag2 directory. `default_storage` returns the storage that goes with it.
+    """
+    source = sources[0]
+    if source.name in {"", ".."}:
+        source = source.resolve()
+    entry = FORMATS[summaries[0].container]
+    stem = source.name
+    for leftover in LEFTOVERS:
+        stem = stem.removesuffix(leftover) or stem
+    # The name of a directory is taken as it is.
+    if entry.is_in is None:
+        for suffix in _source_suffixes():
+            stem = stem[: -len(suffix)] if stem.lower().endswith(suffix) and len(stem) > len(suffix) else stem
+    return source.with_name(f"{stem}{mark}{FORMATS[entry.written_as or entry.name].suffix}")
+
+
+def _source_suffixes() -> tuple[str, ...]:
+    """Suffixes of sources, in the order in which they are taken off: storages' come last."""
+    files = sorted((entry for entry in FORMATS.values() if entry.suffix), key=lambda entry: bool(entry.written_as))
+    return (*zstd.SUFFIXES, ".active", *(entry.suffix for entry in files))
+
+
+def default_storage(summaries: Sequence[Summary]) -> str | None:
+    """Return the storage for a rosbag2 directory made from these: the first source's; None if it has none."""
+    first = summaries[0]
+    return first.container if FORMATS[first.container].written_as else first.storage or None
+
+
+def kept_form(path: Path, summaries: Sequence[Summary]) -> tuple[str | None, str | None]:
+    """Return the storage and the compression that a destination of this name can keep of the first source's."""
+    first = summaries[0]
+    entry = _named(path)
+    storage = default_storage(summaries) if entry.storages else None
+    if entry.storages:
+        entry = FORMATS[storage or entry.storages[0]]
+    own = first.storage or first.container
+    compressions = first.compression if own == entry.name else ()
+    kept = compressions[0] if len(compressions) == 1 and compressions[0] in entry.compressions else None
+    return storage, kept
+
+
+def beside_recording(folder: Path) -> str:
+    """Return what a folder has in it beside a rosbag2 recording; empty for nothing."""
+    from .rosbag2 import metadata  # noqa: PLC0415  # it reads YAML, which few runs need
+
+    return metadata.beside_recording(folder)
+
+
+def open_writer(destination: Destination, staged_path: Path, name: str) -> Writer:
+    """Start writing.
+
+    Parameters
+    ----------
+    destination
+        From `plan_destination`.
+    staged_path
+        Where to write now; see `pc2scan.files.staging.staged`.
+    name
+        What it will be called in the end: a rosbag2 directory's files are named after it.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be created.
+    """
+    options = WriteOptions(
+        name=name,
+        compression=destination.compression,
+        storage=destination.storage,
+        profile=destination.profile,
+        metadata_version=destination.metadata_version,
+    )
+    writer = destination.format.open_writer
+    assert writer is not None  # a destination without one is never planned
+    return writer(staged_path, options)

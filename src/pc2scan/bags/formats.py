@@ -1,0 +1,213 @@
+"""The table of formats: everything that depends on which container a recording is in.
+
+A new container is an entry here and a package with its reader and its writer. Nothing else names a container to find
+out what it can do.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from pc2scan.model import MAX_ROSBAG2_NS
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+    from pc2scan.model import Summary, Writer
+
+    from .reader import Reader
+
+__all__ = ["FORMATS", "Format", "ReadOptions", "WriteOptions", "chunk_format", "listed", "storages"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReadOptions:
+    """How a recording is read.
+
+    Attributes
+    ----------
+    verify
+        Whether checksums are verified where reading goes without.
+    strict
+        Whether damage is an error; otherwise it is read around and reported.
+    message_compression
+        Of a storage file: how metadata.yaml says that each message is compressed.
+    """
+
+    verify: bool = True
+    strict: bool = False
+    message_compression: str = "none"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WriteOptions:
+    """How a recording is written; see `pc2scan.bags.destinations.Destination`.
+
+    ``name`` is what the recording will be called in the end.
+    """
+
+    name: str
+    compression: str = "none"
+    storage: str = ""
+    profile: str = ""
+    metadata_version: int = 8
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Format:
+    """A kind of container.
+
+    Attributes
+    ----------
+    name
+        As `Summary.container` and reports have it.
+    readable
+        What errors call such recordings.
+    open_reader
+        Opens a recording of it.
+    open_writer
+        Starts a recording of it; None if it is not a destination by itself.
+    magic
+        How every such file begins; empty for a directory.
+    suffix
+        What the names of such files end with, in lower case. With ``open_writer`` a destination of such a name gets
+        this format; the format with the empty suffix gets all other names.
+    is_in
+        For a directory: whether one holds such a recording.
+    open_storage
+        Starts a file of a directory's; returns its writer, and what takes the directory's metadata as text. None if it
+        is no storage of a directory.
+    storages
+        For a directory: the formats that its files may have, the default first.
+    written_as
+        The format that is written where a source is in this one; empty for itself.
+    compressions
+        Those that it knows.
+    default_compression
+        One of these.
+    packs_messages
+        Whether it compresses every message by itself.
+    has_chunks
+        Whether messages lie in chunks that can be copied as a whole, to another file of this format.
+    has_extras
+        Whether it keeps attachments and metadata records.
+    holds_any
+        Whether it holds messages of every encoding, not only those of ROS.
+    one_a_topic
+        Whether the publishers of a topic share a connection: what reads it knows a topic by its name.
+    generation
+        The ROS generation of its messages: 1 or 2. Those with profiles can hold either.
+    profiles
+        The names of its profiles, ROS 1's and ROS 2's; none if it has no such thing.
+    times_ns
+        The first and the last log time that it can hold.
+    """
+
+    name: str
+    readable: str
+    open_reader: Callable[[Path, ReadOptions], Reader]
+    open_writer: Callable[[Path, WriteOptions], Writer] | None = None
+    magic: bytes = b""
+    suffix: str = ""
+    is_in: Callable[[Path], bool] | None = None
+    open_storage: Callable[[Path, WriteOptions], tuple[Writer, Callable[[str], None]]] | None = None
+    storages: tuple[str, ...] = ()
+    written_as: str = ""
+    compressions: tuple[str, ...] = ("none",)
+    default_compression: str = "none"
+    packs_messages: bool = False
+    has_chunks: bool = False
+    has_extras: bool = False
+    holds_any: bool = False
+    one_a_topic: bool = False
+    generation: int = 2
+    profiles: tuple[str, ...] = ()
+    times_ns: tuple[int, int] = (0, (1 << 64) - 1)
+
+
+def _late(place: str) -> Callable[..., Any]:
+    """Return a function of a module that is imported by the first call: each format brings its libraries along."""
+    module, _, name = place.partition(":")
+
+    def call(*args: object) -> Any:
+        return getattr(import_module(module, __package__), name)(*args)
+
+    return call
+
+
+def _table(*entries: Format) -> dict[str, Format]:
+    return {entry.name: entry for entry in entries}
+
+
+#: Every format, by its name.
+FORMATS = _table(
+    Format(
+        name="rosbag1",
+        readable="ROS 1 bags",
+        open_reader=_late(".rosbag1.reader:open_reader"),
+        open_writer=_late(".rosbag1.writer:open_writer"),
+        magic=b"#ROSBAG V2.0\n",
+        suffix=".bag",
+        compressions=("none", "bz2", "lz4"),
+        default_compression="lz4",
+        has_chunks=True,
+        generation=1,
+        times_ns=(0, (1 << 32) * 1_000_000_000 - 1),
+    ),
+    Format(
+        name="rosbag2",
+        readable="rosbag2 directories",
+        open_reader=_late(".rosbag2.reader:open_reader"),
+        open_writer=_late(".rosbag2.writer:open_writer"),
+        is_in=_late(".rosbag2.metadata:is_in"),
+        storages=("mcap", "sqlite3"),
+        one_a_topic=True,
+        times_ns=(-MAX_ROSBAG2_NS - 1, MAX_ROSBAG2_NS),
+    ),
+    Format(
+        name="sqlite3",
+        readable=".db3 files",
+        open_reader=_late(".rosbag2.sqlite3_reader:open_reader"),
+        magic=b"SQLite format 3\0",
+        suffix=".db3",
+        open_storage=_late(".rosbag2.sqlite3_writer:open_storage"),
+        written_as="rosbag2",
+        compressions=("none", "zstd"),
+        packs_messages=True,
+        times_ns=(-MAX_ROSBAG2_NS - 1, MAX_ROSBAG2_NS),
+    ),
+    Format(
+        name="mcap",
+        readable="MCAP",
+        open_reader=_late(".mcap.reader:open_reader"),
+        open_writer=_late(".mcap.writer:open_writer"),
+        magic=b"\x89MCAP0\r\n",
+        suffix=".mcap",
+        open_storage=_late(".rosbag2.writer:open_mcap_storage"),
+        compressions=("none", "lz4", "zstd"),
+        default_compression="zstd",
+        has_chunks=True,
+        has_extras=True,
+        holds_any=True,
+        profiles=("ros1", "ros2"),
+    ),
+)
+
+
+def storages() -> dict[str, Format]:
+    """Return the formats of a directory's files, by name."""
+    return {name: entry for name, entry in FORMATS.items() if entry.open_storage is not None}
+
+
+def chunk_format(source: Summary) -> str:
+    """Return the name of the format whose chunks a recording's messages lie in; empty for none."""
+    entry = FORMATS.get(source.storage or source.container)
+    return entry.name if entry is not None and entry.has_chunks else ""
+
+
+def listed(names: Sequence[str]) -> str:
+    """Put names in a sentence: ``none, lz4 and zstd``."""
+    return " and ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))

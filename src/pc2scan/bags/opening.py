@@ -1,0 +1,173 @@
+"""Opening recordings: the format is detected by content, never by name."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import stat
+from typing import TYPE_CHECKING
+
+from pc2scan.errors import RecordingError
+from pc2scan.files.source import opened_bytes
+from pc2scan.files.staging import working_names
+
+from . import zstd
+from .formats import FORMATS, ReadOptions, listed
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from contextlib import ExitStack
+    from pathlib import Path
+
+    from .reader import Reader
+
+__all__ = ["open_recording", "open_recordings", "sniff"]
+
+#: Not recordings, but what one finds where a recording was expected.
+_LOOKALIKES = {
+    b"\x1f\x8b": "gzip-compressed",
+    b"BZh": "bzip2-compressed",
+    b"\xfd7zXZ": "xz-compressed",
+    b"\x04\x22\x4d\x18": "lz4-compressed",
+    b"PK\x03\x04": "a ZIP archive",
+    b"7z\xbc\xaf": "a 7z archive",
+    b"version https://": "a Git LFS pointer, not the file itself",
+    b"\xd4\xc3\xb2\xa1": "a packet capture (pcap)",
+    b"\x0a\x0d\x0d\x0a": "a packet capture (pcapng)",
+    b"# .PCD": "a single point cloud (PCD)",
+    b"\x89MCAP": "MCAP of an unknown version",
+}
+
+
+def sniff(path: Path) -> str:
+    """Return the name of a recording's format, by its content, never by its name.
+
+    Parameters
+    ----------
+    path
+        A file or a directory.
+
+    Returns
+    -------
+    str
+        ``rosbag1``, ``mcap``, ``sqlite3`` (a ``.db3`` file) or ``rosbag2`` (a directory); ``+zstd`` is
+        appended for a file that zstd has to unpack first.
+
+    Raises
+    ------
+    RecordingError
+        If nothing is there, it is not permitted to read it, or it is no recording.
+    """
+    try:
+        mode = path.stat().st_mode
+        if stat.S_ISDIR(mode):
+            return _sniff_directory(path)
+        if not stat.S_ISREG(mode):
+            raise RecordingError("is neither a file nor a directory", path=path, hint="save it as a file first")
+        with opened_bytes(path) as file:
+            head = file.read(64)
+    except FileNotFoundError as err:
+        raise RecordingError("there is nothing of this name", path=path, hint=_interrupted(path)) from err
+    except OSError as err:
+        raise RecordingError(f"cannot be read: {err.strerror}", path=path) from err
+    if head.startswith(zstd.MAGIC):
+        return f"{_recognised(zstd.unpacked_head(path), path, ' (after zstd decompression)')}+zstd"
+    return _recognised(head, path)
+
+
+def open_recording(path: Path, *, verify: bool = True, strict: bool = False) -> Reader:
+    """Open a recording of any format.
+
+    Parameters
+    ----------
+    path
+        A ROS 1 bag, an MCAP or ``.db3`` file, one of these compressed by zstd, or a rosbag2 directory.
+    verify
+        Whether checksums of MCAP files are verified.
+    strict
+        Whether damage is an error; otherwise it is read around, and in the reader's ``damage``.
+
+    Raises
+    ------
+    RecordingError
+        If it cannot be read.
+    DamageError
+        With ``strict``, if it is damaged; without, if nothing of it can be recovered.
+    """
+    name, _, packed = sniff(path).partition("+")
+    options = ReadOptions(verify=verify, strict=strict)
+    if packed:
+        from .unpacked import UnpackedReader  # noqa: PLC0415  # few recordings need it
+
+        return UnpackedReader(path, FORMATS[name], options)
+    return FORMATS[name].open_reader(path, options)
+
+
+def open_recordings(
+    paths: Iterable[Path], stack: ExitStack, *, verify: bool = True, strict: bool = False
+) -> list[Reader]:
+    """Open several, each as `open_recording` does, to be closed with the stack."""
+    readers = []
+    for path in paths:
+        reader = open_recording(path, verify=verify, strict=strict)
+        stack.callback(reader.close)
+        readers.append(reader)
+    return readers
+
+
+def _interrupted(path: Path) -> str | None:
+    """What to do about a recording that is not there because the run that was writing it was killed."""
+    partial, old, _ = working_names(path) or (path, path, path)
+    # Not Path.exists: with the ending the name may be too long.
+    if os.path.lexists(old):
+        return f"an interrupted run has set it aside: mv {shlex.quote(str(old))} {shlex.quote(str(path))}"
+    if os.path.lexists(partial):
+        return f"an interrupted run left a part of it: pc2scan repair {shlex.quote(str(partial))}"
+    return None
+
+
+def _sniff_directory(path: Path) -> str:
+    for name, entry in FORMATS.items():
+        if entry.is_in is not None and entry.is_in(path):
+            return name
+    # A directory with a storage's files in it is a recording.
+    single = {entry.suffix for entry in FORMATS.values() if entry.magic and entry.open_storage is None}
+    bags = sorted(entry.name for entry in path.iterdir() if entry.suffix in single)
+    raise RecordingError(
+        "is a directory without a rosbag2 recording (no metadata.yaml, .db3 or .mcap files)",
+        path=path,
+        hint=f"name the bags in it themselves: {', '.join(bags[:3])}" if bags else None,
+    )
+
+
+def _recognised(head: bytes, path: Path, state: str = "") -> str:
+    magics = {entry.magic: name for name, entry in FORMATS.items() if entry.magic}
+    for magic, name in magics.items():
+        if head.startswith(magic):
+            return name
+    if not head:
+        raise RecordingError(f"is empty{state}", path=path)
+    if any(magic.startswith(head) for magic in magics):
+        raise RecordingError(f"is cut off after {len(head)} bytes: there is nothing to recover{state}", path=path)
+    if head.startswith(b"#ROSBAG V1"):
+        raise RecordingError(
+            f"is a ROS bag of version {_shown(head[9:12])}{state}, only 2.0 can be read",
+            path=path,
+            hint="ROS 1's rosbag reindex converts it",
+        )
+    if head.startswith(b"rosbag2_bagfile_information"):
+        raise RecordingError(
+            f"is the metadata.yaml of a rosbag2 recording{state}",
+            path=path,
+            hint="name the directory it is in",
+        )
+    readable = f"{listed([entry.readable for entry in FORMATS.values()])} can be read"
+    for magic, description in _LOOKALIKES.items():
+        if head.startswith(magic):
+            raise RecordingError(f"is no recording: it is {description}{state}", path=path, hint=readable)
+    raise RecordingError(f"is no recording: it begins with {_shown(head[:16])}{state}", path=path, hint=readable)
+
+
+def _shown(head: bytes) -> str:
+    """Bytes of unknown origin for a terminal: printable ASCII as it is, everything else escaped."""
+    return repr(head)[1:]

@@ -1,0 +1,108 @@
+"""A destination's name and the options decide its format."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pc2scan.bags.destinations import Destination, default_destination, default_storage, plan_destination
+from pc2scan.errors import DestinationError
+from pc2scan.model import Summary
+
+
+def plan(name: str, generation: int | None = 2, **options: Any) -> Destination:
+    return plan_destination(Path(name), source_generation=generation, **options)
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "expected"),
+    [
+        ("x.bag", {}, ("rosbag1", "", "lz4", "", 1)),
+        ("x.BAG", {"compression": "bz2"}, ("rosbag1", "", "bz2", "", 1)),
+        ("x.bag", {"compression": "none"}, ("rosbag1", "", "none", "", 1)),
+        ("x.mcap", {}, ("mcap", "", "zstd", "ros2", 2)),
+        ("x.mcap", {"generation": 1}, ("mcap", "", "zstd", "ros1", 1)),
+        ("x.mcap", {"generation": None}, ("mcap", "", "zstd", "ros2", 2)),
+        ("x.mcap", {"generation": 1, "profile": "ros2"}, ("mcap", "", "zstd", "ros2", 2)),
+        ("x.mcap", {"profile": "ros1", "compression": "lz4"}, ("mcap", "", "lz4", "ros1", 1)),
+        ("x", {}, ("rosbag2", "mcap", "zstd", "", 2)),
+        ("2024-01-01-12.30", {"generation": 1}, ("rosbag2", "mcap", "zstd", "", 2)),
+        ("x", {"storage": "sqlite3"}, ("rosbag2", "sqlite3", "none", "", 2)),
+        ("x", {"storage": "sqlite3", "compression": "zstd"}, ("rosbag2", "sqlite3", "zstd", "", 2)),
+    ],
+)
+def test_plans(name: str, options: dict[str, Any], expected: tuple[str, str, str, str, int]) -> None:
+    found = plan(name, **options)
+    assert (found.container, found.storage, found.compression, found.profile, found.generation) == expected
+    assert found.path == Path(name)
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "message"),
+    [
+        (
+            "x.bag",
+            {"compression": "zstd"},
+            "`compression=zstd` is not possible here; allowed: none, bz2, lz4",
+        ),
+        ("x.mcap", {"compression": "bz2"}, "allowed: none, lz4, zstd"),
+        ("x", {"compression": "bz2"}, "allowed: none, lz4, zstd"),
+        ("x", {"storage": "sqlite3", "compression": "lz4"}, "allowed: none, zstd"),
+        ("x", {"storage": "leveldb"}, "`storage=leveldb` is not possible here; allowed: mcap, sqlite3"),
+        ("x.bag", {"storage": "mcap"}, "`storage` is for rosbag2 directories"),
+        ("x.mcap", {"storage": "mcap"}, "`storage` is for rosbag2 directories"),
+        ("x.bag", {"profile": "ros1"}, r"`profile` is for \.mcap files"),
+        ("x", {"profile": "ros2"}, r"`profile` is for \.mcap files"),
+        ("x.mcap", {"profile": "ros3"}, "allowed: ros1, ros2"),
+        ("x", {"metadata_version": 7}, "metadata version 7 cannot be written, only 8 and 9"),
+        ("x.db3", {}, r"\.db3 is not a destination"),
+        ("x.YAML", {}, r"\.yaml is not a destination"),
+        ("x.zip", {}, r"\.zip is not a destination"),
+        ("x.bag.gz", {}, r"\.gz is not a destination"),
+        ("x.mcap.zst", {}, r"\.zst is not a destination"),
+    ],
+)
+def test_impossible_plans(name: str, options: dict[str, Any], message: str) -> None:
+    with pytest.raises(DestinationError, match=message) as caught:
+        plan(name, **options)
+    assert caught.value.path == Path(name)
+    if "is not a destination" in message:
+        assert "NAME.bag" in (caught.value.hint or "")
+
+
+def summary(container: str, storage: str = "") -> Summary:
+    return Summary(container, storage, (), 0, None, None, None)
+
+
+@pytest.mark.parametrize(
+    ("source", "of", "expected", "storage"),
+    [
+        ("a/x.bag", summary("rosbag1"), "a/x_scan.bag", None),
+        ("a/x.bag.active", summary("rosbag1"), "a/x_scan.bag", None),
+        ("a/x", summary("rosbag1"), "a/x_scan.bag", None),
+        ("a/x.mcap", summary("mcap"), "a/x_scan.mcap", None),
+        ("a/x.mcap.zst", summary("mcap"), "a/x_scan.mcap", None),
+        ("a/2024.01", summary("mcap"), "a/2024.01_scan.mcap", None),
+        ("a/x", summary("rosbag2", "mcap"), "a/x_scan", "mcap"),
+        ("a/x/", summary("rosbag2", "sqlite3"), "a/x_scan", "sqlite3"),
+        ("a/2024-01-01-12.30.15", summary("rosbag2", "sqlite3"), "a/2024-01-01-12.30.15_scan", "sqlite3"),
+        ("a/x_0.db3", summary("sqlite3"), "a/x_0_scan", "sqlite3"),
+        (".mcap", summary("mcap"), ".mcap_scan.mcap", None),
+    ],
+)
+def test_default_destinations(source: str, of: Summary, expected: str, storage: str | None) -> None:
+    found = default_destination([Path(source), Path("elsewhere/y.bag")], [of, summary("rosbag1")])
+    assert found == Path(expected)
+    assert default_storage([of]) == storage
+    assert plan_destination(found, storage=storage, source_generation=2).container == (
+        of.container if of.container != "sqlite3" else "rosbag2"
+    )
+
+
+def test_the_default_destination_of_the_current_directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "bag").mkdir()
+    monkeypatch.chdir(tmp_path / "bag")
+    found = default_destination([Path()], [summary("rosbag2", "mcap")])
+    assert found == tmp_path.resolve() / "bag_scan"
