@@ -1,0 +1,44 @@
+"""Message definitions as data: read from text, checked, compared, written, identified.
+
+A `Schema` spells types as ROS 2 does, whichever generation it came from, and says only what both
+generations share: ``std_msgs/msg/Header`` has no sequence number, ROS 1's ``time`` and ``duration`` are
+``builtin_interfaces``'s. ROS 1's spelling returns when it is written (`render`, `md5sum`).
+
+Definitions come from files that anyone may have made: `parse` and `closure` accept plain identifiers only
+and bound sizes, depth and recursion, so that nothing downstream grows or loops without end.
+
+Sources: http://wiki.ros.org/msg, https://docs.ros.org/en/jazzy/Concepts/Basic/About-Interfaces.html,
+https://mcap.dev/spec/registry (how ``ros1msg``, ``ros2msg`` and ``ros2idl`` concatenate definitions),
+genmsg's ``gentools.py`` (the md5sum), REP 2016 (RIHS01).
+"""
+
+from __future__ import annotations
+
+from .checking import closure
+from .definition_text import parse
+from .digests import md5sum, rihs01
+from .layout import same_layout
+from .message_sets import fielddefs, known
+from .rendering import render
+from .sizes import least_bytes
+from .types import HEADER, PRIMITIVES, Constant, Field, Schema, Struct, builtin, canonical
+
+__all__ = [
+    "HEADER",
+    "PRIMITIVES",
+    "Constant",
+    "Field",
+    "Schema",
+    "Struct",
+    "builtin",
+    "canonical",
+    "closure",
+    "fielddefs",
+    "known",
+    "least_bytes",
+    "md5sum",
+    "parse",
+    "render",
+    "rihs01",
+    "same_layout",
+]

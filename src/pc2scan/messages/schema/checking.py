@@ -1,0 +1,141 @@
+"""A type and all that it is made of, checked and bounded."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+from pc2scan.errors import DecodeError
+
+from .sizes import least_bytes
+from .types import BUILTIN, PLACEHOLDER, PRIMITIVES, ROS2_ONLY, builtin, excerpt
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from .types import Constant, Field, Schema, Struct
+
+__all__ = ["closure"]
+
+MAX_DEPTH = 64
+#: Declared fields, each of which takes rosbags up to a millisecond and 45 kB to compile; each element of a fixed
+#: array of strings or messages counts, as rosbags unrolls them.
+MAX_FIELDS = 2_000
+#: Fields of one message when everything nested is written out, the elements of sequences once.
+MAX_LEAVES = 100_000
+#: A message in a sequence may have so many fields, and so many more for each byte that it takes: fields without bytes
+#: take time, and any number of them fits into a short message.
+MAX_LEAVES_BESIDE_BYTES, MAX_LEAVES_A_BYTE = 64, 4
+
+_IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]*", re.ASCII)
+
+
+def closure(root: str, lookup: Callable[[str], Struct | None]) -> Schema:
+    """Collect a type and all that it is made of.
+
+    Parameters
+    ----------
+    root
+        Canonical name.
+    lookup
+        Finds a type by its canonical name.
+
+    Returns
+    -------
+    Schema
+        In the order of first use, depth first.
+
+    Raises
+    ------
+    DecodeError
+        If a type is missing or contains itself; if a name is not an identifier; beyond 64 levels, 2,000
+        fields or 100,000 fields with everything nested written out; for what only one generation can carry
+        (wstring, an array of length 0).
+    """
+    schema: Schema = {}
+    leaves: dict[str, int] = {}
+    declared = 0
+
+    def visit(name: str, path: tuple[str, ...]) -> int:
+        nonlocal declared
+        if name in path:
+            raise DecodeError(f"{root}: {name} contains itself")
+        if name in leaves:
+            return leaves[name]
+        if len(path) >= MAX_DEPTH:
+            raise DecodeError(f"{root}: nested more than {MAX_DEPTH} levels deep")
+        _check_name(name, name.split("/"))
+        struct = BUILTIN[name][1] if builtin(name) else lookup(name)
+        if struct is None:
+            within = f" (needed by {path[-1]})" if path else ""
+            raise DecodeError(
+                f"type {name}{within} is defined neither in the recording nor in ROS's message sets",
+                hint="record with definitions (MCAP does), or choose another message set with `ros_distro`",
+            )
+        schema[name] = struct
+        declared += sum(_width(field) for field in struct.fields) + len(struct.constants)
+        if declared > MAX_FIELDS:
+            raise DecodeError(f"{root}: more than {MAX_FIELDS} fields")
+        total = 1
+        for field in struct.fields:
+            _check_field(name, field)
+            nested = 1 if field.type in PRIMITIVES else visit(field.type, (*path, name))
+            if field.shape == "sequence" and field.type not in PRIMITIVES and _empty(schema, field.type):
+                raise DecodeError(f"{name}: {field.name} is a sequence of messages without fields")
+            if (
+                field.shape == "sequence"
+                and nested > MAX_LEAVES_BESIDE_BYTES
+                and nested > MAX_LEAVES_BESIDE_BYTES + MAX_LEAVES_A_BYTE * least_bytes(schema, field.type, 1)
+            ):
+                raise DecodeError(f"{name}: {field.name} is a sequence of messages with {nested} fields and few bytes")
+            total += _width(field) * nested
+            if total > MAX_LEAVES:
+                raise DecodeError(f"{root}: more than {MAX_LEAVES} fields when written out")
+        for constant in struct.constants:
+            _check_constant(name, constant)
+        leaves[name] = total
+        return total
+
+    visit(root, ())
+    return schema
+
+
+def _width(field: Field) -> int:
+    """How many elements rosbags' conversion handles one by one."""
+    return (
+        max(field.size, 1) if field.shape == "array" and (field.type not in PRIMITIVES or field.type == "string") else 1
+    )
+
+
+def _empty(schema: Schema, name: str) -> bool:
+    """Whether a message takes no bytes in ROS 1, so that any number of them fits everywhere."""
+    return all(
+        field.shape != "sequence" and field.type not in PRIMITIVES and _empty(schema, field.type)
+        for field in schema[name].fields
+    )
+
+
+def _check_name(owner: str, names: Iterable[str]) -> None:
+    for name in names:
+        if not _IDENTIFIER.fullmatch(name) or len(name) > 255:
+            raise DecodeError(f"{excerpt(owner)}: {excerpt(name)} is not a name")
+
+
+def _check_constant(owner: str, constant: Constant) -> None:
+    _check_name(owner, [constant.name])
+    if constant.type not in PRIMITIVES | ROS2_ONLY:
+        raise DecodeError(f"{owner}: the constant {constant.name} has the type {excerpt(constant.type)}")
+    if "\n" in constant.value or "\r" in constant.value:
+        raise DecodeError(f"{owner}: the constant {constant.name} runs over several lines")
+
+
+def _check_field(owner: str, field: Field) -> None:
+    _check_name(owner, [field.name])
+    if field.name == PLACEHOLDER:
+        raise DecodeError(f"{owner}: the field name {PLACEHOLDER} is ROS 2's own")
+    if field.type in ROS2_ONLY:
+        raise DecodeError(f"{owner}: {field.name} is a {field.type}, which ROS 1 cannot carry")
+    if field.type not in PRIMITIVES and field.type.count("/") != 2:
+        raise DecodeError(f"{owner}: {field.name} has the unknown type {excerpt(field.type)}")
+    if field.shape == "array" and not 0 < field.size < 1 << 32:
+        raise DecodeError(f"{owner}: {field.name} is an array of {field.size} elements")

@@ -1,0 +1,158 @@
+"""Definition texts of recordings, read: ``ros1msg`` and ``ros2msg`` here, ``ros2idl`` by `idl`."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+from pc2scan.errors import DecodeError
+
+from .idl import parse_idl
+from .types import (
+    BUILTIN,
+    HEADER,
+    PRIMITIVES,
+    ROS2_ONLY,
+    Constant,
+    Field,
+    Shape,
+    Struct,
+    canonical,
+    excerpt,
+    without_sequence_number,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from pc2scan.model import Definition
+
+__all__ = ["parse"]
+
+MAX_BYTES = 1 << 20
+
+_SEPARATOR = re.compile(r"^=+[ \t]*$", re.MULTILINE)
+_SECTION = re.compile(r"\s*(MSG|IDL):[ \t]*([^\s]+)[ \t]*(?:\n|\Z)")
+_LINE = re.compile(
+    r"(?P<type>[A-Za-z][A-Za-z0-9_/]*)(?:<=(?P<bound>[0-9]+))?"
+    r"(?P<array>\[(?P<most><=)?(?P<size>[0-9]*)\])?"
+    r"[ \t]+(?P<name>[A-Za-z][A-Za-z0-9_]*)[ \t]*(?P<rest>.*)",
+    re.ASCII,
+)
+
+_ROS1_WORDS = {word: name for name, (word, _) in BUILTIN.items()}
+
+
+def parse(definition: Definition, msgtype: str) -> dict[str, Struct]:
+    """Read a recording's definition text.
+
+    Parameters
+    ----------
+    definition
+        ``ros1msg``, ``ros2msg`` or ``ros2idl``: the type's own text, then those it depends on, each under a
+        line of ``=`` and a line ``MSG: package/Name`` (or ``IDL: package/msg/Name``).
+    msgtype
+        The type that the text begins with.
+
+    Returns
+    -------
+    dict of str to Struct
+        Every type in the text, used or not, by canonical name; what they refer to may be missing.
+
+    Raises
+    ------
+    DecodeError
+        If the text is of another encoding, beyond 1 MB, or not a definition.
+    """
+    if definition.encoding not in {"ros1msg", "ros2msg", "ros2idl"}:
+        raise DecodeError(f"{msgtype} is defined in {definition.encoding!r}, expected ros1msg, ros2msg or ros2idl")
+    if len(definition.data) > MAX_BYTES:
+        raise DecodeError(f"{msgtype}: definition of {len(definition.data)} bytes, allowed are {MAX_BYTES}")
+    ros1 = definition.encoding == "ros1msg"
+    structs: dict[str, Struct] = {}
+    for kind, name, text in _sections(definition, msgtype):
+        if kind == "IDL":
+            structs.update(parse_idl(text, name))
+        else:
+            structs[canonical(name)] = _parse_msg(text, canonical(name), ros1=ros1)
+    return {name: without_sequence_number(name, struct) for name, struct in structs.items()}
+
+
+def _sections(definition: Definition, msgtype: str) -> Iterator[tuple[str, str, str]]:
+    """Split at the lines of ``=``: kind (MSG or IDL), type, text."""
+    kind = "IDL" if definition.encoding == "ros2idl" else "MSG"
+    text = definition.text.replace("\r\n", "\n")
+    for index, part in enumerate(_SEPARATOR.split(text)):
+        heading = _SECTION.match(part)
+        if heading:
+            yield heading[1], heading[2], part[heading.end() :]
+        elif index == 0:
+            # The first section of an IDL text may be preceded by a separator, leaving nothing before it.
+            if kind == "MSG" or part.strip():
+                yield kind, msgtype, part
+        elif part.strip():
+            raise DecodeError(f"{msgtype}: definition section {index} does not begin with MSG: or IDL:")
+
+
+def _parse_msg(text: str, owner: str, *, ros1: bool) -> Struct:
+    """Read one type's ``.msg`` text."""
+    fields: list[Field] = []
+    constants: list[Constant] = []
+    for number, raw in enumerate(text.split("\n"), 1):
+        line = raw.strip().removeprefix("@key").lstrip()
+        if not line or line.startswith("#"):
+            continue
+        match = _LINE.fullmatch(line)
+        if match is None:
+            raise DecodeError(f"{owner}: line {number} of its definition is not a field: {excerpt(line)}")
+        rest = match["rest"]
+        if rest.startswith("=") and not match["array"]:
+            value = rest[1:].strip()
+            # Only a ROS 1 string runs to the end of the line; elsewhere # begins a comment.
+            if not (ros1 and match["type"] == "string"):
+                value = _uncommented(value)
+            constants.append(Constant(match["name"], match["type"], value))
+        elif not rest or rest.startswith("#") or not ros1:
+            # What follows the name in ROS 2 is a default value, which takes no place in a message.
+            fields.append(_field(match, owner, ros1=ros1))
+        else:
+            raise DecodeError(f"{owner}: line {number} of its definition is not a field: {excerpt(line)}")
+    return Struct(tuple(fields), tuple(constants))
+
+
+def _field(match: re.Match[str], owner: str, *, ros1: bool) -> Field:
+    """Make a field of a matched line."""
+    shape: Shape = "scalar"
+    size = _number(match["size"] or "0")
+    if match["array"]:
+        shape = "sequence" if match["most"] or not match["size"] else "array"
+    bound = _number(match["bound"] or "0")
+    if match["bound"] and match["type"] not in {"string", "wstring"}:
+        raise DecodeError(f"{owner}: {match['name']} is a {match['type']} with a bound")
+    return Field(match["name"], _resolve(match["type"], owner, ros1=ros1), shape, size, bound)
+
+
+def _resolve(word: str, owner: str, *, ros1: bool) -> str:
+    """Turn a type as written in ``owner``'s definition into a primitive or a full name."""
+    if word in PRIMITIVES or word in ROS2_ONLY:
+        return word
+    if word in _ROS1_WORDS:
+        return _ROS1_WORDS[word]
+    if "/" in word:
+        return canonical(word)
+    if word == "Header" and ros1:
+        return HEADER
+    return canonical(f"{owner.rpartition('/')[0]}/{word}")
+
+
+def _uncommented(value: str) -> str:
+    """Cut a comment off, unless the ``#`` is within quotes."""
+    quoted = re.match(r"'(?:\\.|[^'\\])*'|\"(?:\\.|[^\"\\])*\"", value)
+    return quoted[0] if quoted else value.split("#", 1)[0].rstrip()
+
+
+def _number(digits: str) -> int:
+    """Read a size; the limit keeps it far from where Python's own conversion fails."""
+    if len(digits) > 10:
+        raise DecodeError(f"size of {len(digits)} digits in a definition")
+    return int(digits)

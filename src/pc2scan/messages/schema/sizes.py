@@ -1,0 +1,51 @@
+"""How short a message of a type can be."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from .types import PRIMITIVES, fields_of
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from .types import Field, Struct
+
+__all__ = ["least_bytes"]
+
+#: Bytes of the primitives that have a fixed size.
+_WIDTHS = {"bool": 1, "byte": 1, "char": 1, "float32": 4, "float64": 8} | {
+    f"{sign}int{bits}": bits // 8 for sign in ("", "u") for bits in (8, 16, 32, 64)
+}
+
+
+def least_bytes(schema: Mapping[str, Struct], name: str, generation: int) -> int:
+    """Count the bytes that every message of a type takes: sequences and strings empty, no padding.
+
+    Parameters
+    ----------
+    schema
+        Has the type and all that it is made of; no type contains itself.
+    generation
+        Whose wire format: 1 or 2.
+    """
+    known: dict[str, int] = {}
+
+    def least(name: str) -> int:
+        if name not in known:
+            fields = fields_of(name, schema[name], generation)
+            # ROS 2 puts one byte into a message without fields.
+            known[name] = sum(map(of_field, fields)) if fields else generation - 1
+        return known[name]
+
+    def of_field(field: Field) -> int:
+        if field.shape == "sequence":
+            return 4
+        if field.type == "string":
+            # ROS 2's have a NUL at the end.
+            size = 3 + generation
+        else:
+            size = _WIDTHS[field.type] if field.type in PRIMITIVES else least(field.type)
+        return size * field.size if field.shape == "array" else size
+
+    return least(name)
