@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 import os
 import shutil
+from contextlib import closing
 from typing import TYPE_CHECKING
 
 import pytest
 
 from builders import CONTENT, POINTS, Recording, write_mcap, write_rosbag2
 from hostile.bounded import run_bounded
+from pc2scan.bags import open_recording
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -125,6 +127,20 @@ def test_profiles_that_are_none_pass_as_they_are(qos: str, tmp_path: Path, monke
     for storage in ("mcap", "sqlite3"):
         done = run_bounded(tmp_path, "convert", source, "-o", tmp_path / storage, "--storage", storage)
         assert done.status == 0, done.stderr
+
+
+def test_profiles_too_long_to_be_any_are_not_repeated_in_metadata_yaml(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Writing 30 MB of them as YAML took half a minute, for a recording of 2 KB."""
+    qos = "[" * 700_000
+    monkeypatch.setattr("builders.qos_text", lambda *_, **__: qos)
+    source = write_mcap(tmp_path / "a.mcap", Recording((POINTS,), tuple(CONTENT.of("/points"))))
+    done = run_bounded(tmp_path, "repair", source, "-o", tmp_path / "out")
+    assert done.status == 0, done.stderr
+    assert (tmp_path / "out" / "metadata.yaml").stat().st_size < 10_000
+    with closing(open_recording(tmp_path / "out")) as reader:
+        assert reader.connections[0].qos == qos
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.bags.formats import WriteOptions, storages
-from pc2scan.bags.qos import parsed_qos, respelled_qos
+from pc2scan.bags.qos import MAX_CHARACTERS, parsed_qos, respelled_qos
 from pc2scan.errors import OutputError, UnwritableError
 from pc2scan.files.yaml import dump_yaml
 from pc2scan.model import MAX_ROSBAG2_NS, Connection, Metadata
@@ -210,7 +210,8 @@ class Rosbag2Writer:
         }
 
     def _topic(self, connection: Connection) -> dict[str, Any]:
-        qos: Any = connection.qos
+        # What is too long to be a list of profiles stays in the storage: the library would need seconds to write it.
+        qos: Any = connection.qos if len(connection.qos) <= MAX_CHARACTERS else ""
         if self._version >= NEWEST_VERSION:
             profiles = parsed_qos(qos) if qos else []
             qos = qos if profiles is None else profiles
