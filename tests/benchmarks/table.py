@@ -28,10 +28,10 @@ from benchmarks.clouds import CLOUD_BYTES, FORMS, POINT_BYTES, POINTS, TRIFLE, F
 from benchmarks.test_projection import LAYOUTS, cloud, params_of, straightforward
 from pc2scan.bags.mcap.reader import McapReader
 from pc2scan.bags.rosbag1.reader import Rosbag1Reader
+from pc2scan.cli.memory import keep_freed_memory
 from pc2scan.core.kernel import COMPILED
 from pc2scan.core.project import Projector
 from pc2scan.messages.pointcloud2 import decode_pointcloud2
-from pc2scan.pipeline.memory import keep_freed_memory
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence

@@ -348,7 +348,7 @@ def test_a_directory_whose_file_is_written_over(name: str, large: Path, tmp_path
 def test_a_source_that_is_cut_under_its_reader(
     compression: str | None, jobs: int, large: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """While its bytes are decompressed or projected, which are not copied before."""
+    """While its bytes are decompressed or projected."""
     from pc2scan.bags.mcap import chunks as mcap_chunks
     from pc2scan.pipeline.cloud_to_scan import CloudToScan
 

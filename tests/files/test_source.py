@@ -5,11 +5,9 @@ from __future__ import annotations
 import errno
 import os
 import random
-import sys
 from contextlib import closing
 from typing import TYPE_CHECKING
 
-import numpy as np
 import pytest
 
 from pc2scan.errors import OutputError, RecordingError
@@ -84,55 +82,68 @@ def large(tmp_path: Path) -> Path:
     return path
 
 
-def unmapped(_: int, __: int) -> None:
-    """As where there can be no map."""
-
-
-@pytest.mark.parametrize("mapped", [True, False])
+@pytest.mark.parametrize("reused", [True, False])
 @pytest.mark.parametrize(
-    ("offset", "length"), [(0, 3 << 20), (12_345, 1 << 20), (3 << 20, 0), (5, (1 << 18) - 1), (5, 1 << 18)]
+    ("offset", "length"),
+    [(0, 3 << 20), (12_345, 1 << 20), (3 << 20, 0), (5, (1 << 18) - 1), (5, 1 << 18), (9, (1 << 20) + 1)],
 )
-def test_what_is_lent_is_what_would_be_read(
-    offset: int, length: int, mapped: bool, large: Path, monkeypatch: pytest.MonkeyPatch
+def test_what_is_borrowed_is_what_would_be_read(
+    offset: int, length: int, reused: bool, large: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    if not mapped:
-        monkeypatch.setattr(files, "_map_of", unmapped)
+    if not reused:
+        monkeypatch.delattr(os, "preadv", raising=False)
     with closing(SourceFile(large)) as file:
-        seen = file.borrow(offset, length, lambda data: (data.readonly, bytes(data), own(data)))
-        assert seen == (True, LARGE[offset : offset + length], file.read(offset, length))
+        for _ in range(2):
+            seen = file.borrow(offset, length, lambda data: (data.readonly, bytes(data), own(data)))
+            assert seen == (True, LARGE[offset : offset + length], file.read(offset, length))
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="maps are for Linux")
-def test_much_is_not_copied_and_little_is(large: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("pc2scan.files._map", reason="there was no C compiler")
-    read: list[int] = []
-    real = os.pread
-
-    def counting(descriptor: int, length: int, offset: int) -> bytes:
-        read.append(length)
-        return real(descriptor, length, offset)
-
+@pytest.mark.skipif(not hasattr(os, "preadv"), reason="this system cannot read into a buffer")
+def test_short_answers_are_completed_in_a_buffer_too(large: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    real = os.preadv
+    monkeypatch.setattr(os, "preadv", lambda fd, views, offset: real(fd, [views[0][:99_999]], offset))
     with closing(SourceFile(large)) as file:
-        monkeypatch.setattr(os, "pread", counting)
-        for length in (100, 1 << 20):
-            assert file.borrow(7, length, len) == length
-    assert read == [100]
+        assert file.borrow(7, 1 << 20, bytes) == LARGE[7 : 7 + (1 << 20)]
+
+
+@pytest.mark.skipif(not hasattr(os, "preadv"), reason="this system cannot read into a buffer")
+def test_open_files_share_buffers_and_the_last_one_frees_them(large: Path) -> None:
+    buffers: set[int] = set()
+
+    def use(data: memoryview) -> None:
+        buffers.add(id(data.obj))
+
+    first, second = SourceFile(large), SourceFile(large)
+    for length in (3 << 20, 1 << 19):
+        for file in (first, second):
+            file.borrow(7, length - 7, use)
+    assert len(buffers) == 1
+    # Who borrows while something is borrowed, or on another thread, has a buffer of its own.
+    first.borrow(0, 1 << 20, lambda data: second.borrow(0, 1 << 20, lambda other: [*map(use, (data, other))]))
+    assert len(buffers) == 2
+    first.close()
+    assert files._shared[""] is second._buffers
+    second.close()
+    assert not files._shared
+
+
+@pytest.mark.skipif(not hasattr(os, "preadv"), reason="this system cannot read into a buffer")
+def test_a_buffer_that_does_not_fit_into_memory_is_an_error(large: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> bytearray:
+        raise MemoryError
+
+    monkeypatch.setattr(files._Buffers, "take", refuse)
+    with closing(SourceFile(large)) as file, pytest.raises(RecordingError, match="do not fit into memory"):
+        file.borrow(0, 1 << 20, bytes)
 
 
 @pytest.mark.parametrize("shorter", [0, 1 << 20, (3 << 20) - 1])
-@pytest.mark.parametrize("fails", [False, True])
-def test_what_is_cut_while_it_is_lent_is_an_error(shorter: int, fails: bool, large: Path) -> None:
-    def use(data: memoryview) -> int:
-        os.truncate(large, shorter)
-        total = int(np.frombuffer(data, np.uint8).sum())
-        if fails:
-            raise ValueError("these bytes make no sense")
-        return total
-
+def test_a_file_that_was_cut_is_an_error_where_it_is_borrowed(shorter: int, large: Path) -> None:
     with closing(SourceFile(large)) as file:
+        os.truncate(large, shorter)
         for _ in range(2):
             with pytest.raises(RecordingError, match=f"ended at byte {shorter} while it was read; it had 3145728"):
-                file.borrow(0, 3 << 20, use)
+                file.borrow(0, 3 << 20, bytes)
 
 
 def test_an_error_of_who_uses_it_is_passed_on(large: Path) -> None:
@@ -143,22 +154,12 @@ def test_an_error_of_who_uses_it_is_passed_on(large: Path) -> None:
         file.borrow(0, 1 << 20, use)
 
 
-def test_what_was_closed_is_not_lent(large: Path) -> None:
+def test_what_was_closed_is_not_borrowed(large: Path) -> None:
     file = SourceFile(large)
     file.close()
     for length in (10, 1 << 20):
         with pytest.raises(RecordingError, match="cannot be read"):
             file.borrow(0, length, len)
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="maps are for Linux")
-def test_with_few_addresses_there_is_no_map(large: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import resource
-
-    monkeypatch.setattr(resource, "getrlimit", lambda _: (1 << 40, resource.RLIM_INFINITY))
-    with closing(SourceFile(large)) as file:
-        assert file._map is None
-        assert file.borrow(1, 1 << 20, bytes) == LARGE[1 : 1 + (1 << 20)]
 
 
 def test_what_is_not_there_is_an_error(file: SourceFile) -> None:

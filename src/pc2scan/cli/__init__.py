@@ -24,7 +24,9 @@ def _run() -> None:
     # NumPy's linear algebra would start threads, which takes longer than many a conversion, and nothing here uses them.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from .app import application
+    from .memory import keep_freed_memory
 
+    keep_freed_memory()
     try:
         application(*sys.argv[1:2])(prog_name="pc2scan")
     finally:

@@ -7,6 +7,7 @@ import os
 import stat
 from contextlib import suppress
 from typing import TYPE_CHECKING, TypeVar
+from weakref import WeakValueDictionary
 
 from pc2scan.errors import OutputError, RecordingError
 
@@ -18,18 +19,20 @@ if TYPE_CHECKING:
 
     from pc2scan.model import Buffer
 
-    from ._map import Map
 
 __all__ = ["FreeIds", "NewFile", "SourceFile", "file_beside", "opened_bytes", "opened_text", "state_of"]
 
 _Result = TypeVar("_Result")
 
-#: Fewer bytes are copied in less time than it takes to fetch their pages and to give them back, and more would count as
-#: memory beside what is made of them.
+#: So many bytes are read into a buffer that is used again. Memory for fewer costs no page faults, and a buffer for more
+#: would take much memory beside what is made of them.
 _BORROWED_BYTES = range(1 << 18, 1 << 24)
 
 #: What SQLite keeps beside a database that is written to.
 _LOGS = ("-wal", "-journal")
+
+#: The sizes of buffers, so that one serves chunks of different sizes.
+_ROUNDED_TO = 1 << 20
 
 
 def state_of(path: Path) -> tuple[tuple[str, int, int, int, int], ...]:
@@ -110,15 +113,13 @@ class SourceFile:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._descriptor = -1
-        self._map: Map | None = None
+        self._buffers = _shared.setdefault("", _Buffers())
         try:
             self._descriptor = _opened(str(path), os.O_RDONLY | getattr(os, "O_CLOEXEC", 0))
             self.size = os.fstat(self._descriptor).st_size
         except OSError as err:
             self.close()
             raise self.error(f"cannot be opened: {err.strerror}") from err
-        if self.size >= _BORROWED_BYTES.start:
-            self._map = _map_of(self._descriptor, self.size)
 
     def expect(self, offset: int, length: int) -> None:
         """Let the system begin to read what is needed soon; where it cannot, nothing changes."""
@@ -131,7 +132,7 @@ class SourceFile:
 
     def close(self) -> None:
         """Release the file; reading afterwards is an error."""
-        self._map = None
+        self._buffers = _Buffers()
         descriptor, self._descriptor = self._descriptor, -1
         if descriptor >= 0:
             os.close(descriptor)
@@ -146,70 +147,87 @@ class SourceFile:
 
     def read(self, offset: int, length: int) -> bytes:
         """Read exactly ``length`` bytes."""
-        if offset + length > self.size:
-            raise self.damage(f"{length} bytes are declared from byte {offset} on, but the file has {self.size} bytes")
+        self._expect_inside(offset, length)
         try:
             data = os.pread(self._descriptor, length, offset)
             # One call returns 2 GiB at most.
             while len(data) < length and (more := os.pread(self._descriptor, length - len(data), offset + len(data))):
                 data += more
         except OSError as err:
-            raise self.error(f"cannot be read at byte {offset}: {err.strerror}") from err
+            raise self._unreadable(offset, err) from err
         except MemoryError as err:
-            raise self.error(f"{length} bytes from byte {offset} on do not fit into memory") from err
+            raise self._too_large(offset, length) from err
         if len(data) < length:
-            raise self.error(
-                f"ended at byte {offset + len(data)} while it was read; it had {self.size} bytes when opened",
-                "wait until the recording is complete",
-            )
+            raise self._ended(offset + len(data))
         return data
 
     def borrow(self, offset: int, length: int, callback: Callable[[memoryview], _Result]) -> _Result:
-        """Call ``callback`` with exactly these bytes, where the system has them in memory: many are not copied.
+        """Call ``callback`` with exactly these bytes, read into a buffer that is used again if they are many.
 
         Parameters
         ----------
         offset, length
             The bytes' place.
         callback
-            Keeps none of the bytes, unless they are those of a ``bytes`` (see `pc2scan.model.own`). If the file
-            turns out to have become shorter, its result is dropped, and it is called again with what can be read.
+            Keeps none of the bytes, unless they are those of a ``bytes`` (see `pc2scan.model.own`): the buffer has
+            others soon.
         """
-        mapped = self._map
-        if mapped is not None and length in _BORROWED_BYTES and offset + length <= self.size:
-            mapped.fetch(offset, length)
-            try:
-                result = callback(memoryview(mapped)[offset : offset + length])
-            except Exception:
-                if self._was_there(mapped, offset + length):
-                    raise
-            else:
-                if self._was_there(mapped, offset + length):
-                    return result
-            finally:
-                mapped.forget(offset, length)
-        return callback(memoryview(self.read(offset, length)))
-
-    def _was_there(self, mapped: Map, stop: int) -> bool:
-        """Whether nothing up to this byte was missed; of a page that has become shorter nothing else tells."""
+        if length not in _BORROWED_BYTES or not hasattr(os, "preadv"):
+            return callback(memoryview(self.read(offset, length)))
+        self._expect_inside(offset, length)
         try:
-            return not mapped.missed and os.fstat(self._descriptor).st_size >= stop
-        except OSError:
-            return False
+            buffer = self._buffers.take(length)
+        except MemoryError as err:
+            raise self._too_large(offset, length) from err
+        try:
+            self._fill(memoryview(buffer)[:length], offset)
+            return callback(memoryview(buffer)[:length].toreadonly())
+        finally:
+            self._buffers.append(buffer)
+
+    def _expect_inside(self, offset: int, length: int) -> None:
+        if offset + length > self.size:
+            raise self.damage(f"{length} bytes are declared from byte {offset} on, but the file has {self.size} bytes")
+
+    def _fill(self, view: memoryview, offset: int) -> None:
+        """Read exactly so many bytes as fit into ``view``."""
+        done = 0
+        try:
+            while done < len(view) and (more := os.preadv(self._descriptor, [view[done:]], offset + done)):
+                done += more
+        except OSError as err:
+            raise self._unreadable(offset, err) from err
+        if done < len(view):
+            raise self._ended(offset + done)
+
+    def _unreadable(self, offset: int, err: OSError) -> RecordingError:
+        return self.error(f"cannot be read at byte {offset}: {err.strerror}")
+
+    def _too_large(self, offset: int, length: int) -> RecordingError:
+        return self.error(f"{length} bytes from byte {offset} on do not fit into memory")
+
+    def _ended(self, offset: int) -> RecordingError:
+        return self.error(
+            f"ended at byte {offset} while it was read; it had {self.size} bytes when opened",
+            "wait until the recording is complete",
+        )
 
 
-def _map_of(descriptor: int, size: int) -> Map | None:
-    """A map of a file; None if there can be none: not compiled, another system or file system, or too many."""
-    try:
-        import resource  # noqa: PLC0415  # not on every system
+class _Buffers(list[bytearray]):
+    """Buffers that are free. All open files share them: one for each thread that reads is enough."""
 
-        from ._map import Map  # noqa: PLC0415  # only large files need it
+    def take(self, length: int) -> bytearray:
+        """Return a buffer for at least so many bytes; whoever takes it appends it again."""
+        # Not asked first whether there is one: another thread may take it in between.
+        with suppress(IndexError):
+            buffer = self.pop()
+            if len(buffer) >= length:
+                return buffer
+        return bytearray(-(-length // _ROUNDED_TO) * _ROUNDED_TO)
 
-        # A map takes addresses.
-        limited = resource.getrlimit(resource.RLIMIT_AS)[0] != resource.RLIM_INFINITY
-        return None if limited else Map(descriptor, size)
-    except (ImportError, OSError, OverflowError):
-        return None
+
+#: The buffers, as long as any file is open.
+_shared: WeakValueDictionary[str, _Buffers] = WeakValueDictionary()
 
 
 class NewFile:

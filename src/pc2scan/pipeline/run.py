@@ -39,7 +39,6 @@ from pc2scan.threads import Threads
 
 from .acceptance import refusal
 from .declarations import Declarations
-from .memory import keep_freed_memory
 from .plan import make_plan
 from .report import BEGINNING, Report
 from .routes import (
@@ -119,7 +118,6 @@ def run(
         Files that were read for the request, by option: nothing is written over them.
     """
     began = time.monotonic()
-    keep_freed_memory()
     if not sources:
         raise UsageError("no source given")
     with ExitStack() as stack:

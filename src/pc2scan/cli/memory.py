@@ -1,10 +1,12 @@
-"""Memory that is kept for the next cloud instead of being given back to the system."""
+"""Memory that is kept for the next cloud instead of being given back to the system.
+
+This changes the allocator of the whole process. So only the command does it, and the library never: its process may be
+somebody else's.
+"""
 
 from __future__ import annotations
 
 import ctypes
-import platform
-from functools import cache
 
 __all__ = ["keep_freed_memory"]
 
@@ -19,9 +21,8 @@ _KEPT_BYTES = 64 << 20
 _GROWN_BY_BYTES = 16 << 20
 
 
-@cache
 def keep_freed_memory() -> bool:
-    """Tell glibc's malloc to keep what is freed, once in a process.
+    """Tell glibc's malloc to keep what is freed.
 
     By itself it returns a buffer of a chunk's size to the system as soon as it is freed, and the system has to
     provide and clear every page of the next one.
@@ -31,11 +32,11 @@ def keep_freed_memory() -> bool:
     bool
         Whether it was told: False where the C library is another one. That costs time, nothing else.
     """
-    if platform.libc_ver()[0] != "glibc":
-        return False
     try:
-        mallopt = ctypes.CDLL(None).mallopt
-    except (OSError, AttributeError):
+        library = ctypes.CDLL(None)
+        # Other libraries have parameters of other meanings.
+        _, mallopt = library.gnu_get_libc_version, library.mallopt
+    except (OSError, TypeError, AttributeError):
         return False
     settings = (
         (_M_MMAP_THRESHOLD, _MMAP_FROM_BYTES),
