@@ -1,144 +1,23 @@
-"""Messages that pass through between ROS generations, held to an independent serialiser written out here."""
+"""Messages that pass through between ROS generations, held to an independent serialiser written out in twins.py."""
 
 from __future__ import annotations
 
 import builtins
-import random
-import struct
 import subprocess
 import sys
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from messages.twins import CODES, SEPARATOR, Twin, check_both_ways, parsed, ros1, ros2
 from pc2scan.errors import DecodeError, UsageError
 from pc2scan.messages import definitions, schema
 from pc2scan.messages.transcode import DISTROS, transcoder
 from pc2scan.model import LATCHED_QOS, Connection, Definition, ros1_type
 from support import RECORDINGS, needs_shared
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from pc2scan.messages.schema import Struct
-
-SEPARATOR = "=" * 80
-
-CODES = {
-    "bool": "?",
-    "byte": "B",
-    "char": "B",
-    "int8": "b",
-    "uint8": "B",
-    "int16": "h",
-    "uint16": "H",
-    "int32": "i",
-    "uint32": "I",
-    "int64": "q",
-    "uint64": "Q",
-    "float32": "f",
-    "float64": "d",
-}
-
-
-class Twin:
-    """One random message in every serialisation: ROS 1, and CDR in both byte orders.
-
-    The rules are written out one primitive at a time and share nothing with rosbags.
-    """
-
-    def __init__(self, structs: Mapping[str, Struct], root: str, seed: int) -> None:
-        self.structs = structs
-        self.random = random.Random(seed)
-        self.ros1 = bytearray()
-        #: The same with every Header's sequence number 0.
-        self.ros1_unnumbered = bytearray()
-        self.little, self.big = bytearray(), bytearray()
-        self.message(root)
-
-    @property
-    def cdr(self) -> bytes:
-        return b"\0\1\0\0" + bytes(self.little)
-
-    @property
-    def cdr_big_endian(self) -> bytes:
-        return b"\0\0\0\0" + bytes(self.big)
-
-    def primitive(self, code: str, value: float) -> None:
-        packed = struct.pack("<" + code, value)
-        self.ros1 += packed
-        self.ros1_unnumbered += packed
-        for order, cdr in (("<", self.little), (">", self.big)):
-            cdr.extend(bytes(-len(cdr) % len(packed)) + struct.pack(order + code, value))
-
-    def string(self) -> None:
-        text = self.random.choice(["", "odom", "größe", "a longer piece of text", "x\0y"]).encode()
-        for packed in (self.ros1, self.ros1_unnumbered):
-            packed.extend(struct.pack("<I", len(text)) + text)
-        for order, cdr in (("<", self.little), (">", self.big)):
-            cdr.extend(bytes(-len(cdr) % 4) + struct.pack(order + "I", len(text) + 1) + text + b"\0")
-
-    def value(self, word: str) -> None:
-        if word == "string":
-            self.string()
-        elif word not in CODES:
-            self.message(word)
-        elif word.startswith("float"):
-            # Fractions of 2 survive the way through Python's floats that big-endian messages take.
-            self.primitive(CODES[word], self.random.randrange(-(1 << 20), 1 << 20) / 64)
-        elif word == "bool":
-            self.primitive("?", self.random.randrange(2))
-        else:
-            bits = 8 * struct.calcsize("<" + CODES[word])
-            low = -(1 << (bits - 1)) if CODES[word].islower() else 0
-            self.primitive(CODES[word], low + self.random.getrandbits(bits))
-
-    def message(self, name: str) -> None:
-        if schema.builtin(name):
-            self.primitive("i", self.random.getrandbits(31))
-            self.primitive("I", self.random.randrange(1_000_000_000))
-            return
-        if name == schema.HEADER:
-            self.ros1 += struct.pack("<I", self.random.getrandbits(32))
-            self.ros1_unnumbered += bytes(4)
-        fields = self.structs[name].fields
-        if not fields:
-            self.little += b"\0"
-            self.big += b"\0"
-        for field in fields:
-            if field.shape == "sequence":
-                count = self.random.choice([0, 1, 2, 5])
-                self.primitive("I", count)
-            else:
-                count = field.size if field.shape == "array" else 1
-            for _ in range(count):
-                self.value(field.type)
-
-
-def ros1(text: str, msgtype: str = "pkg/Type", **more: Any) -> Connection:
-    return Connection(1, "/topic", msgtype, "ros1", Definition("ros1msg", text.encode()), **more)
-
-
-def ros2(text: str, msgtype: str = "pkg/msg/Type", encoding: str = "ros2msg", **more: Any) -> Connection:
-    return Connection(1, "/topic", msgtype, "cdr", Definition(encoding, text.encode()), **more)
-
-
-def parsed(connection: Connection) -> dict[str, Struct]:
-    return schema.parse(connection.definition, connection.msgtype)
-
-
-def check_both_ways(connection: Connection, root: str, structs: Mapping[str, Struct], seed: int) -> None:
-    """Re-encode a random message there and back, and hold both to the twin."""
-    twin = Twin(structs, root, seed)
-    there = transcoder(connection, 2)
-    back = transcoder(there.connection, 1)
-    assert bytes(there.encode(bytes(twin.ros1))) == twin.cdr
-    assert bytes(back.encode(twin.cdr)) == twin.ros1_unnumbered
-    assert bytes(back.encode(memoryview(twin.cdr_big_endian))) == twin.ros1_unnumbered
-
 
 # --- every type that both generations know ---
 
@@ -193,21 +72,6 @@ def test_common_type_gets_the_other_generations_identity(name: str) -> None:
 def test_common_types_are_most_of_those_of_ros1() -> None:
     assert len(common_types()) > 90
     assert {"std_msgs/msg/Empty", "nav_msgs/msg/Path", "sensor_msgs/msg/CameraInfo"} < set(common_types())
-
-
-@pytest.mark.parametrize(
-    ("name", "md5sum"),
-    [
-        ("sensor_msgs/msg/PointCloud2", "1158d486dd51d683ce2f1be655c3c181"),
-        ("sensor_msgs/msg/LaserScan", "90c7ef2dc6895d81024acba2ac42f369"),
-        ("sensor_msgs/msg/CameraInfo", "c9a58c1b0b154e0e6da7578cb991d214"),
-        ("tf2_msgs/msg/TFMessage", "94810edda583a504dfda3829e70d7eec"),
-        ("nav_msgs/msg/Odometry", "cd5e73d190d741a2f92e81eda573aca7"),
-        ("std_msgs/msg/Empty", "d41d8cd98f00b204e9800998ecf8427e"),
-    ],
-)
-def test_md5sums_as_ros1_nodes_know_them(name: str, md5sum: str) -> None:
-    assert transcoder(Connection(1, "/topic", name, "cdr"), 1).connection.digest == md5sum
 
 
 @pytest.mark.parametrize("msgtype", sorted(definitions.TYPES))
@@ -308,107 +172,6 @@ def test_definition_of_a_custom_type_is_written_in_the_other_generations_words()
     assert "string GREETING=hi # there\n" in back.definition.text
     assert "MSG: std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id\n" in back.definition.text
     assert "builtin_interfaces" not in back.definition.text
-
-
-def test_ros2_bounds_defaults_and_quoted_constants_reach_ros1_as_it_knows_them() -> None:
-    text = """\
-string<=5 name "a # b"
-int32<=3 refused
-"""
-    with pytest.raises(DecodeError, match="refused is a int32 with a bound"):
-        transcoder(ros2(text), 1)
-    text = """\
-string WORD='single # quotes'   # comment
-uint8[<=4] few [1, 2]
-string<=5 name "a # b"
-string<=5[<=2] names
-float32 x 0.5  # default
-char c
-Other other
-@key
-int32 id
----"""
-    other = f"\n{SEPARATOR}\nMSG: pkg/Other\nint64 a\n"
-    with pytest.raises(DecodeError, match="line 10 of its definition is not a field: '---'"):
-        transcoder(ros2(text + other), 1)
-    plan = transcoder(ros2(text.removesuffix("---") + other), 1)
-    assert plan.connection.definition.text == (
-        "string WORD=single # quotes\nuint8[] few\nstring name\nstring[] names\nfloat32 x\nchar c\n"
-        f"pkg/Other other\nint32 id\n{SEPARATOR}\nMSG: pkg/Other\nint64 a\n"
-    )
-    structs = parsed(ros2(text.removesuffix("---") + other))
-    twin = Twin(structs, "pkg/msg/Type", 3)
-    assert bytes(plan.encode(twin.cdr)) == twin.ros1
-
-
-IDL = f"""\
-{SEPARATOR}
-IDL: pkg/msg/Type
-// generated from rosidl_adapter/resource/msg.idl.em
-#include "pkg/msg/Item.idl"
-#include "std_msgs/msg/Header.idl"
-
-module pkg {{
-  module msg {{
-    typedef double double__3[3];
-    module Type_Constants {{
-      @verbatim (language="comment", text=
-        "((nested)) \\"quoted\\"" "\\n" "text")
-      const uint8 HIGH = 7;
-      const string WORD = "a b";
-    }};
-    @verbatim (language="comment", text="A type.")
-    struct Type {{
-      std_msgs::msg::Header header;
-      @default (value=TRUE)
-      boolean flag;
-      double__3 xyz;
-      sequence<pkg::msg::Item> items;
-      @unit (value="m")
-      octet b;
-      string<8> name;
-    }};
-  }};
-}};
-
-{SEPARATOR}
-IDL: pkg/msg/Item
-module pkg {{ module msg {{ struct Item {{ uint8 structure_needs_at_least_one_member; }}; }}; }};
-"""
-
-
-def test_idl() -> None:
-    idl = IDL.replace("sequence<pkg::msg::Item> items", "pkg::msg::Item items")
-    plan = transcoder(ros2(idl, encoding="ros2idl"), 1)
-    assert plan.connection.definition.text == (
-        "uint8 HIGH=7\nstring WORD=a b\nstd_msgs/Header header\nbool flag\nfloat64[3] xyz\npkg/Item items\n"
-        f"byte b\nstring name\n{SEPARATOR}\nMSG: std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id\n"
-        f"{SEPARATOR}\nMSG: pkg/Item\n"
-    )
-    structs = dict(schema.known("ros2_jazzy")) | parsed(ros2(idl, encoding="ros2idl"))
-    twin = Twin(structs, "pkg/msg/Type", 5)
-    assert bytes(plan.encode(twin.cdr)) == twin.ros1_unnumbered
-
-
-def test_sequence_of_messages_without_fields_is_refused() -> None:
-    with pytest.raises(DecodeError, match="items is a sequence of messages without fields"):
-        transcoder(ros2(IDL, encoding="ros2idl"), 1)
-
-
-def test_definitions_as_people_write_them() -> None:
-    """rosbags' own parser refuses each of these lines."""
-    text = (
-        "int32 lower_case=3\r\nstring VERSION=1.2.3\r\nfloat32 Kp=1e3\r\nuint8 TRAILING_=1\r\n"
-        "\tuint8\t x \t# tab\r\nuint8 lower_case\r\nuint8 class\r\nuint8 from_\r\n"
-    )
-    connection = ros1(text)
-    check_both_ways(connection, "pkg/msg/Type", parsed(connection), 1)
-    assert [field.name for field in parsed(connection)["pkg/msg/Type"].fields] == [
-        "x",
-        "lower_case",
-        "class",
-        "from_",
-    ]
 
 
 def test_empty_message() -> None:
@@ -559,74 +322,6 @@ def test_same_generation_is_the_callers_mistake() -> None:
         transcoder(ros1("uint8 a\n"), 1)
 
 
-@pytest.mark.parametrize(
-    ("connection", "message"),
-    [
-        (Connection(1, "/t", "pkg/msg/Unknown", "cdr"), "type pkg/msg/Unknown is defined neither"),
-        (Connection(1, "/t", "pkg/Unknown", "ros1"), "type pkg/msg/Unknown is defined neither"),
-        (ros1("Missing m\n"), r"type pkg/msg/Missing \(needed by pkg/msg/Type\) is defined neither"),
-        (
-            Connection(1, "/t", "foxglove.Log", "protobuf"),
-            "serialised as 'protobuf', expected 'ros1' or 'cdr'",
-        ),
-        (ros2("syntax", encoding="protobuf"), "is defined in 'protobuf', expected ros1msg"),
-        (ros2("wstring text\n"), "text is a wstring, which ROS 1 cannot carry"),
-        (ros1("uint8[0] none\n"), "none is an array of 0 elements"),
-        (ros1("uint8[99999999999] many\n"), "size of 11 digits"),
-        (ros1("uint8[-1] many\n"), "line 1 of its definition is not a field"),
-        (ros1("uint8 x 5\n"), "line 1 of its definition is not a field"),
-        (ros1("pkg/Type self\n"), "pkg/msg/Type contains itself"),
-        (
-            ros1(f"A a\n{SEPARATOR}\nMSG: pkg/A\nB b\n{SEPARATOR}\nMSG: pkg/B\nA[] a\n"),
-            "pkg/msg/A contains itself",
-        ),
-        (ros1("".join(f"uint8 f{i}\n" for i in range(2_001))), "more than 2000 fields"),
-        (ros1("string[2001] many\n"), "more than 2000 fields"),
-        (ros1("#" * (1 << 20) + "\n"), "definition of 1048577 bytes, allowed are 1048576"),
-        (ros1(f"uint8 a\n{SEPARATOR}\nuint8 b\n"), "section 1 does not begin with MSG"),
-        (
-            ros1("Header header\n" + f"{SEPARATOR}\nMSG: std_msgs/Header\nstring s\n"),
-            "defined as .string s., expected a stamp",
-        ),
-        (ros2("module p {", encoding="ros2idl"), "its IDL cannot be read"),
-        (ros2("module p { const long X = ((1)); };", encoding="ros2idl"), "nested parentheses"),
-        (ros2("module p { const long X = 1 << 2; };", encoding="ros2idl"), "a shift"),
-        (ros2("struct S { sequence<sequence<long>> a; };", encoding="ros2idl"), "a sequence of sequences"),
-        (ros2('const string X = "', encoding="ros2idl"), "a string without an end"),
-        (ros2('const string X = "\\\\";', encoding="ros2idl"), "an escaped backslash"),
-        (ros2("struct S { @optional long a; };", encoding="ros2idl"), "an optional member"),
-        (ros2("uint8 structure_needs_at_least_one_member\nuint8 b\n"), "is ROS 2's own"),
-        (ros1("pkg/Item X=1\n"), "the constant X has the type 'pkg/Item'"),
-        (ros1("a/b/c/d x\n"), "x has the unknown type 'a/b/c/d'"),
-        (
-            ros2(
-                'module pkg { module msg { module Type_Constants { const string X = "a\nb"; };'
-                " struct Type { long a; }; }; };",
-                encoding="ros2idl",
-            ),
-            "the constant X runs over several lines",
-        ),
-    ],
-    ids=lambda value: value if isinstance(value, str) else "",
-)
-def test_impossible_types_fail_their_topic(connection: Connection, message: str) -> None:
-    with pytest.raises(DecodeError, match=message) as caught:
-        transcoder(connection, 3 - (connection.generation or 1))
-    assert caught.value.topic == connection.topic
-
-
-def test_doubling_and_deep_types_are_refused_at_once() -> None:
-    def chain(length: int, line: str) -> str:
-        sections = "".join(f"{SEPARATOR}\nMSG: pkg/T{i}\n{line.format(i + 1)}" for i in range(length))
-        return f"T0 a\n{sections}{SEPARATOR}\nMSG: pkg/T{length}\nuint8 x\n"
-
-    with pytest.raises(DecodeError, match="more than 100000 fields when written out"):
-        transcoder(ros1(chain(40, "T{0} a\nT{0} b\n")), 2)
-    with pytest.raises(DecodeError, match="nested more than 64 levels deep"):
-        transcoder(ros1(chain(64, "T{0} a\n")), 2)
-    transcoder(ros1(chain(62, "T{0} a\n")), 2)
-
-
 TWO = f"Item[] items\n{SEPARATOR}\nMSG: pkg/Item\nfloat64 a\nfloat64 b\n"
 
 
@@ -712,13 +407,6 @@ def test_hostile_names_are_refused_before_any_code_is_made(connection: Connectio
         transcoder(connection, 3 - (connection.generation or 1))
     assert not [source for source in executed if "__import__('os')" in source or "import rosbags" in source]
     assert not [source for source in executed if "f0" in source]
-
-
-@pytest.mark.parametrize("text", ['\\"' * 500_000, '"\\' * 500_000, "/* " * 300_000, '@a("\\"' * 100_000])
-def test_texts_without_an_end_take_no_time(text: str) -> None:
-    """Looking for the end of each would take the square of their number: hours."""
-    with pytest.raises(DecodeError, match=r"without an end|cannot be read|parentheses"):
-        transcoder(ros2(text, encoding="ros2idl"), 1)
 
 
 def test_no_name_or_constant_of_a_recording_reaches_the_interpreter(executed: list[str]) -> None:
