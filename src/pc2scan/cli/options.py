@@ -275,15 +275,17 @@ class Frames(Group):
     def options(self) -> "FrameOptions":
         """What the library takes."""
         from pc2scan.tf.options import FrameOptions, StaticTransform
-        from pc2scan.tf.static_file import load_static_transforms
 
+        static: list[StaticTransform] = []
+        if self.static_tf_file:
+            from pc2scan.tf.static_file import load_static_transforms
+
+            static += load_static_transforms(self.static_tf_file)
+        static += (StaticTransform.parse(text) for text in self.static_tf)
         return FrameOptions(
             tf_topics=tuple(self.transforms.tf_topic),
             tf_from=tuple(self.transforms.tf_from),
-            static=(
-                *(load_static_transforms(self.static_tf_file) if self.static_tf_file else ()),
-                *(StaticTransform.parse(text) for text in self.static_tf),
-            ),
+            static=tuple(static),
             source_frame=self.source_frame,
             write_static=self.write_static_tf,
         )
