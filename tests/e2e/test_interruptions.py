@@ -349,7 +349,7 @@ def test_a_source_that_is_cut_under_its_reader(
     compression: str | None, jobs: int, large: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """While its bytes are decompressed or projected."""
-    from pc2scan.bags.mcap import chunks as mcap_chunks
+    from pc2scan.files import compression as codecs
     from pc2scan.pipeline.cloud_to_scan import CloudToScan
 
     source = tmp_path / ("drive.mcap" if compression else "drive.bag")
@@ -369,7 +369,7 @@ def test_a_source_that_is_cut_under_its_reader(
         return cutting
 
     if compression:
-        monkeypatch.setitem(mcap_chunks._DECOMPRESS, compression, cut(mcap_chunks._DECOMPRESS[compression]))
+        monkeypatch.setitem(codecs._DECOMPRESS, compression, cut(codecs._DECOMPRESS[compression]))
     else:
         monkeypatch.setattr(CloudToScan, "_projected", cut(CloudToScan._projected))
     with pytest.raises(RecordingError, match=r"drive.*ended at byte \d+ while it was read; it had"):

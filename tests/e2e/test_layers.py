@@ -53,7 +53,7 @@ THIRD_PARTY = {
     "core": {"numpy"},
     "tf": {"numpy", "ruamel"},
     "messages": {"numpy", "rosbags"},
-    "bags": {"numpy", "rosbags", "mcap", "lz4", "zstandard", "ruamel"},
+    "bags": {"numpy", "rosbags", "mcap", "lz4", "ruamel"},
     "pipeline": {"numpy", "ruamel"},
     "inspect": {"numpy"},
     "compare": {"numpy"},

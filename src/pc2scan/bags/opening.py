@@ -8,6 +8,7 @@ import stat
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import RecordingError
+from pc2scan.files.compression import LZ4_MAGIC, ZSTD_MAGIC
 from pc2scan.files.source import opened_bytes
 from pc2scan.files.staging import working_names
 
@@ -28,7 +29,7 @@ _LOOKALIKES = {
     b"\x1f\x8b": "gzip-compressed",
     b"BZh": "bzip2-compressed",
     b"\xfd7zXZ": "xz-compressed",
-    b"\x04\x22\x4d\x18": "lz4-compressed",
+    LZ4_MAGIC: "lz4-compressed",
     b"PK\x03\x04": "a ZIP archive",
     b"7z\xbc\xaf": "a 7z archive",
     b"version https://": "a Git LFS pointer, not the file itself",
@@ -70,7 +71,7 @@ def sniff(path: Path) -> str:
         raise RecordingError("there is nothing of this name", path=path, hint=_interrupted(path)) from err
     except OSError as err:
         raise RecordingError(f"cannot be read: {err.strerror}", path=path) from err
-    if head.startswith(zstd.MAGIC):
+    if head.startswith(ZSTD_MAGIC):
         return f"{_recognised(zstd.unpacked_head(path), path, ' (after zstd decompression)')}+zstd"
     return _recognised(head, path)
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import DamageError, RecordingError
+from pc2scan.files import compression
+from pc2scan.files.compression import ZSTD_MAGIC, CompressionError
 from pc2scan.files.limits import MAX_FILE_RATIO, MAX_UNPACKED, allowed_bytes
 from pc2scan.files.source import opened_bytes
 from pc2scan.files.temporary import making_copy
@@ -20,7 +22,6 @@ if TYPE_CHECKING:
     from .damage import DamageLog
 
 __all__ = [
-    "MAGIC",
     "SUFFIXES",
     "compressions",
     "is_frame",
@@ -31,9 +32,6 @@ __all__ = [
     "unpacked_messages",
     "without_suffix",
 ]
-
-#: How every frame begins.
-MAGIC = b"\x28\xb5\x2f\xfd"
 
 #: Bytes that are decompressed at a time. Zeros shrink to a thirty-thousandth, and a piece's result is held in memory.
 _PIECE = 1 << 11
@@ -46,7 +44,7 @@ def is_zstd(path: Path) -> bool:
     """Whether a file is compressed as a whole, by its content."""
     try:
         with opened_bytes(path) as file:
-            return file.read(4) == MAGIC
+            return file.read(4) == ZSTD_MAGIC
     except OSError as err:
         raise RecordingError(f"cannot be read: {err.strerror}", path=path) from err
 
@@ -59,12 +57,10 @@ def unpacked_head(path: Path) -> bytes:
     RecordingError
         If they cannot be decompressed.
     """
-    import zstandard  # noqa: PLC0415  (only compressed recordings need it)
-
     try:
         with opened_bytes(path) as file:
-            return zstandard.ZstdDecompressor().stream_reader(file).read(64)
-    except (OSError, zstandard.ZstdError) as err:
+            return compression.zstd_head(file, 64)
+    except (OSError, CompressionError) as err:
         raise RecordingError(f"cannot be decompressed: {err}", path=path) from err
 
 
@@ -102,19 +98,17 @@ def unpacked_file(path: Path, folder: Path, log: DamageLog) -> Path:
 
 def _unpack(path: Path, target: Path, broken_at: int | None = None) -> tuple[int, str] | None:
     """Write what a file unpacks to; returns the first piece that cannot be unpacked, and why."""
-    import zstandard  # noqa: PLC0415  (only compressed recordings need it)
-
     offset = 0
     with opened_bytes(path) as packed, target.open("wb") as out:
         complete = True
-        decoder = zstandard.ZstdDecompressor().decompressobj()
+        decoder = compression.decoder("zstd")
         allowed = MAX_UNPACKED + MAX_FILE_RATIO * path.stat().st_size
         while piece := packed.read(_PIECE if broken_at is None or offset < broken_at else 64):
             begin, offset = offset, offset + len(piece)
             while piece:
                 try:
-                    allowed -= out.write(decoder.decompress(piece))
-                except zstandard.ZstdError as err:
+                    allowed -= out.write(decoder.feed(piece))
+                except CompressionError as err:
                     return begin, str(err)
                 if allowed < 0:
                     raise RecordingError(
@@ -123,7 +117,7 @@ def _unpack(path: Path, target: Path, broken_at: int | None = None) -> tuple[int
                 complete, piece = decoder.eof, decoder.unused_data
                 if complete:
                     # Another frame may follow: pzstd writes many.
-                    decoder = zstandard.ZstdDecompressor().decompressobj()
+                    decoder = compression.decoder("zstd")
     return None if complete else (offset, "it is cut off")
 
 
@@ -135,20 +129,18 @@ def unpacked_message(data: Buffer, path: Path, topic: str) -> bytes:
     DamageError
         If it is not a complete zstd frame.
     """
-    import zstandard  # noqa: PLC0415  (only compressed recordings need it)
-
     allowed = allowed_bytes(len(data))
     try:
-        declared = zstandard.frame_content_size(data)
+        declared = compression.zstd_content_size(data)
         if 0 < declared <= allowed:
-            return zstandard.ZstdDecompressor().decompress(data, max_output_size=declared)
+            return bytes(compression.decompress("zstd", data, declared).data)
         # Not `decompress`: it needs the frame's word on the size.
-        decoder = zstandard.ZstdDecompressor().decompressobj()
+        decoder = compression.decoder("zstd")
         parts, size, view = [], 0, memoryview(data)
         while not decoder.eof and view and size <= allowed and declared <= allowed:
-            parts.append(decoder.decompress(view[:_PIECE]))
+            parts.append(decoder.feed(view[:_PIECE]))
             size, view = size + len(parts[-1]), view[_PIECE:]
-    except zstandard.ZstdError as err:
+    except CompressionError as err:
         raise DamageError(f"a message cannot be decompressed: {err}", path=path, topic=topic, hint=RECOVER) from err
     if max(size, declared) > allowed:
         raise DamageError(
@@ -206,7 +198,7 @@ def unpacked_messages(messages: list[RawMessage], log: DamageLog, place: int, pa
 
 def is_frame(message: RawMessage) -> bool:
     """Whether a message is packed by itself."""
-    return message.connection.serialization == "cdr" and message.data[:4] == MAGIC
+    return message.connection.serialization == "cdr" and message.data[:4] == ZSTD_MAGIC
 
 
 def without_suffix(name: str) -> str:

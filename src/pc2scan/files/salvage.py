@@ -8,70 +8,24 @@ itself, and of it only what follows the break.
 from __future__ import annotations
 
 import struct
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING
 
+from .compression import LZ4_MAGIC, CompressionError, decoder
 from .limits import allowed_bytes
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from pc2scan.model import Buffer
 
-    from pc2scan.model import Buffer, RawMessage
+    from .compression import Decoder
 
-__all__ = ["SIZE_LIMIT", "Salvaged", "decompressed_prefix", "settled"]
+__all__ = ["SIZE_LIMIT", "decompressed_prefix"]
 
 #: A chunk whose declared size may be damaged too is decompressed to this many bytes, if it declares fewer.
 SIZE_LIMIT = 16 << 20
 
 _PIECE = 64
-_LZ4_MAGIC = b"\x04\x22\x4d\x18"
 _LZ4_WINDOW = 1 << 16
 _LZ4_BLOCK_SIZES = {4: 1 << 16, 5: 1 << 18, 6: 1 << 20, 7: 4 << 20}
-
-
-class Salvaged(NamedTuple):
-    """What is left of a chunk.
-
-    Attributes
-    ----------
-    messages
-        In the order of the chunk.
-    bytes_lost
-        Uncompressed bytes that no record accounts for.
-    strangers
-        Messages of channels (connections) that nothing describes.
-    """
-
-    messages: list[RawMessage]
-    bytes_lost: int
-    strangers: int
-
-
-def settled(messages: list[RawMessage], span: tuple[int, int]) -> list[RawMessage]:
-    """Give messages whose log times lie outside of their chunk's declared ones the nearest of these.
-
-    If there are several of them, and all messages are in order by their own times, it is the declared times that are
-    wrong: all keep theirs.
-
-    Parameters
-    ----------
-    messages
-        All of a chunk, in its order.
-    span
-        The first and the last log time that are declared.
-    """
-    low, high = span
-    times = [message.log_time_ns for message in messages]
-    outside = sum(not low <= time_ns <= high for time_ns in times)
-    if outside == 0 or (outside > 1 and times == sorted(times)):
-        return messages
-    return [message if low <= message.log_time_ns <= high else _moved(message, span) for message in messages]
-
-
-def _moved(message: RawMessage, span: tuple[int, int]) -> RawMessage:
-    """Give a message the nearest log time in a span; where it is the time of publishing too, that as well."""
-    nearest = max(span[0], min(message.log_time_ns, span[1]))
-    publish_time_ns = nearest if message.publish_time_ns == message.log_time_ns else message.publish_time_ns
-    return message._replace(log_time_ns=nearest, publish_time_ns=publish_time_ns)
 
 
 def decompressed_prefix(data: Buffer, compression: str, declared: int) -> bytes:
@@ -97,45 +51,24 @@ def decompressed_prefix(data: Buffer, compression: str, declared: int) -> bytes:
         return bytes(data)
     if compression == "lz4":
         return _lz4_frame(memoryview(data), limit)
-    if compression == "bz2":
-        import bz2  # noqa: PLC0415  # heavy
-
-        bunzip2 = bz2.BZ2Decompressor()
-        return _fed(bunzip2, bunzip2.decompress, memoryview(data), limit, (OSError, EOFError, MemoryError))
-    if compression == "zstd":
-        import zstandard  # noqa: PLC0415  (only recordings that need it pay for it)
-
-        unzstd = zstandard.ZstdDecompressor().decompressobj()
-        # A piece is at most some dozen blocks of 128 KB.
-        return _fed(
-            unzstd,
-            lambda piece, _: unzstd.decompress(piece),
-            memoryview(data),
-            limit,
-            (zstandard.ZstdError, MemoryError),
-        )
+    if compression in {"bz2", "zstd"}:
+        return _fed(decoder(compression), memoryview(data), limit)
     return b""
 
 
-def _fed(
-    decoder: Any,
-    decompress: Callable[[bytes, int], bytes],
-    data: memoryview,
-    limit: int,
-    failures: tuple[type[Exception], ...],
-) -> bytes:
-    """Decompress piece by piece; ``decompress`` takes a piece and how many bytes it may return."""
+def _fed(decoding: Decoder, data: memoryview, limit: int) -> bytes:
+    """Decompress piece by piece."""
     parts = []
     size = 0
     for start in range(0, len(data), _PIECE):
         try:
-            part = decompress(bytes(data[start : start + _PIECE]), limit - size)
-        except failures:
+            part = decoding.feed(bytes(data[start : start + _PIECE]), limit - size)
+        except (CompressionError, MemoryError):
             break
         if part:
             parts.append(part)
             size += len(part)
-        if decoder.eof or size >= limit:
+        if decoding.eof or size >= limit:
             break
     return b"".join(parts)[:limit]
 
@@ -144,7 +77,7 @@ def _lz4_frame(data: memoryview, limit: int) -> bytes:
     """Take an LZ4 frame apart. Source: lz4_Frame_format.md of the LZ4 project."""
     import lz4.block  # noqa: PLC0415  (only recordings that need it pay for it)
 
-    if len(data) < 7 or bytes(data[:4]) != _LZ4_MAGIC:
+    if len(data) < 7 or bytes(data[:4]) != LZ4_MAGIC:
         return b""
     flags, sizes = data[4], data[5]
     linked, block_checksums = not flags & 0x20, bool(flags & 0x10)

@@ -7,11 +7,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
 from pc2scan.bags.chunked.segments import Segment
+from pc2scan.bags.formats import listed
+from pc2scan.files.compression import CompressionError, decompress
 from pc2scan.files.crc32 import crc32
 from pc2scan.files.limits import allowed_bytes
 from pc2scan.model import own
 
-from .records import CHUNK, OP_CHUNK, RECORD, UINT64
+from .records import CHUNK, COMPRESSIONS, OP_CHUNK, RECORD, UINT64
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -160,51 +162,16 @@ def _decompressed(data: memoryview, chunk: ChunkSegment, file: RecordFile) -> Bu
         raise file.damage(
             f"{where} declares {size} bytes uncompressed, in a file of {file.size} at most {allowed} may be"
         )
-    if chunk.compression not in _DECOMPRESS:
-        raise file.damage(f"{where} has compression {chunk.compression!r}, known are none, lz4 and zstd")
+    if chunk.compression not in COMPRESSIONS:
+        raise file.damage(f"{where} has compression {chunk.compression!r}, known are {listed(COMPRESSIONS)}")
     try:
-        unpacked = _DECOMPRESS[chunk.compression](data, size)
+        unpacked, complete = decompress(chunk.compression, data, size)
+        if not complete:
+            raise CompressionError("there is more" if len(unpacked) > size else f"it ends after {len(unpacked)} bytes")
     except (MemoryError, OverflowError) as err:
         raise file.damage(f"{where} declares {size} bytes uncompressed, which do not fit into memory") from err
-    except (ValueError, RuntimeError) as err:
+    except CompressionError as err:
         raise file.damage(f"{where} cannot be decompressed to the declared {size} bytes: {err}") from err
     if len(unpacked) != size:
         raise file.damage(f"{where} decompresses to {len(unpacked)} bytes, declared are {size}")
     return unpacked
-
-
-def _stored(data: memoryview, _size: int) -> Buffer:
-    return data
-
-
-def _from_lz4(data: memoryview, size: int) -> Buffer:
-    import lz4.frame  # noqa: PLC0415  (only recordings that need it pay for it)
-
-    decompressor = lz4.frame.LZ4FrameDecompressor()
-    # One byte more than allowed, to tell "too long" from "just right".
-    unpacked: bytes = decompressor.decompress(data, max_length=size + 1)
-    if len(unpacked) > size:
-        raise ValueError("there is more")
-    if not decompressor.eof:
-        raise ValueError(f"it ends after {len(unpacked)} bytes")
-    return unpacked
-
-
-def _from_zstd(data: memoryview, size: int) -> Buffer:
-    import zstandard  # noqa: PLC0415  (only recordings that need it pay for it)
-
-    try:
-        # The size in the frame's own header would win over the limit given here.
-        declared = zstandard.frame_content_size(data)
-        if declared >= 0 and declared != size:
-            raise ValueError(f"the compressed data declare {declared} bytes")
-        return zstandard.ZstdDecompressor().decompress(data, max_output_size=size)
-    except zstandard.ZstdError as err:
-        raise ValueError(str(err)) from err
-
-
-_DECOMPRESS: dict[str, Callable[[memoryview, int], Buffer]] = {
-    "none": _stored,
-    "lz4": _from_lz4,
-    "zstd": _from_zstd,
-}

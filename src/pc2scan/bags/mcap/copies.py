@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from typing import TYPE_CHECKING
 
-from pc2scan.bags.zstd import MAGIC as FRAME
+from pc2scan.files.compression import ZSTD_MAGIC
 from pc2scan.files.crc32 import crc32
 from pc2scan.model import StoredChunk
 
@@ -116,7 +116,7 @@ def _index_of(records: memoryview, segment: ChunkSegment, declarations: Collecti
         if opcode != OP_MESSAGE:
             if bytes(records[position:following]) not in declarations:
                 return None
-        elif following - position < MESSAGE.size or records[position + MESSAGE.size : following][:4] == FRAME:
+        elif following - position < MESSAGE.size or records[position + MESSAGE.size : following][:4] == ZSTD_MAGIC:
             # Messages that are packed one by one are unpacked, not copied.
             return None
         else:

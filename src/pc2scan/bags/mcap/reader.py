@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from mcap import records
 from mcap.opcode import Opcode
 
+from pc2scan.bags.chunked.salvaged import note_salvaged
 from pc2scan.bags.chunked.segments import standing_alone, units_of
 from pc2scan.bags.chunked.spans import SpanCheck
 from pc2scan.bags.damage import DamageLog
@@ -322,16 +323,8 @@ class McapReader(Reader):
 
         known = {connection.id: connection for connection in self._connections}
         left = salvaged_messages(data, known, _declared_span(segment))
-        missing = max(segment.uncompressed_size - len(data), 0) + left.bytes_lost
-        last = left.messages[-1].log_time_ns if left.messages and len(data) < segment.uncompressed_size else None
-        self._log.note(
-            problem,
-            offset=segment.record_offset if isinstance(segment, ChunkSegment) else segment.offset,
-            bytes_lost=missing,
-            messages_lost=left.strangers if left.strangers and not missing else None if missing else 0,
-            first_ns=segment.start_ns if last is None else last,
-            last_ns=segment.end_ns,
-        )
+        offset = segment.record_offset if isinstance(segment, ChunkSegment) else segment.offset
+        note_salvaged(self._log, problem, segment, offset, len(data), left)
         return left.messages
 
     @property

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "CHUNK",
+    "COMPRESSIONS",
     "FIRST_PRIVATE",
     "MAGIC",
     "MESSAGE",
@@ -43,6 +44,7 @@ __all__ = [
 
 #: The first and the last eight bytes of every file.
 MAGIC = FORMATS["mcap"].magic
+COMPRESSIONS = FORMATS["mcap"].compressions
 
 # Opcode and length of the content: how every record begins.
 RECORD = struct.Struct("<BQ")

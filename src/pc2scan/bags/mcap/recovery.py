@@ -16,14 +16,15 @@ from typing import TYPE_CHECKING, NamedTuple
 from mcap import records
 from mcap.opcode import Opcode
 
+from pc2scan.bags.chunked.salvaged import Salvaged, settled
 from pc2scan.bags.chunked.segments import times_around
 from pc2scan.errors import DamageError
-from pc2scan.files.salvage import Salvaged, decompressed_prefix, settled
+from pc2scan.files.salvage import decompressed_prefix
 from pc2scan.model import RawMessage
 
 from .chunks import CHUNK_HEAD_SIZE, ChunkSegment, chunk_at
 from .contents import Contents, Walk, read_header, read_summary
-from .records import FIRST_PRIVATE, MAGIC, MESSAGE, OP_CHUNK, OP_MESSAGE, OP_MESSAGE_INDEX, RECORD, parse
+from .records import COMPRESSIONS, FIRST_PRIVATE, MAGIC, MESSAGE, OP_CHUNK, OP_MESSAGE, OP_MESSAGE_INDEX, RECORD, parse
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Mapping
@@ -52,8 +53,6 @@ _ANYWHERE = _OUTSIDE_CHUNKS | {OP_MESSAGE, int(Opcode.SCHEMA), int(Opcode.CHANNE
 
 #: Records that chunks are made of.
 _INSIDE_CHUNKS = frozenset({OP_MESSAGE, int(Opcode.SCHEMA), int(Opcode.CHANNEL)})
-
-_COMPRESSIONS = ("none", "lz4", "zstd")
 
 
 class _Gap(NamedTuple):
@@ -190,7 +189,7 @@ def _chunk_in_front(file: RecordFile, offset: int, end: int) -> ChunkSegment | N
         chunk = chunk_at(data, 0, offset, file, exact=False)
     except DamageError:
         return None
-    return chunk if chunk.compression in _COMPRESSIONS and chunk.start_ns <= chunk.end_ns else None
+    return chunk if chunk.compression in COMPRESSIONS and chunk.start_ns <= chunk.end_ns else None
 
 
 def _end_of_chunk(file: RecordFile, chunk: ChunkSegment, end: int, known: Collection[int]) -> int:
@@ -297,7 +296,7 @@ def payload_prefix(file: RecordFile, segment: Segment, problem: DamageError) -> 
                     f"the chunk at byte {segment.record_offset} is cut off: it has {there} of {found.length} bytes"
                 )
             # A header that agrees with itself is right; another one is worth less than what was found otherwise.
-            if head[0] == OP_CHUNK and found.compression in _COMPRESSIONS and found.offset + found.length <= file.size:
+            if head[0] == OP_CHUNK and found.compression in COMPRESSIONS and found.offset + found.length <= file.size:
                 chunk = found
     data = file.read(chunk.offset, min(chunk.length, file.size - chunk.offset))
     return memoryview(decompressed_prefix(data, chunk.compression, chunk.uncompressed_size)), problem

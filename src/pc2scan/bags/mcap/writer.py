@@ -13,15 +13,27 @@ from mcap import records
 from mcap.opcode import Opcode
 
 from pc2scan.errors import DestinationError, OutputError, UnwritableError
+from pc2scan.files.compression import compress
 from pc2scan.files.crc32 import crc32
 from pc2scan.files.source import FreeIds, NewFile
 from pc2scan.files.write_ahead import WriteAhead
 from pc2scan.model import StoredChunk, normalized_type, ros1_type
 
-from .records import CHUNK, MAGIC, MESSAGE, OP_CHUNK, OP_MESSAGE, OP_MESSAGE_INDEX, RECORD, UINT64, encoded
+from .records import (
+    CHUNK,
+    COMPRESSIONS,
+    MAGIC,
+    MESSAGE,
+    OP_CHUNK,
+    OP_MESSAGE,
+    OP_MESSAGE_INDEX,
+    RECORD,
+    UINT64,
+    encoded,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable
+    from collections.abc import Collection, Iterable
     from pathlib import Path
 
     from pc2scan.bags.formats import WriteOptions
@@ -83,15 +95,15 @@ class McapWriter:
         chunk_size: int = 1 << 20,
         metadata: Iterable[Metadata] = (),
     ) -> None:
-        if compression not in _COMPRESS:
+        if compression not in COMPRESSIONS:
             raise DestinationError(
-                f"MCAP has no compression {compression!r}, allowed are {', '.join(_COMPRESS)}",
+                f"MCAP has no compression {compression!r}, allowed are {', '.join(COMPRESSIONS)}",
                 path=path,
                 hint="choose zstd, or lz4 for speed",
             )
         self._path = path
         self._compression = "" if compression == "none" else compression
-        self._compress = _COMPRESS[compression]
+        self._compress = partial(compress, compression)
         self._chunk_size = chunk_size
         # The ids of equal definitions, by the id asked for (0: any).
         self._schemas: dict[tuple[str, str, bytes], dict[int, int]] = {}
@@ -393,27 +405,3 @@ def _channel_metadata(connection: Connection) -> dict[str, str]:
         if connection.digest.startswith("RIHS01_"):
             known["topic_type_hash"] = connection.digest
     return {**connection.metadata, **{k: v for k, v in known.items() if k not in connection.metadata}}
-
-
-def _as_stored(data: memoryview) -> Buffer:
-    return data
-
-
-def _to_lz4(data: memoryview) -> Buffer:
-    import lz4.frame  # noqa: PLC0415  (only recordings that need it pay for it)
-
-    packed: bytes = lz4.frame.compress(data)
-    return packed
-
-
-def _to_zstd(data: memoryview) -> Buffer:
-    import zstandard  # noqa: PLC0415  (only recordings that need it pay for it)
-
-    return zstandard.ZstdCompressor().compress(data)
-
-
-_COMPRESS: dict[str, Callable[[memoryview], Buffer]] = {
-    "none": _as_stored,
-    "lz4": _to_lz4,
-    "zstd": _to_zstd,
-}

@@ -13,6 +13,7 @@ from operator import itemgetter
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 from pc2scan.errors import stamp_text
+from pc2scan.files.compression import CompressionError, decompress
 from pc2scan.files.limits import allowed_bytes
 from pc2scan.model import RawMessage
 
@@ -64,25 +65,13 @@ def decompressed(file: BagFile, segment: Segment, data: Buffer) -> Buffer:
     compression, size = segment.compression, segment.uncompressed_size
     if size > (allowed := allowed_bytes(file.size)):
         raise Damaged(f"it declares {size} bytes, in a bag of {file.size} at most {allowed} may be")
-    if compression == "none":
-        return _checked(data, size)
     try:
-        if compression == "bz2":
-            import bz2  # noqa: PLC0415  # heavy
-
-            bunzip2 = bz2.BZ2Decompressor()
-            data, complete = bunzip2.decompress(data, size + 1), bunzip2.eof
-        else:
-            import lz4.frame  # noqa: PLC0415  # heavy
-
-            # LZ4 allocates its limit at once, and cannot expand more than 255 times.
-            unlz4 = lz4.frame.LZ4FrameDecompressor()
-            data, complete = unlz4.decompress(data, min(size, 255 * len(data)) + 1), unlz4.eof
-    except (OSError, RuntimeError, EOFError, MemoryError) as err:
+        unpacked, complete = decompress(compression, data, size)
+    except (CompressionError, MemoryError) as err:
         raise Damaged(f"its {compression} data cannot be decompressed: {err}") from err
-    if not complete and len(data) <= size:
+    if not complete and len(unpacked) <= size:
         raise Damaged(f"its {compression} data ends early, {size} bytes are declared")
-    return _checked(data, size)
+    return _checked(unpacked, size)
 
 
 def _checked(data: Buffer, size: int) -> Buffer:

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from pc2scan.files.compression import LZ4_MAGIC
+
 from .records import UINT32
 
 if TYPE_CHECKING:
@@ -14,7 +16,6 @@ if TYPE_CHECKING:
 
 __all__ = ["packed", "ros1_reads"]
 
-_MAGIC = b"\x04\x22\x4d\x18"
 #: Version 1, independent blocks, content checksum; no block checksums, content size or dictionary.
 _FLAGS = 0b0110_0100
 #: Blocks of at most 64 KiB, 256 KiB, 1 MiB, 4 MiB.
@@ -39,7 +40,7 @@ def packed(data: Buffer) -> bytes:
 
 def ros1_reads(data: Buffer) -> bool:
     """Whether these bytes, which some reader can decompress, are one such frame and nothing else."""
-    if len(data) < _HEADER_SIZE or data[:4] != _MAGIC or data[4] != _FLAGS or data[5] not in _BLOCK_SIZES:
+    if len(data) < _HEADER_SIZE or data[:4] != LZ4_MAGIC or data[4] != _FLAGS or data[5] not in _BLOCK_SIZES:
         return False
     limit = _BLOCK_SIZES[data[5]]
     position = _HEADER_SIZE

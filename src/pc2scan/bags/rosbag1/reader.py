@@ -6,6 +6,7 @@ from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING
 
+from pc2scan.bags.chunked.salvaged import note_salvaged
 from pc2scan.bags.chunked.segments import standing_alone, units_of
 from pc2scan.bags.chunked.spans import SpanCheck
 from pc2scan.bags.damage import DamageLog
@@ -200,17 +201,7 @@ class Rosbag1Reader(Reader):
 
         chunk = payload_prefix(self._file, segment)
         left = salvaged_messages(chunk, self._contents.connections, (segment.start_ns, segment.end_ns))
-        missing = max(segment.uncompressed_size - len(chunk), 0)
-        last = left.messages[-1].log_time_ns if left.messages and missing else None
-        missing += left.bytes_lost
-        self._log.note(
-            error,
-            offset=segment.offset,
-            bytes_lost=missing,
-            messages_lost=None if missing else left.strangers,
-            first_ns=segment.start_ns if last is None else last,
-            last_ns=segment.end_ns,
-        )
+        note_salvaged(self._log, error, segment, segment.offset, len(chunk), left)
         return left.messages
 
     def counts(

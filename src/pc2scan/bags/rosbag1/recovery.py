@@ -12,8 +12,9 @@ import struct
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, NamedTuple
 
+from pc2scan.bags.chunked.salvaged import Salvaged, settled
 from pc2scan.bags.chunked.segments import Segment, times_around
-from pc2scan.files.salvage import Salvaged, decompressed_prefix, settled
+from pc2scan.files.salvage import decompressed_prefix
 from pc2scan.model import RawMessage
 
 from .chunks import payload

@@ -8,6 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import DestinationError, OutputError, UnwritableError
+from pc2scan.files.compression import compress
 from pc2scan.files.source import FreeIds, NewFile
 from pc2scan.files.write_ahead import WriteAhead
 from pc2scan.model import StoredChunk, ros1_type
@@ -274,13 +275,7 @@ class _OpenChunk:
 
 def _compressed(data: Buffer, compression: str) -> Buffer:
     """Compress a chunk so that ROS 1's own reader takes it."""
-    if compression == "none":
-        return data
-    if compression == "bz2":
-        import bz2  # noqa: PLC0415  # heavy
-
-        return bz2.compress(data)
-    return rosbag1_lz4.packed(data)
+    return rosbag1_lz4.packed(data) if compression == "lz4" else compress(compression, data)
 
 
 def _pack_fields(fields: Mapping[str, bytes]) -> bytes:

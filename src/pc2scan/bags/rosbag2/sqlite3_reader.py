@@ -34,6 +34,7 @@ from pc2scan.bags.qos import latches
 from pc2scan.bags.reader import Reader
 from pc2scan.bags.units import Unit
 from pc2scan.errors import DamageError, RecordingError
+from pc2scan.files.compression import ZSTD_MAGIC
 from pc2scan.files.limits import MAX_CONNECTIONS
 from pc2scan.files.temporary import making_copy, private_folder, sqlite_is_full
 from pc2scan.model import Connection, Definition, RawMessage, Summary, declared_counts
@@ -561,7 +562,7 @@ class Sqlite3Reader(Reader):
         rows = self._query("SELECT topic_id, substr(data, 1, 4) FROM messages LIMIT ?", (_LOOKED_AT,))
         for topic_id, head in rows:
             if topic_id in cdr:
-                return cdr if head == zstd.MAGIC else frozenset()
+                return cdr if head == ZSTD_MAGIC else frozenset()
         return frozenset()
 
     def _rows(

@@ -13,9 +13,8 @@ from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-import zstandard
-
 from pc2scan.errors import OutputError, UnwritableError
+from pc2scan.files.compression import compress
 from pc2scan.files.staging import sync_file
 from pc2scan.files.write_ahead import WriteAhead
 
@@ -219,4 +218,4 @@ class Sqlite3Writer:
 
 def _packed(data: bytes) -> bytes:
     # One for each: a compressor serves one thread at a time.
-    return zstandard.ZstdCompressor(level=_ZSTD_LEVEL).compress(data)
+    return bytes(compress("zstd", data, _ZSTD_LEVEL))

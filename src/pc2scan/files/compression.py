@@ -1,0 +1,243 @@
+"""Compressing and decompressing, by the compression's name.
+
+What is decompressed is untrusted: every function that decompresses is given how much may come out of it.
+"""
+
+from __future__ import annotations
+
+from typing import IO, TYPE_CHECKING, Any, NamedTuple
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from pc2scan.model import Buffer
+
+__all__ = [
+    "LZ4_MAGIC",
+    "ZSTD_MAGIC",
+    "CompressionError",
+    "Decoder",
+    "Decompressed",
+    "compress",
+    "decoder",
+    "decompress",
+    "zstd_content_size",
+    "zstd_head",
+]
+
+#: How every LZ4 frame begins.
+LZ4_MAGIC = b"\x04\x22\x4d\x18"
+
+#: How every zstd frame begins.
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+
+
+#: zstandard's own.
+_ZSTD_LEVEL = 3
+
+
+class CompressionError(ValueError):
+    """Data cannot be decompressed; the message is the library's."""
+
+
+class Decompressed(NamedTuple):
+    """What came out.
+
+    Attributes
+    ----------
+    data
+        At most one byte more than was expected, which shows that there is more.
+    complete
+        Whether this is all, and the compressed data end where they should.
+    """
+
+    data: Buffer
+    complete: bool
+
+
+def decompress(compression: str, data: Buffer, size: int) -> Decompressed:
+    """Decompress to a known size.
+
+    Parameters
+    ----------
+    compression
+        ``none``, ``bz2``, ``lz4`` or ``zstd``.
+    data
+        All of the compressed data.
+    size
+        Bytes that should come out. No more memory is taken than for these.
+
+    Raises
+    ------
+    CompressionError
+        If the data are no such data.
+    MemoryError
+        If so much does not fit into memory.
+    """
+    return _DECOMPRESS[compression](data, size)
+
+
+def compress(compression: str, data: Buffer, level: int | None = None) -> Buffer:
+    """Compress: ``none``, ``bz2``, ``lz4`` or ``zstd``, which alone takes a level; default: the libraries' settings."""
+    return _COMPRESS[compression](data, level)
+
+
+class Decoder:
+    """Decompresses piece by piece; made by `decoder`.
+
+    A piece that cannot be decompressed leaves nothing behind, so small pieces lose less.
+    """
+
+    def __init__(self, codec: Any, feed: Callable[[Buffer, int], bytes], failure: type[Exception]) -> None:
+        self._codec = codec
+        self._feed = feed
+        self._failures = (failure, EOFError)
+
+    @property
+    def eof(self) -> bool:
+        """Whether the end of the compressed data was reached."""
+        return bool(self._codec.eof)
+
+    @property
+    def unused_data(self) -> bytes:
+        """What was given behind that end."""
+        return bytes(self._codec.unused_data)
+
+    def feed(self, piece: Buffer, limit: int = -1) -> bytes:
+        """Decompress a piece.
+
+        ``limit`` bounds what comes out (-1: no bound). zstd ignores it, but a piece of 64 bytes becomes at most
+        some dozen blocks of 128 KB, and one of 2 KiB at most 64 MB.
+
+        Raises
+        ------
+        CompressionError
+            If it cannot be decompressed.
+        """
+        try:
+            return self._feed(piece, limit)
+        except self._failures as err:
+            raise CompressionError(str(err)) from err
+
+
+def decoder(compression: str) -> Decoder:
+    """Return a decoder for ``bz2`` or ``zstd``."""
+    if compression == "bz2":
+        import bz2  # noqa: PLC0415  # heavy
+
+        bunzip2 = bz2.BZ2Decompressor()
+        return Decoder(bunzip2, bunzip2.decompress, OSError)
+    import zstandard  # noqa: PLC0415  (only recordings that need it pay for it)
+
+    unzstd = zstandard.ZstdDecompressor().decompressobj()
+    return Decoder(unzstd, lambda piece, _: unzstd.decompress(piece), zstandard.ZstdError)
+
+
+def zstd_content_size(data: Buffer) -> int:
+    """Return how many bytes a zstd frame declares; -1 if it does not.
+
+    Raises
+    ------
+    CompressionError
+        If it is no zstd frame.
+    """
+    import zstandard  # noqa: PLC0415  (only recordings that need it pay for it)
+
+    try:
+        return zstandard.frame_content_size(data)
+    except zstandard.ZstdError as err:
+        raise CompressionError(str(err)) from err
+
+
+def zstd_head(file: IO[bytes], size: int) -> bytes:
+    """Decompress the first bytes of a zstd file; fewer, if there are fewer.
+
+    Raises
+    ------
+    CompressionError
+        If they cannot be decompressed.
+    """
+    import zstandard  # noqa: PLC0415  (only recordings that need it pay for it)
+
+    try:
+        return zstandard.ZstdDecompressor().stream_reader(file).read(size)
+    except zstandard.ZstdError as err:
+        raise CompressionError(str(err)) from err
+
+
+def _stored(data: Buffer, _size: int) -> Decompressed:
+    return Decompressed(data, True)
+
+
+def _from_bz2(data: Buffer, size: int) -> Decompressed:
+    import bz2  # noqa: PLC0415  # heavy
+
+    bunzip2 = bz2.BZ2Decompressor()
+    try:
+        unpacked = bunzip2.decompress(data, size + 1)
+    except (OSError, RuntimeError, EOFError) as err:
+        raise CompressionError(str(err)) from err
+    return Decompressed(unpacked, bunzip2.eof and len(unpacked) <= size)
+
+
+def _from_lz4(data: Buffer, size: int) -> Decompressed:
+    import lz4.frame  # noqa: PLC0415  (only recordings that need it pay for it)
+
+    unlz4 = lz4.frame.LZ4FrameDecompressor()
+    try:
+        # LZ4 allocates its limit at once, and cannot expand more than 255 times.
+        unpacked: bytes = unlz4.decompress(data, min(size, 255 * len(data)) + 1)
+    except (OSError, RuntimeError, EOFError) as err:
+        raise CompressionError(str(err)) from err
+    return Decompressed(unpacked, unlz4.eof and len(unpacked) <= size)
+
+
+def _from_zstd(data: Buffer, size: int) -> Decompressed:
+    # The size in the frame's own header would win over the limit given here.
+    declared = zstd_content_size(data)
+    if declared >= 0 and declared != size:
+        raise CompressionError(f"the compressed data declare {declared} bytes")
+    import zstandard  # noqa: PLC0415  (only recordings that need it pay for it)
+
+    try:
+        return Decompressed(zstandard.ZstdDecompressor().decompress(data, max_output_size=size), True)
+    except zstandard.ZstdError as err:
+        raise CompressionError(str(err)) from err
+
+
+def _as_it_is(data: Buffer, _level: int | None) -> Buffer:
+    return data
+
+
+def _to_bz2(data: Buffer, _level: int | None) -> Buffer:
+    import bz2  # noqa: PLC0415  # heavy
+
+    return bz2.compress(data)
+
+
+def _to_lz4(data: Buffer, _level: int | None) -> Buffer:
+    import lz4.frame  # noqa: PLC0415  (only recordings that need it pay for it)
+
+    packed: bytes = lz4.frame.compress(data)
+    return packed
+
+
+def _to_zstd(data: Buffer, level: int | None) -> Buffer:
+    import zstandard  # noqa: PLC0415  (only recordings that need it pay for it)
+
+    return zstandard.ZstdCompressor(level=_ZSTD_LEVEL if level is None else level).compress(data)
+
+
+_DECOMPRESS: dict[str, Callable[[Buffer, int], Decompressed]] = {
+    "none": _stored,
+    "bz2": _from_bz2,
+    "lz4": _from_lz4,
+    "zstd": _from_zstd,
+}
+
+_COMPRESS: dict[str, Callable[[Buffer, int | None], Buffer]] = {
+    "none": _as_it_is,
+    "bz2": _to_bz2,
+    "lz4": _to_lz4,
+    "zstd": _to_zstd,
+}

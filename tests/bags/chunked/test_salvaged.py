@@ -1,0 +1,39 @@
+"""The note of a damaged chunk."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from pc2scan.bags.chunked.salvaged import Salvaged, note_salvaged
+from pc2scan.bags.chunked.segments import Segment
+from pc2scan.bags.damage import DamageLog
+from pc2scan.errors import DamageError
+from pc2scan.model import Connection, RawMessage
+
+SEGMENT = Segment(40, 100, "lz4", uncompressed_size=1_000, crc=0, start_ns=5, end_ns=9)
+MESSAGE = RawMessage(Connection(1, "/a", "std_msgs/msg/String", "cdr"), 7, b"", 7)
+
+
+@pytest.mark.parametrize(
+    ("size", "left", "expected"),
+    [
+        # All of it came out: only messages of unknown channels are lost.
+        (1_000, Salvaged([MESSAGE], 0, 0), (0, 0, 5, 9)),
+        (1_000, Salvaged([MESSAGE], 0, 3), (0, 3, 5, 9)),
+        # Bytes between records are lost: how many messages were in them, nobody knows.
+        (1_000, Salvaged([MESSAGE], 20, 3), (20, None, 5, 9)),
+        # What is cut off follows the last message.
+        (400, Salvaged([MESSAGE], 20, 0), (620, None, 7, 9)),
+        (400, Salvaged([], 20, 0), (620, None, 5, 9)),
+        # More came out than is declared.
+        (1_200, Salvaged([MESSAGE], 0, 0), (0, 0, 5, 9)),
+    ],
+)
+def test_what_is_lost_and_when(size: int, left: Salvaged, expected: tuple[int, int | None, int, int]) -> None:
+    log = DamageLog(strict=False)
+    note_salvaged(log, DamageError("is broken", path=Path("x")), SEGMENT, 40, size, left)
+    (damage,) = log.found
+    assert (damage.bytes_lost, damage.messages_lost, damage.first_ns, damage.last_ns) == expected
+    assert damage.offset == 40
