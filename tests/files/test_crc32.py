@@ -1,12 +1,16 @@
 from __future__ import annotations
 
+import subprocess
+import sys
 import zlib
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pc2scan.files import crc32 as module
 from pc2scan.files.crc32 import crc32
 
 NOISE = np.random.default_rng(1).bytes(1 << 20)
@@ -34,3 +38,24 @@ def test_threads_do_not_disturb_each_other() -> None:
     expected = zlib.crc32(NOISE)
     with ThreadPoolExecutor(4) as pool:
         assert set(pool.map(crc32, [NOISE] * 200)) == {expected}
+
+
+def test_where_there_is_no_library_zlib_does_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "isal", None)
+    monkeypatch.setattr(module, "_fastest", module._fastest.__wrapped__)
+    assert module._fastest() is zlib.crc32
+    assert crc32(NOISE) == zlib.crc32(NOISE)
+
+
+def test_the_library_is_loaded_for_large_chunks_only() -> None:
+    script = """
+import sys
+from pc2scan.files import crc32 as module
+from pc2scan.files.crc32 import crc32
+crc32(bytes(1000))
+assert "isal" not in sys.modules
+assert crc32(bytes(1 << 20)) == __import__("zlib").crc32(bytes(1 << 20))
+assert "isal" in sys.modules
+"""
+    pytest.importorskip("isal", reason="there is none for this processor")
+    subprocess.run([sys.executable, "-c", script], check=True, timeout=60)
