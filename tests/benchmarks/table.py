@@ -112,7 +112,7 @@ def projection(repeat: int) -> None:
             lambda: seconds(lambda: straightforward(x, y, z, params)),
         )
         ours, plain = (median(column) / x.size * 1e9 for column in zip(*found, strict=True))
-        return f"{ours:.1f}", f"{plain:.1f}", f"{median(row[1] / row[0] for row in found):.1f}"
+        return f"{ours:.1f}", f"{plain:.1f}", f"{plain / ours:.1f}"
 
     columns = ("pc2scan", "straightforward NumPy", "times as fast")
     loops = "compiled" if COMPILED else "not compiled"
@@ -325,6 +325,12 @@ def to_disk(path: Path) -> None:
             os.fsync(written.fileno())
 
 
+def remove(path: Path) -> None:
+    """Remove a recording, if it is there."""
+    shutil.rmtree(path, ignore_errors=True)
+    path.unlink(missing_ok=True)
+
+
 def passed(name: str, source: Path, form: Form, place: Path, repeat: int, count: int) -> tuple[str, ...]:
     """A row of the table of pass-through."""
     ours, theirs = place / f"ours{form.suffix}", place / f"theirs{'.bag' if form.suffix == '.bag' else ''}"
@@ -332,13 +338,14 @@ def passed(name: str, source: Path, form: Form, place: Path, repeat: int, count:
     more = ["--storage", storage] if not form.suffix else []
 
     def pc2scan_passes(compression: str, *options: str) -> float:
+        # Removing what the last round wrote is in neither time.
+        remove(ours)
         return seconds(
             lambda: command(source, "-o", ours, "--topic", TRIFLE, "--compression", compression, *more, *options)
         )
 
     def rosbags_passes() -> float:
-        shutil.rmtree(theirs, ignore_errors=True)
-        theirs.unlink(missing_ok=True)
+        remove(theirs)
         theirs_converts = [sys.executable, "-m", "rosbags.convert"]
         line = [*theirs_converts, "--src", str(source), "--dst", str(theirs), "--dst-storage", storage]
 
@@ -355,11 +362,11 @@ def passed(name: str, source: Path, form: Form, place: Path, repeat: int, count:
         lambda: pc2scan_passes(form.compression),
         lambda: pc2scan_passes(form.compression, "--no-verify"),
     )
-    for path in (ours, theirs):
-        shutil.rmtree(path) if path.is_dir() else path.unlink()
+    remove(ours)
+    remove(theirs)
     mine, other, *kept = (median(column) for column in zip(*found, strict=True))
-    ratio = median(row[1] / row[0] for row in found)
-    return name, speed(count, mine), speed(count, other), f"{ratio:.1f}", *(speed(count, each) for each in kept)
+    # Of the medians, as the columns beside it: the median of each round's ratio may say the opposite.
+    return name, speed(count, mine), speed(count, other), f"{other / mine:.1f}", *(speed(count, each) for each in kept)
 
 
 # --- Start-up and memory ---
@@ -381,14 +388,12 @@ def start_up(place: Path, repeat: int) -> None:
         process("-m", "pc2scan", "--help"),
         process("-m", "pc2scan", "convert", hall, "-o", place / "hall.mcap", *HEIGHTS, "--overwrite", "--quiet"),
     )
+    times = [median(column) for column in zip(*found, strict=True)]
     names = ("`import numpy, typer`", "`pc2scan --help`", "`pc2scan convert fixtures/hall.bag`")
     table(
         "Start-up** of a process",
         ("", "ms", "of the first"),
-        (
-            (name, f"{median(row[i] for row in found) * 1e3:.0f}", f"{median(row[i] / row[0] for row in found):.2f}")
-            for i, name in enumerate(names)
-        ),
+        ((name, f"{each * 1e3:.0f}", f"{each / times[0]:.2f}") for name, each in zip(names, times, strict=True)),
     )
 
 
