@@ -152,6 +152,11 @@ class RawMessage(NamedTuple):
     publish_time_ns: int
     sequence: int = 0
 
+    @property
+    def size(self) -> int:
+        """Bytes of its data."""
+        return len(self.data)
+
 
 def own(data: Buffer) -> Buffer:
     """Return data that may be kept: a copy, if borrowed (see `pc2scan.files.source.SourceFile.borrow`)."""

@@ -54,11 +54,16 @@ _GAP_BYTES = 64 << 10
 
 
 class Timed(Protocol):
-    """Anything with a log time: a message, or what a callback makes of one."""
+    """Anything with a log time and a size: a message, or what a callback makes of one."""
 
     @property
     def log_time_ns(self) -> int:
         """When the message was recorded."""
+        ...
+
+    @property
+    def size(self) -> int:
+        """Bytes that it takes."""
         ...
 
 
@@ -234,10 +239,14 @@ def _append(stretches: list[Stretch], following: Stretch) -> None:
 class _Open:
     """A loaded unit on the heap, keyed by its next item's log time, then by its place."""
 
-    __slots__ = ("items", "key", "position", "unit", "whole")
+    __slots__ = ("items", "key", "position", "size", "unit", "whole")
 
-    def __init__(self, unit: Unit, found: list[Any] | StoredChunk) -> None:
+    def __init__(self, unit: Unit, found: list[Any] | StoredChunk, max_open_bytes: int) -> None:
         self.unit = unit
+        self.size = unit.size
+        if unit.size > max_open_bytes and not isinstance(found, StoredChunk):
+            # A damaged chunk may declare any size: what it really holds must not drive all others out.
+            self.size = min(unit.size, sum(item.size for item in found))
         self.position = 0
         #: None once they were dropped, and of a whole chunk.
         self.items: list[Any] | None = None
@@ -268,7 +277,7 @@ def _merged(
             _evict(heap, max_open_bytes - unit.size)
             found = coming.result()
             if found:
-                heapq.heappush(heap, _Open(unit, found))
+                heapq.heappush(heap, _Open(unit, found, max_open_bytes))
                 _evict(heap, max_open_bytes)
             del found, unit
             coming = next(handles, None)
@@ -314,9 +323,9 @@ def _evict(heap: list[_Open], max_open_bytes: int) -> None:
     if len(heap) <= 1:
         return
     held = sorted((entry for entry in heap if entry.items is not None), reverse=True)
-    total = sum(entry.unit.size for entry in held)
+    total = sum(entry.size for entry in held)
     for entry in held[:-1]:
         if total <= max_open_bytes:
             return
         entry.items = None
-        total -= entry.unit.size
+        total -= entry.size

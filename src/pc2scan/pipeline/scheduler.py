@@ -45,6 +45,11 @@ class Later(NamedTuple):
         """When the message was recorded."""
         return self.message.log_time_ns
 
+    @property
+    def size(self) -> int:
+        """Bytes of the message."""
+        return self.message.size
+
 
 def cores() -> int:
     """Processor cores that this process may use."""

@@ -45,6 +45,11 @@ class _Outcome(NamedTuple):
     passing: Buffer | None
     error: MessageError | None
 
+    @property
+    def size(self) -> int:
+        """Bytes of what is written."""
+        return len(self.passing or b"") + (len(self.converted.data) if self.converted else 0)
+
 
 class Span(NamedTuple):
     """The cut in log times: ``start_ns <= t < stop_ns`` (None: no limit), and the first time that matters."""
