@@ -14,8 +14,10 @@ from pc2scan.bags.opening import open_recordings
 from pc2scan.errors import DecodeError
 from pc2scan.messages.pointcloud2 import DATATYPES, POINTCLOUD2, decode_pointcloud2
 
+from .sampling import sampled
+
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -29,6 +31,9 @@ __all__ = ["CloudInfo", "FileInfo", "Info", "Spread", "TopicInfo", "info"]
 
 #: Bars of the histogram of heights.
 _BINS = 12
+
+#: ... and of all topics together.
+_MAX_POINTS_HELD = 4_000_000
 
 #: Coordinates of float64 beyond this count as infinite.
 _LARGEST = 1e300
@@ -178,19 +183,14 @@ def info(sources: Sequence[Path], *, samples: int = 10) -> Info:
         reader = as_one(readers)
         counts, start_ns, end_ns = _counts(reader)
         topics = _topics(reader.connections, counts, start_ns, end_ns)
-        clouds = []
-        for topic in topics:
-            if topic.msgtype == POINTCLOUD2 and topic.messages:
-                connections = [c for c in reader.connections if c.topic == topic.topic and c.ros_type == POINTCLOUD2]
-                sample = _sample(reader, connections, samples, start_ns, end_ns)
-                clouds.append(_cloud_info(topic.topic, sample, _MAX_POINTS // samples + 1))
+        clouds = _clouds(reader, topics, samples, start_ns, end_ns)
         return Info(
             tuple(_file_info(r.path, r.summary) for r in readers),
             start_ns,
             end_ns,
             sum(counts.values()),
             tuple(topics),
-            tuple(clouds),
+            clouds,
             tuple(reader.damage),
         )
 
@@ -243,49 +243,66 @@ def _topics(
     return topics
 
 
-def _sample(
-    reader: Reader, connections: list[Connection], samples: int, start_ns: int | None, end_ns: int | None
-) -> Iterator[RawMessage]:
-    """Messages spread over the recording; each one found through the index."""
-    if start_ns is None or end_ns is None:
-        return
-    seen = start_ns - 1
-    for step in range(samples):
-        begin = max(start_ns + (end_ns - start_ns) * step // samples, seen + 1)
-        message = next(reader.messages(connections, begin), None)
-        if message is None:
-            return
-        seen = message.log_time_ns
-        yield message
+def _clouds(
+    reader: Reader, topics: Sequence[TopicInfo], samples: int, start_ns: int | None, end_ns: int | None
+) -> tuple[CloudInfo, ...]:
+    """Describe the clouds of every topic that has any."""
+    connections: dict[str, list[Connection]] = {t.topic: [] for t in topics if t.msgtype == POINTCLOUD2 and t.messages}
+    if not connections or start_ns is None or end_ns is None:
+        return ()
+    for connection in reader.connections:
+        if connection.ros_type == POINTCLOUD2 and connection.topic in connections:
+            connections[connection.topic].append(connection)
+    # Points are held until all topics have been read.
+    most = min(_MAX_POINTS, _MAX_POINTS_HELD // len(connections)) // samples + 1
+    looks = {name: _Look(name, most) for name in connections}
+    for message in sampled(reader, connections, samples, start_ns, end_ns):
+        looks[message.connection.topic].add(message)
+    return tuple(look.described() for look in looks.values())
 
 
-def _cloud_info(topic: str, messages: Iterator[RawMessage], most: int) -> CloudInfo:
-    """Describe a topic's clouds, by at most so many points of each."""
-    result = CloudInfo(topic)
-    parts: list[NDArray[np.float64]] = []
-    frames: dict[str, None] = {}
-    problems: dict[str, None] = {}
-    sizes: list[int] = []
-    for message in messages:
-        result.sampled += 1
+class _Look:
+    """What the sampled clouds of a topic have shown, by at most so many points of each."""
+
+    def __init__(self, topic: str, most: int) -> None:
+        self._result = CloudInfo(topic)
+        self._most = most
+        self._parts: list[NDArray[np.floating[Any]]] = []
+        self._frames: dict[str, None] = {}
+        self._problems: dict[str, None] = {}
+        self._sizes: list[int] = []
+
+    def add(self, message: RawMessage) -> None:
+        """Look at a cloud."""
+        self._result.sampled += 1
         try:
             cloud = decode_pointcloud2(message.data, message.connection.serialization)
-            step = -(-cloud.points // most) or 1
+            step = -(-cloud.points // self._most) or 1
             with np.errstate(invalid="ignore"):  # a NaN may be one that signals
-                points = np.stack([_thinned(c, step).astype(np.float64) for c in cloud.xyz()])
+                points = np.stack([_as_floats(_thinned(c, step)) for c in cloud.xyz()])
         except DecodeError as err:
-            problems[err.message] = None
-            continue
-        if not sizes:
-            _describe(result, cloud)
-        frames[cloud.frame_id] = None
-        sizes.append(cloud.points)
-        parts.append(points)
-    result.frames, result.problems = tuple(frames), tuple(problems)
-    if sizes:
-        result.points_min, result.points_max = min(sizes), max(sizes)
-        _measure(result, np.concatenate(parts, axis=1))
-    return result
+            self._problems[err.message] = None
+            return
+        if not self._sizes:
+            _describe(self._result, cloud)
+        self._frames[cloud.frame_id] = None
+        self._sizes.append(cloud.points)
+        self._parts.append(points)
+
+    def described(self) -> CloudInfo:
+        """Return the description; the points are forgotten."""
+        result = self._result
+        result.frames, result.problems = tuple(self._frames), tuple(self._problems)
+        if self._sizes:
+            result.points_min, result.points_max = min(self._sizes), max(self._sizes)
+            parts, self._parts = self._parts, []
+            _measure(result, np.concatenate(parts, axis=1, dtype=np.float64))
+        return result
+
+
+def _as_floats(column: NDArray[Any]) -> NDArray[np.floating[Any]]:
+    """Coordinates of four bytes as they are, all others as numbers that hold them exactly."""
+    return column.astype(np.float32 if column.dtype.kind == "f" and column.dtype.itemsize == 4 else np.float64)
 
 
 def _thinned(column: NDArray[Any], step: int) -> NDArray[Any]:

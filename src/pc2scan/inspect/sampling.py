@@ -1,0 +1,142 @@
+"""A few messages of each of many topics, spread over a recording, found without reading it once for each topic."""
+
+from __future__ import annotations
+
+import heapq
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from pc2scan.bags.reader import Reader
+    from pc2scan.model import Connection, RawMessage
+
+__all__ = ["sampled"]
+
+#: So many times a sample, a stream is opened for those topics alone that lack it.
+_NARROWED = 4
+
+
+def sampled(
+    reader: Reader, topics: Mapping[str, Sequence[Connection]], samples: int, start_ns: int, end_ns: int
+) -> Iterator[RawMessage]:
+    """Take samples of every topic: the first message at or behind each of some times.
+
+    Parameters
+    ----------
+    reader
+        An open recording.
+    topics
+        The connections of each topic.
+    samples
+        How many times there are, evenly spread from ``start_ns`` on. No message is taken twice.
+    start_ns, end_ns
+        Log times of the first and the last message.
+
+    Yields
+    ------
+    RawMessage
+        By log time. Those of one topic are the same whichever others there are.
+
+    Notes
+    -----
+    The messages of all topics are read in one stream. When every topic has the sample of a time, the stream is opened
+    anew at the next one, and where some lack theirs, for these alone: what has none of them is not read. A stream that
+    is opened anew reads what is there again, so this happens a few times only, or after something new was read.
+    """
+    plan = _Plan(topics, [start_ns + (end_ns - start_ns) * step // samples for step in range(samples)])
+    budget = reader.summary.size_bytes
+    narrowed = 0
+    position = start_ns
+    while plan.unfinished:
+        plan.wake(position)
+        if not plan.awake:
+            position = plan.next_due()
+            plan.wake(position)
+        group, stop = plan.due_from(position) if narrowed < _NARROWED * samples else (set(plan.unfinished), None)
+        stream = reader.messages([c for name in group for c in topics[name]], position, stop)
+        read, before, opened = 0, reader.bytes_read, -1
+        for message in stream:
+            # Some readers count from the beginning of each stream.
+            before = min(before, reader.bytes_read)
+            read = reader.bytes_read - before
+            opened = read if opened < 0 else opened
+            position = message.log_time_ns
+            plan.wake(position)
+            if plan.take(message):
+                yield message
+            idle = not plan.awake and plan.waiting and plan.next_due() > position
+            if idle and (read != opened or read <= budget):
+                position = plan.next_due()
+                break
+            if read != opened and len(plan.awake) < len(group) and narrowed < _NARROWED * samples:
+                narrowed += 1
+                break
+        else:
+            if stop is None:
+                # Those that were asked for have no further messages.
+                plan.end(group)
+            else:
+                position = stop
+                narrowed += 1
+        budget -= read
+
+
+class _Plan:
+    """Which topic takes its next sample from when on.
+
+    Attributes
+    ----------
+    unfinished
+        The next time of each topic that has one.
+    awake
+        Topics that take the next message there is.
+    waiting
+        Those that do so from a later time on, by that time.
+    """
+
+    def __init__(self, names: Mapping[str, object], times: Sequence[int]) -> None:
+        self._times = times
+        self._step = dict.fromkeys(names, 0)
+        self.unfinished = dict.fromkeys(names, times[0])
+        self.awake = set(names)
+        self.waiting: list[tuple[int, str]] = []
+
+    def next_due(self) -> int:
+        """The first time at which a topic that waits is due."""
+        return self.waiting[0][0]
+
+    def wake(self, time_ns: int) -> None:
+        """Let topics that waited for this time take part."""
+        while self.waiting and self.waiting[0][0] <= time_ns:
+            self.awake.add(heapq.heappop(self.waiting)[1])
+
+    def due_from(self, time_ns: int) -> tuple[set[str], int | None]:
+        """The topics that take part from a time on, and when further ones do (None: never)."""
+        # Those that took a message of this very time are due a nanosecond later.
+        group = self.awake | {name for due, name in self.waiting if due <= time_ns + 1}
+        return group, min((due for due, _ in self.waiting if due > time_ns + 1), default=None)
+
+    def take(self, message: RawMessage) -> bool:
+        """Whether a message is its topic's next sample."""
+        name = message.connection.topic
+        if name not in self.awake or message.log_time_ns < self.unfinished[name]:
+            return False
+        self.awake.discard(name)
+        self._step[name] += 1
+        if self._step[name] == len(self._times):
+            del self.unfinished[name]
+            return True
+        # A message is taken once, though several times may lie in front of it.
+        due = max(self._times[self._step[name]], message.log_time_ns + 1)
+        self.unfinished[name] = due
+        heapq.heappush(self.waiting, (due, name))
+        return True
+
+    def end(self, names: set[str]) -> None:
+        """Give up topics that have no further messages."""
+        for name in names:
+            self.unfinished.pop(name, None)
+        self.awake -= names
+        self.waiting = [entry for entry in self.waiting if entry[1] not in names]
+        heapq.heapify(self.waiting)
