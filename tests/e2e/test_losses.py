@@ -566,3 +566,87 @@ def test_a_row_of_another_topic_is_found_by_metadata_yaml(tmp_path: Path) -> Non
     status, stderr, _ = report_of("repair", source, "-o", tmp_path / "out")
     assert status == 3
     assert "/chatter: 9 declared, 8 found; /imu: 9 declared, 10 found" in stderr
+
+
+# --- Recordings that follow each other in one file ---
+
+
+def twice(recording: Recording) -> tuple[Recording, Recording]:
+    """Two recordings whose ids mean different topics, one after the other in time."""
+    later = [replace(item, log_time_ns=item.log_time_ns + 100 * SECOND) for item in recording.items]
+    return recording, Recording(recording.streams[::-1], tuple(later))
+
+
+def joined(tmp_path: Path, kind: str, *, damage: Callable[[bytes], bytes] = bytes) -> tuple[Path, list[Row], int]:
+    """What ``cat a b`` makes of two recordings; the messages of both, and where the second one begins."""
+    parts, rows = [], []
+    for number, recording in enumerate(twice(drive(3))):
+        path = tmp_path / f"{number}.{'bag' if kind.startswith('bag') else 'mcap'}"
+        if kind.startswith("bag"):
+            write_rosbag1(path, recording, kind.partition("-")[2], chunk_size=5_000)
+        else:
+            write_mcap(path, recording, Mcap(compression="lz4"))
+            if kind.endswith("without a summary"):
+                without_summary(path, path)
+        rows += rows_of(path)
+        parts.append(path.read_bytes())
+    target = tmp_path / f"both{path.suffix}"
+    first = damage(parts[0])
+    target.write_bytes(first + parts[1])
+    return target, rows, len(first)
+
+
+KINDS = ("bag-none", "bag-lz4", "mcap", "mcap without a summary")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_both_recordings_of_one_file_are_read(kind: str, tmp_path: Path) -> None:
+    source, rows, place = joined(tmp_path, kind)
+    status, stderr, report = report_of("repair", source, "-o", tmp_path / f"fixed{source.suffix}")
+    assert status == 3
+    assert f"byte {place}: another recording begins at byte {place}" in stderr
+    assert [damage["messages_lost"] for damage in report["damage"]] == [0]
+    assert rows_of(tmp_path / f"fixed{source.suffix}") == rows
+    strict = run("convert", source, "-o", tmp_path / "strict.mcap", "--strict")
+    assert strict.status == 1
+    shown = run("info", source)
+    assert f"{len(rows)} messages" in shown.stdout
+
+
+@pytest.mark.parametrize("share", [0.5, 0.9, 0.99])
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_second_recording_is_whole_though_the_first_is_cut(kind: str, share: float, tmp_path: Path) -> None:
+    source, rows, _ = joined(tmp_path, kind, damage=lambda data: data[: int(len(data) * share)])
+    status, _, _ = report_of("repair", source, "-o", tmp_path / f"fixed{source.suffix}")
+    assert status == 3
+    found = rows_of(tmp_path / f"fixed{source.suffix}")
+    second = [row for row in rows if row[1] > T0 + 50 * SECOND]
+    assert [row for row in found if row[1] > T0 + 50 * SECOND] == second
+    first = {row for row in found if row[1] < T0 + 50 * SECOND}
+    # The library describes connections at the end of a bag only.
+    assert first or (kind.startswith("bag") and share < 0.9)
+    assert first <= set(rows)
+
+
+@pytest.mark.parametrize("kind", ["bag-lz4", "mcap"])
+def test_three_recordings_of_which_the_last_is_cut(kind: str, tmp_path: Path) -> None:
+    source, rows, _ = joined(tmp_path, kind)
+    once = source.read_bytes()
+    source.write_bytes(once + once[: len(once) // 4])
+    status, _, _ = report_of("repair", source, "-o", tmp_path / f"fixed{source.suffix}")
+    assert status == 3
+    found = rows_of(tmp_path / f"fixed{source.suffix}")
+    assert len(found) > len(rows)
+    assert set(found) == set(rows)
+
+
+def test_a_recording_in_a_message_is_no_second_recording(tmp_path: Path) -> None:
+    """Bags are sent around in messages, too."""
+    from builders import Item
+
+    inner = write_rosbag1(tmp_path / "inner.bag", drive(1)).read_bytes().decode("latin-1")
+    items = [Item(CHATTER, T0 + n, {1: string(inner, 1)}) for n in range(3)]
+    source = write_rosbag1(tmp_path / "drive.bag", Recording((CHATTER,), tuple(items)))
+    status, _, _ = report_of("repair", source, "-o", tmp_path / "fixed.bag")
+    assert status == 0
+    assert len(rows_of(tmp_path / "fixed.bag")) == 3

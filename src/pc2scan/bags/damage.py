@@ -83,10 +83,13 @@ class DamageLog:
     ----------
     strict
         Whether damage is an error.
+    start
+        Where in the file the recording begins, from which noted places count.
     """
 
-    def __init__(self, *, strict: bool = False) -> None:
+    def __init__(self, *, strict: bool = False, start: int = 0) -> None:
         self.strict = strict
+        self._start = start
         self._found: dict[object, Damage] = {}
         self._further: Damage | None = None
 
@@ -110,6 +113,8 @@ class DamageLog:
         if self.strict:
             raise error
         assert error.path is not None
+        if details.get("offset") is not None:
+            details["offset"] += self._start
         damage = Damage(error.message, error.path, **details)  # type: ignore[arg-type]
         place = (damage.path, damage.offset, key)
         if place in self._found or len(self._found) < MAX_PLACES:

@@ -64,8 +64,7 @@ class MergedReader(Reader):
     def __init__(self, readers: Sequence[Reader]) -> None:
         if not readers:
             raise UsageError("no recording was given")
-        _refuse_repeated(readers)
-        _refuse_mixed_generations(readers)
+        self._refuse(readers)
         self._readers = tuple(readers)
         connections: Sequence[Connection]
         maps: list[dict[int, Connection]]
@@ -79,6 +78,12 @@ class MergedReader(Reader):
         self._connections = tuple(connections)
         self._maps = maps
         self._unchanged = len(readers) == 1
+
+    @staticmethod
+    def _refuse(readers: Sequence[Reader]) -> None:
+        """Raise for readers that cannot become one."""
+        _refuse_repeated(readers)
+        _refuse_mixed_generations(readers)
 
     def _amend(self, amended: Mapping[int, Connection], added: Iterable[Connection] = ()) -> None:
         """Replace connections by better informed ones with the same ids, and add some without messages."""

@@ -103,6 +103,8 @@ class SourceFile:
     ----------
     path
         The file.
+    start
+        Where in the file the recording begins: places count from here, and what is in front is not there.
 
     Raises
     ------
@@ -110,19 +112,28 @@ class SourceFile:
         If it cannot be opened; while reading, if the system refuses or the file has become shorter.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, start: int = 0) -> None:
         self.path = path
+        self.start = start
+        #: Where in the file another recording begins, behind this one.
+        self.next_start: int | None = None
         self._descriptor = -1
         self._buffers = _shared.setdefault("", _Buffers())
         try:
             self._descriptor = _opened(str(path), os.O_RDONLY | getattr(os, "O_CLOEXEC", 0))
-            self.size = os.fstat(self._descriptor).st_size
+            self.size = os.fstat(self._descriptor).st_size - start
         except OSError as err:
             self.close()
             raise self.error(f"cannot be opened: {err.strerror}") from err
 
+    def end_at(self, size: int) -> None:
+        """Let the recording have so many bytes: another one begins there."""
+        self.size = size
+        self.next_start = self.start + size
+
     def expect(self, offset: int, length: int) -> None:
         """Let the system begin to read what is needed soon; where it cannot, nothing changes."""
+        offset += self.start
         # What is there already would be looked for page by page: the last byte tells.
         with suppress(OSError, AttributeError):
             if os.preadv(self._descriptor, [bytearray(1)], offset + length - 1, os.RWF_NOWAIT):
@@ -141,6 +152,10 @@ class SourceFile:
         """Make an error that names this file."""
         return RecordingError(message, path=self.path, hint=hint)
 
+    def located(self, message: str) -> str:
+        """Say of which recording in the file places are that a message names."""
+        return f"in the recording from byte {self.start} on, {message}" if self.start else message
+
     def damage(self, message: str) -> Exception:
         """Make the error for bytes that are not there or not what they must be; formats say it in their own way."""
         return self.error(message)
@@ -148,6 +163,7 @@ class SourceFile:
     def read(self, offset: int, length: int) -> bytes:
         """Read exactly ``length`` bytes."""
         self._expect_inside(offset, length)
+        offset += self.start
         try:
             data = os.pread(self._descriptor, length, offset)
             # One call returns 2 GiB at most.
@@ -180,7 +196,7 @@ class SourceFile:
         except MemoryError as err:
             raise self._too_large(offset, length) from err
         try:
-            self._fill(memoryview(buffer)[:length], offset)
+            self._fill(memoryview(buffer)[:length], self.start + offset)
             return callback(memoryview(buffer)[:length].toreadonly())
         finally:
             self._buffers.append(buffer)
@@ -208,7 +224,7 @@ class SourceFile:
 
     def _ended(self, offset: int) -> RecordingError:
         return self.error(
-            f"ended at byte {offset} while it was read; it had {self.size} bytes when opened",
+            f"ended at byte {offset} while it was read; it had {self.start + self.size} bytes when opened",
             "wait until the recording is complete",
         )
 

@@ -18,10 +18,10 @@ from pc2scan.errors import DamageError, stamp_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
-    from pathlib import Path
 
     from pc2scan.bags.chunked.segments import Segment
     from pc2scan.bags.damage import DamageLog
+    from pc2scan.files.source import SourceFile
 
     #: The first and the last log time.
     Span = tuple[int, int]
@@ -40,7 +40,7 @@ class SpanCheck:
         Returns the times that the records behind a chunk have; None if there are none, or if they are malformed.
     contained
         Returns the times of the messages in a chunk, which it reads; None if there are none, or if it is damaged.
-    path
+    file
         The file.
     log
         Takes note of wrong times.
@@ -53,7 +53,7 @@ class SpanCheck:
         segments: list[Segment],
         repeated: Callable[[Segment], Span | None],
         contained: Callable[[Segment], Span | None],
-        path: Path,
+        file: SourceFile,
         log: DamageLog,
         *,
         trusted: bool,
@@ -61,7 +61,7 @@ class SpanCheck:
         self._segments = segments
         self._repeated = repeated
         self._contained = contained
-        self._path = path
+        self._file = file
         self._log = log
         self._trusted = trusted
         self._compared: set[int] = set()
@@ -124,9 +124,11 @@ class SpanCheck:
         )
         self._log.note(
             DamageError(
-                f"the index has log times {declared} for the chunk with data at byte {segment.offset}, "
-                f"its messages have {found}",
-                path=self._path,
+                self._file.located(
+                    f"the index has log times {declared} for the chunk with data at byte {segment.offset}, "
+                    f"its messages have {found}"
+                ),
+                path=self._file.path,
                 hint=RECOVER,
             ),
             offset=segment.offset,

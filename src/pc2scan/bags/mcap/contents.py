@@ -129,11 +129,17 @@ def find_contents(file: RecordFile, *, verify: bool = True) -> Contents:
         If the file is not MCAP.
     DamageError
         If it is cut off, or contradicts itself.
+    AnotherBeginsError
+        If another file begins behind its data.
     """
     contents = Contents()
     start = read_header(file, contents)
     end, accounted = read_summary(file, contents, verify=verify)
-    Walk(file, contents, accounted).run(start, end)
+    stop = Walk(file, contents, accounted).run(start, end)
+    if stop != end:
+        from .another import refuse_another  # noqa: PLC0415  # only damaged files pay for it
+
+        refuse_another(file, stop, end)
     return contents
 
 
@@ -294,8 +300,8 @@ class Walk:
         #: The record looked at, and the one before it: where a pass that failed was.
         self.offset = self.previous = 0
 
-    def run(self, offset: int, end: int) -> None:
-        """Walk from the record at byte ``offset`` until DataEnd or byte ``end``.
+    def run(self, offset: int, end: int) -> int:
+        """Walk from the record at byte ``offset`` until DataEnd or byte ``end``; returns where that ends.
 
         Raises
         ------
@@ -325,6 +331,7 @@ class Walk:
                 if opcode == OP_MESSAGE:
                     self._message(window.data, position, offset, following)
                 elif opcode == Opcode.DATA_END:
+                    offset = following
                     break
                 else:
                     self._other(opcode, window, offset, following)
@@ -334,6 +341,7 @@ class Walk:
             complete = True
         finally:
             self._close(complete=complete)
+        return offset
 
     def _beyond(self, offset: int, following: int, end: int) -> DamageError:
         return self._file.damage(f"the record at byte {offset} ends at byte {following}, the data at byte {end}")

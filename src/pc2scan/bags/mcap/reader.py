@@ -14,8 +14,8 @@ from pc2scan.bags.chunked.salvaged import note_salvaged
 from pc2scan.bags.chunked.segments import standing_alone, units_of
 from pc2scan.bags.chunked.spans import SpanCheck
 from pc2scan.bags.damage import DamageLog
+from pc2scan.bags.parts import AnotherBeginsError, PartReader, note_next, opened_parts
 from pc2scan.bags.qos import latches
-from pc2scan.bags.reader import Reader
 from pc2scan.bags.zstd import is_frame, unpacked_messages
 from pc2scan.errors import DamageError, stamp_text
 from pc2scan.files.crc32 import crc32
@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from pc2scan.bags.chunked.segments import Segment
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.formats import ReadOptions
+    from pc2scan.bags.reader import Reader
     from pc2scan.bags.units import Item, Unit
     from pc2scan.model import ChunkRule
 
@@ -55,12 +56,12 @@ _ANY_TIME = (0, (1 << 64) - 1)
 _SERIALIZATION_OF_PROFILE = {"ros1": "ros1", "ros2": "cdr"}
 
 
-def open_reader(path: Path, options: ReadOptions) -> McapReader:
+def open_reader(path: Path, options: ReadOptions) -> Reader:
     """Open an MCAP file; see `pc2scan.bags.formats.Format`."""
-    return McapReader(path, verify=options.verify, strict=options.strict)
+    return opened_parts(lambda start: McapReader(path, verify=options.verify, strict=options.strict, start=start))
 
 
-class McapReader(Reader):
+class McapReader(PartReader):
     """An open MCAP file; see `pc2scan.bags.reader.Reader`.
 
     Channels become connections one to one: two channels of one topic stay two. Types, definitions
@@ -84,9 +85,9 @@ class McapReader(Reader):
         With ``strict``, if it is cut off or contradicts itself. Damage inside chunks is found when they are read.
     """
 
-    def __init__(self, path: Path, *, verify: bool = True, strict: bool = False) -> None:
-        self._file = RecordFile(path)
-        self._log = DamageLog(strict=strict)
+    def __init__(self, path: Path, *, verify: bool = True, strict: bool = False, start: int = 0) -> None:
+        self._file = RecordFile(path, start)
+        self._log = DamageLog(strict=strict, start=start)
         self._verify = verify
         self._bytes_read = 0
         self._connections: tuple[Connection, ...] = ()
@@ -94,11 +95,11 @@ class McapReader(Reader):
         self._agreed: set[bytes] = set()
         try:
             try:
-                self._contents = find_contents(self._file, verify=verify)
-            except DamageError as err:
-                from .recovery import recovered_contents  # noqa: PLC0415  # only damaged files pay for it
-
-                self._contents = recovered_contents(self._file, err, self._log, verify=verify)
+                self._contents = self._found_contents()
+            except AnotherBeginsError as other:
+                self._file.end_at(other.offset)
+                self._contents = self._found_contents()
+            note_next(self._file, self._log)
             find_declarations(self._file, self._contents, self._records, self._log)
             self._note_differing(self._contents.differing)
             self._compare_extras()
@@ -107,7 +108,7 @@ class McapReader(Reader):
                 self._contents.segments,
                 self._indexed_span,
                 self._contained_span,
-                path,
+                self._file,
                 self._log,
                 trusted=self._contents.verified,
             )
@@ -116,6 +117,21 @@ class McapReader(Reader):
         except BaseException:
             self._file.close()
             raise
+
+    def _found_contents(self) -> Contents:
+        """Find out what is where in the file, whether it is sound or not."""
+        try:
+            return find_contents(self._file, verify=self._verify)
+        except DamageError as err:
+            problem = err
+        from .recovery import recovered_contents  # noqa: PLC0415  # only damaged files pay for it
+
+        return recovered_contents(self._file, problem, self._log, verify=self._verify)
+
+    @property
+    def next_start(self) -> int | None:
+        """Where in the file another MCAP file begins, behind this one."""
+        return self._file.next_start
 
     @property
     def path(self) -> Path:

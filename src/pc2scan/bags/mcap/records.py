@@ -66,7 +66,7 @@ class RecordFile(SourceFile):
 
     def damage(self, message: str) -> DamageError:
         """Make the error for a file that is damaged."""
-        return DamageError(message, path=self.path, hint=RECOVER)
+        return DamageError(self.located(message), path=self.path, hint=RECOVER)
 
     def record(self, offset: int, opcode: Opcode) -> bytes:
         """Read the content of a record of a known kind."""

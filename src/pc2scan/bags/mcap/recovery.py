@@ -22,6 +22,7 @@ from pc2scan.errors import DamageError
 from pc2scan.files.salvage import decompressed_prefix
 from pc2scan.model import RawMessage
 
+from .another import refuse_another
 from .chunks import CHUNK_HEAD_SIZE, ChunkSegment, chunk_at
 from .contents import Contents, Walk, read_header, read_summary
 from .records import COMPRESSIONS, FIRST_PRIVATE, MAGIC, MESSAGE, OP_CHUNK, OP_MESSAGE, OP_MESSAGE_INDEX, RECORD, parse
@@ -138,6 +139,7 @@ def _walked(file: RecordFile, contents: Contents, summary: Contents, start: int,
         chunk = _chunk_in_front(file, failed, end)
         if chunk is not None:
             position = _end_of_chunk(file, chunk, end, known)
+            refuse_another(file, failed, position)
             contents.segments.append(replace(chunk, length=min(chunk.length, position - chunk.offset)))
             contents.all_counted = False
             if position < chunk.offset + chunk.length:
@@ -153,6 +155,7 @@ def _walked(file: RecordFile, contents: Contents, summary: Contents, start: int,
                 position = again
                 continue
         position = _next_record(file, failed + 1, end, known)
+        refuse_another(file, previous or failed, position)
         yield _Gap(failed, position, error)
 
 

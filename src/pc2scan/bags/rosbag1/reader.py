@@ -10,7 +10,7 @@ from pc2scan.bags.chunked.salvaged import note_salvaged
 from pc2scan.bags.chunked.segments import standing_alone, units_of
 from pc2scan.bags.chunked.spans import SpanCheck
 from pc2scan.bags.damage import DamageLog
-from pc2scan.bags.reader import Reader
+from pc2scan.bags.parts import AnotherBeginsError, PartReader, note_next, opened_parts
 from pc2scan.model import StoredChunk, Summary, declared_counts
 
 from .chunks import Places, decompressed, messages_in, with_payload
@@ -25,18 +25,21 @@ if TYPE_CHECKING:
     from pc2scan.bags.chunked.segments import Segment
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.formats import ReadOptions
+    from pc2scan.bags.reader import Reader
     from pc2scan.bags.units import Item, Unit
     from pc2scan.model import Buffer, ChunkRule, Connection, RawMessage
+
+    from .contents import Contents
 
 __all__ = ["Rosbag1Reader", "open_reader"]
 
 
-def open_reader(path: Path, options: ReadOptions) -> Rosbag1Reader:
+def open_reader(path: Path, options: ReadOptions) -> Reader:
     """Open a ROS 1 bag; see `pc2scan.bags.formats.Format`."""
-    return Rosbag1Reader(path, strict=options.strict)
+    return opened_parts(lambda start: Rosbag1Reader(path, strict=options.strict, start=start))
 
 
-class Rosbag1Reader(Reader):
+class Rosbag1Reader(PartReader):
     """An open ROS 1 bag; a `Reader`.
 
     Opening reads the index and the headers of the chunks. Chunks are read and decompressed one at a time,
@@ -59,27 +62,41 @@ class Rosbag1Reader(Reader):
         With ``strict``, if it has no index or contradicts itself; while messages are read, if a chunk does.
     """
 
-    def __init__(self, path: Path, *, strict: bool = False) -> None:
+    def __init__(self, path: Path, *, strict: bool = False, start: int = 0) -> None:
         self._path = path
-        self._log = DamageLog(strict=strict)
-        self._file = BagFile(path)
+        self._log = DamageLog(strict=strict, start=start)
+        self._file = BagFile(path, start)
         self._bytes_read = 0
         try:
             try:
-                self._contents = read_index(self._file)
-            except Damaged as err:
-                problem = self._file.damage_error(f"its index cannot be read: {err}")
-                from .recovery import recovered_contents  # noqa: PLC0415  # only damaged bags pay for it
-
-                self._contents = recovered_contents(self._file, problem, self._log)
+                self._contents = self._found_contents()
+            except AnotherBeginsError as other:
+                self._file.end_at(other.offset)
+                self._contents = self._found_contents()
+            note_next(self._file, self._log)
             self._copies = Copies(self._contents.connections)
             self._spans = SpanCheck(
-                self._contents.segments, self._indexed_span, self._contained_span, path, self._log, trusted=False
+                self._contents.segments, self._indexed_span, self._contained_span, self._file, self._log, trusted=False
             )
             self._spans.compare_ends()
         except BaseException:
             self.close()
             raise
+
+    def _found_contents(self) -> Contents:
+        """Find out what the bag holds, from its index or without it."""
+        try:
+            return read_index(self._file)
+        except Damaged as err:
+            problem = self._file.damage_error(f"its index cannot be read: {err}")
+        from .recovery import recovered_contents  # noqa: PLC0415  # only damaged bags pay for it
+
+        return recovered_contents(self._file, problem, self._log)
+
+    @property
+    def next_start(self) -> int | None:
+        """Where in the file another bag begins, behind this one."""
+        return self._file.next_start
 
     @property
     def path(self) -> Path:

@@ -175,8 +175,8 @@ def parsed_connection(fields: Mapping[bytes, bytes], body: Buffer) -> Connection
 class BagFile(SourceFile):
     """A bag that records are read from; records in a row cost no system call each."""
 
-    def __init__(self, path: Path) -> None:
-        super().__init__(path)
+    def __init__(self, path: Path, start: int = 0) -> None:
+        super().__init__(path, start)
         self._ahead_start = 0
         self._ahead = b""
 
@@ -186,7 +186,7 @@ class BagFile(SourceFile):
 
     def damage_error(self, message: str) -> DamageError:
         """Make the error that leaves the reader."""
-        return DamageError(message, path=self.path, hint=RECOVER)
+        return DamageError(self.located(message), path=self.path, hint=RECOVER)
 
     def head(self, length: int) -> bytes:
         """Read the first bytes, fewer if there are fewer."""

@@ -7,10 +7,9 @@ and is read in the same way.
 
 from __future__ import annotations
 
-import re
 import struct
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from pc2scan.bags.chunked.salvaged import Salvaged, settled
 from pc2scan.bags.chunked.segments import Segment, times_around
@@ -22,139 +21,33 @@ from .contents import Contents, chunk_segment
 from .records import (
     BAG_HEADER,
     CHUNK,
-    CHUNK_INFO,
     CONNECTION,
     FIRST_LINE,
     INDEX_DATA,
     MESSAGE,
     SECOND_NS,
-    UINT32,
     Damaged,
     kind_of,
     parsed_connection,
-    parsed_fields,
     time_field,
     uint32_field,
 )
+from .search import ANYWHERE, OUTSIDE_CHUNKS, Record, next_record, record_at, refuse_another
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Iterator, Mapping
 
     from pc2scan.bags.damage import DamageLog
     from pc2scan.errors import DamageError
     from pc2scan.model import Connection
 
     from .records import BagFile
+    from .search import Fields
 
 __all__ = ["payload_prefix", "recovered_contents", "salvaged_messages"]
 
-#: Bytes that are searched at a time.
-_WINDOW = 1 << 20
-
 #: Messages outside chunks, which only damage puts there, are read in stretches of about this size, bytes.
 _RUN_SIZE = 4 << 20
-
-#: No header of a record is longer, but for connections whose topic is.
-_MAX_HEADER = 4096
-
-# The field that says of what kind a record is; the fields in front of it are few and short.
-_OP = re.compile(rb"\x04\0\0\0op=[\x02-\x07]")
-_REACH = 72
-
-_ANYWHERE = frozenset({MESSAGE, INDEX_DATA, CHUNK, CHUNK_INFO, CONNECTION})
-#: Records that no chunk holds.
-_OUTSIDE_CHUNKS = frozenset({INDEX_DATA, CHUNK, CHUNK_INFO})
-
-#: The fields that a record of each kind must have, so that no text is taken for one.
-_NEEDED = {
-    MESSAGE: {b"conn", b"time"},
-    INDEX_DATA: {b"ver", b"conn", b"count"},
-    CHUNK: {b"compression", b"size"},
-    CHUNK_INFO: {b"ver", b"chunk_pos", b"start_time", b"end_time", b"count"},
-    CONNECTION: {b"conn", b"topic"},
-    BAG_HEADER: {b"index_pos"},
-}
-
-Fields = dict[bytes, bytes]
-
-
-class _Record(NamedTuple):
-    """A record: its fields, and where its body starts and stops."""
-
-    fields: Fields
-    start: int
-    stop: int
-
-    @property
-    def kind(self) -> int:
-        return self.fields[b"op"][0]
-
-
-def _checked(fields: Fields) -> bool:
-    kind = fields.get(b"op", b"")
-    if len(kind) != 1 or not _NEEDED.get(kind[0], {b""}) <= fields.keys():
-        return False
-    return all(len(fields[name]) == size for name, size in ((b"conn", 4), (b"time", 8), (b"size", 4)) if name in fields)
-
-
-def _record_at(read: Callable[[int, int], bytes], position: int, size: int) -> _Record | None:
-    """The record that begins here, if one does; its body may reach beyond ``size``."""
-    if position + 8 > size:
-        return None
-    (length,) = UINT32.unpack(read(position, 4))
-    if not 8 <= length <= _MAX_HEADER or position + 8 + length > size:
-        return None
-    try:
-        fields = parsed_fields(read(position + 4, length))
-    except Damaged:
-        return None
-    if not _checked(fields):
-        return None
-    (body,) = UINT32.unpack(read(position + 4 + length, 4))
-    start = position + 8 + length
-    return _Record(fields, start, start + body)
-
-
-def _record_in(window: bytes, op_at: int) -> int | None:
-    """Where the record whose ``op`` field is here begins."""
-    # The usual places first: ``op`` is the header's first field, or behind ``conn``, ``compression``...
-    for start in range(op_at - 4, max(-1, op_at - _REACH), -1):
-        (length,) = struct.unpack_from("<I", window, start)
-        if op_at - start + 5 <= length + 4 <= _MAX_HEADER and start + 8 + length <= len(window):
-            try:
-                fields = parsed_fields(window[start + 4 : start + 4 + length])
-            except Damaged:
-                continue
-            if _checked(fields):
-                return start
-    return None
-
-
-def _next_record(
-    read: Callable[[int, int], bytes], start: int, size: int, kinds: frozenset[int], limit: int | None = None
-) -> int:
-    """Search, before ``limit``, for a place where a record begins; ``size`` if there is none."""
-    stop = size if limit is None else min(size, limit + _REACH)
-    begin = start
-    while begin < stop:
-        window = read(begin, min(_WINDOW, size - begin))
-        for match in _OP.finditer(window):
-            if match[0][-1] not in kinds:
-                continue
-            found = _record_in(window, match.start())
-            if found is not None and begin + found >= start:
-                position = begin + found
-                if limit is not None and position >= limit:
-                    return size
-                record = _record_at(read, position, size)
-                # A chunk may be cut off by the end of the file; everything else must be whole.
-                if record is not None and (record.stop <= size or record.kind == CHUNK):
-                    return position
-        if begin + len(window) >= size:
-            break
-        begin += len(window) - _MAX_HEADER - _REACH
-    return size
-
 
 # --- The file ---
 
@@ -199,6 +92,11 @@ def recovered_contents(file: BagFile, problem: DamageError, log: DamageLog) -> C
     -------
     Contents
         The connections have no counts: how many messages there were is what the index would tell.
+
+    Raises
+    ------
+    AnotherBeginsError
+        If another bag begins where something is damaged.
     """
     if log.strict:
         raise problem
@@ -208,7 +106,7 @@ def recovered_contents(file: BagFile, problem: DamageError, log: DamageLog) -> C
     loose_start = position
     # What the index records behind the last chunk say of it; None if they cannot be relied on.
     index: _Stamps | None = None
-    previous: tuple[int, _Record] | None = None
+    previous: tuple[int, Record] | None = None
 
     def end_run(at: int) -> None:
         nonlocal loose
@@ -220,29 +118,33 @@ def recovered_contents(file: BagFile, problem: DamageError, log: DamageLog) -> C
         loose = _Stamps()
 
     while position < file.size:
-        record = _record_at(file.nearby, position, file.size)
+        record = record_at(file.nearby, position, file.size)
         whole = record is not None and record.stop <= file.size
         if record is None or not whole:
             end_run(position)
             index = None
+            since = position if previous is None else previous[0]
             # The record in front may have the wrong length: then it swallowed others, or is itself too short.
             if previous is not None and record is None:
                 if previous[1].kind != CHUNK:
-                    again = _next_record(file.nearby, previous[0] + 1, file.size, _ANYWHERE, position)
+                    again = next_record(file.nearby, previous[0] + 1, file.size, ANYWHERE, position)
                     if again < position:
                         previous, position = None, again
                         continue
                 elif not _is_sound(file, found, previous[1]):
-                    position = _next_record(file.nearby, previous[1].start, file.size, _OUTSIDE_CHUNKS)
+                    position = next_record(file.nearby, previous[1].start, file.size, OUTSIDE_CHUNKS)
+                    refuse_another(file, since, position)
                     _set_end(found, previous[1], position)
                     previous = None
                     continue
             if record is not None and record.kind == CHUNK:
-                again = _next_record(file.nearby, record.start, file.size, _OUTSIDE_CHUNKS)
+                again = next_record(file.nearby, record.start, file.size, OUTSIDE_CHUNKS)
+                refuse_another(file, since, again)
                 _add_chunk(file, found, position, again)
                 previous, position = None, again
                 continue
-            again = _next_record(file.nearby, position + 1, file.size, _ANYWHERE)
+            again = next_record(file.nearby, position + 1, file.size, ANYWHERE)
+            refuse_another(file, since, again)
             found.gaps.append((position, again, "no record begins here"))
             previous, position = None, again
             continue
@@ -271,13 +173,13 @@ def recovered_contents(file: BagFile, problem: DamageError, log: DamageLog) -> C
 
 def _next_after_header(file: BagFile) -> int:
     """Where the records behind the bag header begin."""
-    header = _record_at(file.nearby, len(FIRST_LINE), file.size)
+    header = record_at(file.nearby, len(FIRST_LINE), file.size)
     if header is not None and header.kind == BAG_HEADER and header.stop <= file.size:
         return header.stop
-    return _next_record(file.nearby, len(FIRST_LINE), file.size, _ANYWHERE)
+    return next_record(file.nearby, len(FIRST_LINE), file.size, ANYWHERE)
 
 
-def _note_record(file: BagFile, found: _Found, position: int, record: _Record) -> None:
+def _note_record(file: BagFile, found: _Found, position: int, record: Record) -> None:
     if record.kind == CHUNK:
         _add_chunk(file, found, position, record.stop)
     elif record.kind == CONNECTION:
@@ -289,7 +191,7 @@ def _note_record(file: BagFile, found: _Found, position: int, record: _Record) -
             found.connections.setdefault(connection.id, connection)
 
 
-def _with_entries(index: _Stamps | None, file: BagFile, record: _Record) -> _Stamps | None:
+def _with_entries(index: _Stamps | None, file: BagFile, record: Record) -> _Stamps | None:
     """Add what one index record says: times and places of a connection's messages, 12 bytes each."""
     count = uint32_field(record.fields, "count")
     if index is None or 12 * count != record.stop - record.start or uint32_field(record.fields, "ver") != 1:
@@ -313,7 +215,7 @@ def _set_times(found: _Found, index: _Stamps | None) -> None:
 
 
 def _add_chunk(file: BagFile, found: _Found, position: int, stop: int) -> None:
-    record = _record_at(file.nearby, position, file.size)
+    record = record_at(file.nearby, position, file.size)
     assert record is not None
     try:
         found.segments.append(chunk_segment(record.fields, position, record.start, stop))
@@ -321,7 +223,7 @@ def _add_chunk(file: BagFile, found: _Found, position: int, stop: int) -> None:
         found.gaps.append((position, stop, str(err)))
 
 
-def _is_sound(file: BagFile, found: _Found, record: _Record) -> bool:
+def _is_sound(file: BagFile, found: _Found, record: Record) -> bool:
     """Whether the last chunk decompresses to what it declares."""
     segment = found.segments[-1] if found.segments else None
     if segment is None or segment.offset != record.start:
@@ -332,7 +234,7 @@ def _is_sound(file: BagFile, found: _Found, record: _Record) -> bool:
         return False
 
 
-def _set_end(found: _Found, record: _Record, stop: int) -> None:
+def _set_end(found: _Found, record: Record, stop: int) -> None:
     """Let the last chunk end where the next record was found."""
     if found.segments and found.segments[-1].offset == record.start:
         found.segments[-1] = replace(found.segments[-1], length=stop - record.start)
@@ -439,9 +341,9 @@ def framed(chunk: bytes) -> Iterator[tuple[Fields, int, int, bool]]:
     size = len(chunk)
     position = 0
     # A record is held back until another begins where it ends: its length may be the damaged part.
-    held: tuple[int, _Record] | None = None
+    held: tuple[int, Record] | None = None
     while position < size:
-        record = _record_at(read, position, size)
+        record = record_at(read, position, size)
         if record is not None and record.stop <= size and record.kind in inside:
             if held is not None:
                 yield *held[1], True
@@ -450,14 +352,14 @@ def framed(chunk: bytes) -> Iterator[tuple[Fields, int, int, bool]]:
             continue
         begin, following = position, size
         if held is not None:
-            following = _next_record(read, held[0] + 1, size, inside, position)
+            following = next_record(read, held[0] + 1, size, inside, position)
             if following < position:
                 begin = held[0]
             else:
                 yield *held[1], True
                 following = size
         held = None
-        position = following if begin < position else _next_record(read, position + 1, size, inside)
+        position = following if begin < position else next_record(read, position + 1, size, inside)
         yield {}, begin, position, False
     if held is not None:
         yield *held[1], True

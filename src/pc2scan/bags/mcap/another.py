@@ -1,0 +1,35 @@
+"""Searching an MCAP file for another one that begins in it, as ``cat a.mcap b.mcap`` makes it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from mcap.opcode import Opcode
+
+from pc2scan.bags.parts import AnotherBeginsError
+
+from .records import MAGIC, RECORD
+
+if TYPE_CHECKING:
+    from .records import RecordFile
+
+__all__ = ["refuse_another"]
+
+#: Bytes that are searched at a time.
+_WINDOW = 1 << 20
+
+#: No Header has more bytes: a profile's name and a library's.
+_MAX_HEADER = 1 << 16
+
+
+def refuse_another(file: RecordFile, start: int, stop: int) -> None:
+    """Raise if another file begins in this stretch: the magic of its beginning, and a Header."""
+    overlap = len(MAGIC) + RECORD.size - 1
+    for begin in range(start, stop, _WINDOW):
+        window = file.read(begin, min(_WINDOW + overlap, file.size - begin))
+        at = window.find(MAGIC)
+        while 0 <= at <= len(window) - overlap - 1:
+            opcode, length = RECORD.unpack_from(window, at + len(MAGIC))
+            if begin + at > 0 and opcode == Opcode.HEADER and length <= _MAX_HEADER:
+                raise AnotherBeginsError(begin + at)
+            at = window.find(MAGIC, at + 1)

@@ -1,0 +1,170 @@
+"""Searching a ROS 1 bag for places where a record, or another bag, can only begin."""
+
+from __future__ import annotations
+
+import re
+import struct
+from typing import TYPE_CHECKING, NamedTuple
+
+from pc2scan.bags.parts import AnotherBeginsError
+
+from .records import (
+    BAG_HEADER,
+    CHUNK,
+    CHUNK_INFO,
+    CONNECTION,
+    FIRST_LINE,
+    INDEX_DATA,
+    MESSAGE,
+    UINT32,
+    Damaged,
+    parsed_fields,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from .records import BagFile
+
+__all__ = [
+    "ANYWHERE",
+    "OUTSIDE_CHUNKS",
+    "Fields",
+    "Record",
+    "another_bag",
+    "next_record",
+    "record_at",
+    "record_behind",
+    "refuse_another",
+]
+
+#: Bytes that are searched at a time.
+_WINDOW = 1 << 20
+
+#: No header of a record is longer, but for connections whose topic is.
+_MAX_HEADER = 4096
+
+# The field that says of what kind a record is; the fields in front of it are few and short.
+_OP = re.compile(rb"\x04\0\0\0op=[\x02-\x07]")
+_REACH = 72
+
+ANYWHERE = frozenset({MESSAGE, INDEX_DATA, CHUNK, CHUNK_INFO, CONNECTION})
+#: Records that no chunk holds.
+OUTSIDE_CHUNKS = frozenset({INDEX_DATA, CHUNK, CHUNK_INFO})
+
+#: The fields that a record of each kind must have, so that no text is taken for one.
+_NEEDED = {
+    MESSAGE: {b"conn", b"time"},
+    INDEX_DATA: {b"ver", b"conn", b"count"},
+    CHUNK: {b"compression", b"size"},
+    CHUNK_INFO: {b"ver", b"chunk_pos", b"start_time", b"end_time", b"count"},
+    CONNECTION: {b"conn", b"topic"},
+    BAG_HEADER: {b"index_pos"},
+}
+
+Fields = dict[bytes, bytes]
+
+
+class Record(NamedTuple):
+    """A record: its fields, and where its body starts and stops."""
+
+    fields: Fields
+    start: int
+    stop: int
+
+    @property
+    def kind(self) -> int:
+        """Which kind of record it is."""
+        return self.fields[b"op"][0]
+
+
+def _checked(fields: Fields) -> bool:
+    kind = fields.get(b"op", b"")
+    if len(kind) != 1 or not _NEEDED.get(kind[0], {b""}) <= fields.keys():
+        return False
+    return all(len(fields[name]) == size for name, size in ((b"conn", 4), (b"time", 8), (b"size", 4)) if name in fields)
+
+
+def record_at(read: Callable[[int, int], bytes], position: int, size: int) -> Record | None:
+    """The record that begins here, if one does; its body may reach beyond ``size``."""
+    if position + 8 > size:
+        return None
+    (length,) = UINT32.unpack(read(position, 4))
+    if not 8 <= length <= _MAX_HEADER or position + 8 + length > size:
+        return None
+    try:
+        fields = parsed_fields(read(position + 4, length))
+    except Damaged:
+        return None
+    if not _checked(fields):
+        return None
+    (body,) = UINT32.unpack(read(position + 4 + length, 4))
+    start = position + 8 + length
+    return Record(fields, start, start + body)
+
+
+def _record_in(window: bytes, op_at: int) -> int | None:
+    """Where the record whose ``op`` field is here begins."""
+    # The usual places first: ``op`` is the header's first field, or behind ``conn``, ``compression``...
+    for start in range(op_at - 4, max(-1, op_at - _REACH), -1):
+        (length,) = struct.unpack_from("<I", window, start)
+        if op_at - start + 5 <= length + 4 <= _MAX_HEADER and start + 8 + length <= len(window):
+            try:
+                fields = parsed_fields(window[start + 4 : start + 4 + length])
+            except Damaged:
+                continue
+            if _checked(fields):
+                return start
+    return None
+
+
+def next_record(
+    read: Callable[[int, int], bytes], start: int, size: int, kinds: frozenset[int], limit: int | None = None
+) -> int:
+    """Search, before ``limit``, for a place where a record begins; ``size`` if there is none."""
+    stop = size if limit is None else min(size, limit + _REACH)
+    begin = start
+    while begin < stop:
+        window = read(begin, min(_WINDOW, size - begin))
+        for match in _OP.finditer(window):
+            if match[0][-1] not in kinds:
+                continue
+            found = _record_in(window, match.start())
+            if found is not None and begin + found >= start:
+                position = begin + found
+                if limit is not None and position >= limit:
+                    return size
+                record = record_at(read, position, size)
+                # A chunk may be cut off by the end of the file; everything else must be whole.
+                if record is not None and (record.stop <= size or record.kind == CHUNK):
+                    return position
+        if begin + len(window) >= size:
+            break
+        begin += len(window) - _MAX_HEADER - _REACH
+    return size
+
+
+def another_bag(file: BagFile, start: int, stop: int) -> int | None:
+    """Search a stretch of the file for the beginning of another bag: its first line, and its header."""
+    overlap = len(FIRST_LINE) - 1
+    for begin in range(start, stop, _WINDOW):
+        window = file.read(begin, min(_WINDOW + overlap, file.size - begin))
+        at = window.find(FIRST_LINE)
+        while at >= 0:
+            record = record_at(file.nearby, begin + at + len(FIRST_LINE), file.size)
+            if begin + at > 0 and record is not None and record.kind == BAG_HEADER:
+                return begin + at
+            at = window.find(FIRST_LINE, at + 1)
+    return None
+
+
+def record_behind(file: BagFile, start: int) -> int | None:
+    """Search the rest of the file for a record; returns where the first one begins."""
+    found = next_record(file.nearby, start, file.size, ANYWHERE)
+    return found if found < file.size else None
+
+
+def refuse_another(file: BagFile, start: int, stop: int) -> None:
+    """Raise if another bag begins in this stretch of the file."""
+    if (found := another_bag(file, start, stop)) is not None:
+        raise AnotherBeginsError(found)
