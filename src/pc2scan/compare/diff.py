@@ -12,6 +12,7 @@ from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
 from pc2scan.messages.schema import canonical
 
+from .held import held
 from .libm import Clouds, Explainer
 from .match import Source, Stream, header_stamp_ns, matched
 from .messages import DECODED, compare_messages
@@ -30,6 +31,9 @@ if TYPE_CHECKING:
     from .libm import Lookup
 
 __all__ = ["TopicPair", "diff", "diff_sources", "open_source"]
+
+#: More topics of scans or clouds than a robot has: reading each by itself would take too long.
+_MANY_TOPICS = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,7 +135,7 @@ def diff_sources(
     result = Difference(str(a.path), str(b.path))
     asked = _named(a, b, topics) if topics else _sides(a, b, decoded=True)
     others = [] if topics and not all_topics else _sides(a, b, decoded=False, without=topics)
-    for pair in asked:
+    for pair in _held(asked) if len(asked) > _MANY_TOPICS else asked:
         _compare([pair], rules, result, clouds)
     if all_topics:
         _compare(others, rules, result)
@@ -144,6 +148,15 @@ def diff_sources(
             hint="`all_topics=True` compares the other topics too, `topics` one of them",
         )
     return result
+
+
+def _held(pairs: Sequence[tuple[Stream, Stream]]) -> list[tuple[Stream, Stream]]:
+    """The same streams, out of memory where their messages are few enough."""
+    sides = []
+    for streams in zip(*pairs, strict=True):
+        source = held(streams[0].source, [connection for stream in streams for connection in stream.connections])
+        sides.append([stream._replace(source=source) for stream in streams])
+    return list(zip(*sides, strict=True))
 
 
 def _by_topic(source: Source) -> dict[str, tuple[Connection, ...]]:

@@ -45,7 +45,8 @@ def compare_others(pairs: Sequence[tuple[Stream, Stream]], entries: Sequence[Top
     content = _Content(numbered="seq" not in rules.ignore)
     for log_time_ns, groups in _joined(*(_groups([pair[side] for pair in pairs]) for side in (0, 1))):
         place = Place(None, log_time_ns)
-        for number, entry in enumerate(entries):
+        for number in sorted({*groups[0], *groups[1]}):
+            entry = entries[number]
             ours, theirs = (group.get(number, ()) for group in groups)
             entry.messages_a += len(ours)
             entry.messages_b += len(theirs)
