@@ -49,7 +49,7 @@ THIRD_PARTY = {
     "version": set[str](),
     "model": set[str](),
     "threads": set[str](),
-    "files": {"lz4", "zstandard", "ruamel"},
+    "files": {"isal", "lz4", "zstandard", "ruamel"},
     "core": {"numpy"},
     "tf": {"numpy", "ruamel"},
     "messages": {"numpy", "rosbags"},
