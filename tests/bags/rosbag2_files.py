@@ -105,8 +105,8 @@ def write_metadata(
         "version": version,
         "storage_identifier": storage,
         "relative_file_paths": [f"{folder.name}/{file}" if version < 4 else file for file in files],
-        "duration": {"nanoseconds": 7},
-        "starting_time": {"nanoseconds_since_epoch": 3},
+        "duration": {"nanoseconds": 10**18},
+        "starting_time": {"nanoseconds_since_epoch": 0},
         "message_count": 77,
         "topics_with_message_count": [listed("/a", version), listed("/silent", version, 0)],
     }

@@ -264,3 +264,18 @@ def test_what_precedes_damage_is_kept_for_recovery(tmp_path: Path) -> None:
     assert [channel.topic for channel in contents.channels.values()] == ["/topic0", "/topic1"]
     assert all(len(payload(file, segment)) for segment in contents.segments)
     file.close()
+
+
+@pytest.mark.parametrize("kind", ["AttachmentIndex", "MetadataIndex"])
+def test_a_summary_that_contradicts_attachments_and_metadata(kind: str, tmp_path: Path) -> None:
+    path = library_file(tmp_path / "a.mcap", SAMPLE, extras=True, enable_crcs=False)
+    data = path.read_bytes()
+    name = {"AttachmentIndex": b"calibration.yaml", "MetadataIndex": b"robot"}[kind]
+    at = data.rindex(name)
+    path.write_bytes(data[:at] + b"X" + data[at + 1 :])
+    with closing(McapReader(path)) as reader:
+        assert [a.name for a in reader.attachments()] == ["calibration.yaml"]
+        assert [m.name for m in reader.metadata()] == ["robot"]
+        (damage,) = reader.damage
+        assert "the summary contradicts the" in damage.what
+        assert damage.messages_lost == 0

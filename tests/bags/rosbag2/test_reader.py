@@ -295,3 +295,16 @@ def test_a_compressed_part_that_is_cut_off_gives_its_front(bag: Path, suffix: st
         assert {damage.path for damage in reader.damage} == {packed}
     assert len(found) > 1000
     assert found == sorted(found)
+
+
+@pytest.mark.parametrize(("start", "duration", "outside"), [(0, 3, False), (-5, 20, False), (1, 2, True), (0, 2, True)])
+def test_messages_outside_of_the_declared_times(bag: Path, start: int, duration: int, outside: bool) -> None:
+    write_storage(bag / "bag_0.db3", [("/a", time_ns) for time_ns in range(4)])
+    times = {"starting_time": {"nanoseconds_since_epoch": start}, "duration": {"nanoseconds": duration}}
+    write_metadata(bag, 8, ["bag_0.db3"], message_count=4, **times)
+    with closing(Rosbag2Reader(bag)) as reader:
+        assert len(list(reader.messages())) == 4
+        assert [(damage.messages_lost, "log times" in damage.what) for damage in reader.damage] == [(0, True)] * outside
+    if outside:
+        with pytest.raises(DamageError, match=r"its files 0\.000000000 to 0\.000000003"):
+            Rosbag2Reader(bag, strict=True)

@@ -34,6 +34,15 @@ __all__ = ["RUN_SIZE", "Contents", "Walk", "find_contents", "find_declarations",
 
 _FOOTER_SIZE = RECORD.size + 20
 
+#: More are not compared: they would take more room than they do in the file.
+_MAX_EXTRA_INDEXES = 10_000
+
+ExtraIndex = records.AttachmentIndex | records.MetadataIndex
+_EXTRA_INDEXES: dict[int, type[ExtraIndex]] = {
+    Opcode.ATTACHMENT_INDEX: records.AttachmentIndex,
+    Opcode.METADATA_INDEX: records.MetadataIndex,
+}
+
 #: Messages outside chunks are read in stretches of about this size, bytes.
 RUN_SIZE = 4 << 20
 
@@ -52,6 +61,8 @@ class Contents:
         Chunks and runs of messages outside chunks, in the order found.
     attachments, metadata
         Where these records begin in the file.
+    extra_indexes
+        What the summary says of them, by the place where it says that they begin.
     statistics
         The summary's, if it has them.
     counts
@@ -74,6 +85,7 @@ class Contents:
     segments: list[Segment] = field(default_factory=list)
     attachments: list[int] = field(default_factory=list)
     metadata: list[int] = field(default_factory=list)
+    extra_indexes: dict[int, ExtraIndex] = field(default_factory=dict)
     statistics: records.Statistics | None = None
     counts: Counter[int] = field(default_factory=Counter)
     all_counted: bool = True
@@ -191,9 +203,13 @@ def read_summary(file: RecordFile, contents: Contents, *, verify: bool) -> tuple
             accounted[chunk.record_offset] = following
         elif kind == Opcode.STATISTICS:
             contents.statistics = parse(records.Statistics, content, start, file)
-        else:
+        elif kind in (Opcode.ATTACHMENT_INDEX, Opcode.METADATA_INDEX):
             # Attachments and metadata are found by the walk: it costs little, and the index that @mcap/core
             # 2.2.2 writes for files without chunks has wrong offsets.
+            if len(contents.extra_indexes) < _MAX_EXTRA_INDEXES:
+                entry = parse(_EXTRA_INDEXES[kind], content, start, file)
+                contents.extra_indexes[entry.offset] = entry
+        else:
             contents.declare(kind, content, start, file)
     if len(accounted) != len(contents.segments):
         raise file.damage("the summary's index names a chunk twice")

@@ -13,7 +13,7 @@ from .chunks import stored_chunk, unpacked_chunk
 from .records import MESSAGE, OP_MESSAGE, OP_MESSAGE_INDEX, RECORD, encoded
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
+    from collections.abc import Callable, Collection
 
     from pc2scan.model import ChunkRule
 
@@ -78,9 +78,19 @@ def whole_by_index(file: RecordFile, segment: ChunkSegment, rule: ChunkRule) -> 
 
 
 def whole_by_content(
-    file: RecordFile, segment: ChunkSegment, rule: ChunkRule, *, verify: bool
+    file: RecordFile,
+    segment: ChunkSegment,
+    rule: ChunkRule,
+    *,
+    verify: bool,
+    compare: Callable[[memoryview, int], object] | None = None,
 ) -> StoredChunk | memoryview:
     """Read a chunk, and decompress it to compare its CRC and to see what is in it.
+
+    Parameters
+    ----------
+    compare
+        Called with the records of a chunk that can be copied, and the number of its messages.
 
     Returns
     -------
@@ -97,6 +107,8 @@ def whole_by_content(
     index = _index_of(records, segment, rule.declarations)
     if index is None or not index.keys() <= rule.connection_ids:
         return records
+    if compare is not None:
+        compare(records, sum(map(len, index.values())))
     crc = chunk.crc or crc32(records)
     if chunk.compression not in rule.compressions:
         return StoredChunk("", records, len(records), crc, index)

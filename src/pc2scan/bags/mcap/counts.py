@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from pc2scan.errors import DamageError
 
 from .chunks import ChunkSegment
-from .records import OP_MESSAGE_INDEX, RECORD
+from .entries import index_entries
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
 __all__ = ["counts_between", "indexed_span"]
 
-#: A message index up to its entries: opcode and length, the channel, and how many bytes of entries follow.
-_HEAD = struct.Struct("<BQHI")
 #: Log time and place in the chunk of one message.
 _ENTRY = struct.Struct("<QQ")
 
@@ -70,13 +68,5 @@ def indexed_span(file: RecordFile, segment: ChunkSegment) -> tuple[int, int] | N
 
 def _indexed(file: RecordFile, segment: ChunkSegment) -> Iterator[tuple[int, Iterator[int]]]:
     """Yield each message index behind a chunk: the channel, and the log times of its messages."""
-    position = segment.offset + segment.length
-    while position + _HEAD.size <= file.size:
-        opcode, length, channel_id, size = _HEAD.unpack(file.read(position, _HEAD.size))
-        if opcode != OP_MESSAGE_INDEX:
-            return
-        start = position + _HEAD.size
-        position += RECORD.size + length
-        if size % _ENTRY.size or start + size != position:
-            raise file.damage(f"the message index at byte {start - _HEAD.size} contradicts its own lengths")
-        yield channel_id, (time_ns for time_ns, _ in _ENTRY.iter_unpack(file.read(start, size)))
+    for channel_id, entries in index_entries(file, segment):
+        yield channel_id, (time_ns for time_ns, _ in _ENTRY.iter_unpack(entries))

@@ -32,12 +32,13 @@ from pc2scan.model import (
 )
 
 from .chunks import ChunkSegment, chunk_at, payload, with_payload
-from .contents import Contents, find_contents, find_declarations
+from .contents import Contents, ExtraIndex, find_contents, find_declarations
 from .copies import agreed, whole_by_content, whole_by_index
+from .entries import index_trouble
 from .records import FIRST_PRIVATE, MESSAGE, OP_MESSAGE, RECORD, RecordFile, parse, split
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Collection, Container, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from pc2scan.bags.chunked.segments import Segment
@@ -91,6 +92,8 @@ class McapReader(PartReader):
         self._verify = verify
         self._bytes_read = 0
         self._connections: tuple[Connection, ...] = ()
+        #: Whether nothing is damaged but, perhaps, what is in the chunks.
+        self._is_whole = False
         #: Declarations in chunks that agree with those of the file.
         self._agreed: set[bytes] = set()
         try:
@@ -114,6 +117,7 @@ class McapReader(PartReader):
             )
             self._spans.compare_ends()
             self._summary = _summary(self._contents, self._file, self._log)
+            self._is_whole = not self._log.found
         except BaseException:
             self._file.close()
             raise
@@ -200,6 +204,9 @@ class McapReader(PartReader):
                 raise self._file.damage(
                     f"channel {min(unknown)} has messages near byte {segment.offset}, but is not declared"
                 )
+            if self._verify and isinstance(segment, ChunkSegment):
+                is_cut = segment.start_ns < first or stop <= segment.end_ns
+                self._compare_index(segment, wanted, data, None if is_cut else len(scan.messages))
             return scan.messages
 
         def load(segment: Segment, callback: Callable[[RawMessage], Item], *, whole: bool) -> list[Item] | StoredChunk:
@@ -210,7 +217,8 @@ class McapReader(PartReader):
                 with suppress(DamageError):
                     if segment.connection_ids and segment.connection_ids <= blindly:
                         seen = whole_by_index(self._file, segment, rule)
-                    seen = seen or whole_by_content(self._file, segment, rule, verify=self._verify)
+                    compare = partial(self._compare_index, segment, wanted) if self._verify else None
+                    seen = seen or whole_by_content(self._file, segment, rule, verify=self._verify, compare=compare)
             if isinstance(seen, StoredChunk):
                 return seen
 
@@ -264,6 +272,22 @@ class McapReader(PartReader):
 
         self._salvaged(chunk, data, problem)
         return salvaged_records(data)
+
+    def _compare_index(
+        self, segment: ChunkSegment, ids: Container[int], records: memoryview, found: int | None
+    ) -> None:
+        """Take note if the indexes behind a chunk are not those of its messages; of a damaged file they need not be."""
+        if self._is_whole and (trouble := index_trouble(self._file, segment, records, ids, found)):
+            self._log.note(
+                self._file.damage(
+                    f"the message indexes behind the chunk at byte {segment.record_offset} contradict it: {trouble}"
+                ),
+                offset=segment.record_offset,
+                key="index",
+                messages_lost=0,
+                first_ns=segment.start_ns,
+                last_ns=segment.end_ns,
+            )
 
     def _compare_declaration(self, data: memoryview, chunk: ChunkSegment, position: int) -> None:
         """Take note if a chunk declares a schema or a channel otherwise than the rest of the file.
@@ -378,6 +402,16 @@ class McapReader(PartReader):
                     self._file.damage(f"attachment {record.name!r} has CRC {actual:08x}, recorded is {crc:08x}"),
                     offset=offset,
                 )
+            told = records.AttachmentIndex(
+                offset=offset,
+                length=RECORD.size + len(content),
+                log_time=record.log_time,
+                create_time=record.create_time,
+                data_size=len(record.data),
+                name=record.name,
+                media_type=record.media_type,
+            )
+            self._compare_extra(offset, told, record.name)
             yield Attachment(record.name, record.media_type, record.log_time, record.create_time, record.data)
 
     def metadata(self) -> Iterator[Metadata]:
@@ -389,7 +423,16 @@ class McapReader(PartReader):
             except DamageError as err:
                 self._log.note(err, offset=offset, bytes_lost=len(content))
                 continue
+            told = records.MetadataIndex(offset, RECORD.size + len(content), record.name)
+            self._compare_extra(offset, told, record.name)
             yield Metadata(record.name, record.metadata)
+
+    def _compare_extra(self, offset: int, told: ExtraIndex, name: str) -> None:
+        """Take note if the summary says something else of an attachment or a metadata record."""
+        if self._contents.extra_indexes.get(offset, told) != told:
+            kind = "attachment" if isinstance(told, records.AttachmentIndex) else "metadata record"
+            error = self._file.damage(f"the summary contradicts the {kind} {name!r:.80} at byte {offset}")
+            self._log.note(error, offset=offset, key="index", messages_lost=0)
 
     def close(self) -> None:
         """Release the file."""

@@ -16,6 +16,7 @@ from pc2scan.model import StoredChunk, Summary, declared_counts
 from .chunks import Places, decompressed, messages_in, with_payload
 from .contents import Copies, contained_span, read_index
 from .copies import first_uses, whole_chunk
+from .entries import index_trouble
 from .records import BagFile, Damaged, uint32_field
 
 if TYPE_CHECKING:
@@ -67,6 +68,8 @@ class Rosbag1Reader(PartReader):
         self._log = DamageLog(strict=strict, start=start)
         self._file = BagFile(path, start)
         self._bytes_read = 0
+        #: Whether nothing is damaged but, perhaps, what is in the chunks.
+        self._is_whole = False
         try:
             try:
                 self._contents = self._found_contents()
@@ -79,6 +82,7 @@ class Rosbag1Reader(PartReader):
                 self._contents.segments, self._indexed_span, self._contained_span, self._file, self._log, trusted=False
             )
             self._spans.compare_ends()
+            self._is_whole = not self._log.found
         except BaseException:
             self.close()
             raise
@@ -140,6 +144,7 @@ class Rosbag1Reader(PartReader):
         known = self._contents.connections
         ids = None if connections is None else frozenset(connection.id for connection in connections)
         wanted = {key: item if ids is None or key in ids else None for key, item in known.items()}
+        chosen = frozenset(key for key, item in wanted.items() if item is not None)
         self._bytes_read = 0
         self._spans.compare_beside(ids, start_ns, stop_ns)
         due = [segment for segment in self._contents.segments if segment.may_hold(ids, start_ns, stop_ns)]
@@ -160,6 +165,7 @@ class Rosbag1Reader(PartReader):
             messages = messages_in(
                 chunk, wanted, start_ns, stop_ns, span=span, places=places.messages, describe=describe
             )
+            self._compare_index(segment, chunk, chosen, len(messages))
             return whole_chunk(segment, stored, chunk, messages, places, rule, needed[segment]) or messages
 
         def load(segment: Segment, callback: Callable[[RawMessage], Item], *, whole: bool) -> list[Item] | StoredChunk:
@@ -172,7 +178,10 @@ class Rosbag1Reader(PartReader):
 
             def taken(chunk: Buffer) -> list[Item]:
                 describe, span = partial(self._agrees, segment), (segment.start_ns, segment.end_ns)
-                return list(map(callback, messages_in(chunk, wanted, start_ns, stop_ns, span=span, describe=describe)))
+                found = messages_in(chunk, wanted, start_ns, stop_ns, span=span, describe=describe)
+                is_cut = segment.start_ns < (start_ns or 0) or (stop_ns is not None and stop_ns <= segment.end_ns)
+                self._compare_index(segment, chunk, chosen, None if is_cut else len(found))
+                return list(map(callback, found))
 
             try:
                 return with_payload(self._file, segment, taken)
@@ -189,6 +198,13 @@ class Rosbag1Reader(PartReader):
             return list(map(callback, left))
 
         return units_of(due, load, alone, self._file)
+
+    def _compare_index(self, segment: Segment, chunk: Buffer, ids: frozenset[int], found: int | None) -> None:
+        """Take note if the index behind a chunk is not that of its messages; of a damaged bag it need not be."""
+        if self._is_whole and (trouble := index_trouble(self._file, segment, chunk, ids, found)):
+            error = f"the index behind the chunk with data at byte {segment.offset} contradicts it: {trouble}"
+            span = {"first_ns": segment.start_ns, "last_ns": segment.end_ns}
+            self._log.note(self._file.damage_error(error), offset=segment.offset, key="index", messages_lost=0, **span)
 
     def _agrees(self, segment: Segment, fields: Mapping[bytes, bytes], body: Buffer) -> bool:
         """Whether a chunk describes a connection as the index does; takes note if not."""

@@ -93,6 +93,8 @@ class BagInfo:
         By topic and type.
     extents
         By file; older versions have none.
+    span_ns
+        Log times between which all messages are; None where it does not say.
     """
 
     storage: str
@@ -103,6 +105,7 @@ class BagInfo:
     message_count: int | None = None
     topic_counts: Mapping[tuple[str, str], int] = field(default_factory=dict)
     extents: Mapping[str, Extent] = field(default_factory=dict)
+    span_ns: tuple[int, int] | None = None
 
 
 def read_info(folder: Path, log: DamageLog) -> BagInfo:
@@ -259,6 +262,7 @@ def _parsed_info(document: Any) -> BagInfo:
         custom_data={str(key): str(value) for key, value in _get(root, "custom_data", dict, ROOT, {}).items()},
         message_count=_get(root, "message_count", int, ROOT, 0),
         extents=dict(_extents(root)),
+        span_ns=_span(root),
     )
 
 
@@ -272,6 +276,15 @@ def _extents(root: Any) -> Iterator[tuple[str, Extent]]:
             yield _file_name(entry["path"]), Extent(int(entry["message_count"]), first_ns, last_ns)
         except (KeyError, TypeError, ValueError):
             continue
+
+
+def _span(root: Any) -> tuple[int, int] | None:
+    """The first log time and the last; lenient, since messages are read without them."""
+    try:
+        first_ns = int(root["starting_time"]["nanoseconds_since_epoch"])
+        return first_ns, first_ns + int(root["duration"]["nanoseconds"])
+    except (KeyError, TypeError, ValueError):
+        return None
 
 
 def _get(mapping: Any, key: str, kind: type, where: str, default: Any = None) -> Any:

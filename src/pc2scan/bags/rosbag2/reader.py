@@ -12,7 +12,7 @@ from pc2scan.bags import zstd
 from pc2scan.bags.damage import RECOVER, DamageLog, count_details
 from pc2scan.bags.formats import ReadOptions, storages
 from pc2scan.bags.merged import MergedReader
-from pc2scan.errors import DamageError, RecordingError
+from pc2scan.errors import DamageError, RecordingError, stamp_text
 from pc2scan.files.source import opened_bytes
 from pc2scan.files.temporary import private_folder
 
@@ -88,6 +88,7 @@ class Rosbag2Reader(MergedReader):
             undo.pop_all()
         try:
             self._compare_counts()
+            self._compare_times()
         except BaseException:
             self.close()
             raise
@@ -186,6 +187,21 @@ class Rosbag2Reader(MergedReader):
             self._log.note(
                 DamageError(problem, path=self._path, hint=RECOVER), key="count", messages_lost=max(0, missing)
             )
+
+    def _compare_times(self) -> None:
+        """Take note if messages are outside of the times in metadata.yaml.
+
+        These may be longer than needed: a snapshot's begin when the recorder was started.
+        """
+        summary, declared = super().summary, self._info.span_ns
+        if not (declared and summary.message_count and summary.start_ns is not None and summary.end_ns is not None):
+            return
+        if not declared[0] <= summary.start_ns <= summary.end_ns <= declared[1]:
+            problem = (
+                f"{METADATA_NAME} has log times {stamp_text(declared[0])} to {stamp_text(declared[1])}, "
+                f"its files {stamp_text(summary.start_ns)} to {stamp_text(summary.end_ns)}"
+            )
+            self._log.note(DamageError(problem, path=self._path, hint=RECOVER), key="times", messages_lost=0)
 
     def _discard_temporary(self) -> None:
         if self._temporary is not None:

@@ -1,0 +1,98 @@
+"""The index entries behind a chunk, compared with its messages: each has the time and the place of one of them.
+
+Checksums say nothing of this in a ROS 1 bag, which has none, or where a program changed messages and not their index.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import struct
+    from collections.abc import Sequence
+
+    from pc2scan.model import Buffer
+
+__all__ = ["EntryForm", "entries_astray"]
+
+#: Arrays take less time for more entries than this.
+_FEW = 24
+
+
+@dataclass(frozen=True, slots=True)
+class EntryForm:
+    """How a container writes index entries, and messages that they are about.
+
+    An entry begins with the log time, in eight bytes that the message has too.
+
+    Attributes
+    ----------
+    entry
+        An entry: eight bytes of time, and the message's place in the chunk.
+    identity
+        The connection's id in a message.
+    id_at, time_at
+        Where in a message's record these are.
+    """
+
+    entry: struct.Struct
+    identity: struct.Struct
+    id_at: int
+    time_at: int
+
+
+def entries_astray(records: Buffer, groups: Sequence[tuple[int, Buffer]], form: EntryForm) -> int:
+    """Count the entries that are not about a message of their connection and time, or about the same one as another.
+
+    Parameters
+    ----------
+    records
+        The chunk's, decompressed.
+    groups
+        Connection ids, each with all its entries.
+    form
+        How they are written.
+    """
+    total = sum(len(entries) for _, entries in groups) // form.entry.size
+    return (_few_astray if total <= _FEW else _many_astray)(records, groups, form)
+
+
+def _few_astray(records: Buffer, groups: Sequence[tuple[int, Buffer]], form: EntryForm) -> int:
+    astray = 0
+    seen = set()
+    entry, identity, id_at, time_at = form.entry, form.identity, form.id_at, form.time_at
+    last = len(records) - max(id_at + identity.size, time_at + 8)
+    for number, entries in groups:
+        own = identity.pack(number)
+        for time, place in entry.iter_unpack(entries):
+            there = place <= last and (
+                records[place + time_at : place + time_at + 8] == time
+                and records[place + id_at : place + id_at + identity.size] == own
+            )
+            astray += not there or place in seen
+            seen.add(place)
+    return astray
+
+
+def _many_astray(records: Buffer, groups: Sequence[tuple[int, Buffer]], form: EntryForm) -> int:
+    import numpy as np  # noqa: PLC0415  # only chunks of small messages need it
+
+    size, last = form.entry.size, len(records) - max(form.id_at + form.identity.size, form.time_at + 8)
+    if last < 0:
+        return sum(len(entries) for _, entries in groups) // size
+    entries = np.frombuffer(
+        b"".join(part for _, part in groups), np.dtype([("time", "<u8"), ("place", f"<u{size - 8}")])
+    )
+    counts = [len(part) // size for _, part in groups]
+    ids = np.repeat(np.array([number for number, _ in groups], np.uint32), counts)
+    inside = entries["place"] <= last
+    places = np.where(inside, entries["place"], 0).astype(np.int64)
+    # Numbers at every place of the chunk, whether aligned or not.
+    times = np.ndarray((last + 1,), "<u8", records, form.time_at, (1,))[places]
+    owners = np.ndarray((last + 1,), f"<u{form.identity.size}", records, form.id_at, (1,))[places]
+    sound = int(np.count_nonzero(inside & (times == entries["time"]) & (owners == ids)))
+    if sound < len(entries):
+        return len(entries) - sound
+    places.sort()
+    return int(np.count_nonzero(places[1:] == places[:-1]))

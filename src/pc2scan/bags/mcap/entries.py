@@ -1,0 +1,88 @@
+"""The message indexes behind a chunk of an MCAP file, compared with the chunk."""
+
+from __future__ import annotations
+
+import struct
+from typing import TYPE_CHECKING
+
+from pc2scan.bags.chunked.entries import EntryForm, entries_astray
+from pc2scan.errors import DamageError
+
+from .records import OP_MESSAGE_INDEX, RECORD
+
+if TYPE_CHECKING:
+    from collections.abc import Container, Iterator
+
+    from pc2scan.model import Buffer
+
+    from .chunks import ChunkSegment
+    from .records import RecordFile
+
+__all__ = ["index_entries", "index_trouble"]
+
+#: A message index up to its entries: opcode and length, the channel, and how many bytes of entries follow.
+_HEAD = struct.Struct("<BQHI")
+
+#: Log time as it is stored, and the place in the chunk, of one message. A message has its channel behind opcode and
+#: length, then a sequence number, then the log time.
+_FORM = EntryForm(struct.Struct("<8sQ"), struct.Struct("<H"), RECORD.size, RECORD.size + 2 + 4)
+
+#: Bytes that are read at a time where nothing says how many there are.
+_AHEAD = 4096
+
+
+def index_entries(file: RecordFile, segment: ChunkSegment) -> Iterator[tuple[int, memoryview]]:
+    """Yield each message index behind a chunk: the channel, and its entries as they are stored.
+
+    Raises
+    ------
+    DamageError
+        If an index contradicts its own lengths.
+    """
+    position = segment.offset + segment.length
+    # One call reads all of them, as a rule.
+    origin, ahead = position, memoryview(b"")
+    while position + _HEAD.size <= file.size:
+        if position + _HEAD.size > origin + len(ahead):
+            length = max(0 if ahead else segment.index_length, _AHEAD)
+            origin, ahead = position, memoryview(file.read(position, min(length, file.size - position)))
+        opcode, length, channel_id, size = _HEAD.unpack_from(ahead, position - origin)
+        if opcode != OP_MESSAGE_INDEX:
+            return
+        start = position + _HEAD.size
+        position += RECORD.size + length
+        if size % _FORM.entry.size or start + size != position:
+            raise file.damage(f"the message index at byte {start - _HEAD.size} contradicts its own lengths")
+        if position <= origin + len(ahead):
+            yield channel_id, ahead[start - origin : position - origin]
+        else:
+            yield channel_id, memoryview(file.read(start, size))
+
+
+def index_trouble(
+    file: RecordFile, segment: ChunkSegment, records: Buffer, ids: Container[int], found: int | None
+) -> str | None:
+    """How the message indexes behind a chunk differ from it; None if they do not, or if there are none.
+
+    Parameters
+    ----------
+    file, segment
+        Where the chunk is.
+    records
+        What it holds.
+    ids
+        The channels that are compared.
+    found
+        How many messages of these it has; None if they were not all looked for.
+    """
+    try:
+        groups = list(index_entries(file, segment))
+    except DamageError as err:
+        return err.message
+    mine = [(channel_id, entries) for channel_id, entries in groups if channel_id in ids]
+    total = sum(len(entries) for _, entries in mine) // _FORM.entry.size
+    if astray := entries_astray(records, mine, _FORM):
+        return f"{astray} of {total} entries are of no message with their channel and log time"
+    if found is not None and groups and total != found:
+        return f"they have {total} messages, the chunk has {found}"
+    return None
