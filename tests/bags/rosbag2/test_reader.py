@@ -308,3 +308,13 @@ def test_messages_outside_of_the_declared_times(bag: Path, start: int, duration:
     if outside:
         with pytest.raises(DamageError, match=r"its files 0\.000000000 to 0\.000000003"):
             Rosbag2Reader(bag, strict=True)
+
+
+def test_declared_times_of_a_split_recording_are_not_relied_on(bag: Path) -> None:
+    for number in range(2):
+        write_storage(bag / f"bag_{number}.db3", [("/a", 10 * number + time_ns) for time_ns in range(4)])
+    times = {"starting_time": {"nanoseconds_since_epoch": 10}, "duration": {"nanoseconds": 3}}
+    write_metadata(bag, 8, ["bag_0.db3", "bag_1.db3"], message_count=8, **times)
+    with closing(Rosbag2Reader(bag)) as reader:
+        assert len(list(reader.messages())) == 8
+        assert reader.damage == ()

@@ -69,7 +69,8 @@ def _metadata(document: Any, facts: Mapping[str, Facts]) -> Iterator[str]:
     times = [time for own in facts.values() for time in own.times] or [0]
     if root["message_count"] != counts:
         yield "the number of messages"
-    if not _covers(root["starting_time"], root["duration"], times):
+    # Of split recordings, rosbag2 itself wrote wrong times until Humble.
+    if len(facts) == 1 and not _covers(root["starting_time"], root["duration"], times):
         yield "the times"
     topics = {}
     for entry in root["topics_with_message_count"]:
@@ -86,11 +87,6 @@ def _metadata(document: Any, facts: Mapping[str, Facts]) -> Iterator[str]:
                 yield f"{name} has two types"
     if topics != stored:
         yield "the topics"
-    for own, entry in zip(facts.values(), root["files"], strict=True):
-        inside = own.times or [0]
-        covers = _covers(entry["starting_time"], entry["duration"], inside)
-        if entry["message_count"] != own.counts.total() or not covers:
-            yield "the extents of the files"
 
 
 def _covers(start: Any, duration: Any, times: list[int]) -> bool:

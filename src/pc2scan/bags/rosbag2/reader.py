@@ -189,12 +189,19 @@ class Rosbag2Reader(MergedReader):
             )
 
     def _compare_times(self) -> None:
-        """Take note if messages are outside of the times in metadata.yaml.
+        """Take note if messages of a recording in one file are outside of the times in metadata.yaml.
 
-        These may be longer than needed: a snapshot's begin when the recorder was started.
+        The times of a snapshot begin when the recorder was started. Of split recordings they cannot be relied on: rosbag2
+        wrote those of the last file until Humble (https://github.com/ros2/rosbag2/issues/1413).
         """
         summary, declared = super().summary, self._info.span_ns
-        if not (declared and summary.message_count and summary.start_ns is not None and summary.end_ns is not None):
+        if not (
+            len(self._info.files) == 1
+            and declared
+            and summary.message_count
+            and summary.start_ns is not None
+            and summary.end_ns is not None
+        ):
             return
         if not declared[0] <= summary.start_ns <= summary.end_ns <= declared[1]:
             problem = (
