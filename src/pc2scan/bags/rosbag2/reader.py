@@ -191,8 +191,8 @@ class Rosbag2Reader(MergedReader):
     def _compare_times(self) -> None:
         """Take note if messages of a recording in one file are outside of the times in metadata.yaml.
 
-        The times of a snapshot begin when the recorder was started. Of split recordings they cannot be relied on: rosbag2
-        wrote those of the last file until Humble (https://github.com/ros2/rosbag2/issues/1413).
+        The times of a snapshot begin when the recorder was started. Those of split recordings cannot be relied on:
+        rosbag2 wrote those of the last file until Humble (https://github.com/ros2/rosbag2/issues/1413).
         """
         summary, declared = super().summary, self._info.span_ns
         if not (
