@@ -8,11 +8,11 @@ from contextlib import closing
 from typing import TYPE_CHECKING
 
 import pytest
-from pc2scan.bags.registry import open_recording
 
 from bags import rosbag1_files as bag
 from bags.mcap_files import LIBRARY_OPTIONS, SAMPLE, library_file
 from pc2scan.bags.chunked.entries import EntryForm, entries_astray
+from pc2scan.bags.opening import open_recording
 from pc2scan.errors import DamageError
 
 if TYPE_CHECKING:
