@@ -33,6 +33,7 @@ from builders import (
 )
 from e2e.command import run
 from pc2scan.bags.opening import open_recording
+from support import SHARED, needs_shared
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -650,3 +651,46 @@ def test_a_recording_in_a_message_is_no_second_recording(tmp_path: Path) -> None
     status, _, _ = report_of("repair", source, "-o", tmp_path / "fixed.bag")
     assert status == 0
     assert len(rows_of(tmp_path / "fixed.bag")) == 3
+
+
+# --- The CRC of an MCAP file's data section ---
+
+
+@pytest.mark.parametrize("command", [("repair",), ("convert", "--min-height", "-1"), ("convert", "--jobs", "1")])
+def test_the_crc_of_a_data_section_without_chunks(command: tuple[str, ...], tmp_path: Path) -> None:
+    # Large enough for several stretches, and with other records between the messages.
+    from builders import Item
+
+    large = [Item(CHATTER, T0 + 20 * SECOND + n, {2: string("a" * 900_000, 2)}) for n in range(12)]
+    recording = drive(2)
+    recording = replace(recording, items=(*recording.items, *large))
+    form = Mcap(chunked=False, data_crc=True, attachments=[("map.pgm", "image/x", 7, 8, b"P5 1 1 255 x" * 5)])
+    source = write_mcap(tmp_path / "drive.mcap", recording, form)
+    target = tmp_path / "out.mcap"
+    status, stderr, _ = report_of(command[0], source, "-o", target, *command[1:])
+    assert (status, "damaged" in stderr) == (0, False)
+    sound = rows_of(target)
+    data = bytearray(source.read_bytes())
+    hello = data.index(b"hello 1\0")
+    for place in (data.index(b"map.pgm") + 40, hello, hello + 4_000_000):
+        flipped = bytearray(data)
+        flipped[place] ^= 0x10
+        source.write_bytes(flipped)
+        status, stderr, report = report_of(command[0], source, "-o", target, "--overwrite", *command[1:])
+        assert status == 3
+        assert "the data section has CRC" in stderr
+        (found,) = [damage for damage in report["damage"] if "data section" in damage["what"]]
+        assert found["messages_lost"] == 0
+        assert len(rows_of(target)) == len(sound)
+        unverified = report_of(command[0], source, "-o", target, "--overwrite", "--no-verify", *command[1:])
+        assert unverified[0] == 0
+    strict = run("convert", source, "-o", tmp_path / "strict.mcap", "--strict")
+    assert strict.status == 1
+    assert "the data section has CRC" in strict.stderr
+
+
+@needs_shared
+def test_the_flipped_bit_of_the_shared_file(tmp_path: Path) -> None:
+    source = SHARED / "hostile" / "dc.mcap"
+    status, stderr, _ = report_of("repair", source, "-o", tmp_path / "out.mcap")
+    assert (status, "the data section has CRC" in stderr) == (3, True)

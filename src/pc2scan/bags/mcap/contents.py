@@ -75,6 +75,8 @@ class Contents:
         Whether a summary names the chunks.
     verified
         Whether the summary has the CRC that is recorded for it.
+    data_end
+        Where the data section of a sound file ends, and its CRC (0: none); None if there is no DataEnd.
     differing
         Schemas and channels that are declared again, and differently: what and where.
     """
@@ -92,6 +94,7 @@ class Contents:
     channels_listed: bool = False
     summarized: bool = False
     verified: bool = False
+    data_end: tuple[int, int] | None = None
     differing: dict[str, int] = field(default_factory=dict)
 
     def declare(self, opcode: int, content: Buffer, offset: int, file: RecordFile) -> None:
@@ -347,6 +350,9 @@ class Walk:
                 if opcode == OP_MESSAGE:
                     self._message(window.data, position, offset, following)
                 elif opcode == Opcode.DATA_END:
+                    if length >= 4:
+                        (crc,) = struct.unpack_from("<I", window.data, window.locate(offset, 13) + RECORD.size)
+                        self._contents.data_end = offset, crc
                     offset = following
                     break
                 else:

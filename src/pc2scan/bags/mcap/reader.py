@@ -34,6 +34,7 @@ from pc2scan.model import (
 from .chunks import ChunkSegment, chunk_at, payload, with_payload
 from .contents import Contents, ExtraIndex, find_contents, find_declarations
 from .copies import agreed, whole_by_content, whole_by_index
+from .data_crc import data_crc
 from .entries import index_trouble
 from .records import FIRST_PRIVATE, MESSAGE, OP_MESSAGE, RECORD, RecordFile, parse, split
 
@@ -73,8 +74,8 @@ class McapReader(PartReader):
     path
         The file.
     verify
-        Whether to compare the CRCs of the summary, the chunks and the attachments, where recorded. That
-        of the data section as a whole is not compared: it would need everything to be read.
+        Whether to compare the CRCs of the summary, the chunks and the attachments, and in a file without chunks that of
+        the data section, where recorded. The last is compared when all messages were read.
     strict
         Whether damage is an error; otherwise it is read around, and told by `damage`.
 
@@ -116,6 +117,8 @@ class McapReader(PartReader):
                 trusted=self._contents.verified,
             )
             self._spans.compare_ends()
+            sound = verify and not self._log.found
+            self._data_crc = data_crc(self._file, self._contents, self._log) if sound else None
             self._summary = _summary(self._contents, self._file, self._log)
             self._is_whole = not self._log.found
         except BaseException:
@@ -210,6 +213,12 @@ class McapReader(PartReader):
             return scan.messages
 
         def load(segment: Segment, callback: Callable[[RawMessage], Item], *, whole: bool) -> list[Item] | StoredChunk:
+            items = read(segment, callback, whole=whole)
+            if self._data_crc is not None:
+                self._data_crc.compare()
+            return items
+
+        def read(segment: Segment, callback: Callable[[RawMessage], Item], *, whole: bool) -> list[Item] | StoredChunk:
             self._bytes_read += segment.length
             seen: StoredChunk | memoryview | None = None
             if rule and whole and isinstance(segment, ChunkSegment):
@@ -223,6 +232,8 @@ class McapReader(PartReader):
                 return seen
 
             def taken(data: memoryview) -> list[Item]:
+                if self._data_crc is not None:
+                    self._data_crc.add(segment, data)
                 unpacked = unpacked_messages(sound(segment, data), intolerant, segment.offset, self._file.path)
                 return list(map(callback, unpacked))
 

@@ -1,0 +1,97 @@
+"""The CRC of an MCAP file's whole data section, put together from those of its stretches as they are read.
+
+It is compared where nothing else protects the messages: in files without chunks, once all of them were read.
+"""
+
+from __future__ import annotations
+
+from operator import attrgetter
+from threading import Lock
+from typing import TYPE_CHECKING
+
+from pc2scan.files.crc32 import crc32, crc32_combined
+
+from .chunks import ChunkSegment
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from pc2scan.bags.chunked.segments import Segment
+    from pc2scan.bags.damage import DamageLog
+    from pc2scan.model import Buffer
+
+    from .contents import Contents
+    from .records import RecordFile
+
+__all__ = ["DataCrc", "data_crc"]
+
+#: What lies between messages is read in pieces of so many bytes.
+_PIECE = 4 << 20
+
+
+class DataCrc:
+    """Compares the CRC of a data section when all of its messages were read.
+
+    Parameters
+    ----------
+    file
+        The file.
+    segments
+        All stretches with messages.
+    stop
+        Where the data section ends.
+    recorded
+        Its CRC.
+    log
+        Takes note if it is another one.
+    """
+
+    def __init__(self, file: RecordFile, segments: Sequence[Segment], stop: int, recorded: int, log: DamageLog) -> None:
+        self._file = file
+        self._segments = sorted(segments, key=attrgetter("offset"))
+        self._stop = stop
+        self._recorded = recorded
+        self._log = log
+        self._found: dict[int, int] = {}
+        self._lock = Lock()
+
+    def add(self, segment: Segment, data: Buffer) -> None:
+        """Take the CRC of a stretch that was read; may be called on any thread, and again."""
+        self._found[segment.offset] = crc32(data)
+
+    def compare(self) -> None:
+        """Compare, once all stretches were read.
+
+        Raises
+        ------
+        DamageError
+            If it is another CRC, and damage is an error.
+        """
+        with self._lock:
+            if len(self._found) < len(self._segments):
+                return
+            found, self._found = self._found, {}
+        value = position = 0
+        for segment in self._segments:
+            value = self._between(value, position, segment.offset)
+            value = crc32_combined(value, found[segment.offset], segment.length)
+            position = segment.offset + segment.length
+        value = self._between(value, position, self._stop)
+        if value != self._recorded:
+            error = f"the data section has CRC {value:08x}, recorded is {self._recorded:08x}"
+            self._log.note(self._file.damage(error), key="data", messages_lost=0)
+
+    def _between(self, value: int, start: int, stop: int) -> int:
+        for position in range(start, stop, _PIECE):
+            value = crc32(self._file.read(position, min(_PIECE, stop - position)), value)
+        return value
+
+
+def data_crc(file: RecordFile, contents: Contents, log: DamageLog) -> DataCrc | None:
+    """Return what compares the CRC; None if the file has none, or its chunks have their own."""
+    if contents.data_end is None or not contents.segments:
+        return None
+    stop, recorded = contents.data_end
+    if not recorded or any(isinstance(segment, ChunkSegment) for segment in contents.segments):
+        return None
+    return DataCrc(file, contents.segments, stop, recorded, log)
