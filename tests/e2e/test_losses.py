@@ -518,7 +518,8 @@ def test_a_message_of_another_connection_is_found_by_the_counts(tmp_path: Path) 
     assert "51 messages, 51 were found" in stderr
     assert "/chatter: 9 declared, 8 found" in stderr
     assert "/imu: 9 declared, 10 found" in stderr
-    assert report["damage"][0]["messages_lost"] == 1
+    # The index behind the chunk contradicts it too, which costs nothing.
+    assert sorted(damage["messages_lost"] for damage in report["damage"]) == [0, 1]
 
 
 def test_a_message_of_another_channel_is_found_by_the_statistics(tmp_path: Path) -> None:

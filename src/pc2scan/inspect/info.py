@@ -296,7 +296,10 @@ class _Look:
         if self._sizes:
             result.points_min, result.points_max = min(self._sizes), max(self._sizes)
             parts, self._parts = self._parts, []
-            _measure(result, np.concatenate(parts, axis=1, dtype=np.float64))
+            # A signalling NaN is a NaN like any other.
+            with np.errstate(invalid="ignore"):
+                points = np.concatenate(parts, axis=1, dtype=np.float64)
+            _measure(result, points)
         return result
 
 

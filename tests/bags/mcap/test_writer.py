@@ -459,7 +459,7 @@ def test_the_npm_reader_agrees(tmp_path: Path, compression: str) -> None:
     writer.add_metadata(Metadata("robot", {"name": "ü"}))
     writer.finish()
 
-    script = Path(__file__).with_name("mcap_reader.mjs")
+    script = Path(__file__).parents[1] / "mcap_reader.mjs"
     output = subprocess.run(["node", script, MODULES, path], capture_output=True, check=True).stdout
     theirs = json.loads(output)
 
@@ -495,7 +495,7 @@ def test_the_npm_reader_finds_damage(tmp_path: Path) -> None:
     data = bytearray(path.read_bytes())
     data[3000] ^= 1
     path.write_bytes(data)
-    script = Path(__file__).with_name("mcap_reader.mjs")
+    script = Path(__file__).parents[1] / "mcap_reader.mjs"
     result = subprocess.run(["node", script, MODULES, path], capture_output=True, text=True, check=False)
     assert result.returncode
     assert "Incorrect chunk CRC" in result.stderr or "crc" in result.stderr.lower()

@@ -185,6 +185,9 @@ def beside_recording(folder: Path) -> str:
     try:
         info = read_info(folder, DamageLog(strict=True))
     except RecordingError as err:
+        # A disk that fails says nothing of what is in the directory.
+        if isinstance(err.__cause__, OSError):
+            raise
         return f"its {METADATA_NAME} is not understood: {err.message}"
     plain = {zstd.without_suffix(name) for name in info.files if _storage_of(name) is not None}
     own = {METADATA_NAME, *(name + suffix for name in plain for suffix in ("", *zstd.SUFFIXES, *_LOGS))}
