@@ -162,8 +162,10 @@ def _entries(path: Path) -> list[Path]:
 
 def _logs(path: Path) -> Iterator[Path]:
     """What SQLite would read beside a database: files, or what may become one."""
-    if path.name:
-        yield from (log for suffix in _LOGS if not (log := path.with_name(path.name + suffix)).is_dir())
+    for log in (path.with_name(path.name + suffix) for suffix in _LOGS if path.name):
+        # A name may be too long, which `Path.is_dir` raises.
+        if not os.path.isdir(log):  # noqa: PTH112
+            yield log
 
 
 def _places(path: Path) -> Iterator[Path]:
