@@ -117,6 +117,14 @@ def test_the_directions_that_atan2_doubles_are_one_beam() -> None:
     assert slots_of_angles(layout, np.arctan2(y, x)).tolist() == [0, 0, 0, 0]
 
 
+@pytest.mark.parametrize("start", [-PI / 2, np.nextafter(np.float32(-PI / 2), np.float32(0)), PI + PI / 2])
+def test_pi_as_float32_beyond_an_edge_at_pi_belongs_to_the_next_beam(start: float) -> None:
+    layout = centered_layout(float(start), float(start) + 2 * PI, PI)
+    angle = np.float32(PI)
+    beams, _ = nearest(layout, float(angle))
+    assert set(slots_of_angles(layout, np.array([angle])).tolist()) == beams
+
+
 def test_beams_of_a_sector_end_half_an_increment_outside() -> None:
     layout = centered_layout(-0.5, 0.5, 0.25)
     angles = np.array([-0.63, -0.625, -0.62, -0.376, -0.374, 0.0, 0.374, 0.62, 0.625, 0.63, 3.1, -3.1], np.float32)

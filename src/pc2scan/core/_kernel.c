@@ -162,6 +162,8 @@ INLINED void project_with(Scan *scan, const int glibc) {
     for (int i = 0; i < count; i++) {
         double turned = angle[i] + rule.offset;
         turned = turned >= rule.turn ? turned - rule.turn : turned;
+        /* The angles from -float32(pi) to float32(pi) are more than one turn. */
+        turned = turned >= rule.turn ? turned - rule.turn : turned;
         double quotient = (turned + rule.skew) / rule.increment;
         /* Outside the sector the quotient may be beyond the integers. */
         int32_t outside = (angle[i] < first) | (angle[i] > last) | (turned > rule.end);

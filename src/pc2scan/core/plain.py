@@ -120,7 +120,8 @@ def slots_of(angle: NDArray[np.float32], rule: NDArray[np.float64], beams: int) 
     """
     first, last, offset, turn, end, skew, increment, closed = rule[4:12].tolist()
     turned = angle + np.float64(offset)
-    np.subtract(turned, turn, out=turned, where=turned >= turn)
+    for _ in range(2):  # the angles from -float32(pi) to float32(pi) are more than one turn
+        np.subtract(turned, turn, out=turned, where=turned >= turn)
     outside = (angle < np.float32(first)) | (angle > np.float32(last)) | (turned > end)
     # Outside the sector, a quotient may be beyond the integers.
     slots = np.where(outside, 0.0, (turned + skew) / increment).astype(np.intp)

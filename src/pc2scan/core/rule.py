@@ -9,8 +9,8 @@ A rule is thirteen float64, in this order:
 ``first``, ``last``
     Limits of the angle, inclusive: float32 values.
 ``offset``, ``turn``, ``end``
-    An angle plus the offset is how far it is turned from the first edge; if that is ``turn`` or more, ``turn`` is
-    taken off. What is turned beyond ``end`` is outside.
+    An angle plus the offset is how far it is turned from the first edge; while that is ``turn`` or more, ``turn`` is
+    subtracted, at most twice. What is turned beyond ``end`` is outside.
 ``skew``, ``increment``
     The beam is the truncated quotient ``(turned + skew) / increment``.
 ``closed``
