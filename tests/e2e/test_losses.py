@@ -16,6 +16,10 @@ import pytest
 from mcap.writer import Writer as McapLibraryWriter
 
 import pc2scan
+from bags.mcap_files import altered_index, library_file
+from bags.rosbag1_files import connection
+from bags.rosbag1_files import string as string_of
+from bags.rosbag1_files import write as write_bag
 from builders import (
     CHATTER,
     CONTENT,
@@ -37,6 +41,8 @@ from support import SHARED, needs_shared
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
+
+    from mcap.records import Statistics
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
@@ -147,6 +153,9 @@ def test_a_conversion_passes_on_what_no_one_decodes(tmp_path: Path) -> None:
     source = write_rosbag2(tmp_path / "drive", CONTENT)
     with closing(sqlite3.connect(source / "drive_0.db3")) as database, database:
         database.execute("UPDATE topics SET serialization_format = 'wrong_format' WHERE name = '/chatter'")
+    path = source / "metadata.yaml"
+    at = (text := path.read_text()).index("serialization_format: cdr", text.index("name: /chatter"))
+    path.write_text(text[:at] + "serialization_format: wrong_format" + text[at + 25 :])
     status, _, report = report_of("convert", source, "-o", tmp_path / "out", "--min-height", "-1")
     assert status == 0
     assert {t["topic"]: t["action"] for t in report["topics"]}["/chatter"] == "passed"
@@ -294,6 +303,21 @@ def test_a_connection_that_a_chunk_describes_otherwise(what: str, last: bool, tm
     assert [row[1:] for row in rows_of(tmp_path / "fixed.bag")] == [row[1:] for row in sound]
     strict = run("convert", source, "-o", tmp_path / "strict.bag", "--strict")
     assert (strict.status, (tmp_path / "strict.bag").exists()) == (1, False)
+
+
+def test_a_connection_that_only_chunks_describe(tmp_path: Path) -> None:
+    connections = [replace(connection("/a"), id=0), replace(connection("/b"), id=1)]
+    rows = [(n % 2, T0 + n, string_of(f"hello {n}")) for n in range(20)]
+    source = write_bag(tmp_path / "drive.bag", connections, rows, "none", chunk_size=300)
+    data = bytearray(source.read_bytes())
+    # Its id in the index.
+    at = data.rindex(b"conn=", 0, data.rindex(b"topic=/b"))
+    data[at + 5] = 9
+    source.write_bytes(data)
+    status, stderr, _ = report_of("repair", source, "-o", tmp_path / "fixed.bag")
+    assert status == 3
+    assert "connection 1 has messages, and only chunks describe it" in stderr
+    assert len(rows_of(tmp_path / "fixed.bag")) == 20
 
 
 @pytest.mark.parametrize("verify", [True, False])
@@ -534,6 +558,70 @@ def test_a_message_of_another_channel_is_found_by_the_statistics(tmp_path: Path)
     assert "/chatter: 9 declared, 8 found; /imu: 9 declared, 10 found" in stderr
 
 
+@pytest.mark.parametrize(
+    ("field", "value", "words"),
+    [
+        ("message_start_time", T0 + SECOND, "the statistics have log times"),
+        ("message_end_time", T0 + 1, "the statistics have log times"),
+        ("channel_count", 90, "the statistics count 90 channels"),
+        ("channel_count", 1, "the statistics count 1 channels"),
+        ("schema_count", 90, "the statistics count 90 schemas"),
+        ("schema_count", 1, "the statistics count 1 schemas"),
+        ("chunk_count", 90, "the statistics count 90 chunks"),
+    ],
+)
+def test_statistics_that_are_wrong_where_the_crc_is_right(field: str, value: int, words: str, tmp_path: Path) -> None:
+    source = write_mcap(tmp_path / "drive.mcap", drive(3))
+    rows = rows_of(source)
+    altered_index(source, "Statistics", lambda statistics: setattr(statistics, field, value))
+    status, stderr, report = report_of("repair", source, "-o", tmp_path / "out.mcap")
+    assert status == 3
+    assert words in stderr
+    assert report["damage"][0]["messages_lost"] == 0
+    assert rows_of(tmp_path / "out.mcap") == rows
+
+
+def test_statistics_that_count_only_what_messages_use(tmp_path: Path) -> None:
+    """The C++ library lists all channels and schemas, and counts those that have messages."""
+    source = write_mcap(tmp_path / "drive.mcap", drive(3))
+    used = 0
+
+    def change(statistics: Statistics) -> None:
+        nonlocal used
+        used = sum(count > 0 for count in statistics.channel_message_counts.values())
+        statistics.channel_count = used
+
+    altered_index(source, "Statistics", change)
+    assert used
+    assert report_of("repair", source, "-o", tmp_path / "out.mcap")[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("kind", "field", "value"),
+    [
+        ("MetadataIndex", "name", "other"),
+        ("MetadataIndex", "length", 3),
+        ("MetadataIndex", "offset", 9),
+        ("AttachmentIndex", "name", "other"),
+        ("AttachmentIndex", "media_type", "text/other"),
+        ("AttachmentIndex", "data_size", 1),
+        ("AttachmentIndex", "length", 3),
+        ("AttachmentIndex", "offset", 9),
+        ("AttachmentIndex", "log_time", 1),
+        ("AttachmentIndex", "create_time", 1),
+    ],
+)
+def test_an_index_of_attachments_and_metadata_that_is_wrong(kind: str, field: str, value: Any, tmp_path: Path) -> None:
+    rows = [(number % 2, T0 + number, b"\0\1\0\0") for number in range(9)]
+    source = library_file(tmp_path / "drive.mcap", rows, extras=True)
+    assert report_of("repair", source, "-o", tmp_path / "before.mcap")[0] == 0
+    altered_index(source, kind, lambda index: setattr(index, field, value))
+    status, stderr, _ = report_of("repair", source, "-o", tmp_path / "out.mcap")
+    assert status == 3
+    assert "the summary" in stderr
+    assert (tmp_path / "out.mcap").read_bytes() == (tmp_path / "before.mcap").read_bytes()
+
+
 def test_more_messages_than_declared(tmp_path: Path) -> None:
     source = write_rosbag1(tmp_path / "drive.bag", drive(1))
     changed(source, struct.pack("<II", 4, 3), struct.pack("<II", 4, 2), last=True)
@@ -557,6 +645,20 @@ def test_counts_by_topic_in_metadata_yaml(storage: str, tmp_path: Path) -> None:
     assert "metadata.yaml counts 51 messages, its files have 51" in stderr
     assert "/chatter: 8 declared, 9 found; /imu: 10 declared, 9 found" in stderr
     assert report["damage"][0]["messages_lost"] == 1
+
+
+@pytest.mark.parametrize("what", ["type", "serialization_format"])
+def test_a_topic_that_metadata_yaml_lists_otherwise(what: str, tmp_path: Path) -> None:
+    source = write_rosbag2(tmp_path / "drive", drive(1))
+    rows = rows_of(source)
+    path = source / "metadata.yaml"
+    text = path.read_text()
+    at = text.index(f"{what}: ", text.index("name: /chatter")) + len(what) + 2
+    path.write_text(text[:at] + "x" + text[at + 1 :])
+    status, stderr, _ = report_of("repair", source, "-o", tmp_path / "out")
+    assert status == 3
+    assert "metadata.yaml lists /chatter as" in stderr
+    assert rows_of(tmp_path / "out") == rows
 
 
 def test_a_row_of_another_topic_is_found_by_metadata_yaml(tmp_path: Path) -> None:

@@ -257,8 +257,7 @@ def test_nothing_left_is_said_so(recording: Recording, tmp_path: Path) -> None:
 
 def test_messages_that_are_only_declared_are_told(tmp_path: Path) -> None:
     """Nothing else is wrong with it: only its statistics say that there was more."""
-    from bags.mcap.test_contents import altered_index
-    from bags.mcap_files import write
+    from bags.mcap_files import altered_index, write
 
     source = write(tmp_path / "drive.mcap", [(0, number, b"\0\1\0\0") for number in range(9)], topics=1)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import itertools
 import struct
-import zlib
 from contextlib import closing
 from typing import TYPE_CHECKING, Any
 
@@ -23,13 +22,13 @@ from pc2scan.bags.mcap.records import MAGIC, RecordFile, split
 from pc2scan.errors import RecordingError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
 
     from pc2scan.bags.chunked.segments import Segment
 from bags.mcap_files import (
     LIBRARY_OPTIONS,
     SAMPLE,
+    altered_index,
     content,
     encoded,
     failing,
@@ -163,29 +162,6 @@ def test_the_summary_has_a_crc(tmp_path: Path) -> None:
     failing(path, "the summary's CRC is")
     with closing(McapReader(path, verify=False)) as reader:
         assert reader.connections[1].topic == "/topic9"
-
-
-def altered_index(path: Path, kind: str, change: Callable[[Any], None], *, times: int = 1) -> Path:
-    """Change the first summary record of a kind and put the summary back, with a CRC that is right."""
-    data = path.read_bytes()
-    start, offset_start, _ = struct.unpack_from("<QQI", data, len(data) - 28)
-    parts = []
-    changed = False
-    for item in StreamReader(io.BytesIO(data[start:-8]), skip_magic=True, validate_crcs=False).records:
-        if isinstance(item, Footer):
-            break
-        if type(item).__name__ == kind and not changed:
-            change(item)
-            changed = True
-            parts += [encoded(item)] * times
-        else:
-            parts.append(encoded(item))
-    assert changed
-    summary = b"".join(parts)
-    footer = struct.pack("<BQQQ", 2, 20, start, offset_start)
-    crc = zlib.crc32(footer, zlib.crc32(summary))
-    path.write_bytes(data[:start] + summary + footer + struct.pack("<I", crc) + MAGIC)
-    return path
 
 
 @pytest.mark.parametrize("kind", ["AttachmentIndex", "MetadataIndex"])

@@ -328,17 +328,31 @@ class McapReader(PartReader):
             self._agreed.add(record)
 
     def _compare_extras(self) -> None:
-        """Take note of attachments and metadata records that the statistics count, and that are not there."""
-        statistics = self._contents.statistics
-        if statistics is None or self._log.found:
+        """Take note of everything but messages that the summary counts or places otherwise than the file has it."""
+        contents = self._contents
+        statistics = contents.statistics
+        if self._log.found:
             return
-        for kind, declared, places in (
-            ("attachments", statistics.attachment_count, self._contents.attachments),
-            ("metadata records", statistics.metadata_count, self._contents.metadata),
-        ):
-            if len(places) < declared:
-                error = f"the statistics count {declared} {kind}, {len(places)} were found"
-                self._log.note(self._file.damage(error), key=kind)
+        if statistics is not None:
+            for kind, declared, places in (
+                ("attachments", statistics.attachment_count, contents.attachments),
+                ("metadata records", statistics.metadata_count, contents.metadata),
+            ):
+                if len(places) < declared:
+                    error = f"the statistics count {declared} {kind}, {len(places)} were found"
+                    self._log.note(self._file.damage(error), key=kind)
+            for kind, declared, fewest, most in _declarations_counted(contents, statistics):
+                # Some writers count nothing, and some only what messages use.
+                if declared and not fewest <= declared <= most:
+                    error = f"the statistics count {declared} {kind}, {most} were found"
+                    self._log.note(self._file.damage(error), key=kind, messages_lost=0)
+        begun = {*contents.attachments, *contents.metadata}
+        # The index that @mcap/core 2.2.2 writes for files without chunks has wrong places.
+        for offset, entry in contents.extra_indexes.items() if contents.summarized else ():
+            if offset not in begun:
+                kind = "attachment" if isinstance(entry, records.AttachmentIndex) else "metadata record"
+                error = f"the summary has the {kind} {entry.name!r:.80} at byte {offset}, where none is"
+                self._log.note(self._file.damage(error), offset=offset, key="index", messages_lost=0)
 
     def _note_differing(self, places: Mapping[str, int]) -> None:
         for what, offset in places.items():
@@ -448,6 +462,17 @@ class McapReader(PartReader):
     def close(self) -> None:
         """Release the file."""
         self._file.close()
+
+
+def _declarations_counted(contents: Contents, statistics: records.Statistics) -> Iterator[tuple[str, int, int, int]]:
+    """For channels, schemas and chunks: how many the statistics count, and the fewest and the most that are right."""
+    used = {number for number, count in statistics.channel_message_counts.items() if count}
+    channels = [contents.channels[number] for number in used if number in contents.channels]
+    schemas = {channel.schema_id for channel in channels} - {0}
+    chunks = sum(isinstance(segment, ChunkSegment) for segment in contents.segments)
+    yield "channels", statistics.channel_count, len(used), len(contents.channels)
+    yield "schemas", statistics.schema_count, len(schemas), len(contents.schemas)
+    yield "chunks", statistics.chunk_count, chunks, chunks
 
 
 def _declared_span(segment: Segment) -> tuple[int, int] | None:
@@ -584,22 +609,21 @@ def _summary(contents: Contents, file: RecordFile, log: DamageLog) -> Summary:
         times = (statistics.message_start_time, statistics.message_end_time) if count else None
     else:
         count, times = contents.counts.total() if contents.all_counted else None, None
-    if statistics is None or not contents.verified:
-        # A chunk without messages has both times zero.
-        held = [s for s in contents.segments if s.connection_ids is not None or s.end_ns]
-        found = (min(s.start_ns for s in held), max(s.end_ns for s in held)) if held else None
-        covers = times is not None and found is not None and times[0] <= found[0] <= found[1] <= times[1]
-        if times and found and not covers:
-            log.note(
-                file.damage(
-                    f"the statistics have log times {stamp_text(times[0])} to {stamp_text(times[1])}, "
-                    f"the messages {stamp_text(found[0])} to {stamp_text(found[1])}"
-                ),
-                key="statistics",
-                messages_lost=0,
-            )
-        # Of a damaged recording the statistics know more.
-        times = times if covers and log.found else found or times
+    # A chunk without messages has both times zero.
+    held = [s for s in contents.segments if s.connection_ids is not None or s.end_ns]
+    found = (min(s.start_ns for s in held), max(s.end_ns for s in held)) if held else None
+    covers = times is not None and found is not None and times[0] <= found[0] <= found[1] <= times[1]
+    if times and found and not covers:
+        log.note(
+            file.damage(
+                f"the statistics have log times {stamp_text(times[0])} to {stamp_text(times[1])}, "
+                f"the messages {stamp_text(found[0])} to {stamp_text(found[1])}"
+            ),
+            key="statistics",
+            messages_lost=0,
+        )
+    # Of a damaged recording the statistics know more.
+    times = times if covers and log.found else found or times
     return Summary(
         container="mcap",
         storage="",

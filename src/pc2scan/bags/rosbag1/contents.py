@@ -41,10 +41,14 @@ __all__ = ["Contents", "Copies", "chunk_segment", "contained_span", "read_index"
 
 @dataclass(frozen=True, slots=True)
 class Contents:
-    """What a bag holds, whichever way it was found out."""
+    """What a bag holds, whichever way it was found out.
+
+    ``unlisted`` are the connections that have messages and are not in the index.
+    """
 
     connections: dict[int, Connection]
     segments: list[Segment]
+    unlisted: frozenset[int] = frozenset()
 
 
 class Copies:
@@ -130,10 +134,12 @@ def read_index(file: BagFile) -> Contents:
         known = segment if segment.end_ns else _with_times(file, segment)
         if known:
             segments.append(known)
-    connections.update(_find_connections(file, segments, set(counts) - set(connections)))
+    unlisted = frozenset(counts) - connections.keys()
+    connections.update(_find_connections(file, segments, set(unlisted)))
     return Contents(
         {key: replace(connection, message_count=counts[key]) for key, connection in connections.items()},
         segments,
+        unlisted,
     )
 
 

@@ -77,6 +77,9 @@ class Rosbag1Reader(PartReader):
                 self._file.end_at(other.offset)
                 self._contents = self._found_contents()
             note_next(self._file, self._log)
+            for identity in sorted(self._contents.unlisted):
+                error = f"connection {identity} has messages, and only chunks describe it"
+                self._log.note(self._file.damage_error(error), key=("unlisted", identity), messages_lost=0)
             self._copies = Copies(self._contents.connections)
             self._spans = SpanCheck(
                 self._contents.segments, self._indexed_span, self._contained_span, self._file, self._log, trusted=False

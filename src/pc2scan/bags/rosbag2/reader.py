@@ -89,6 +89,7 @@ class Rosbag2Reader(MergedReader):
         try:
             self._compare_counts()
             self._compare_times()
+            self._compare_topics()
         except BaseException:
             self.close()
             raise
@@ -210,6 +211,23 @@ class Rosbag2Reader(MergedReader):
             )
             self._log.note(DamageError(problem, path=self._path, hint=RECOVER), key="times", messages_lost=0)
 
+    def _compare_topics(self) -> None:
+        """Take note of topics that metadata.yaml lists with another type or serialization than the files have."""
+        listed: dict[str, list[tuple[str, str]]] = {}
+        for topic in self._info.topics:
+            listed.setdefault(topic.topic, []).append((topic.ros_type, topic.serialization))
+        for connection in self.connections:
+            stored = connection.ros_type, connection.serialization
+            kinds = listed.get(connection.topic, [])
+            if kinds and not any(_may_be_same(kind, stored) for kind in kinds):
+                declared, found = (f"{msgtype!r:.80} in {form!r:.40}" for msgtype, form in (kinds[0], stored))
+                problem = f"{METADATA_NAME} lists {connection.topic} as {declared}, its files have {found}"
+                self._log.note(
+                    DamageError(problem, path=self._path, hint=RECOVER),
+                    key=("topic", connection.topic),
+                    messages_lost=0,
+                )
+
     def _discard_temporary(self) -> None:
         if self._temporary is not None:
             self._temporary.cleanup()
@@ -226,6 +244,11 @@ def _refuse_others(file: Path, storage: Format) -> None:
     if not head.startswith(storage.magic):
         found = f"begins with {head!r:.40}" if head else "is empty"
         raise DamageError(f"is no {storage.name} file: it {found}", path=file, hint=RECOVER)
+
+
+def _may_be_same(kind: tuple[str, str], other: tuple[str, str]) -> bool:
+    """Whether two topics have the same type and serialization, as far as both name them."""
+    return all(a == b or not (a and b) for a, b in zip(kind, other, strict=True))
 
 
 def _completed(
