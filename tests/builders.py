@@ -50,38 +50,38 @@ _BATTERY_TEXTS = {
 
 
 @cache
-def typestore(generation: int) -> Any:
-    """The message types of a ROS generation, with those that rosbags lacks."""
-    store = get_typestore(Stores.ROS1_NOETIC if generation == 1 else Stores.ROS2_HUMBLE)
-    added = get_types_from_msg(_BATTERY_TEXTS[generation], BATTERY)
-    if generation == 1:
+def typestore(ros_version: int) -> Any:
+    """The message types of a ROS version, with those that rosbags lacks."""
+    store = get_typestore(Stores.ROS1_NOETIC if ros_version == 1 else Stores.ROS2_HUMBLE)
+    added = get_types_from_msg(_BATTERY_TEXTS[ros_version], BATTERY)
+    if ros_version == 1:
         added |= get_types_from_msg(_TF_TEXT, TF) | get_types_from_msg(_TF_TEXT, "tf/msg/tfMessage")
     store.register(added)
     return store
 
 
-def serialized(store: Any, message: Any, msgtype: str, generation: int) -> bytes:
+def serialized(store: Any, message: Any, msgtype: str, ros_version: int) -> bytes:
     """A message's bytes: ROS 1's, or little-endian CDR."""
-    if generation == 1:
+    if ros_version == 1:
         return bytes(store.serialize_ros1(message, msgtype))
     return bytes(store.serialize_cdr(message, msgtype))
 
 
-def deserialized(data: bytes, msgtype: str, generation: int) -> Any:
+def deserialized(data: bytes, msgtype: str, ros_version: int) -> Any:
     """A message as rosbags decodes it."""
-    store = typestore(generation)
-    return (store.deserialize_ros1 if generation == 1 else store.deserialize_cdr)(data, msgtype)
+    store = typestore(ros_version)
+    return (store.deserialize_ros1 if ros_version == 1 else store.deserialize_cdr)(data, msgtype)
 
 
-def header(store: Any, generation: int, seq: int, stamp_ns: int, frame_id: str) -> Any:
+def header(store: Any, ros_version: int, seq: int, stamp_ns: int, frame_id: str) -> Any:
     stamp = store.types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, SECOND))
     kind = store.types["std_msgs/msg/Header"]
-    return kind(seq, stamp, frame_id) if generation == 1 else kind(stamp, frame_id)
+    return kind(seq, stamp, frame_id) if ros_version == 1 else kind(stamp, frame_id)
 
 
 def cloud(
     points: NDArray[np.float32],
-    generation: int,
+    ros_version: int,
     *,
     seq: int = 0,
     stamp_ns: int = T0,
@@ -90,11 +90,11 @@ def cloud(
     cut: int = 0,
 ) -> bytes:
     """A serialised PointCloud2 of float32 columns; ``cut`` bytes of its data are missing."""
-    store = typestore(generation)
+    store = typestore(ros_version)
     fields = [store.types["sensor_msgs/msg/PointField"](name, 4 * index, 7, 1) for index, name in enumerate(names)]
     data = np.ascontiguousarray(points, "<f4").tobytes()
     message = store.types[CLOUD](
-        header=header(store, generation, seq, stamp_ns, frame_id),
+        header=header(store, ros_version, seq, stamp_ns, frame_id),
         height=1,
         width=len(points),
         fields=fields,
@@ -104,16 +104,16 @@ def cloud(
         data=np.frombuffer(data[: len(data) - cut], np.uint8),
         is_dense=False,
     )
-    return serialized(store, message, CLOUD, generation)
+    return serialized(store, message, CLOUD, ros_version)
 
 
 def scan(
-    ranges: NDArray[np.float32], generation: int, *, seq: int = 0, stamp_ns: int = T0, frame_id: str = "laser"
+    ranges: NDArray[np.float32], ros_version: int, *, seq: int = 0, stamp_ns: int = T0, frame_id: str = "laser"
 ) -> bytes:
     """A serialised LaserScan over a half circle."""
-    store = typestore(generation)
+    store = typestore(ros_version)
     message = store.types[SCAN](
-        header=header(store, generation, seq, stamp_ns, frame_id),
+        header=header(store, ros_version, seq, stamp_ns, frame_id),
         angle_min=-1.5,
         angle_max=1.5,
         angle_increment=3.0 / max(1, len(ranges) - 1),
@@ -124,26 +124,26 @@ def scan(
         ranges=np.ascontiguousarray(ranges, np.float32),
         intensities=np.empty(0, np.float32),
     )
-    return serialized(store, message, SCAN, generation)
+    return serialized(store, message, SCAN, ros_version)
 
 
-def string(text: str, generation: int) -> bytes:
-    store = typestore(generation)
-    return serialized(store, store.types[STRING](text), STRING, generation)
+def string(text: str, ros_version: int) -> bytes:
+    store = typestore(ros_version)
+    return serialized(store, store.types[STRING](text), STRING, ros_version)
 
 
 def transforms(
     rows: Iterable[tuple[str, str, int, tuple[float, float, float]]],
-    generation: int,
+    ros_version: int,
     seq: int = 0,
     msgtype: str = TF,
 ) -> bytes:
     """A serialised TFMessage of (parent, child, stamp in ns, translation) without rotations."""
-    store = typestore(generation)
+    store = typestore(ros_version)
     types = store.types
     stamped = [
         types["geometry_msgs/msg/TransformStamped"](
-            header(store, generation, seq, stamp_ns, parent),
+            header(store, ros_version, seq, stamp_ns, parent),
             child,
             types["geometry_msgs/msg/Transform"](
                 types["geometry_msgs/msg/Vector3"](*translation),
@@ -152,15 +152,15 @@ def transforms(
         )
         for parent, child, stamp_ns, translation in rows
     ]
-    return serialized(store, types[msgtype](stamped), msgtype, generation)
+    return serialized(store, types[msgtype](stamped), msgtype, ros_version)
 
 
-def imu(generation: int, *, seq: int, stamp_ns: int) -> bytes:
-    store = typestore(generation)
+def imu(ros_version: int, *, seq: int, stamp_ns: int) -> bytes:
+    store = typestore(ros_version)
     types = store.types
     vector = types["geometry_msgs/msg/Vector3"]
     message = types[IMU](
-        header(store, generation, seq, stamp_ns, "imu"),
+        header(store, ros_version, seq, stamp_ns, "imu"),
         types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.6, 0.8),
         np.arange(9.0),
         vector(0.25, -0.5, 1.0),
@@ -168,18 +168,18 @@ def imu(generation: int, *, seq: int, stamp_ns: int) -> bytes:
         vector(0.0, 0.125, 9.75),
         np.arange(9.0) / 4,
     )
-    return serialized(store, message, IMU, generation)
+    return serialized(store, message, IMU, ros_version)
 
 
-def battery(generation: int, *, seq: int, stamp_ns: int) -> bytes:
-    store = typestore(generation)
+def battery(ros_version: int, *, seq: int, stamp_ns: int) -> bytes:
+    store = typestore(ros_version)
     message = store.types[BATTERY](
-        header(store, generation, seq, stamp_ns, "base_link"),
+        header(store, ros_version, seq, stamp_ns, "base_link"),
         24.5 + seq,
         np.array([1, 2, 3], np.uint8),
         store.types["builtin_interfaces/msg/Duration"](12, 345_678_901),
     )
-    return serialized(store, message, BATTERY, generation)
+    return serialized(store, message, BATTERY, ros_version)
 
 
 # --- Content ---
@@ -195,14 +195,14 @@ class Stream:
     latched: bool = False
     ros1_type: str = ""
 
-    def type_in(self, generation: int) -> str:
+    def type_in(self, ros_version: int) -> str:
         """The type in ROS 2's spelling."""
-        return self.ros1_type if generation == 1 and self.ros1_type else self.msgtype
+        return self.ros1_type if ros_version == 1 and self.ros1_type else self.msgtype
 
 
 @dataclass(frozen=True, slots=True)
 class Item:
-    """One message: ``data`` by ROS generation."""
+    """One message: ``data`` by ROS version."""
 
     stream: Stream
     log_time_ns: int
@@ -213,7 +213,7 @@ class Item:
         return self.log_time_ns - 1_001
 
     def expected(self, source: int, target: int) -> bytes:
-        """The payload after a conversion from one generation to another; ROS 2 has no ``seq``."""
+        """The payload after a conversion from one ROS version to another; ROS 2 has no ``seq``."""
         return unnumbered(self.data[1], self.stream.type_in(1)) if (source, target) == (2, 1) else self.data[target]
 
 
@@ -231,7 +231,7 @@ class Recording:
 
 
 def item(stream: Stream, log_time_ns: int, make: Callable[[int, int], bytes], seq: int = 0) -> Item:
-    """Serialise a message for both generations; ``make`` takes the generation and the sequence number."""
+    """Serialise a message for both ROS versions; ``make`` takes the ROS version and the sequence number."""
     return Item(stream, log_time_ns, {1: make(1, seq), 2: make(2, seq)})
 
 
@@ -266,11 +266,11 @@ def _content() -> Recording:
         return T0 + step * SECOND // 10
 
     def fixed(parent: str, child: str, stamp_ns: int) -> Callable[[int, int], bytes]:
-        return lambda generation, seq: transforms([(parent, child, stamp_ns, (0.0, 0.0, 0.5))], generation, seq)
+        return lambda ros_version, seq: transforms([(parent, child, stamp_ns, (0.0, 0.0, 0.5))], ros_version, seq)
 
-    def odometry(generation: int, seq: int) -> bytes:
+    def odometry(ros_version: int, seq: int) -> bytes:
         rows = [("odom", "base_link", at(seq), (0.5 * seq, 0.0, 0.0))]
-        return transforms(rows, generation, seq, ODOMETRY.type_in(generation))
+        return transforms(rows, ros_version, seq, ODOMETRY.type_in(ros_version))
 
     items = [
         item(MOUNT, T0, fixed("base_link", "lidar", T0)),
@@ -300,13 +300,13 @@ CONTENT = _content()
 
 
 @cache
-def definition(msgtype: str, generation: int) -> str:
+def definition(msgtype: str, ros_version: int) -> str:
     """The definition as a recorder stores it; the custom type's carries comments."""
-    store = typestore(generation)
-    text: str = store.generate_msgdef(msgtype, ros_version=generation)[0]
+    store = typestore(ros_version)
+    text: str = store.generate_msgdef(msgtype, ros_version=ros_version)[0]
     if msgtype == BATTERY:
         # What rosbags makes anew has no comments: the first part is the author's own.
-        text = _BATTERY_TEXTS[generation] + text[text.index(_RULE) :]
+        text = _BATTERY_TEXTS[ros_version] + text[text.index(_RULE) :]
     return text
 
 
@@ -422,7 +422,7 @@ def write_rosbag1(
 class Mcap:
     """How an MCAP file is written."""
 
-    generation: int = 2
+    ros_version: int = 2
     profile: str = "ros2"
     compression: str = "zstd"
     chunked: bool = True
@@ -456,12 +456,12 @@ def write_mcap(path: Path, recording: Recording, form: Mcap = Mcap()) -> Path:
             key: Any = stream.topic if form.joined else stream
             if key in channels:
                 continue
-            kind = stream.type_in(form.generation)
+            kind = stream.type_in(form.ros_version)
             if kind not in schemas:
                 schemas[kind] = _schema(writer, kind, form)
             channels[key] = writer.register_channel(
                 stream.topic,
-                "ros1" if form.generation == 1 else "cdr",
+                "ros1" if form.ros_version == 1 else "cdr",
                 schemas[kind],
                 _channel_metadata(stream, recording, form),
             )
@@ -471,7 +471,7 @@ def write_mcap(path: Path, recording: Recording, form: Mcap = Mcap()) -> Path:
             writer.add_message(
                 channel,
                 entry.log_time_ns,
-                form.pack(entry.data[form.generation]),
+                form.pack(entry.data[form.ros_version]),
                 entry.publish_time_ns,
                 sequences[channel],
             )
@@ -484,8 +484,8 @@ def write_mcap(path: Path, recording: Recording, form: Mcap = Mcap()) -> Path:
 
 
 def _schema(writer: McapLibraryWriter, msgtype: str, form: Mcap) -> int:
-    name, encoding = msgtype, f"ros{form.generation}msg"
-    if form.generation == 1:
+    name, encoding = msgtype, f"ros{form.ros_version}msg"
+    if form.ros_version == 1:
         name, text = ros1_name(msgtype), definition(msgtype, 1)
     elif form.idl and msgtype in IDL:
         encoding, text = "ros2idl", IDL[msgtype]
@@ -495,7 +495,7 @@ def _schema(writer: McapLibraryWriter, msgtype: str, form: Mcap) -> int:
 
 
 def _channel_metadata(stream: Stream, recording: Recording, form: Mcap) -> dict[str, str]:
-    if form.generation == 1:
+    if form.ros_version == 1:
         latching = {"latching": "1"} if stream.latched else {}
         return {"callerid": stream.publisher, "md5sum": md5sum(stream.type_in(1)), **latching}
     same = [other for other in recording.streams if other.topic == stream.topic] if form.joined else [stream]
@@ -672,14 +672,14 @@ SOURCES: dict[str, Build] = {
     "mcap-none": _mcap(compression="none"),
     "mcap-lz4": _mcap(compression="lz4"),
     "mcap-zstd": _mcap(),
-    "mcap-ros1": _mcap(generation=1, profile="ros1"),
-    "mcap-ros1-unchunked-no-profile": _mcap(generation=1, profile="", chunked=False),
+    "mcap-ros1": _mcap(ros_version=1, profile="ros1"),
+    "mcap-ros1-unchunked-no-profile": _mcap(ros_version=1, profile="", chunked=False),
     "mcap-no-profile": _mcap(profile=""),
     "mcap-ros2idl": _mcap(idl=True),
 }
 """Every kind of source, by name: takes a folder and the recording, returns the source's path."""
 
 
-def generation_of(source: str) -> int:
-    """The ROS generation of a kind of source."""
+def ros_version_of(source: str) -> int:
+    """The ROS version of a kind of source."""
     return 1 if source.startswith(("bag", "mcap-ros1")) else 2

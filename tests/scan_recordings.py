@@ -46,7 +46,7 @@ def recording(
         Item(
             stream,
             START + i * STEP + delay,
-            {generation: encode_laserscan(scan, name) for generation, name in ((1, "ros1"), (2, "cdr"))},
+            {ros_version: encode_laserscan(scan, name) for ros_version, name in ((1, "ros1"), (2, "cdr"))},
         )
         for stream, content in zip(streams, topics.values(), strict=True)
         for i, scan in enumerate(content)
@@ -55,7 +55,7 @@ def recording(
     edges = tuple(tree)
     for stamp in ([START] if static else [START, START + 1_000_000_000]) if edges else []:
         rows = [(parent, child, stamp, (0.1, 0.0, 0.2)) for parent, child in edges]
-        items.append(Item(tf, stamp, {generation: transforms(rows, generation) for generation in (1, 2)}))
+        items.append(Item(tf, stamp, {ros_version: transforms(rows, ros_version) for ros_version in (1, 2)}))
     used = (*streams, *([tf] if edges else []))
     return Recording(used, tuple(sorted(items, key=lambda entry: entry.log_time_ns)))
 

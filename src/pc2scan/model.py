@@ -134,8 +134,8 @@ class Connection:
         )
 
     @property
-    def generation(self) -> int | None:
-        """1 or 2 for the ROS generation that serialised the messages, None for another encoding."""
+    def ros_version(self) -> int | None:
+        """1 or 2 for the ROS version that serialised the messages, None for another encoding."""
         return {"ros1": 1, "cdr": 2}.get(self.serialization)
 
 

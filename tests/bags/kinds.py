@@ -26,9 +26,9 @@ def names(folder: str | Path) -> list[str]:
 def make(folder: Path, kind: str) -> Path:
     """Write a recording with one message; ``sqlite3`` gives the bare file."""
     name, storage = KINDS[kind]
-    destination = plan_destination(folder / name, storage=storage, source_generation=None)
+    destination = plan_destination(folder / name, storage=storage, source_ros_version=None)
     writer = open_writer(destination, destination.path, destination.path.stem)
-    handle = writer.add_connection(CONNECTIONS[destination.generation])
+    handle = writer.add_connection(CONNECTIONS[destination.ros_version])
     writer.write(handle, 5, b"\0\1\0\0\2\0\0\0x\0", 5)
     writer.finish()
     return destination.path / "x_0.db3" if kind == "sqlite3" else destination.path

@@ -12,8 +12,8 @@ from pc2scan.errors import DestinationError
 from pc2scan.model import Summary
 
 
-def plan(name: str, generation: int | None = 2, **options: Any) -> Destination:
-    return plan_destination(Path(name), source_generation=generation, **options)
+def plan(name: str, ros_version: int | None = 2, **options: Any) -> Destination:
+    return plan_destination(Path(name), source_ros_version=ros_version, **options)
 
 
 @pytest.mark.parametrize(
@@ -23,19 +23,19 @@ def plan(name: str, generation: int | None = 2, **options: Any) -> Destination:
         ("x.BAG", {"compression": "bz2"}, ("rosbag1", "", "bz2", "", 1)),
         ("x.bag", {"compression": "none"}, ("rosbag1", "", "none", "", 1)),
         ("x.mcap", {}, ("mcap", "", "zstd", "ros2", 2)),
-        ("x.mcap", {"generation": 1}, ("mcap", "", "zstd", "ros1", 1)),
-        ("x.mcap", {"generation": None}, ("mcap", "", "zstd", "ros2", 2)),
-        ("x.mcap", {"generation": 1, "profile": "ros2"}, ("mcap", "", "zstd", "ros2", 2)),
+        ("x.mcap", {"ros_version": 1}, ("mcap", "", "zstd", "ros1", 1)),
+        ("x.mcap", {"ros_version": None}, ("mcap", "", "zstd", "ros2", 2)),
+        ("x.mcap", {"ros_version": 1, "profile": "ros2"}, ("mcap", "", "zstd", "ros2", 2)),
         ("x.mcap", {"profile": "ros1", "compression": "lz4"}, ("mcap", "", "lz4", "ros1", 1)),
         ("x", {}, ("rosbag2", "mcap", "zstd", "", 2)),
-        ("2024-01-01-12.30", {"generation": 1}, ("rosbag2", "mcap", "zstd", "", 2)),
+        ("2024-01-01-12.30", {"ros_version": 1}, ("rosbag2", "mcap", "zstd", "", 2)),
         ("x", {"storage": "sqlite3"}, ("rosbag2", "sqlite3", "none", "", 2)),
         ("x", {"storage": "sqlite3", "compression": "zstd"}, ("rosbag2", "sqlite3", "zstd", "", 2)),
     ],
 )
 def test_plans(name: str, options: dict[str, Any], expected: tuple[str, str, str, str, int]) -> None:
     found = plan(name, **options)
-    assert (found.container, found.storage, found.compression, found.profile, found.generation) == expected
+    assert (found.container, found.storage, found.compression, found.profile, found.ros_version) == expected
     assert found.path == Path(name)
 
 
@@ -96,7 +96,7 @@ def test_default_destinations(source: str, of: Summary, expected: str, storage: 
     found = default_destination([Path(source), Path("elsewhere/y.bag")], [of, summary("rosbag1")])
     assert found == Path(expected)
     assert default_storage([of]) == storage
-    assert plan_destination(found, storage=storage, source_generation=2).container == (
+    assert plan_destination(found, storage=storage, source_ros_version=2).container == (
         of.container if of.container != "sqlite3" else "rosbag2"
     )
 

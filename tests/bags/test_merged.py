@@ -247,7 +247,7 @@ def test_the_order_is_that_of_a_stable_sort(
     assert [m.data for m in MergedReader(readers).messages(None, start, stop)] == expected
 
 
-def test_generations_do_not_mix(tmp_path: Path) -> None:
+def test_ros_versions_do_not_mix(tmp_path: Path) -> None:
     one = FakeReader(tmp_path / "one", [replace(connection(1), serialization="ros1")], [])
     two = FakeReader(tmp_path / "two", [connection(1)], [])
     with pytest.raises(UsageError, match=r"one is a ROS 1 recording and .*two is a ROS 2 recording"):

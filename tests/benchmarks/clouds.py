@@ -111,14 +111,14 @@ def write_recording(folder: Path, form: Form, size_bytes: int, points: int = CLO
     Path
         The recording: a file, or a rosbag2 directory.
     """
-    generation = 1 if form.serialization == "ros1" else 2
+    ros_version = 1 if form.serialization == "ros1" else 2
     target = plan_destination(
         folder / f"clouds-{form.storage or form.compression}{form.suffix}",
         storage=form.storage,
         compression=form.compression,
-        source_generation=generation,
+        source_ros_version=ros_version,
     )
-    text, digest = definition(POINTCLOUD2, generation)
+    text, digest = definition(POINTCLOUD2, ros_version)
     writer = open_writer(target, target.path, target.path.name)
     handles = [
         writer.add_connection(Connection(0, topic, POINTCLOUD2, form.serialization, definition=text, digest=digest))

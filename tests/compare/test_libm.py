@@ -93,8 +93,8 @@ def test_clouds_are_found_in_any_order(order: Sequence[int], tmp_path: Path) -> 
     """Three of them at each log time."""
 
     def cloud_of(step: int) -> Item:
-        def encoded(generation: int, _: int) -> bytes:
-            return cloud(points_of(step), generation, stamp_ns=1000 + step)
+        def encoded(ros_version: int, _: int) -> bytes:
+            return cloud(points_of(step), ros_version, stamp_ns=1000 + step)
 
         return item(POINTS, T0 + step // 3, encoded)
 

@@ -21,8 +21,8 @@ EXACT = Rules()
 RANGES = np.array([1.0, np.inf, 2.5, 3.0], np.float32)
 
 
-def message(data: bytes, msgtype: str, generation: int = 2, log_time_ns: int = T0) -> RawMessage:
-    return RawMessage(Connection(0, "/x", msgtype, ENCODINGS[generation]), log_time_ns, data, log_time_ns)
+def message(data: bytes, msgtype: str, ros_version: int = 2, log_time_ns: int = T0) -> RawMessage:
+    return RawMessage(Connection(0, "/x", msgtype, ENCODINGS[ros_version]), log_time_ns, data, log_time_ns)
 
 
 def names(difference: MessageDifference) -> set[str]:
@@ -88,18 +88,18 @@ class TestScans:
         assert "message ends" in change.b
 
 
-def built(generation: int = 2, points: int = 60, **changed: Any) -> bytes:
+def built(ros_version: int = 2, points: int = 60, **changed: Any) -> bytes:
     """A cloud of x, y, z and a byte of padding behind them; ``changed`` replaces parts of the message."""
-    store = typestore(generation)
-    base = deserialized(cloud(points_of(3, points), generation), CLOUD, generation)
+    store = typestore(ros_version)
+    base = deserialized(cloud(points_of(3, points), ros_version), CLOUD, ros_version)
     data = np.zeros((points, 13), np.uint8)
     data[:, :12] = base.data.reshape(points, 12)
     parts = {"point_step": 13, "row_step": 13 * points, "data": data.ravel(), **changed}
-    return serialized(store, replace(base, **parts), CLOUD, generation)
+    return serialized(store, replace(base, **parts), CLOUD, ros_version)
 
 
-def compared(one: bytes, other: bytes, rules: Rules = EXACT, generations: tuple[int, int] = (2, 2)) -> set[str]:
-    a, b = (message(data, POINTCLOUD2, g) for data, g in zip((one, other), generations, strict=True))
+def compared(one: bytes, other: bytes, rules: Rules = EXACT, ros_versions: tuple[int, int] = (2, 2)) -> set[str]:
+    a, b = (message(data, POINTCLOUD2, g) for data, g in zip((one, other), ros_versions, strict=True))
     return names(compare_messages(a, b, rules))
 
 
@@ -109,7 +109,7 @@ def data_of(raw: bytes) -> Any:
 
 class TestClouds:
     def test_both_wire_formats_say_the_same(self) -> None:
-        assert compared(built(1), built(2), generations=(1, 2)) == set()
+        assert compared(built(1), built(2), ros_versions=(1, 2)) == set()
 
     def test_a_bit_of_a_field_is_told_from_a_bit_of_padding(self) -> None:
         data = data_of(built())

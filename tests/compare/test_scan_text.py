@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 ENCODINGS = {1: "ros1", 2: "cdr"}
 
 
-def message(data: bytes, msgtype: str = LASERSCAN, generation: int = 2, topic: str = "/scan") -> RawMessage:
-    return RawMessage(Connection(4, topic, msgtype, ENCODINGS[generation]), T0, data, T0)
+def message(data: bytes, msgtype: str = LASERSCAN, ros_version: int = 2, topic: str = "/scan") -> RawMessage:
+    return RawMessage(Connection(4, topic, msgtype, ENCODINGS[ros_version]), T0, data, T0)
 
 
 def reread(tmp_path: Path, *messages: RawMessage) -> list[RawMessage]:
@@ -81,13 +81,13 @@ def test_any_cloud_survives_to_the_bit(
     assert again.data == data
 
 
-@pytest.mark.parametrize("generation", [1, 2])
-def test_several_topics_keep_their_order(generation: int, tmp_path: Path) -> None:
+@pytest.mark.parametrize("ros_version", [1, 2])
+def test_several_topics_keep_their_order(ros_version: int, tmp_path: Path) -> None:
     ranges = np.array([1.5, np.inf, np.nan, -0.0], np.float32)
     messages = [
-        message(scan(ranges, generation, seq=3), LASERSCAN, generation, "/front scan"),
-        message(cloud(points_of(1), generation, seq=4), POINTCLOUD2, generation, "/cloud"),
-        message(scan(ranges[:2], generation, seq=5), LASERSCAN, generation, "/front scan"),
+        message(scan(ranges, ros_version, seq=3), LASERSCAN, ros_version, "/front scan"),
+        message(cloud(points_of(1), ros_version, seq=4), POINTCLOUD2, ros_version, "/cloud"),
+        message(scan(ranges[:2], ros_version, seq=5), LASERSCAN, ros_version, "/front scan"),
     ]
     again = reread(tmp_path, *messages)
     assert [(m.connection.topic, bytes(m.data)) for m in again] == [(m.connection.topic, m.data) for m in messages]

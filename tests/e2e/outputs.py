@@ -47,7 +47,7 @@ class Publisher(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Output:
-    generation: int
+    ros_version: int
     publishers: list[Publisher]
     messages: list[Found]
 
@@ -58,10 +58,10 @@ class Output:
         return {found.topic for found in self.messages}
 
     def scans(self, topic: str = "/scan") -> list[Any]:
-        return [deserialized(found.data, SCAN, self.generation) for found in self.of(topic)]
+        return [deserialized(found.data, SCAN, self.ros_version) for found in self.of(topic)]
 
     def clouds(self, topic: str = "/cloud") -> list[Any]:
-        return [deserialized(found.data, CLOUD, self.generation) for found in self.of(topic)]
+        return [deserialized(found.data, CLOUD, self.ros_version) for found in self.of(topic)]
 
 
 def opened(path: Path) -> Output:

@@ -31,8 +31,8 @@ from builders import (
     Stream,
     definition,
     deserialized,
-    generation_of,
     points_of,
+    ros_version_of,
     serialized,
     typestore,
     write_mcap,
@@ -54,7 +54,7 @@ class Kind:
     """A kind of destination: its name's ending, options, and what `pc2scan.convert` takes for them."""
 
     name: str
-    generation: int
+    ros_version: int
     options: dict[str, Any]
 
     def arguments(self) -> list[str]:
@@ -107,17 +107,17 @@ def expected_scans() -> list[tuple[int, int, str, bytes]]:
     ]
 
 
-def canonical(data: bytes, msgtype: str, generation: int) -> bytes:
+def canonical(data: bytes, msgtype: str, ros_version: int) -> bytes:
     """The payload as rosbags would serialise it: padding bytes are anyone's choice."""
-    return serialized(typestore(generation), deserialized(data, msgtype, generation), msgtype, generation)
+    return serialized(typestore(ros_version), deserialized(data, msgtype, ros_version), msgtype, ros_version)
 
 
 def check_passing(stream: Stream, output: Output, source: int) -> None:
-    """A topic that passed through: times, order and payloads, to the byte within one generation."""
+    """A topic that passed through: times, order and payloads, to the byte within one ROS version."""
     items = CONTENT.of(stream.topic)
     found = output.of(stream.topic)
     assert [message.log_time_ns for message in found] == [item.log_time_ns for item in items]
-    target = output.generation
+    target = output.ros_version
     expected = [item.expected(source, target) for item in items]
     data = [message.data for message in found]
     if source != target:
@@ -128,14 +128,14 @@ def check_passing(stream: Stream, output: Output, source: int) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", SOURCES)
 def test_from_any_container_to_any_container(name: str, kind: str, sources: dict[str, Path], tmp_path: Path) -> None:
-    source, target = generation_of(name), KINDS[kind].generation
+    source, target = ros_version_of(name), KINDS[kind].ros_version
     destination = tmp_path / KINDS[kind].name
     report = pc2scan.convert(sources[name], destination, params=PARAMS, jobs=1, **KINDS[kind].options)
     lost = name in WITHOUT_DEFINITIONS and target == 1
     assert report.exit_status == (3 if lost else 0)
     assert [entry.topic for entry in report.topics if entry.lost] == (["/battery"] if lost else [])
     output = opened(destination)
-    assert output.generation == target
+    assert output.ros_version == target
     assert scans_of(output) == expected_scans()
     passing = [stream for stream in PASSING if not (lost and stream is CHARGE)]
     assert output.topics() == {"/scan", "/tf_static", *(stream.topic for stream in passing)}
@@ -150,7 +150,7 @@ def test_from_any_container_to_any_container(name: str, kind: str, sources: dict
 
 
 def check_publishers(name: str, source: int, output: Output) -> None:
-    """Types, latching, and definitions: verbatim within one generation."""
+    """Types, latching, and definitions: verbatim within one ROS version."""
     latched = {publisher.topic for publisher in output.publishers if publisher.latched}
     # Before metadata version 4 recordings do not tell.
     assert latched == (set() if name == "rosbag2-sqlite3-v2" else {"/tf_static"})
@@ -158,7 +158,7 @@ def check_publishers(name: str, source: int, output: Output) -> None:
         stream = next((s for s in CONTENT.streams if s.topic == publisher.topic), None)
         if stream is None or name in WITHOUT_DEFINITIONS:
             continue
-        if source != output.generation:
+        if source != output.ros_version:
             assert publisher.msgtype == stream.msgtype
             continue
         assert publisher.msgtype == stream.type_in(source)
@@ -186,7 +186,7 @@ def test_the_command_does_the_same(name: str, kind: str, sources: dict[str, Path
 @pytest.mark.parametrize("kind", ["bag-lz4", "mcap-ros2-none", "rosbag2-sqlite3-none"])
 @pytest.mark.parametrize("name", ["bag-lz4", "mcap-zstd", "mcap-ros2idl", "rosbag2-mcap-v8"])
 def test_kept_clouds_carry_their_points(name: str, kind: str, sources: dict[str, Path], tmp_path: Path) -> None:
-    source, chosen = generation_of(name), KINDS[kind]
+    source, chosen = ros_version_of(name), KINDS[kind]
     destination = tmp_path / chosen.name
     report = pc2scan.convert(sources[name], destination, params=PARAMS, keep_clouds=True, **chosen.options)
     assert report.exit_status == 0
@@ -195,9 +195,9 @@ def test_kept_clouds_carry_their_points(name: str, kind: str, sources: dict[str,
     found = output.of("/points")
     assert [message.log_time_ns for message in found] == [item.log_time_ns for item in items]
     data = [message.data for message in found]
-    if source != output.generation:
-        data = [canonical(payload, CLOUD, output.generation) for payload in data]
-    assert data == [item.expected(source, output.generation) for item in items]
+    if source != output.ros_version:
+        data = [canonical(payload, CLOUD, output.ros_version) for payload in data]
+    assert data == [item.expected(source, output.ros_version) for item in items]
 
 
 @pytest.mark.parametrize(

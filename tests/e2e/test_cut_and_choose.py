@@ -298,7 +298,7 @@ def test_default_destination(source: str, destination: str, storage: str, tmp_pa
     assert left(tmp_path) == {path.name, destination}
     output = opened(tmp_path / destination)
     assert output.topics() == EVERYTHING
-    assert output.generation == (1 if source in {"bag-bz2", "mcap-ros1"} else 2)
+    assert output.ros_version == (1 if source in {"bag-bz2", "mcap-ros1"} else 2)
     if storage:
         assert left(tmp_path / destination) == {"metadata.yaml", f"{destination}_0{storage}"}
 

@@ -52,7 +52,7 @@ def ranges(step: int) -> Ranges:
 
 
 def scan_item(values: Ranges, log_time_ns: int = T0, *, stream: Stream = SCANS, **header: Any) -> Item:
-    return item(stream, log_time_ns, lambda generation, _: scan(values, generation, **header))
+    return item(stream, log_time_ns, lambda ros_version, _: scan(values, ros_version, **header))
 
 
 def stamp_of(step: int) -> int:
@@ -113,7 +113,7 @@ def sources(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 )
 def test_the_form_makes_no_difference(name: str, against: str, sources: dict[str, Path]) -> None:
     found = pc2scan.diff(sources[against], sources[name], all_topics=True)
-    # Storages of before ROS 2 Iron do not define the custom type: across the generations its bytes cannot be compared.
+    # Storages of before ROS 2 Iron do not define the custom type: between ROS versions its bytes cannot be compared.
     unknown = name in {f"rosbag2-sqlite3-v{version}" for version in (2, 4, 5)} and against == "bag-lz4"
     assert [topic.name for topic in found.topics if not topic.same] == (["/battery"] if unknown else []), str(found)
     assert {topic.name for topic in found.topics} == {stream.topic for stream in CONTENT.streams}
@@ -122,12 +122,12 @@ def test_the_form_makes_no_difference(name: str, against: str, sources: dict[str
         assert "not decoded" in str(found)
 
 
-@pytest.mark.parametrize("generations", [(1, 1), (1, 2), (2, 2)])
-def test_scans_are_the_same_in_every_form(generations: tuple[int, int], tmp_path: Path) -> None:
+@pytest.mark.parametrize("ros_versions", [(1, 1), (1, 2), (2, 2)])
+def test_scans_are_the_same_in_every_form(ros_versions: tuple[int, int], tmp_path: Path) -> None:
     paths = []
-    for side, generation in enumerate(generations):
+    for side, ros_version in enumerate(ros_versions):
         path = tmp_path / f"{side}.mcap"
-        form = Mcap(generation=generation, profile=f"ros{generation}", compression=("lz4", "none")[side])
+        form = Mcap(ros_version=ros_version, profile=f"ros{ros_version}", compression=("lz4", "none")[side])
         paths.append(write_mcap(path, recording(TEN), form))
     status, found = compared(paths[0], paths[1])
     assert status == 0
@@ -263,10 +263,10 @@ def test_what_a_new_recording_changes_is_pointed_out(reference: Path, tmp_path: 
     assert compared(reference, other, "--ignore", "log_time")[0] == 0
 
 
-def changed_content(topic: str, generation: int, data: bytes) -> Recording:
+def changed_content(topic: str, ros_version: int, data: bytes) -> Recording:
     items = list(CONTENT.items)
     place = max(k for k, entry in enumerate(items) if entry.stream.topic == topic)
-    items[place] = item(items[place].stream, items[place].log_time_ns, lambda g, _: data if g == generation else b"")
+    items[place] = item(items[place].stream, items[place].log_time_ns, lambda g, _: data if g == ros_version else b"")
     return Recording(CONTENT.streams, tuple(items))
 
 

@@ -104,11 +104,11 @@ def recording(path: Path, shift: float, *streams: Stream, frame_id: str = "laser
     beams = points_of(0, 100)[10:, 0]
 
     def scan_of(step: int) -> Item:
-        return item(SCANS, T0 + step, lambda generation, _: scan(beams + shift, generation, stamp_ns=1000 + step))
+        return item(SCANS, T0 + step, lambda ros_version, _: scan(beams + shift, ros_version, stamp_ns=1000 + step))
 
     def cloud_of(stream: Stream, step: int) -> Item:
-        def encoded(generation: int, _: int) -> bytes:
-            return cloud(points_of(step), generation, stamp_ns=1000 + step, frame_id=frame_id)
+        def encoded(ros_version: int, _: int) -> bytes:
+            return cloud(points_of(step), ros_version, stamp_ns=1000 + step, frame_id=frame_id)
 
         return item(stream, T0 + step, encoded)
 

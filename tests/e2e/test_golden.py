@@ -97,9 +97,9 @@ def test_equal_to_the_byte_without_compiled_loops(name: str, tmp_path: Path, mon
 FIELDS = ("angle_min", "angle_max", "angle_increment", "time_increment", "scan_time", "range_min", "range_max")
 
 
-def parts_of(data: bytes, msgtype: str, generation: int) -> dict[str, Any]:
+def parts_of(data: bytes, msgtype: str, ros_version: int) -> dict[str, Any]:
     """Everything but ``seq``, which ROS 2 does not have; arrays as their bytes, so that NaN equals NaN."""
-    message = deserialized(data, msgtype, generation)
+    message = deserialized(data, msgtype, ros_version)
     stamp = message.header.stamp
     parts = {"stamp": (stamp.sec, stamp.nanosec), "frame_id": message.header.frame_id}
     if msgtype == SCAN:
@@ -122,7 +122,7 @@ def test_equal_to_the_bit_in_ros2_containers(name: str, options: tuple[str, ...]
     converted(name, destination, *options)
     output = opened(destination)
     msgtype = CLOUD if is_reverse(name) else SCAN
-    assert output.generation == 2
+    assert output.ros_version == 2
     assert [(found.topic, found.log_time_ns) for found in output.messages] == [
         (found.topic, found.log_time_ns) for found in expected(name)
     ]

@@ -54,8 +54,8 @@ def crowded(count: int = 40) -> Recording:
         time_ns = T0 + number * SECOND // 100
         rows = [("odom", "base_link", time_ns, (0.01 * number, 0.0, 0.0))]
 
-        def moved(generation: int, seq: int, rows: Any = rows) -> bytes:
-            return transforms(rows, generation, seq, ODOMETRY.type_in(generation))
+        def moved(ros_version: int, seq: int, rows: Any = rows) -> bytes:
+            return transforms(rows, ros_version, seq, ODOMETRY.type_in(ros_version))
 
         items += [item(stream, time_ns, moved, number) for stream in MORE[:2]]
     items.append(item(MORE[2], T0 + 3, lambda g, s: transforms([("base_link", "arm", T0, (0.0, 0.0, 1.0))], g, s)))
@@ -70,7 +70,7 @@ CROWDED = crowded()
 SOURCES: dict[str, Callable[[Path], Path]] = {
     "bag": lambda folder: write_rosbag1(folder / "drive.bag", CROWDED),
     "mcap": lambda folder: write_mcap(folder / "drive.mcap", CROWDED),
-    "mcap-ros1": lambda folder: write_mcap(folder / "drive.mcap", CROWDED, Mcap(generation=1, profile="ros1")),
+    "mcap-ros1": lambda folder: write_mcap(folder / "drive.mcap", CROWDED, Mcap(ros_version=1, profile="ros1")),
 }
 STORAGES = {"sqlite3": ("--storage", "sqlite3"), "mcap": ("--storage", "mcap")}
 

@@ -51,7 +51,7 @@ def large() -> Recording:
         item(
             POINTS,
             T0 + SECOND + step,
-            lambda generation, seq: cloud(points_of(seq, 15_000), generation, seq=seq, stamp_ns=T0 + SECOND),
+            lambda ros_version, seq: cloud(points_of(seq, 15_000), ros_version, seq=seq, stamp_ns=T0 + SECOND),
             step,
         )
         for step in range(8)
@@ -75,7 +75,7 @@ def converted(commands: list[list[str]], run: dict[str, str]) -> None:
 
 @pytest.fixture(scope="module")
 def outputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[dict[str, str]]]:
-    """Digests of every kind of destination, of the two generations of sources, from each of the runs."""
+    """Digests of every kind of destination, of the two ROS versions of sources, from each of the runs."""
     folder = tmp_path_factory.mktemp("sources")
     form = Mcap(attachments=ATTACHMENTS, metadata=METADATA)
     sources = {1: SOURCES["bag-lz4"](folder, large()), 2: write_mcap(folder / "source.mcap", large(), form)}
@@ -84,11 +84,11 @@ def outputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[dict[str
         # Another place, of another length, too.
         place = tmp_path_factory.mktemp("x" * (number + 1))
         commands, destinations = [], {}
-        for generation, source in sources.items():
+        for ros_version, source in sources.items():
             for kind, chosen in KINDS.items():
-                destination = place / f"{generation}-{kind}" / chosen.name
+                destination = place / f"{ros_version}-{kind}" / chosen.name
                 destination.parent.mkdir()
-                destinations[f"{generation}-{kind}"] = destination
+                destinations[f"{ros_version}-{kind}"] = destination
                 heights = ["--min-height", "-2", "--max-height", "2"]
                 added = ["--static-tf", "lidar cup 0 0 1 0 0 0", "--write-static-tf", "--keep-clouds"]
                 commands.append(["convert", str(source), "-o", str(destination), *heights, *added, *chosen.arguments()])
@@ -98,10 +98,10 @@ def outputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[dict[str
     return found
 
 
-@pytest.mark.parametrize("generation", [1, 2])
+@pytest.mark.parametrize("ros_version", [1, 2])
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_bytes_are_the_same(kind: str, generation: int, outputs: dict[str, list[dict[str, str]]]) -> None:
-    first, *others = outputs[f"{generation}-{kind}"]
+def test_the_bytes_are_the_same(kind: str, ros_version: int, outputs: dict[str, list[dict[str, str]]]) -> None:
+    first, *others = outputs[f"{ros_version}-{kind}"]
     assert len(others) == len(RUNS) - 1
     for other in others:
         assert other == first

@@ -89,25 +89,25 @@ def _schema(data: bytes) -> None:
     from pc2scan.messages.transcode import transcoder
 
     encoding = _ENCODINGS[data[0] % 3] if data else ""
-    generation = 1 if encoding == "ros1msg" else 2
+    ros_version = 1 if encoding == "ros1msg" else 2
     definition = Definition(encoding, data[1:])
     planned = transcoder(
         Connection(
-            1, "/t", "p/T" if generation == 1 else "p/msg/T", f"{'ros1' if generation == 1 else 'cdr'}", definition
+            1, "/t", "p/T" if ros_version == 1 else "p/msg/T", f"{'ros1' if ros_version == 1 else 'cdr'}", definition
         ),
-        3 - generation,
+        3 - ros_version,
     )
     planned.encode(b"\0\1\0\0" + bytes(64))
 
 
 @cache
-def _planned(generation: int) -> Callable[[bytes], object]:
+def _planned(ros_version: int) -> Callable[[bytes], object]:
     from pc2scan.messages.transcode import transcoder
 
     text = b"string[] names\nuint8[] bytes\nfloat64[2] pair\nbuiltin_interfaces/Time[] times\nbool b\nstring last\n"
-    text = text.replace(b"builtin_interfaces/Time", b"time") if generation == 1 else text
-    kind, word = ("p/T", "ros1") if generation == 1 else ("p/msg/T", "cdr")
-    made = transcoder(Connection(1, "/t", kind, word, Definition(f"ros{generation}msg", text)), 3 - generation)
+    text = text.replace(b"builtin_interfaces/Time", b"time") if ros_version == 1 else text
+    kind, word = ("p/T", "ros1") if ros_version == 1 else ("p/msg/T", "cdr")
+    made = transcoder(Connection(1, "/t", kind, word, Definition(f"ros{ros_version}msg", text)), 3 - ros_version)
     return made.encode
 
 

@@ -49,15 +49,15 @@ if TYPE_CHECKING:
 def inputs() -> Iterator[tuple[str, str, bytes]]:
     """Decoder, name and content."""
     first = {"ros1": (1, b"\0"), "cdr": (2, b"\xff")}
-    for word, (generation, lead) in first.items():
+    for word, (ros_version, lead) in first.items():
         points = points_of(1, 3)
-        yield "cloud", word, lead + cloud(points, generation)
-        yield "wire", word, lead + cloud(points, generation)
-        yield "scan", word, lead + scan(points[:, 0], generation)
-        yield "transforms", word, lead + CONTENT.of("/tf")[0].data[generation]
-        text = struct.pack("<I", 2) + (b"\0" if generation == 1 else b"a\0\0\0") * 4
-        yield "transcoding", word, lead + (b"" if generation == 1 else b"\0\1\0\0") + text + bytes(60)
-        yield "schema", word, bytes([generation - 1]) + definition(BATTERY, generation).encode()
+        yield "cloud", word, lead + cloud(points, ros_version)
+        yield "wire", word, lead + cloud(points, ros_version)
+        yield "scan", word, lead + scan(points[:, 0], ros_version)
+        yield "transforms", word, lead + CONTENT.of("/tf")[0].data[ros_version]
+        text = struct.pack("<I", 2) + (b"\0" if ros_version == 1 else b"a\0\0\0") * 4
+        yield "transcoding", word, lead + (b"" if ros_version == 1 else b"\0\1\0\0") + text + bytes(60)
+        yield "schema", word, bytes([ros_version - 1]) + definition(BATTERY, ros_version).encode()
     yield "schema", "idl", b"\x02" + IDL[BATTERY].encode()
     yield (
         "records",

@@ -178,7 +178,7 @@ def _with_mutated_messages(rng: random.Random) -> Recording:
     for entry in CONTENT.items:
         data = entry.data
         if rng.random() < _MUTATED_SHARE:
-            data = {generation: mutated(content, rng) for generation, content in data.items()}
+            data = {ros_version: mutated(content, rng) for ros_version, content in data.items()}
         log_time_ns = entry.log_time_ns if rng.random() < _TIMELY_SHARE else rng.randrange(2_000, 1 << 61)
         items.append(replace(entry, data=data, log_time_ns=log_time_ns))
     return replace(CONTENT, items=tuple(items))

@@ -134,7 +134,7 @@ def bytes_for_names(tmp_path: Path) -> Path:
 def test_bytes_that_are_no_text(kind: str, bytes_for_names: Path, tmp_path: Path) -> None:
     name, *options = DESTINATIONS[kind]
     done = run_bounded(tmp_path, "convert", bytes_for_names, "-o", tmp_path / name, "--keep-clouds", *options)
-    # Between the generations a type that is no name cannot be carried over.
+    # Between the ROS versions a type that is no name cannot be carried over.
     assert done.status == (0 if kind in ("bag", "mcap") else 3), done.stderr
     again = run_bounded(tmp_path, "info", tmp_path / name, "--json")
     assert again.status == 0, again.stderr

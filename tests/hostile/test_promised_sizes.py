@@ -36,15 +36,15 @@ DECLARED: bytes = mcap_files.encoded(Schema(id=1, name=CLOUD, encoding="ros2msg"
 )
 
 
-def zero_cloud(size: int, generation: int) -> bytes:
+def zero_cloud(size: int, ros_version: int) -> bytes:
     """A cloud whose points are ``size`` bytes of zeros."""
-    empty = cloud(np.empty((0, 3), np.float32), generation)
+    empty = cloud(np.empty((0, 3), np.float32), ros_version)
     # Width, row_step and the length of the data are the numbers of points; is_dense is the last byte.
     head, tail = bytearray(empty[:-1]), empty[-1:]
     head[-4:] = struct.pack("<I", size)
     head[-8:-4] = struct.pack("<I", size)
     # ROS 1: seq, stamp, length and text. CDR: stamp, length, text and NUL, counted from behind its own header.
-    at = 16 + 5 if generation == 1 else 4 + (12 + 6 + 2)
+    at = 16 + 5 if ros_version == 1 else 4 + (12 + 6 + 2)
     struct.pack_into("<II", head, at, 1, size // 12)
     return bytes(head) + bytes(size) + tail
 
@@ -75,8 +75,8 @@ BOMBS: dict[str, tuple[str, int, Callable[[Path, bytes], Path]]] = {
 @pytest.mark.parametrize("command", ["info", "convert"])
 @pytest.mark.parametrize("kind", BOMBS)
 def test_a_chunk_that_unfolds_to_more_than_may_be(kind: str, command: str, tmp_path: Path) -> None:
-    name, generation, make = BOMBS[kind]
-    source = make(tmp_path / name, zero_cloud(HUGE, generation))
+    name, ros_version, make = BOMBS[kind]
+    source = make(tmp_path / name, zero_cloud(HUGE, ros_version))
     assert source.stat().st_size < 5_000_000
     done = run_bounded(tmp_path, command, source)
     # The front of the chunk is kept, and no message of it is whole.
@@ -95,8 +95,8 @@ def test_a_bag_of_three_kilobytes(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", ["bag-lz4", "bag-bz2", "mcap-zstd", "mcap-lz4"])
 def test_a_chunk_that_could_be_copied(kind: str, tmp_path: Path) -> None:
-    name, generation, make = BOMBS[kind]
-    source = make(tmp_path / name, zero_cloud(HUGE, generation))
+    name, ros_version, make = BOMBS[kind]
+    source = make(tmp_path / name, zero_cloud(HUGE, ros_version))
     done = run_bounded(tmp_path, "repair", source, "-o", tmp_path / f"out-{name}")
     assert done.status == 3
     assert "may be" in done.stderr
@@ -105,8 +105,8 @@ def test_a_chunk_that_could_be_copied(kind: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", ["mcap-zstd", "mcap-lz4", "bag-lz4"])
 @pytest.mark.parametrize("command", [("info",), ("convert", "--keep-clouds", "--overwrite")])
 def test_a_chunk_as_large_as_may_be(kind: str, command: tuple[str, ...], tmp_path: Path) -> None:
-    name, generation, make = BOMBS[kind]
-    source = make(tmp_path / name, zero_cloud(31_200_000, generation))
+    name, ros_version, make = BOMBS[kind]
+    source = make(tmp_path / name, zero_cloud(31_200_000, ros_version))
     first, *options = command
     done = run_bounded(tmp_path, first, source, *options)
     assert done.status == 0, done.stderr
@@ -142,16 +142,16 @@ def lied(data: bytes, place: int, value: int) -> bytes:
     return data[:place] + struct.pack("<I", value) + data[place + 4 :]
 
 
-@pytest.mark.parametrize("generation", [1, 2])
-def test_every_number_of_a_cloud_may_be_the_largest_there_is(generation: int, tmp_path: Path) -> None:
+@pytest.mark.parametrize("ros_version", [1, 2])
+def test_every_number_of_a_cloud_may_be_the_largest_there_is(ros_version: int, tmp_path: Path) -> None:
     """Frame's length, height, width, fields, their names, offsets and counts, point_step, row_step, data's length."""
-    sound = cloud(points_of(0), generation)
+    sound = cloud(points_of(0), ros_version)
     head = len(sound) - 12 * 60 - 1
-    places = range(4 if generation == 2 else 0, head - 3)
+    places = range(4 if ros_version == 2 else 0, head - 3)
     payloads = [lied(sound, place, value) for place in places for value in (0, 1 << 31, 0xFFFF_FFFF)]
-    items = [Item(POINTS, T0 + step, {generation: data}) for step, data in enumerate(payloads)]
+    items = [Item(POINTS, T0 + step, {ros_version: data}) for step, data in enumerate(payloads)]
     recording = Recording((POINTS,), tuple(items))
-    if generation == 1:
+    if ros_version == 1:
         from builders import write_rosbag1
 
         source = write_rosbag1(tmp_path / "a.bag", recording)

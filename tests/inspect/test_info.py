@@ -21,7 +21,7 @@ XYZ = [PointField("x", 0, 7), PointField("y", 4, 7), PointField("z", 8, 7)]
 
 
 def write(path: Path, *clouds: object, fields: list[PointField] = XYZ) -> Path:
-    writer = open_writer(plan_destination(path, source_generation=2), path, path.name)
+    writer = open_writer(plan_destination(path, source_ros_version=2), path, path.name)
     text, digest = definition(POINTCLOUD2, 2)
     handle = writer.add_connection(Connection(0, "/points", POINTCLOUD2, "cdr", text, digest))
     for i, points in enumerate(clouds):

@@ -1,4 +1,4 @@
-"""Messages that pass through between ROS generations, held to an independent serialiser written out in twins.py."""
+"""Messages that pass through between ROS versions, held to an independent serialiser written out in twins.py."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from pc2scan.messages.transcode import DISTROS, transcoder
 from pc2scan.model import LATCHED_QOS, Connection, Definition, ros1_type
 from support import RECORDINGS, needs_shared
 
-# --- every type that both generations know ---
+# --- every type that both ROS versions know ---
 
 
 @cache
@@ -48,7 +48,7 @@ def test_common_type_is_what_rosbags_makes_of_the_objects(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", common_types())
-def test_common_type_gets_the_other_generations_identity(name: str) -> None:
+def test_common_type_gets_the_other_ros_versions_identity(name: str) -> None:
     from rosbags.typesys import Stores, get_typestore
 
     there = transcoder(Connection(1, "/topic", ros1_type(name), "ros1"), 2).connection
@@ -156,7 +156,7 @@ def test_any_type_goes_there_and_back(text: str, seed: int) -> None:
     check_both_ways(connection, "pkg/msg/Type", structs, seed)
 
 
-def test_definition_of_a_custom_type_is_written_in_the_other_generations_words() -> None:
+def test_definition_of_a_custom_type_is_written_in_the_other_ros_versions_words() -> None:
     there = transcoder(
         ros1(NESTED.replace("uint8 flag", "uint8 flag\nstring GREETING=hi # there\nint8 LOW=-5 # not it")), 2
     )
@@ -202,7 +202,7 @@ def test_old_type_names() -> None:
     )
 
 
-def test_other_generations_field_names_where_the_layout_is_the_same() -> None:
+def test_other_ros_versions_field_names_where_the_layout_is_the_same() -> None:
     there = transcoder(Connection(1, "/camera_info", "sensor_msgs/CameraInfo", "ros1"), 2).connection
     assert "float64[] d\nfloat64[9] k\nfloat64[9] r\nfloat64[12] p\n" in there.definition.text
     custom = transcoder(ros1("sensor_msgs/CameraInfo info\nuint8 D\n"), 2).connection
@@ -317,8 +317,8 @@ def test_latched_profile_is_what_rosbags_understands() -> None:
 # --- what cannot be ---
 
 
-def test_same_generation_is_the_callers_mistake() -> None:
-    with pytest.raises(ValueError, match="of ROS generation 1 already"):
+def test_same_ros_version_is_the_callers_mistake() -> None:
+    with pytest.raises(ValueError, match="of ROS version 1 already"):
         transcoder(ros1("uint8 a\n"), 1)
 
 
@@ -350,17 +350,17 @@ TWO = f"Item[] items\n{SEPARATOR}\nMSG: pkg/Item\nfloat64 a\nfloat64 b\n"
     ],
 )
 def test_damaged_messages(connection: Connection, data: bytes, message: str) -> None:
-    encode = transcoder(connection, 3 - (connection.generation or 1)).encode
+    encode = transcoder(connection, 3 - (connection.ros_version or 1)).encode
     with pytest.raises(DecodeError, match=message) as caught:
         encode(data)
     assert caught.value.topic == "/topic"
 
 
 @settings(max_examples=200, deadline=None)
-@given(data=st.binary(max_size=120), generation=st.sampled_from([1, 2]))
-def test_arbitrary_bytes_are_re_encoded_or_refused(data: bytes, generation: int) -> None:
+@given(data=st.binary(max_size=120), ros_version=st.sampled_from([1, 2]))
+def test_arbitrary_bytes_are_re_encoded_or_refused(data: bytes, ros_version: int) -> None:
     there = transcoder(ros1(NESTED), 2)
-    plan = there if generation == 1 else transcoder(there.connection, 1)
+    plan = there if ros_version == 1 else transcoder(there.connection, 1)
     try:
         plan.encode(data)
     except DecodeError as err:
@@ -404,7 +404,7 @@ def executed(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 )
 def test_hostile_names_are_refused_before_any_code_is_made(connection: Connection, executed: list[str]) -> None:
     with pytest.raises(DecodeError):
-        transcoder(connection, 3 - (connection.generation or 1))
+        transcoder(connection, 3 - (connection.ros_version or 1))
     assert not [source for source in executed if "__import__('os')" in source or "import rosbags" in source]
     assert not [source for source in executed if "f0" in source]
 

@@ -60,20 +60,20 @@ def cloud(serialization: str, number: int, size: int = CLOUD_BYTES) -> bytes:
 def record(folder: Path, suffix: str, compression: str, size: int = CLOUD_BYTES) -> Path:
     """Three kinds of chunks: the converted clouds, other clouds, and transforms in a chunk of their own."""
     path = folder / f"drive{suffix}"
-    serialization, generation = ("ros1", 1) if suffix == ".bag" else ("cdr", 2)
+    serialization, ros_version = ("ros1", 1) if suffix == ".bag" else ("cdr", 2)
     writer: Any = (
         Rosbag1Writer(path, compression, chunk_size=8_000)
-        if generation == 1
+        if ros_version == 1
         else McapWriter(path, compression, chunk_size=8_000)
     )
     handles = []
     for topic, msgtype in (("/points", POINTCLOUD2), ("/other", POINTCLOUD2), ("/tf", TF)):
-        text, digest = definition(msgtype, generation)
+        text, digest = definition(msgtype, ros_version)
         handles.append(writer.add_connection(Connection(0, topic, msgtype, serialization, text, digest)))
     for number in range(CLOUDS):
         for place, handle in enumerate(handles[:2]):
             writer.write(handle, T0 + 1000 * number + place, cloud(serialization, 10 * number + place, size), 0)
-        moved = transforms([("base_link", "lidar", number, (0.0, 0.0, 1.0))], generation, number)
+        moved = transforms([("base_link", "lidar", number, (0.0, 0.0, 1.0))], ros_version, number)
         writer.write(handles[2], T0 + 1000 * number + 2, moved, 0)
     writer.finish()
     return path

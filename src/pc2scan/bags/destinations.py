@@ -102,15 +102,15 @@ class Destination:
         return entry is not None and self.container == (entry.written_as or entry.name)
 
     @property
-    def generation(self) -> int:
-        """The ROS generation whose messages it holds: 1 or 2."""
+    def ros_version(self) -> int:
+        """The ROS version whose messages it holds: 1 or 2."""
         profiles = self.format.profiles
-        return 1 if profiles and self.profile == profiles[0] else self.format.generation
+        return 1 if profiles and self.profile == profiles[0] else self.format.ros_version
 
     @property
     def serialization(self) -> str:
         """How those are serialised: ``ros1`` or ``cdr``."""
-        return "ros1" if self.generation == 1 else "cdr"
+        return "ros1" if self.ros_version == 1 else "cdr"
 
 
 def plan_destination(
@@ -120,7 +120,7 @@ def plan_destination(
     compression: str | None = None,
     profile: str | None = None,
     metadata_version: int = 8,
-    source_generation: int | None,
+    source_ros_version: int | None,
 ) -> Destination:
     """Decide what a destination's name and the options mean.
 
@@ -139,7 +139,7 @@ def plan_destination(
         For an MCAP file: ``ros1`` or ``ros2``; default: the source's.
     metadata_version
         For a rosbag2 directory: 8 or 9.
-    source_generation
+    source_ros_version
         1, 2, or None if the source has no ROS messages.
 
     Raises
@@ -169,7 +169,7 @@ def plan_destination(
     if entry.storages:
         storage = _one_of("storage", storage or entry.storages[0], entry.storages, path)
     if entry.profiles:
-        default = entry.profiles[0 if source_generation == 1 else 1]
+        default = entry.profiles[0 if source_ros_version == 1 else 1]
         profile = _one_of("profile", profile or default, entry.profiles, path)
     if metadata_version not in _METADATA_VERSIONS:
         raise DestinationError(f"metadata version {metadata_version} cannot be written, only 8 and 9", path=path)

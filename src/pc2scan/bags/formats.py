@@ -98,8 +98,8 @@ class Format:
         Whether it holds messages of every encoding, not only those of ROS.
     one_a_topic
         Whether the publishers of a topic share a connection: what reads it knows a topic by its name.
-    generation
-        The ROS generation of its messages: 1 or 2. Those with profiles can hold either.
+    ros_version
+        The ROS version of its messages: 1 or 2. Those with profiles can hold either.
     profiles
         The names of its profiles, ROS 1's and ROS 2's; none if it has no such thing.
     times_ns
@@ -123,7 +123,7 @@ class Format:
     has_extras: bool = False
     holds_any: bool = False
     one_a_topic: bool = False
-    generation: int = 2
+    ros_version: int = 2
     profiles: tuple[str, ...] = ()
     times_ns: tuple[int, int] = (0, (1 << 64) - 1)
 
@@ -154,7 +154,7 @@ FORMATS = _table(
         compressions=("none", "bz2", "lz4"),
         default_compression="lz4",
         has_chunks=True,
-        generation=1,
+        ros_version=1,
         times_ns=(0, (1 << 32) * 1_000_000_000 - 1),
     ),
     Format(

@@ -83,7 +83,7 @@ class MergedReader(Reader):
     def _refuse(readers: Sequence[Reader]) -> None:
         """Raise for readers that cannot become one."""
         _refuse_repeated(readers)
-        _refuse_mixed_generations(readers)
+        _refuse_mixed_ros_versions(readers)
 
     def _amend(self, amended: Mapping[int, Connection], added: Iterable[Connection] = ()) -> None:
         """Replace connections by better informed ones with the same ids, and add some without messages."""
@@ -345,13 +345,13 @@ def _refuse_repeated(readers: Sequence[Reader]) -> None:
         seen[identity] = reader.path
 
 
-def _refuse_mixed_generations(readers: Sequence[Reader]) -> None:
+def _refuse_mixed_ros_versions(readers: Sequence[Reader]) -> None:
     found: dict[int, Path] = {}
     for reader in readers:
-        generations = {connection.generation for connection in reader.connections} - {None}
+        ros_versions = {connection.ros_version for connection in reader.connections} - {None}
         # A source that holds both by itself is one recording all the same.
-        if len(generations) == 1:
-            found.setdefault(generations.pop() or 0, reader.path)
+        if len(ros_versions) == 1:
+            found.setdefault(ros_versions.pop() or 0, reader.path)
     if len(found) > 1:
         raise UsageError(
             f"{found[1]} is a ROS 1 recording and {found[2]} is a ROS 2 recording; they cannot become one",

@@ -97,7 +97,7 @@ class _PartsReader(MergedReader):
 
     @staticmethod
     def _refuse(readers: Sequence[Reader]) -> None:
-        """Accept readers of one file, and of both generations."""
+        """Accept readers of one file, and of both ROS versions."""
 
     @property
     def damage(self) -> tuple[Damage, ...]:

@@ -101,7 +101,7 @@ def diff(
 
     Scans and clouds are compared message by message, matched by their header's stamp: repeated stamps in order,
     messages without a stamp by log time. Everything is compared to the bit unless a tolerance is given. Container,
-    compression and ROS generation make no difference.
+    compression and ROS version make no difference.
 
     Exit status: 0 the same, 1 different, 2 not comparable.
     """

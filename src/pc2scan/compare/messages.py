@@ -56,7 +56,7 @@ def compare_messages(
 
 
 def _decoded(a: RawMessage, b: RawMessage, rules: Rules, explainer: Explainer | None) -> MessageDifference:
-    numbered = a.connection.generation == b.connection.generation == 1
+    numbered = a.connection.ros_version == b.connection.ros_version == 1
     if a.connection.ros_type == LASERSCAN:
         scan, other = (decode_laserscan(m.data, m.connection.serialization) for m in (a, b))
         changes = (*_header_changes(scan, other, numbered=numbered), *scan_changes(scan, other))

@@ -89,7 +89,7 @@ def _joined(
 
 
 class _Content:
-    """Compares messages of any type, in either generation's wire format."""
+    """Compares messages of any type, in either ROS version's wire format."""
 
     def __init__(self, *, numbered: bool) -> None:
         self._numbered = numbered
@@ -100,9 +100,9 @@ class _Content:
         if alike and bytes(a.data) == bytes(b.data):
             return MessageDifference()
         note = ""
-        generations = (a.connection.generation, b.connection.generation)
+        ros_versions = (a.connection.ros_version, b.connection.ros_version)
         # In ROS 1's format all bytes count: it has no padding and one byte order.
-        if None not in generations and not (self._numbered and generations == (1, 1)):
+        if None not in ros_versions and not (self._numbered and ros_versions == (1, 1)):
             try:
                 if self._plain(a) == self._plain(b):
                     return MessageDifference()
@@ -113,7 +113,7 @@ class _Content:
     def _plain(self, message: RawMessage) -> Buffer:
         """The message in ROS 1's format, its headers without sequence numbers."""
         connection, data = message.connection, message.data
-        for generation in (1,) if connection.generation == 2 else (2, 1):
-            coding = transcoder(connection, generation)
+        for ros_version in (1,) if connection.ros_version == 2 else (2, 1):
+            coding = transcoder(connection, ros_version)
             connection, data = coding.connection, coding.encode(data)
         return data

@@ -219,7 +219,7 @@ def _chosen(connections: Sequence[Connection], topics: tuple[str, ...]) -> dict[
     scans: dict[str, list[Connection]] = {}
     for connection in connections:
         types.setdefault(connection.topic, set()).add(connection.ros_type)
-        if connection.ros_type == LASERSCAN and connection.generation is not None:
+        if connection.ros_type == LASERSCAN and connection.ros_version is not None:
             scans.setdefault(connection.topic, []).append(connection)
     if not scans:
         raise TopicError("the recording has no LaserScan topic", hint="pc2scan convert makes scans of its clouds")

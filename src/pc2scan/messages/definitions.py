@@ -34,14 +34,14 @@ TYPES = frozenset(_DIGESTS)
 
 
 @cache
-def definition(msgtype: str, generation: int) -> tuple[Definition, str]:
+def definition(msgtype: str, ros_version: int) -> tuple[Definition, str]:
     """Return the definition of a type that pc2scan writes, and its identity.
 
     Parameters
     ----------
     msgtype
-        One of `TYPES`, in either generation's spelling.
-    generation
+        One of `TYPES`, in either ROS version's spelling.
+    ros_version
         1 for ROS 1, 2 for ROS 2.
 
     Returns
@@ -56,7 +56,7 @@ def definition(msgtype: str, generation: int) -> tuple[Definition, str]:
     KeyError
         If the type is none of `TYPES`.
     """
-    digest = _DIGESTS[normalized_type(msgtype)][generation - 1]
+    digest = _DIGESTS[normalized_type(msgtype)][ros_version - 1]
     name = msgtype.rpartition("/")[2]
-    data = Path(__file__).with_name("definitions").joinpath(f"{name}.ros{generation}.msg").read_bytes()
-    return Definition(f"ros{generation}msg", data), digest
+    data = Path(__file__).with_name("definitions").joinpath(f"{name}.ros{ros_version}.msg").read_bytes()
+    return Definition(f"ros{ros_version}msg", data), digest

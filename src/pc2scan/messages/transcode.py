@@ -1,6 +1,6 @@
-"""Messages that only pass through, from one ROS generation's serialisation to the other's.
+"""Messages that only pass through, from one ROS version's serialisation to the other's.
 
-What differs between the generations: padding and string terminators, the Header's sequence number, the
+What differs between the ROS versions: padding and string terminators, the Header's sequence number, the
 spelling of types, the definitions and their identities, and latching against durability. rosbags converts
 the bytes without making objects of them; this module decides what it is told about the type.
 
@@ -49,7 +49,7 @@ DISTROS = (
 #: A long-term release; few message types have changed since foxy.
 DEFAULT_DISTRO = "jazzy"
 
-#: Channel metadata and connection header fields that mean something to one generation only.
+#: Channel metadata and connection header fields that mean something to one ROS version only.
 _METADATA_OF = {
     1: frozenset({"callerid", "latching", "md5sum", "type", "topic", "message_definition"}),
     2: frozenset({"offered_qos_profiles", "topic_type_hash"}),
@@ -58,7 +58,7 @@ _METADATA_OF = {
 
 @dataclass(frozen=True, slots=True)
 class Transcoding:
-    """How one connection's messages are carried over to the other generation.
+    """How one connection's messages are carried over to the other ROS version.
 
     Attributes
     ----------
@@ -81,26 +81,26 @@ class Transcoding:
 
 def transcoder(
     connection: Connection,
-    generation: int,
+    ros_version: int,
     *,
     distro: str = DEFAULT_DISTRO,
     definitions: Mapping[str, Definition] | None = None,
 ) -> Transcoding:
-    """Plan how a connection's messages are re-encoded for the other ROS generation.
+    """Plan how a connection's messages are re-encoded for the other ROS version.
 
-    Where the other generation has a type of the same name and layout, the destination gets its definition and
+    Where the other ROS version has a type of the same name and layout, the destination gets its definition and
     identity, so that its nodes accept the messages; field names may then differ in case (``CameraInfo.D``,
-    ``d``). Otherwise the destination gets the recording's own definition in the other generation's words.
+    ``d``). Otherwise the destination gets the recording's own definition in the other ROS version's words.
 
     Parameters
     ----------
     connection
-        Of the generation that is not wanted; ``serialization`` is ``ros1`` or ``cdr``.
-    generation
+        Of the ROS version that is not wanted; ``serialization`` is ``ros1`` or ``cdr``.
+    ros_version
         What the destination speaks: 1 or 2.
     distro
         One of `DISTROS`: whose message sets fill in what the recording does not define and tell what the
-        destination's nodes expect. The other generation's are noetic and jazzy.
+        destination's nodes expect. The other ROS version's are noetic and jazzy.
     definitions
         Further definitions by type name, asked before the message sets when the connection has none.
 
@@ -112,12 +112,12 @@ def transcoder(
     Raises
     ------
     DecodeError
-        If the type is unknown, its definition is unusable, or the other generation cannot carry it. The
+        If the type is unknown, its definition is unusable, or the other ROS version cannot carry it. The
         whole topic is concerned.
     UsageError
         If ``distro`` is none of `DISTROS`.
     ValueError
-        If the connection already is of that generation.
+        If the connection already is of that ROS version.
 
     Notes
     -----
@@ -125,9 +125,9 @@ def transcoder(
     and ROS 2's signed ones share their bytes; they part in 2038.
     """
     _check_distro(distro)
-    source = connection.generation
-    if source == generation:
-        raise ValueError(f"{connection.topic} is of ROS generation {generation} already")
+    source = connection.ros_version
+    if source == ros_version:
+        raise ValueError(f"{connection.topic} is of ROS version {ros_version} already")
     if source is None:
         raise DecodeError(
             f"{connection.msgtype} is serialised as {connection.serialization!r}, expected 'ros1' or 'cdr'",
@@ -145,7 +145,7 @@ def defined(connection: Connection, distro: str = DEFAULT_DISTRO) -> Connection:
     Parameters
     ----------
     connection
-        Of either generation.
+        Of either ROS version.
     distro
         One of `DISTROS`: whose message set knows the type.
 
@@ -159,21 +159,21 @@ def defined(connection: Connection, distro: str = DEFAULT_DISTRO) -> Connection:
     UsageError
         If ``distro`` is none of `DISTROS`.
     """
-    generation = connection.generation
-    if connection.definition.encoding or connection.definition.data or generation is None:
+    ros_version = connection.ros_version
+    if connection.definition.encoding or connection.definition.data or ros_version is None:
         return connection
     _check_distro(distro)
     root = schemas.canonical(connection.msgtype)
-    known = schemas.known(_store(generation, distro))
+    known = schemas.known(_store(ros_version, distro))
     if root not in known:
         return connection
     schema = schemas.closure(root, known.get)
     text, digest = (
-        own_definitions.definition(root, generation)
+        own_definitions.definition(root, ros_version)
         if root in own_definitions.TYPES
         else (
-            Definition(f"ros{generation}msg", schemas.render(schema, generation).encode()),
-            schemas.md5sum(schema) if generation == 1 else schemas.rihs01(schema),
+            Definition(f"ros{ros_version}msg", schemas.render(schema, ros_version).encode()),
+            schemas.md5sum(schema) if ros_version == 1 else schemas.rihs01(schema),
         )
     )
     return replace(connection, definition=text, digest=connection.digest or digest)
@@ -257,9 +257,9 @@ def _planned(msgtype: str, definition: Definition, source: int, distro: str) -> 
     )
 
 
-def _store(generation: int, distro: str) -> str:
-    """Name rosbags' message set of a generation."""
-    if generation == 1:
+def _store(ros_version: int, distro: str) -> str:
+    """Name rosbags' message set of a ROS version."""
+    if ros_version == 1:
         return "ros1_noetic"
     return f"ros2_{DEFAULT_DISTRO if distro == 'noetic' else distro}"
 
@@ -270,7 +270,7 @@ def _title(store: str) -> str:
 
 
 def _recorded(msgtype: str, definition: Definition, here: str) -> tuple[Mapping[str, Struct], tuple[str, ...]]:
-    """Read the recording's definition; where it says nothing, the generation's message set does."""
+    """Read the recording's definition; where it says nothing, the ROS version's message set does."""
     if definition.data.strip():
         return schemas.parse(definition, msgtype), ()
     if schemas.canonical(msgtype) in schemas.known(here):
@@ -332,8 +332,8 @@ def _bounded(store: Any, schema: Schema, names: Mapping[str, str], source: int) 
 
 
 def _declared(connection: Connection, plan: _Plan) -> Connection:
-    """Return the connection in the other generation's terms."""
-    source = connection.generation or 0
+    """Return the connection in the other ROS version's terms."""
+    source = connection.ros_version or 0
     target = 3 - source
     return replace(
         connection,

@@ -174,6 +174,6 @@ def _types_by_topic(connections: Sequence[Connection]) -> dict[str, set[str]]:
 
 def _kind(connection: Connection) -> str:
     """The type, and how it is serialised if ROS did not do it (MCAP files also hold JSON and Protobuf)."""
-    if connection.generation is None:
+    if connection.ros_version is None:
         return f"{connection.msgtype or 'untyped'} in {connection.serialization or 'no encoding'}"
     return connection.ros_type

@@ -171,23 +171,23 @@ def _prepare_passing(
     declared: Declarations,
     compiled: dict[tuple[str, Definition], int],
 ) -> None:
-    """Declare a connection that passes through, re-encoded if the destination is of the other generation.
+    """Declare a connection that passes through, re-encoded if the destination is of the other ROS version.
 
     ``compiled`` collects the fields of the types that were compiled for re-encoding, and bounds them.
     """
     connection = route.connection
-    foreign = connection.generation is None
+    foreign = connection.ros_version is None
     # A container holds whatever the same kind of container held: nothing of it needs to be understood.
     as_it_is = (same_kind and (foreign or options.repair)) or (foreign and target.format.holds_any)
     defined_already = connection.definition.data or options.repair
-    if as_it_is or (connection.generation == target.generation and defined_already):
+    if as_it_is or (connection.ros_version == target.ros_version and defined_already):
         route.passing_handle = declared.add(connection)
         return
-    # Only recordings that lack definitions, or change generation, pay for loading this.
+    # Only recordings that lack definitions, or change ROS version, pay for loading this.
     from pc2scan.messages.transcode import DEFAULT_DISTRO, defined, transcoder  # noqa: PLC0415
 
     distro = options.ros_distro or DEFAULT_DISTRO
-    if connection.generation == target.generation:
+    if connection.ros_version == target.ros_version:
         route.passing_handle = declared.add(defined(connection, distro))
         return
     if foreign:
@@ -196,7 +196,7 @@ def _prepare_passing(
         )
     else:
         try:
-            transcoding = transcoder(connection, target.generation, distro=distro)
+            transcoding = transcoder(connection, target.ros_version, distro=distro)
         except MessageError as err:
             error = err
         else:
@@ -225,8 +225,8 @@ def _holding_any() -> str:
 
 def _converted_connection(source: Connection, topic: str, msgtype: str, target: Destination) -> Connection:
     """The connection of converted messages: published as their source was."""
-    text, digest = definition(msgtype, target.generation)
-    same = source.generation == target.generation
+    text, digest = definition(msgtype, target.ros_version)
+    same = source.ros_version == target.ros_version
     return Connection(
         id=NEW_ID,
         topic=topic,
@@ -234,9 +234,9 @@ def _converted_connection(source: Connection, topic: str, msgtype: str, target: 
         serialization=target.serialization,
         definition=text,
         digest=digest,
-        callerid=source.callerid if target.generation == 1 else None,
+        callerid=source.callerid if target.ros_version == 1 else None,
         latching=source.latching,
-        qos=source.qos if same else LATCHED_QOS if source.latching and target.generation == 2 else "",
+        qos=source.qos if same else LATCHED_QOS if source.latching and target.ros_version == 2 else "",
     )
 
 
@@ -276,7 +276,7 @@ def carry_extras(reader: Reader, target: Destination, writer: Writer, report: Re
 def static_connection(target: Destination) -> Connection:
     """Make the connection of the added transforms: one more latched publisher of /tf_static."""
     msgtype = "tf2_msgs/msg/TFMessage"
-    text, digest = definition(msgtype, target.generation)
+    text, digest = definition(msgtype, target.ros_version)
     return Connection(
         id=NEW_ID,
         topic="/tf_static",
@@ -284,9 +284,9 @@ def static_connection(target: Destination) -> Connection:
         serialization=target.serialization,
         definition=text,
         digest=digest,
-        callerid="/pc2scan" if target.generation == 1 else None,
+        callerid="/pc2scan" if target.ros_version == 1 else None,
         latching=True,
-        qos=LATCHED_QOS if target.generation == 2 else "",
+        qos=LATCHED_QOS if target.ros_version == 2 else "",
     )
 
 

@@ -243,7 +243,7 @@ def _target(
     output: OutputOptions,
 ) -> Destination:
     """Decide the destination's form; that of a repaired recording is its source's where its name allows."""
-    generation = _generation(reader.connections)
+    ros_version = _ros_version(reader.connections)
     storage, compression = default_storage(summaries) if not is_named else None, None
     if options.repair:
         storage, compression = kept_form(path, summaries)
@@ -253,10 +253,10 @@ def _target(
         compression=output.compression or (compression if output.storage in (None, storage) else None),
         profile=output.profile,
         metadata_version=output.metadata_version,
-        source_generation=generation,
+        source_ros_version=ros_version,
     )
     # A recording without any message of ROS is of neither profile.
-    if options.repair and generation is None and target.format.profiles and output.profile is None:
+    if options.repair and ros_version is None and target.format.profiles and output.profile is None:
         return replace(target, profile=summaries[0].profile)
     return target
 
@@ -329,9 +329,9 @@ def _conversion(
     return CloudToScan(params, frames, timings), others
 
 
-def _generation(connections: Iterable[Connection]) -> int | None:
-    """The source's ROS generation; None for a source without any message of ROS."""
-    return next((c.generation for c in connections if c.generation is not None), None)
+def _ros_version(connections: Iterable[Connection]) -> int | None:
+    """The source's ROS version; None for a source without any message of ROS."""
+    return next((c.ros_version for c in connections if c.ros_version is not None), None)
 
 
 def _threads(options: ConvertOptions, stack: ExitStack) -> Threads | None:

@@ -35,7 +35,7 @@ def tf_connections(connections: Sequence[Connection], topics: Sequence[str] = ()
     UsageError
         If a name is not there, or several namespaces have transforms and none was named.
     """
-    candidates = [c for c in connections if c.ros_type in TF_TYPES and c.generation is not None]
+    candidates = [c for c in connections if c.ros_type in TF_TYPES and c.ros_version is not None]
     names = {c.topic.strip("/") for c in candidates}
     if topics:
         missing = [topic for topic in topics if topic.strip("/") not in names]

@@ -69,7 +69,7 @@ def _large() -> Recording:
     recording = _recording(2)
     points = np.zeros((25_000, 3), np.float32)
     points[:, 0] = 3.0
-    content = {generation: cloud(points, generation) for generation in (1, 2)}
+    content = {ros_version: cloud(points, ros_version) for ros_version in (1, 2)}
     items = (Item(POINTS, item.log_time_ns, content) if item.stream == POINTS else item for item in recording.items)
     return replace(recording, items=tuple(items))
 
@@ -141,7 +141,7 @@ _BUILDS: dict[str, Callable[[Path], Path]] = {
     "mcap-none-without-crc": _mcap(compression="none", crcs=False),
     "mcap-unchunked": _mcap(chunked=False, **_EXTRAS),
     "mcap-unchunked-data-crc": _mcap(chunked=False, data_crc=True),
-    "mcap-ros1": _mcap(generation=1, profile="ros1"),
+    "mcap-ros1": _mcap(ros_version=1, profile="ros1"),
     **{f"rosbag2-{storage}": _rosbag2(storage=storage) for storage in ("sqlite3", "mcap")},
     **{f"rosbag2-{storage}-split": _rosbag2(storage=storage, parts=2) for storage in ("sqlite3", "mcap")},
     **{

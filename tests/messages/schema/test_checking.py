@@ -62,7 +62,7 @@ from pc2scan.model import Connection
 )
 def test_impossible_types_fail_their_topic(connection: Connection, message: str) -> None:
     with pytest.raises(DecodeError, match=message) as caught:
-        transcoder(connection, 3 - (connection.generation or 1))
+        transcoder(connection, 3 - (connection.ros_version or 1))
     assert caught.value.topic == connection.topic
 
 

@@ -140,7 +140,7 @@ class McapWriter:
     def add_connection(self, connection: Connection) -> int:
         """Declare a channel of its own for the connection; returns its id.
 
-        The type is spelled as its serialization's ROS generation does. Metadata are the connection's; what it
+        The type is spelled as its serialization's ROS version does. Metadata are the connection's; what it
         knows beyond them is added under the keys that rosbag2 and ``mcap convert`` use.
 
         Raises
@@ -392,14 +392,14 @@ def _schema_name(connection: Connection) -> str:
 def _channel_metadata(connection: Connection) -> dict[str, str]:
     """The connection's metadata, completed by what it knows from another container."""
     known = {}
-    if connection.generation == 1:
+    if connection.ros_version == 1:
         if connection.callerid is not None:
             known["callerid"] = connection.callerid
         if connection.latching:
             known["latching"] = "1"
         if connection.digest and "md5sum" not in connection.metadata:
             known |= {"md5sum": connection.digest, "topic": connection.topic}
-    elif connection.generation == 2:
+    elif connection.ros_version == 2:
         if connection.qos:
             known["offered_qos_profiles"] = connection.qos
         if connection.digest.startswith("RIHS01_"):

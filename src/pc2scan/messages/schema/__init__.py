@@ -1,7 +1,7 @@
 """Message definitions as data: read from text, checked, compared, written, identified.
 
-A `Schema` spells types as ROS 2 does, whichever generation it came from, and says only what both
-generations share: ``std_msgs/msg/Header`` has no sequence number, ROS 1's ``time`` and ``duration`` are
+A `Schema` spells types as ROS 2 does, whatever the source, and says only what both
+ROS versions share: ``std_msgs/msg/Header`` has no sequence number, ROS 1's ``time`` and ``duration`` are
 ``builtin_interfaces``'s. ROS 1's spelling returns when it is written (`render`, `md5sum`).
 
 Definitions come from files that anyone may have made: `parse` and `closure` accept plain identifiers only

@@ -49,7 +49,7 @@ def closure(root: str, lookup: Callable[[str], Struct | None]) -> Schema:
     ------
     DecodeError
         If a type is missing or contains itself; if a name is not an identifier; beyond 64 levels, 2,000
-        fields or 100,000 fields with everything nested written out; for what only one generation can carry
+        fields or 100,000 fields with everything nested written out; for what only one ROS version can carry
         (wstring, an array of length 0).
     """
     schema: Schema = {}

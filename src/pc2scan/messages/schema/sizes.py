@@ -19,23 +19,23 @@ _WIDTHS = {"bool": 1, "byte": 1, "char": 1, "float32": 4, "float64": 8} | {
 }
 
 
-def least_bytes(schema: Mapping[str, Struct], name: str, generation: int) -> int:
+def least_bytes(schema: Mapping[str, Struct], name: str, ros_version: int) -> int:
     """Count the bytes that every message of a type takes: sequences and strings empty, no padding.
 
     Parameters
     ----------
     schema
         Has the type and all that it is made of; no type contains itself.
-    generation
+    ros_version
         Whose wire format: 1 or 2.
     """
     known: dict[str, int] = {}
 
     def least(name: str) -> int:
         if name not in known:
-            fields = fields_of(name, schema[name], generation)
+            fields = fields_of(name, schema[name], ros_version)
             # ROS 2 puts one byte into a message without fields.
-            known[name] = sum(map(of_field, fields)) if fields else generation - 1
+            known[name] = sum(map(of_field, fields)) if fields else ros_version - 1
         return known[name]
 
     def of_field(field: Field) -> int:
@@ -43,7 +43,7 @@ def least_bytes(schema: Mapping[str, Struct], name: str, generation: int) -> int
             return 4
         if field.type == "string":
             # ROS 2's have a NUL at the end.
-            size = 3 + generation
+            size = 3 + ros_version
         else:
             size = _WIDTHS[field.type] if field.type in PRIMITIVES else least(field.type)
         return size * field.size if field.shape == "array" else size

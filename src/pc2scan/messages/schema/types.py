@@ -28,7 +28,7 @@ __all__ = [
 
 HEADER = "std_msgs/msg/Header"
 
-#: What both generations can carry. ``byte`` and ``char`` are 8 bits wide in both.
+#: What both ROS versions can carry. ``byte`` and ``char`` are 8 bits wide in both.
 PRIMITIVES = frozenset({"bool", "byte", "char", "string", "float32", "float64"}) | {
     f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)
 }
@@ -110,9 +110,9 @@ def canonical(msgtype: str) -> str:
     return RENAMED.get(name, name)
 
 
-def fields_of(name: str, struct: Struct, generation: int) -> tuple[Field, ...]:
+def fields_of(name: str, struct: Struct, ros_version: int) -> tuple[Field, ...]:
     """Return the fields, with ROS 1's sequence number where it belongs."""
-    return (Field("seq", "uint32"), *struct.fields) if generation == 1 and name == HEADER else struct.fields
+    return (Field("seq", "uint32"), *struct.fields) if ros_version == 1 and name == HEADER else struct.fields
 
 
 def without_sequence_number(name: str, struct: Struct) -> Struct:
