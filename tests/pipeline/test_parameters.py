@@ -113,8 +113,9 @@ def test_a_wrong_type_is_said_in_plain_words(name: str, value: object, message: 
     [
         ("range_min", "1.5", "it is in quotes, which makes it text; leave them out"),
         ("target_frame", 1, "YAML takes it for a number or a truth value; put it in quotes"),
-        ("range_min", "deg(180)", f"only ROS 1 knows deg() and rad(); write {math.pi!r}"),
-        ("range_min", "abc", None),
+        ("range_min", "deg(180)", "write metres (0.5, 0.5m), centimetres (50cm) or millimetres (500mm)"),
+        ("angle_min", "5m", "write radians (1.5708, pi/2) or degrees (90deg)"),
+        ("scan_time", "1m", "write seconds (0.1, 0.1s) or milliseconds (100ms)"),
         ("range_min", "", None),
     ],
 )
@@ -273,8 +274,31 @@ def test_too_many_beams_name_the_increment_or_what_else_was_set() -> None:
     fine = failure(lambda: resolve([Setting("angle_increment", 1e-9, "--angle-increment")]))
     assert str(fine).endswith("(from --angle-increment)")
     wide = failure(lambda: resolve([Setting("angle_max", 1e30, "--angle-max")]))
-    assert wide.name == "angle_increment"
-    assert str(wide).endswith("(angle_max from --angle-max)")
+    assert wide.name == "angle_max"
+    assert str(wide).endswith("(from --angle-max)")
+
+
+@pytest.mark.parametrize(
+    ("settings", "refused"),
+    [
+        ({"angle_min": -180.0, "angle_max": 180.0}, True),
+        ({"angle_max": 360}, True),
+        ({"angle_min": 40, "angle_max": 45}, True),
+        ({"angle_min": -5, "angle_max": 5, "geometry": "centered"}, True),
+        ({"angle_min": -5, "angle_max": 5}, False),
+        ({"angle_min": -3.15, "angle_max": 3.1416, "geometry": "centered"}, False),
+        ({"angle_min": 0, "angle_max": 6.2832}, False),
+        ({"angle_min": 1, "angle_max": 1 + 2 * math.pi}, False),
+    ],
+)
+def test_degrees_are_refused(settings: dict[str, float | str], *, refused: bool) -> None:
+    given = [Setting(name, value, f"--{name}") for name, value in settings.items()]
+    if refused:
+        err = failure(lambda: resolve(given))
+        assert err.hint is not None
+        assert "for degrees write `" in err.hint
+    else:
+        resolve(given)
 
 
 def test_importing_the_modules_does_not_import_yaml() -> None:

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
@@ -21,7 +23,7 @@ def test_both_notations_of_a_static_transform() -> None:
     ("text", "words"),
     [
         ("base lidar 1 2 3", "5 words"),
-        ("base lidar 1 2 x 0 0 0", "could not convert"),
+        ("base lidar 1 2 x 0 0 0", "'x' is not a number"),
         ("base base 1 2 3 0 0 0", "two frames"),
         ("base /base 1 2 3 0 0 0", "two frames"),
         ("base lidar 0 0 0 0 0 0 0", "zero"),
@@ -32,6 +34,28 @@ def test_both_notations_of_a_static_transform() -> None:
 def test_what_is_no_static_transform(text: str, words: str) -> None:
     with pytest.raises(UsageError, match=words):
         StaticTransform.parse(text)
+
+
+def test_units_of_a_static_transform() -> None:
+    written = StaticTransform.parse("base lidar 20cm 0.5m -300mm 90deg deg(45) pi/2").parent_from_child
+    plain = StaticTransform.of("base", "lidar", [0.2, 0.5, -0.3], [math.pi / 2, math.pi / 4, math.pi / 2])
+    assert written.pose == plain.parent_from_child.pose
+
+
+@pytest.mark.parametrize(
+    ("text", "words", "cure"),
+    [
+        ("b l 0 0 1 0 45 0", "pitch is 45 rad", "`static='b l 0 0 1 0 45deg 0'`, which is 0 0.785398 0 rad"),
+        ("b l 0 0 1 0 3 2 0", "length 3.606", "`static='b l 0 0 1 0 0.83205 0.5547 0'`"),
+        ("1 2 3 0.1 0.2 0.3 b l 100", "behind the numbers", "`static='b l 1 2 3 0.3 0.2 0.1'` (roll pitch yaw)"),
+        ("1 2 3 0 0 0 1 b l", "behind the numbers", "`static='b l 1 2 3 0 0 0 1'`"),
+    ],
+)
+def test_what_is_asked_about(text: str, words: str, cure: str) -> None:
+    with pytest.raises(UsageError, match=words) as caught:
+        StaticTransform.parse(text)
+    assert caught.value.hint is not None
+    assert cure in caught.value.hint
 
 
 def test_there_must_be_something_to_write() -> None:

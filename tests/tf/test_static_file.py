@@ -17,14 +17,15 @@ def test_a_file_of_static_transforms(tmp_path: Path) -> None:
     path.write_text(
         """
 - base lidar 1 0 0 0 0 0
-- {parent: base, child: camera, translation: [0, 1, 0], rpy: [0, 0, 3.141592653589793]}
+- {parent: base, child: camera, translation: [0, 100cm, 0], rpy: [0, 0, 180deg]}
 - frame_id: base
   child_frame_id: imu
-  rotation: [0, 0, 0, 2]
+  rotation: [0, 0, 0, 1]
 """
     )
     first, second, third = load_static_transforms(path)
     assert first.parent_from_child.translation.tolist() == [1, 0, 0]
+    assert second.parent_from_child.translation.tolist() == [0, 1, 0]
     assert second.parent_from_child.rpy == pytest.approx((0, 0, math.pi))
     assert (third.child, third.parent_from_child.quaternion.tolist()) == ("imu", [0, 0, 0, 1])
 
@@ -38,6 +39,9 @@ def test_a_file_of_static_transforms(tmp_path: Path) -> None:
         ("- {parent: a, child: b, roll: 1}", "unknown key 'roll'"),
         ("- {parent: a, child: b, translation: [1, 2]}", "translation"),
         ("- {parent: a, child: b, rpy: [1, 2, true]}", "rpy"),
+        ("- {parent: a, child: b, rpy: [0, 0, 90]}", "yaw is 90 rad"),
+        ("- {parent: a, child: b, rpy: [0, 0, 90m]}", "rpy"),
+        ("- {parent: a, child: b, rotation: [0, 0, 0, 2]}", "length 2, and must have 1"),
         ("- [", "not YAML"),
         ("- !!python/object/apply:os.getcwd []", "YAML"),
     ],

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import typer
 
+from pc2scan.errors import UsageError
 from pc2scan.pipeline.parameters import PARAMETERS, Setting
 from pc2scan.pipeline.ros_scalars import plain_scalar
 
@@ -58,7 +59,7 @@ StaticTf = Annotated[
         "--static-tf",
         metavar="TRANSFORM",
         help="A transform that the recording lacks: 'parent child x y z qx qy qz qw' or "
-        "'parent child x y z roll pitch yaw' (m, rad). Repeatable; beats the recording's.",
+        "'parent child x y z roll pitch yaw' (m, rad; or 20cm, 90deg). Repeatable; beats the recording's.",
         rich_help_panel=_FRAMES,
     ),
 ]
@@ -181,6 +182,19 @@ def _read(number: Callable[[str], float], text: str) -> object:
         return number(text)
     except ValueError:
         return plain_scalar(text)
+
+
+def _length(option: str, text: str) -> float:
+    """Metres of an option; raises `UsageError` for what is no length."""
+    from pc2scan.core.quantities import EXAMPLES, quantity
+
+    try:
+        return float(text)
+    except ValueError:
+        value = quantity(text, "m")
+    if value is None:
+        raise UsageError(f"{option}: {text!r} is not a number", hint=EXAMPLES["m"])
+    return value
 
 
 class Projection(Group):
@@ -328,7 +342,7 @@ class Reverse(Group):
         ),
     ]
     range_cutoff: Annotated[
-        float | None,
+        str | None,
         typer.Option(
             metavar="M",
             help="Keep only returns nearer than this.  [default: the scan's range_max]",
@@ -346,7 +360,7 @@ class Reverse(Group):
             distances=Channel.distances in self.channels,
             stamps=Channel.stamps in self.channels,
             viewpoint=Channel.viewpoint in self.channels,
-            range_cutoff=-1.0 if self.range_cutoff is None else self.range_cutoff,
+            range_cutoff=-1.0 if self.range_cutoff is None else _length("--range-cutoff", self.range_cutoff),
         )
 
 

@@ -25,6 +25,8 @@ _ABSOLUTE_SECONDS = 100_000_000
 #: And from here on they are nanoseconds: as seconds they would lie beyond the year 5000.
 _ABSOLUTE_NANOSECONDS = 100_000_000_000
 
+_SECONDS = re.compile(r"@?(\d+\.?\d*|\.\d+) ?(s|ms)?")
+
 
 @dataclass(frozen=True, slots=True)
 class TimeBound:
@@ -41,7 +43,7 @@ class TimeBound:
 
     @classmethod
     def parse(cls, text: str) -> TimeBound:
-        """Read ``12.5`` (seconds from the beginning) or a point in time.
+        """Read ``12.5`` (seconds from the beginning; ``12.5s`` and ``500ms`` too) or a point in time.
 
         A point in time is ``@1604515190.25`` (seconds since 1970), the same without ``@`` if it is
         100,000,000 or more, nanoseconds since 1970 if it is beyond 100,000,000,000, or an ISO 8601 date and time
@@ -54,12 +56,13 @@ class TimeBound:
         """
         from decimal import Decimal, InvalidOperation  # noqa: PLC0415  # only a conversion with a cut pays for it
 
-        digits = text.removeprefix("@")
-        if re.fullmatch(r"\d+(\.\d*)?|\.\d+", digits):
+        written = _SECONDS.fullmatch(text.strip())
+        if written:
             try:
-                value = Decimal(digits)
+                value = Decimal(written[1])
             except InvalidOperation as err:  # pragma: no cover - the pattern admits only decimals
                 raise UsageError(f"{text!r} is not a time") from err
+            value = value / 1000 if written[2] == "ms" else value
             if value >= _ABSOLUTE_NANOSECONDS:
                 return cls(int(value), absolute=True)
             absolute = text.startswith("@") or value >= _ABSOLUTE_SECONDS

@@ -8,6 +8,7 @@ they were written. `resolve` lets the stronger setting win, checks names, types 
 from __future__ import annotations
 
 import difflib
+import math
 import re
 from contextlib import suppress
 from dataclasses import dataclass, fields
@@ -16,9 +17,10 @@ from typing import TYPE_CHECKING, Any, Literal, NoReturn, get_args
 
 from pc2scan.core.params import CHOICES, MEASURED, ProjectionParams
 from pc2scan.core.presets import PRESETS
+from pc2scan.core.quantities import EXAMPLES, FULL_TURN, in_degrees, quantity
 from pc2scan.errors import ParameterError
 
-from .ros_scalars import plain_scalar, written_angle
+from .ros_scalars import plain_scalar
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -275,7 +277,8 @@ def shown(value: object) -> str:
 def _typed(parameter: Parameter, setting: Setting) -> float | bool | str:
     """Value of a setting in the type of its parameter.
 
-    A whole number is taken for a number; ROS 2 itself insists on ``30.0``. Nothing else is converted.
+    A whole number is taken for a number; ROS 2 itself insists on ``30.0``. A number may have a unit, or be
+    arithmetic (``180deg``, ``pi/2``, ``50cm``). Nothing else is converted.
     """
     value = setting.value
     kind = parameter.kind
@@ -292,6 +295,10 @@ def _typed(parameter: Parameter, setting: Setting) -> float | bool | str:
         # A whole number of 309 digits is no number that a parameter can have.
         with suppress(OverflowError):
             return float(value)
+    if isinstance(value, str) and parameter.unit and isinstance(plain_scalar(value), str):
+        number = quantity(value, parameter.unit)
+        if number is not None:
+            return number
     raise ParameterError(
         expected_message(setting.name, shown(value), setting.origin),
         name=parameter.name,
@@ -300,18 +307,17 @@ def _typed(parameter: Parameter, setting: Setting) -> float | bool | str:
 
 
 def _type_hint(parameter: Parameter, value: object) -> str | None:
+    if isinstance(value, str) and parameter.unit and isinstance(plain_scalar(value), str):
+        return EXAMPLES[parameter.unit]
     if parameter.words:
         return None
     if parameter.kind == "str" and isinstance(value, bool | int | float):
         return "YAML takes it for a number or a truth value; put it in quotes"
     if parameter.kind == "bool" and isinstance(value, int):
         return "write true or false"
-    if parameter.kind in {"float", "int"} and isinstance(value, str):
-        angle = written_angle(value)
-        if angle is not None:
-            return f"only ROS 1 knows deg() and rad(); write {angle!r}"
-        if not isinstance(plain_scalar(value), str | bool | None):
-            return "it is in quotes, which makes it text; leave them out"
+    quoted = isinstance(value, str) and not isinstance(plain_scalar(value), str | bool | None)
+    if parameter.kind in {"float", "int"} and quoted:
+        return "it is in quotes, which makes it text; leave them out"
     return None
 
 
@@ -358,6 +364,7 @@ def resolve(
             values[name] = value
             origin[name] = setting.origin
             winners[name] = setting
+    _refuse_degrees(values, origin)
     try:
         params = ProjectionParams(**values)
     except ParameterError as err:
@@ -365,6 +372,34 @@ def resolve(
     if params.beams:
         origin["angle_increment"] = f"follows from {origin['beams']}"
     return ResolvedParams(params, origin)
+
+
+def _refuse_degrees(values: Mapping[str, Any], origin: Mapping[str, str]) -> None:
+    """Refuse angles that no sector has: they are nearly always degrees.
+
+    A sector may be a whole turn from anywhere, such as 1 to 1 + 2 pi. One of more than a turn is refused where the
+    geometry would make a full circle of it.
+    """
+    names = ("angle_min", "angle_max")
+    low, high = (values.get(name, PARAMETERS[name].default) for name in names)
+    span = high - low
+    if abs(span - 2 * math.pi) < FULL_TURN - 2 * math.pi:
+        return
+    beyond = [name for name, angle in zip(names, (low, high), strict=True) if abs(angle) > FULL_TURN]
+    text = " and ".join(f"{name} is {values[name]} rad" for name in beyond)
+    if not beyond and span > FULL_TURN and values.get("geometry") == "centered":
+        beyond = [name for name in names if name in values]
+        text = f"angle_min {low} to angle_max {high} rad is a sector of {span:g} rad"
+    if not beyond or math.isinf(span):
+        return
+    places = "; ".join(f"{name} from {origin[name]}" if beyond[1:] else f"from {origin[name]}" for name in beyond)
+    cures = ", ".join(f"`{name}={in_degrees(values[name])}`" for name in beyond)
+    numbers = ", ".join(f"{math.radians(values[name]):.6g}" for name in beyond)
+    raise ParameterError(
+        f"{text}, more than a full turn (2 pi is 6.28319 rad) ({places})",
+        name=beyond[0],
+        hint=f"for degrees write {_where_given(cures, origin)}, which is {numbers} rad",
+    )
 
 
 def preset_settings(consumer: str) -> list[Setting]:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import re
 from typing import Any
 
+from pc2scan.core.quantities import ANGLE, angle_value, written_angle
 from pc2scan.errors import ParameterError
 
 from .parameters import expected_message
-from .ros_scalars import ANGLE, angle_value, plain_scalar, written_angle
+from .ros_scalars import plain_scalar
 
 __all__ = ["compose", "is_empty", "is_mapping", "is_scalar", "place_of", "scalar_value"]
 

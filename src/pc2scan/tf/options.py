@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from pc2scan.core.quantities import FULL_TURN
 from pc2scan.errors import ParameterError, UsageError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
     from pathlib import Path
 
     from pc2scan.core.rigid import Rigid, TransformRow
 
-__all__ = ["FrameOptions", "StaticTransform"]
+__all__ = ["FrameOptions", "StaticTransform", "number_in"]
+
+#: How far a quaternion's length may be from 1: that of two digits is near (0.71 0 0 0.71: 1.004), others are mistakes.
+_QUATERNION_SLACK = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,21 +39,27 @@ class StaticTransform:
 
     @classmethod
     def parse(cls, text: str) -> StaticTransform:
-        """Read ``parent child x y z qx qy qz qw`` or ``parent child x y z roll pitch yaw`` (metres, radians).
+        """Read ``parent child x y z qx qy qz qw`` or ``parent child x y z roll pitch yaw``.
+
+        Metres and radians, or with a unit: ``20cm``, ``90deg``.
 
         Raises
         ------
         UsageError
-            If it is neither, or the quaternion is zero.
+            If it is neither, the quaternion is not of unit length, or an angle is more than a full turn.
         """
         words = text.replace(",", " ").split()
         usage = "write 'parent child x y z qx qy qz qw' or 'parent child x y z roll pitch yaw' (metres, radians)"
         if len(words) not in (8, 9):
             raise UsageError(f"{text!r} has {len(words)} words, a static transform has 8 or 9", hint=usage)
-        try:
-            numbers = [float(word) for word in words[2:]]
-        except ValueError as err:
-            raise UsageError(f"{text!r} is not a static transform: {err}", hint=usage) from err
+        _refuse_ros1_order(words)
+        units = ("m",) * 3 + (("rad",) * 3 if len(words) == 8 else ("",) * 4)
+        numbers = []
+        for word, unit in zip(words[2:], units, strict=True):
+            number = number_in(word, unit)
+            if number is None:
+                raise UsageError(f"{text!r} is not a static transform: {word!r} is not a number", hint=usage)
+            numbers.append(number)
         return cls.of(words[0], words[1], numbers[:3], numbers[3:])
 
     @classmethod
@@ -58,12 +69,14 @@ class StaticTransform:
         Raises
         ------
         UsageError
-            If a name is empty, both are the same, or the numbers are no rotation.
+            If a name is empty, both are the same, or the numbers are not a rotation: the quaternion is not of unit
+            length, or an angle is more than a full turn.
         """
         if not parent or not child or parent.removeprefix("/") == child.removeprefix("/"):
             raise UsageError(f"a static transform needs two frames, not {parent!r} and {child!r}")
         from pc2scan.core.rigid import Rigid  # noqa: PLC0415  # only conversions with transforms pay for it
 
+        _refuse_degrees(parent, child, translation, rotation)
         try:
             rigid = (
                 Rigid.from_rpy(rotation[0], rotation[1], rotation[2], translation)
@@ -77,6 +90,61 @@ class StaticTransform:
     def row(self, stamp_ns: int) -> TransformRow:
         """As the transform of a TFMessage."""
         return (self.parent, self.child, stamp_ns, *self.parent_from_child.pose)
+
+
+def number_in(word: str, unit: str) -> float | None:
+    """The number that a word is, in metres or radians; with ``unit`` empty it has none."""
+    try:
+        return float(word)
+    except ValueError:
+        from pc2scan.core.quantities import quantity  # noqa: PLC0415  # few are written with a unit
+
+        return quantity(word, unit) if unit else None
+
+
+def _refuse_ros1_order(words: Sequence[str]) -> None:
+    """Refuse the arguments of ROS 1's static_transform_publisher, whose frames come last, and whose yaw comes first."""
+    first, count = next(((i, i) for i, word in enumerate(words) if number_in(word, "rad") is None), (0, 0))
+    if count not in (6, 7) or any(number_in(word, "rad") is not None for word in words[first : first + 2]):
+        return
+    numbers, frames = words[:count], words[count : count + 2]
+    turned = [*numbers[:3], *reversed(numbers[3:])] if count == 6 else numbers
+    raise UsageError(
+        f"{' '.join(words)!r} has the frames behind the numbers, as ROS 1's static_transform_publisher",
+        hint=f"write `static='{' '.join([*frames, *turned])}'`" + (" (roll pitch yaw)" if count == 6 else ""),
+    )
+
+
+def _refuse_degrees(parent: str, child: str, translation: Sequence[float], rotation: Sequence[float]) -> None:
+    """Refuse rotations that nobody means: angles of more than a full turn, quaternions far from unit length."""
+    where = f"static transform from {parent} to {child}"
+    if not all(map(math.isfinite, rotation)):
+        return  # refused elsewhere
+    if len(rotation) == 3:
+        if max(map(abs, rotation)) <= FULL_TURN:
+            return
+        found = ", ".join(
+            f"{name} is {angle:g} rad"
+            for name, angle in zip(("roll", "pitch", "yaw"), rotation, strict=True)
+            if abs(angle) > FULL_TURN
+        )
+        numbers = [f"{angle:g}deg" if angle else "0" for angle in rotation]
+        raise UsageError(
+            f"{where}: {found}, more than a full turn (2 pi is 6.28319 rad)",
+            hint=f"for degrees write `static='{parent} {child} {_joined(translation)} {' '.join(numbers)}'`, "
+            f"which is {_joined(map(math.radians, rotation))} rad",
+        )
+    length = math.hypot(*rotation)
+    if length and abs(length - 1) > _QUATERNION_SLACK:
+        raise UsageError(
+            f"{where}: the quaternion {_joined(rotation)} has the length {length:.4g}, and must have 1",
+            hint="for roll, pitch and yaw give three numbers, not four; a quaternion of unit length is "
+            f"`static='{parent} {child} {_joined(translation)} {_joined(number / length for number in rotation)}'`",
+        )
+
+
+def _joined(numbers: Iterable[float]) -> str:
+    return " ".join(f"{number:.6g}" for number in numbers)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from pc2scan.errors import Pc2ScanError, UsageError
 from pc2scan.files.source import opened_text
 
-from .options import StaticTransform
+from .options import StaticTransform, number_in
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -23,7 +23,7 @@ def load_static_transforms(path: Path) -> tuple[StaticTransform, ...]:
 
     Each entry is a text as `StaticTransform.parse` reads it, or a mapping of ``parent`` (or ``frame_id``), ``child``
     (or ``child_frame_id``), ``translation: [x, y, z]`` and ``rotation: [qx, qy, qz, qw]`` or
-    ``rpy: [roll, pitch, yaw]``.
+    ``rpy: [roll, pitch, yaw]``; metres and radians, or with a unit (``20cm``, ``90deg``).
 
     Raises
     ------
@@ -64,13 +64,12 @@ def _static_transform(entry: Any) -> StaticTransform:
 
     def numbers(key: str, count: int) -> list[float]:
         values = entry.get(key, [0.0] * (count - 1) + [float(count == 4)])
-        if (
-            not isinstance(values, list)
-            or len(values) != count
-            or not all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)
-        ):
+        unit = {"translation": "m", "rpy": "rad"}.get(key, "")
+        found = [_read(value, unit) for value in values] if isinstance(values, list) else []
+        read = [number for number in found if number is not None]
+        if len(read) != count or len(found) != count:
             raise UsageError(f"{key} is {values!r}, expected {count} numbers")
-        return [float(v) for v in values]
+        return read
 
     return StaticTransform.of(
         str(entry.get("parent", entry.get("frame_id", ""))),
@@ -78,3 +77,9 @@ def _static_transform(entry: Any) -> StaticTransform:
         numbers("translation", 3),
         numbers("rpy", 3) if "rpy" in entry else numbers("rotation", 4),
     )
+
+
+def _read(value: Any, unit: str) -> float | None:
+    if isinstance(value, str):
+        return number_in(value, unit)
+    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None

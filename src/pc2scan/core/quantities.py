@@ -1,0 +1,133 @@
+"""Angles, lengths and times as people write them: ``pi/2``, ``deg(180)``, ``-90deg``, ``50cm``, ``100ms``.
+
+Numbers, ``pi``, parentheses and ``+ - * /`` are understood, with a unit behind them. Nothing is executed.
+"""
+
+from __future__ import annotations
+
+import ast
+import math
+import operator
+import re
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+__all__ = ["ANGLE", "EXAMPLES", "FULL_TURN", "angle_value", "in_degrees", "quantity", "written_angle"]
+
+#: ROS 1's notation of angles.
+ANGLE = re.compile(r"(deg|rad)\((.*)\)")
+
+#: No angle is larger, radians. Digits of pi may be missing: 6.2832 is a full turn, and so is -3.15 to 3.15.
+FULL_TURN = 2 * math.pi * 1.01
+
+#: What may be written, by the unit that it becomes.
+EXAMPLES = {
+    "rad": "write radians (1.5708, pi/2) or degrees (90deg)",
+    "m": "write metres (0.5, 0.5m), centimetres (50cm) or millimetres (500mm)",
+    "s": "write seconds (0.1, 0.1s) or milliseconds (100ms)",
+}
+
+#: Longer arithmetic is not an angle that anybody writes.
+_LONGEST = 100
+
+_OPERATORS: dict[type[ast.operator], Callable[[float, float], float]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+}
+
+# Divided by whole numbers, so that 10cm is the float64 nearest to 0.1. Degrees are computed in rosparam's order of
+# operations, so that the last bit is the same.
+_UNITS: Mapping[str, Mapping[str, Callable[[float], float]]] = {
+    "rad": {"rad": float, "deg": lambda value: value * math.pi / 180.0, "°": lambda value: value * math.pi / 180.0},
+    "m": {"m": float, "cm": lambda value: value / 100, "mm": lambda value: value / 1000},
+    "s": {"s": float, "ms": lambda value: value / 1000},
+}
+
+
+def quantity(text: str, unit: str) -> float | None:
+    """Read a number with or without a unit; None if the text is something else.
+
+    Parameters
+    ----------
+    text
+        ``1.57``, ``pi/2``, ``90deg``, ``90°``, ``deg(90)``, ``rad(pi/2)`` for an angle; ``0.5``, ``0.5m``, ``50cm``,
+        ``500mm`` for a length; ``0.1``, ``1/10``, ``100ms`` for a time.
+    unit
+        What is returned: ``rad``, ``m`` or ``s``.
+
+    Examples
+    --------
+    >>> quantity("50cm", "m"), quantity("-180deg", "rad"), quantity("1/4 s", "s"), quantity("5m", "rad")
+    (0.5, -3.141592653589793, 0.25, None)
+    """
+    text = text.strip()
+    if unit == "rad" and ANGLE.fullmatch(text):
+        return written_angle(text)
+    # A unit is not the end of a longer word: 5mm are no metres.
+    units = [name for name in _UNITS[unit] if re.search(rf"[^a-z°]{name}$", text)]
+    number, convert = (text.removesuffix(units[0]), _UNITS[unit][units[0]]) if units else (text, float)
+    try:
+        return convert(_computed(number))
+    except ValueError:
+        return None
+
+
+def angle_value(unit: str, expression: str) -> float:
+    """Radians of rosparam's ``deg(...)`` and ``rad(...)``.
+
+    Source of the rule: ``construct_angle_degrees`` and ``construct_angle_radians`` of ros_comm's rosparam.
+
+    Raises
+    ------
+    ValueError
+        If the expression is more than arithmetic.
+    """
+    return _UNITS["rad"][unit](_computed(expression))
+
+
+def written_angle(text: str) -> float | None:
+    """Value of a text such as ``rad(pi/2)``; None if it is no such text or cannot be computed."""
+    written = ANGLE.fullmatch(text.strip())
+    if written is None:
+        return None
+    try:
+        return angle_value(*written.groups())
+    except ValueError:
+        return None
+
+
+def in_degrees(value: float) -> str:
+    """How an angle is written that was meant in degrees.
+
+    >>> in_degrees(-180.0)
+    '-180deg'
+    """
+    return f"{value:g}deg"
+
+
+def _computed(expression: str) -> float:
+    if len(expression) > _LONGEST:
+        raise ValueError(expression)
+    try:
+        return _arithmetic(ast.parse(expression.strip(), mode="eval").body)
+    except (SyntaxError, ArithmeticError) as err:
+        raise ValueError(expression) from err
+
+
+def _arithmetic(node: ast.expr) -> float:
+    match node:
+        case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
+            return float(number)
+        case ast.Name(id="pi"):
+            return math.pi
+        case ast.UnaryOp(op=ast.USub(), operand=operand):
+            return -_arithmetic(operand)
+        case ast.UnaryOp(op=ast.UAdd(), operand=operand):
+            return _arithmetic(operand)
+        case ast.BinOp(left=left, op=op, right=right) if type(op) in _OPERATORS:
+            return _OPERATORS[type(op)](_arithmetic(left), _arithmetic(right))
+    raise ValueError(ast.dump(node))
