@@ -182,7 +182,7 @@ def stored_chunks(source: Path, form: Form) -> list[bytes]:
     reader: Any = Rosbag1Reader(source) if form.suffix == ".bag" else McapReader(source)
     with source.open("rb") as file:
         chunks = []
-        for segment in reader._contents.segments:
+        for segment in reader._index.segments:
             file.seek(segment.offset)
             chunks.append(file.read(segment.length))
     reader.close()

@@ -196,7 +196,7 @@ def _chunk() -> tuple[bytes, ChunkSegment]:
         path = Path(folder, "a.mcap")
         mcap_files.write(path, [(i % 2, 1000 + 10 * i, bytes([i]) * 9) for i in range(4)], compression="zstd")
         with closing(McapReader(path)) as reader:
-            (segment,) = cast("Any", reader)._contents.segments
+            (segment,) = cast("Any", reader)._index.segments
         return path.read_bytes()[: segment.offset + segment.length], segment
 
 

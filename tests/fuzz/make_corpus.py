@@ -102,7 +102,7 @@ def _copies() -> Iterator[tuple[str, str, bytes]]:
         path = Path(folder, "a.mcap")
         mcap_files.write(path, [(i % 2, 1000 + 10 * i, bytes([i]) * 9) for i in range(4)], compression="zstd")
         with closing(McapReader(path)) as reader:
-            (segment,) = cast("Any", reader)._contents.segments
+            (segment,) = cast("Any", reader)._index.segments
         data = path.read_bytes()
     behind = segment.offset + segment.length
     yield "copies", "indexes", b"\0" + data[behind : behind + segment.index_length]

@@ -128,7 +128,7 @@ def stored_chunks(path: Path) -> list[tuple[frozenset[int] | None, str, bytes]]:
     reader: Any = Rosbag1Reader(path) if path.suffix == ".bag" else McapReader(path)
     with closing(reader):
         return [
-            (s.connection_ids, s.compression, reader._file.read(s.offset, s.length)) for s in reader._contents.segments
+            (s.connection_ids, s.compression, reader._file.read(s.offset, s.length)) for s in reader._index.segments
         ]
 
 

@@ -39,7 +39,7 @@ module             what it is about
 ``rosbag2``        rosbag2 directories: metadata.yaml, and the sqlite3 storage (``.db3``)
 =================  =======================================================================
 
-Of a chunked format, ``records`` knows its records and ``chunks`` its chunks; ``contents`` finds out
+Of a chunked format, ``records`` knows its records and ``chunks`` its chunks; ``index`` finds out
 what is where, and ``recovery`` does so in a damaged file; ``reader`` and ``writer`` have the classes
 that the table of formats opens.
 

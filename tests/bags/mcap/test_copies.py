@@ -31,8 +31,8 @@ class Chunk:
     def __init__(self, path: Path, rows: list[tuple[int, int, bytes]]) -> None:
         write(path, rows, compression="zstd")
         with closing(McapReader(path)) as reader:
-            contents: Any = reader._contents
-            (self.segment,) = contents.segments
+            index: Any = reader._index
+            (self.segment,) = index.segments
         self.path = path
         self.data = bytearray(path.read_bytes())
 

@@ -71,7 +71,7 @@ def contents(path: Path, compression: str) -> tuple[bytes, list[tuple[int, int, 
     assert len(places) >= 3
     # By their order: a writer fills one chunk after the other.
     with closing(Rosbag1Reader(path)) as reader:
-        segments = reader._contents.segments
+        segments = reader._index.segments
         loaded = [
             {
                 bytes(m.data)

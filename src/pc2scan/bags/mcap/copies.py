@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from pc2scan.model import ChunkRule
 
     from .chunks import ChunkSegment
-    from .contents import Contents
+    from .index import McapIndex
     from .records import RecordFile
 
     #: By channel: log times and places of its messages.
@@ -27,12 +27,12 @@ if TYPE_CHECKING:
 __all__ = ["agreed", "whole_by_content", "whole_by_index"]
 
 
-def agreed(contents: Contents, rule: ChunkRule) -> frozenset[int]:
+def agreed(index: McapIndex, rule: ChunkRule) -> frozenset[int]:
     """Find the channels that the destination declares as this file does: a chunk may repeat that unseen."""
     found = []
-    for channel_id in rule.connection_ids & contents.channels.keys():
-        channel = contents.channels[channel_id]
-        schema = contents.schemas.get(channel.schema_id)
+    for channel_id in rule.connection_ids & index.channels.keys():
+        channel = index.channels[channel_id]
+        schema = index.schemas.get(channel.schema_id)
         records = {encoded(channel)} if schema is None else {encoded(channel), encoded(schema)}
         if records <= rule.declarations:
             found.append(channel_id)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from pc2scan.bags.damage import DamageLog
     from pc2scan.model import Buffer
 
-    from .contents import Contents
+    from .index import McapIndex
     from .records import RecordFile
 
 __all__ = ["DataCrc", "data_crc"]
@@ -87,11 +87,11 @@ class DataCrc:
         return value
 
 
-def data_crc(file: RecordFile, contents: Contents, log: DamageLog) -> DataCrc | None:
+def data_crc(file: RecordFile, index: McapIndex, log: DamageLog) -> DataCrc | None:
     """Return what compares the CRC; None if the file has none, or its chunks have their own."""
-    if contents.data_end is None or not contents.segments:
+    if index.data_end is None or not index.segments:
         return None
-    stop, recorded = contents.data_end
-    if not recorded or any(isinstance(segment, ChunkSegment) for segment in contents.segments):
+    stop, recorded = index.data_end
+    if not recorded or any(isinstance(segment, ChunkSegment) for segment in index.segments):
         return None
-    return DataCrc(file, contents.segments, stop, recorded, log)
+    return DataCrc(file, index.segments, stop, recorded, log)

@@ -32,10 +32,10 @@ from pc2scan.model import (
 )
 
 from .chunks import ChunkSegment, chunk_at, payload, with_payload
-from .contents import Contents, ExtraIndex, find_contents, find_declarations
 from .copies import agreed, whole_by_content, whole_by_index
 from .data_crc import data_crc
 from .entries import index_trouble
+from .index import ExtraIndex, McapIndex, find_declarations, find_index
 from .records import FIRST_PRIVATE, MESSAGE, OP_MESSAGE, RECORD, RecordFile, parse, split
 
 if TYPE_CHECKING:
@@ -99,41 +99,41 @@ class McapReader(PartReader):
         self._agreed: set[bytes] = set()
         try:
             try:
-                self._contents = self._found_contents()
+                self._index = self._found_index()
             except AnotherBeginsError as other:
                 self._file.end_at(other.offset)
-                self._contents = self._found_contents()
+                self._index = self._found_index()
             note_next(self._file, self._log)
-            find_declarations(self._file, self._contents, self._records, self._log)
-            self._note_differing(self._contents.differing)
+            find_declarations(self._file, self._index, self._records, self._log)
+            self._note_differing(self._index.differing)
             self._compare_extras()
-            self._connections = tuple(_connections(self._contents, self._file, self._log))
+            self._connections = tuple(_connections(self._index, self._file, self._log))
             self._spans = SpanCheck(
-                self._contents.segments,
+                self._index.segments,
                 self._indexed_span,
                 self._contained_span,
                 self._file,
                 self._log,
-                trusted=self._contents.verified,
+                trusted=self._index.verified,
             )
             self._spans.compare_ends()
             sound = verify and not self._log.found
-            self._data_crc = data_crc(self._file, self._contents, self._log) if sound else None
-            self._summary = _summary(self._contents, self._file, self._log)
+            self._data_crc = data_crc(self._file, self._index, self._log) if sound else None
+            self._summary = _summary(self._index, self._file, self._log)
             self._is_whole = not self._log.found
         except BaseException:
             self._file.close()
             raise
 
-    def _found_contents(self) -> Contents:
+    def _found_index(self) -> McapIndex:
         """Find out what is where in the file, whether it is sound or not."""
         try:
-            return find_contents(self._file, verify=self._verify)
+            return find_index(self._file, verify=self._verify)
         except DamageError as err:
             problem = err
-        from .recovery import recovered_contents  # noqa: PLC0415  # only damaged files pay for it
+        from .recovery import recovered_index  # noqa: PLC0415  # only damaged files pay for it
 
-        return recovered_contents(self._file, problem, self._log, verify=self._verify)
+        return recovered_index(self._file, problem, self._log, verify=self._verify)
 
     @property
     def next_start(self) -> int | None:
@@ -182,11 +182,11 @@ class McapReader(PartReader):
             return []
         rule = rule if rule and rule.container == "mcap" else None
         self._spans.compare_beside(ids, start_ns, stop_ns)
-        segments = [s for s in self._contents.segments if s.may_hold(ids, start_ns, stop_ns)]
+        segments = [s for s in self._index.segments if s.may_hold(ids, start_ns, stop_ns)]
         alone = standing_alone(segments, rule, start_ns, stop_ns) if rule else frozenset()
         blindly: frozenset[int] = frozenset()
         if rule and alone and not self._verify and not self._packs(segments[0]):
-            blindly = agreed(self._contents, rule)
+            blindly = agreed(self._index, rule)
 
         intolerant = DamageLog(strict=True)
 
@@ -318,7 +318,7 @@ class McapReader(PartReader):
         if record in self._agreed:
             return
         try:
-            what = self._contents.contradicted_by(opcode, record[RECORD.size :], chunk.record_offset, self._file)
+            what = self._index.contradicted_by(opcode, record[RECORD.size :], chunk.record_offset, self._file)
         except DamageError as err:
             self._log.note(err, offset=chunk.record_offset, key=record[:64], messages_lost=0)
             return
@@ -329,26 +329,26 @@ class McapReader(PartReader):
 
     def _compare_extras(self) -> None:
         """Take note of everything but messages that the summary counts or places otherwise than the file has it."""
-        contents = self._contents
-        statistics = contents.statistics
+        index = self._index
+        statistics = index.statistics
         if self._log.found:
             return
         if statistics is not None:
             for kind, declared, places in (
-                ("attachments", statistics.attachment_count, contents.attachments),
-                ("metadata records", statistics.metadata_count, contents.metadata),
+                ("attachments", statistics.attachment_count, index.attachments),
+                ("metadata records", statistics.metadata_count, index.metadata),
             ):
                 if len(places) < declared:
                     error = f"the statistics count {declared} {kind}, {len(places)} were found"
                     self._log.note(self._file.damage(error), key=kind)
-            for kind, declared, fewest, most in _declarations_counted(contents, statistics):
+            for kind, declared, fewest, most in _declarations_counted(index, statistics):
                 # Some writers count nothing, and some only what messages use.
                 if declared and not fewest <= declared <= most:
                     error = f"the statistics count {declared} {kind}, {most} were found"
                     self._log.note(self._file.damage(error), key=kind, messages_lost=0)
-        begun = {*contents.attachments, *contents.metadata}
+        begun = {*index.attachments, *index.metadata}
         # The index that @mcap/core 2.2.2 writes for files without chunks has wrong places.
-        for offset, entry in contents.extra_indexes.items() if contents.summarized else ():
+        for offset, entry in index.extra_indexes.items() if index.summarized else ():
             if offset not in begun:
                 kind = "attachment" if isinstance(entry, records.AttachmentIndex) else "metadata record"
                 error = f"the summary has the {kind} {entry.name!r:.80} at byte {offset}, where none is"
@@ -366,7 +366,7 @@ class McapReader(PartReader):
         from .counts import indexed_span  # noqa: PLC0415
 
         span = indexed_span(self._file, segment)
-        if span is None and self._contents.summarized:
+        if span is None and self._index.summarized:
             with suppress(DamageError):
                 head = self._file.read(segment.record_offset, segment.offset - segment.record_offset)
                 chunk = chunk_at(head, 0, segment.record_offset, self._file)
@@ -407,11 +407,11 @@ class McapReader(PartReader):
             return declared
         from .counts import counts_between  # noqa: PLC0415  # only topics that are skipped need it
 
-        return declared | counts_between(self._file, self._contents.segments, ids, start_ns, stop_ns)
+        return declared | counts_between(self._file, self._index.segments, ids, start_ns, stop_ns)
 
     def attachments(self) -> Iterator[Attachment]:
         """Attachments in the order of the file, each read when it is asked for."""
-        for offset in sorted(self._contents.attachments):
+        for offset in sorted(self._index.attachments):
             content = self._file.record(offset, Opcode.ATTACHMENT)
             try:
                 record = parse(records.Attachment, content, offset, self._file)
@@ -441,7 +441,7 @@ class McapReader(PartReader):
 
     def metadata(self) -> Iterator[Metadata]:
         """Metadata records in the order of the file."""
-        for offset in sorted(self._contents.metadata):
+        for offset in sorted(self._index.metadata):
             content = self._file.record(offset, Opcode.METADATA)
             try:
                 record = parse(records.Metadata, content, offset, self._file)
@@ -454,7 +454,7 @@ class McapReader(PartReader):
 
     def _compare_extra(self, offset: int, told: ExtraIndex, name: str) -> None:
         """Take note if the summary says something else of an attachment or a metadata record."""
-        if self._contents.extra_indexes.get(offset, told) != told:
+        if self._index.extra_indexes.get(offset, told) != told:
             kind = "attachment" if isinstance(told, records.AttachmentIndex) else "metadata record"
             error = self._file.damage(f"the summary contradicts the {kind} {name!r:.80} at byte {offset}")
             self._log.note(error, offset=offset, key="index", messages_lost=0)
@@ -464,14 +464,14 @@ class McapReader(PartReader):
         self._file.close()
 
 
-def _declarations_counted(contents: Contents, statistics: records.Statistics) -> Iterator[tuple[str, int, int, int]]:
+def _declarations_counted(index: McapIndex, statistics: records.Statistics) -> Iterator[tuple[str, int, int, int]]:
     """For channels, schemas and chunks: how many the statistics count, and the fewest and the most that are right."""
     used = {number for number, count in statistics.channel_message_counts.items() if count}
-    channels = [contents.channels[number] for number in used if number in contents.channels]
+    channels = [index.channels[number] for number in used if number in index.channels]
     schemas = {channel.schema_id for channel in channels} - {0}
-    chunks = sum(isinstance(segment, ChunkSegment) for segment in contents.segments)
-    yield "channels", statistics.channel_count, len(used), len(contents.channels)
-    yield "schemas", statistics.schema_count, len(schemas), len(contents.schemas)
+    chunks = sum(isinstance(segment, ChunkSegment) for segment in index.segments)
+    yield "channels", statistics.channel_count, len(used), len(index.channels)
+    yield "schemas", statistics.schema_count, len(schemas), len(index.schemas)
     yield "chunks", statistics.chunk_count, chunks, chunks
 
 
@@ -557,22 +557,22 @@ def _messages_in(
     return _Scan(found, others, position, astray)
 
 
-def _connections(contents: Contents, file: RecordFile, log: DamageLog) -> Iterator[Connection]:
-    for channel in contents.channels.values():
-        schema = contents.schemas.get(channel.schema_id)
+def _connections(index: McapIndex, file: RecordFile, log: DamageLog) -> Iterator[Connection]:
+    for channel in index.channels.values():
+        schema = index.schemas.get(channel.schema_id)
         if schema is None and channel.schema_id:
             missing = f"channel {channel.id} has schema {channel.schema_id}, which is not in the file"
             log.note(file.damage(missing), key=channel.id)
-        yield _connection(channel, schema, contents)
+        yield _connection(channel, schema, index)
 
 
-def _connection(channel: records.Channel, schema: records.Schema | None, contents: Contents) -> Connection:
+def _connection(channel: records.Channel, schema: records.Schema | None, index: McapIndex) -> Connection:
     metadata = channel.metadata
     encoding = schema.encoding if schema else ""
     serialization = (
         channel.message_encoding
         or _SERIALIZATION_OF_SCHEMA.get(encoding)
-        or _SERIALIZATION_OF_PROFILE.get(contents.profile, "")
+        or _SERIALIZATION_OF_PROFILE.get(index.profile, "")
     )
     qos = metadata.get("offered_qos_profiles", "")
     ros1 = serialization == "ros1"
@@ -587,30 +587,30 @@ def _connection(channel: records.Channel, schema: records.Schema | None, content
         latching=metadata.get("latching") in ("1", "true", "True") if ros1 else latches(qos),
         qos=qos,
         metadata=metadata,
-        message_count=_message_count(channel.id, contents),
+        message_count=_message_count(channel.id, index),
         schema_id=channel.schema_id,
     )
 
 
-def _message_count(channel_id: int, contents: Contents) -> int | None:
-    statistics = contents.statistics
+def _message_count(channel_id: int, index: McapIndex) -> int | None:
+    statistics = index.statistics
     if statistics is None:
-        return contents.counts[channel_id] if contents.all_counted else None
+        return index.counts[channel_id] if index.all_counted else None
     # Writers may leave the counts by channel out.
     if statistics.message_count and not statistics.channel_message_counts:
         return None
     return statistics.channel_message_counts.get(channel_id, 0)
 
 
-def _summary(contents: Contents, file: RecordFile, log: DamageLog) -> Summary:
-    statistics = contents.statistics
+def _summary(index: McapIndex, file: RecordFile, log: DamageLog) -> Summary:
+    statistics = index.statistics
     if statistics is not None:
         count: int | None = statistics.message_count
         times = (statistics.message_start_time, statistics.message_end_time) if count else None
     else:
-        count, times = contents.counts.total() if contents.all_counted else None, None
+        count, times = index.counts.total() if index.all_counted else None, None
     # A chunk without messages has both times zero.
-    held = [s for s in contents.segments if s.connection_ids is not None or s.end_ns]
+    held = [s for s in index.segments if s.connection_ids is not None or s.end_ns]
     found = (min(s.start_ns for s in held), max(s.end_ns for s in held)) if held else None
     covers = times is not None and found is not None and times[0] <= found[0] <= found[1] <= times[1]
     if times and found and not covers:
@@ -627,10 +627,10 @@ def _summary(contents: Contents, file: RecordFile, log: DamageLog) -> Summary:
     return Summary(
         container="mcap",
         storage="",
-        compression=tuple(sorted({segment.compression for segment in contents.segments})),
+        compression=tuple(sorted({segment.compression for segment in index.segments})),
         size_bytes=file.size,
         message_count=count,
         start_ns=times[0] if times else None,
         end_ns=times[1] if times else None,
-        profile=contents.profile,
+        profile=index.profile,
     )

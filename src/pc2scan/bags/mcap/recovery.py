@@ -24,7 +24,7 @@ from pc2scan.model import RawMessage
 
 from .another import refuse_another
 from .chunks import CHUNK_HEAD_SIZE, ChunkSegment, chunk_at
-from .contents import Contents, Walk, read_header, read_summary
+from .index import McapIndex, RecordWalk, read_header, read_summary
 from .records import COMPRESSIONS, FIRST_PRIVATE, MAGIC, MESSAGE, OP_CHUNK, OP_MESSAGE, OP_MESSAGE_INDEX, RECORD, parse
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
     from .records import RecordFile
 
-__all__ = ["payload_prefix", "recovered_contents", "salvaged_messages", "salvaged_records"]
+__all__ = ["payload_prefix", "recovered_index", "salvaged_messages", "salvaged_records"]
 
 #: Bytes that are searched at a time.
 _WINDOW = 1 << 20
@@ -64,7 +64,7 @@ class _Gap(NamedTuple):
     error: DamageError
 
 
-def recovered_contents(file: RecordFile, problem: DamageError, log: DamageLog, *, verify: bool) -> Contents:
+def recovered_index(file: RecordFile, problem: DamageError, log: DamageLog, *, verify: bool) -> McapIndex:
     """Find out what is left in a damaged file.
 
     Parameters
@@ -80,52 +80,52 @@ def recovered_contents(file: RecordFile, problem: DamageError, log: DamageLog, *
 
     Returns
     -------
-    Contents
+    McapIndex
         Chunks among its segments may reach to the end of the file and be cut off there.
     """
     if log.strict:
         raise problem
-    contents = Contents()
+    index = McapIndex()
     noted: list[DamageError] = []
     start = 0
     try:
-        start = read_header(file, contents)
+        start = read_header(file, index)
     except DamageError as err:
         noted.append(err)
     if start < file.size and not _is_record(file, start, file.size):
         start = _next_record(file, len(MAGIC) + 1, file.size, ())
-    summary, end = Contents(), file.size - len(MAGIC) * _ends_with_magic(file)
+    summary, end = McapIndex(), file.size - len(MAGIC) * _ends_with_magic(file)
     try:
         end, _ = read_summary(file, summary, verify=verify)
     except DamageError as err:
         noted.append(err)
         # A walk over the records of a summary does no harm, and finds channels.
-        summary = Contents()
-    contents.statistics = summary.statistics
-    gaps = list(_walked(file, contents, summary, start, end))
+        summary = McapIndex()
+    index.statistics = summary.statistics
+    gaps = list(_walked(file, index, summary, start, end))
     for identity, schema in summary.schemas.items():
-        contents.schemas.setdefault(identity, schema)
+        index.schemas.setdefault(identity, schema)
     for identity, channel in summary.channels.items():
-        contents.channels.setdefault(identity, channel)
-    contents.channels_listed = summary.channels_listed
-    _adopt(contents, summary.segments, gaps)
-    around = times_around(contents.segments)
+        index.channels.setdefault(identity, channel)
+    index.channels_listed = summary.channels_listed
+    _adopt(index, summary.segments, gaps)
+    around = times_around(index.segments)
     for error in noted or ([] if gaps else [problem]):
         log.note(error, **around(file.size, file.size))
     for gap in gaps:
         log.note(gap.error, offset=gap.start, bytes_lost=gap.stop - gap.start, **around(gap.start, gap.stop))
-    return contents
+    return index
 
 
 def _ends_with_magic(file: RecordFile) -> bool:
     return file.size >= 2 * len(MAGIC) and file.read(file.size - len(MAGIC), len(MAGIC)) == MAGIC
 
 
-def _walked(file: RecordFile, contents: Contents, summary: Contents, start: int, end: int) -> Iterator[_Gap]:
+def _walked(file: RecordFile, index: McapIndex, summary: McapIndex, start: int, end: int) -> Iterator[_Gap]:
     """Walk, and where that fails go on at the next record; yields what lies between."""
     position = start
     while position < end:
-        walk = Walk(file, contents)
+        walk = RecordWalk(file, index)
         try:
             walk.run(position, end)
         except DamageError as err:
@@ -135,13 +135,13 @@ def _walked(file: RecordFile, contents: Contents, summary: Contents, start: int,
                 position = rest
                 continue
             return
-        known = contents.channels.keys() | summary.channels.keys()
+        known = index.channels.keys() | summary.channels.keys()
         chunk = _chunk_in_front(file, failed, end)
         if chunk is not None:
             position = _end_of_chunk(file, chunk, end, known)
             refuse_another(file, failed, position)
-            contents.segments.append(replace(chunk, length=min(chunk.length, position - chunk.offset)))
-            contents.all_counted = False
+            index.segments.append(replace(chunk, length=min(chunk.length, position - chunk.offset)))
+            index.all_counted = False
             if position < chunk.offset + chunk.length:
                 # The chunk's own damage is noted when it is read; here only that it is not whole.
                 yield _Gap(failed, failed, error)
@@ -150,7 +150,7 @@ def _walked(file: RecordFile, contents: Contents, summary: Contents, start: int,
         if previous and file.read(previous, 1)[0] != OP_CHUNK:
             again = _next_record(file, previous + 1, end, known, limit=failed)
             if again < failed:
-                _forget(contents, previous)
+                _forget(index, previous)
                 yield _Gap(previous, again, error)
                 position = again
                 continue
@@ -159,16 +159,16 @@ def _walked(file: RecordFile, contents: Contents, summary: Contents, start: int,
         yield _Gap(failed, position, error)
 
 
-def _forget(contents: Contents, offset: int) -> None:
+def _forget(index: McapIndex, offset: int) -> None:
     """Take back what was noted of the record that begins here, the last one of the walk."""
-    for places in (contents.attachments, contents.metadata):
+    for places in (index.attachments, index.metadata):
         if offset in places:
             places.remove(offset)
-    run = contents.segments[-1] if contents.segments else None
+    run = index.segments[-1] if index.segments else None
     if run is not None and not isinstance(run, ChunkSegment) and run.offset <= offset < run.offset + run.length:
-        contents.segments.pop()
+        index.segments.pop()
         if run.offset < offset:
-            contents.segments.append(replace(run, length=offset - run.offset))
+            index.segments.append(replace(run, length=offset - run.offset))
 
 
 def _behind_data_end(file: RecordFile, offset: int, end: int) -> int | None:
@@ -268,15 +268,15 @@ def _certain(file: RecordFile, opcode: int, offset: int, length: int, end: int, 
     return True
 
 
-def _adopt(contents: Contents, indexed: Iterable[Segment], gaps: list[_Gap]) -> None:
+def _adopt(index: McapIndex, indexed: Iterable[Segment], gaps: list[_Gap]) -> None:
     """Take chunks from the summary's index that the walk found nothing of: their headers are damaged."""
-    found = sorted(contents.segments, key=attrgetter("offset"))
+    found = sorted(index.segments, key=attrgetter("offset"))
     for segment in indexed:
         stop = segment.offset + segment.length
         if any(other.offset < stop and segment.offset < other.offset + other.length for other in found):
             continue
-        contents.segments.append(segment)
-        contents.all_counted = False
+        index.segments.append(segment)
+        index.all_counted = False
         for number, gap in enumerate(gaps):
             if gap.start <= segment.offset and stop <= gap.stop:
                 # Its header is known from the index: nothing is lost here.

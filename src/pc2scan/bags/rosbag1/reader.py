@@ -14,9 +14,9 @@ from pc2scan.bags.parts import AnotherBeginsError, PartReader, note_next, opened
 from pc2scan.model import StoredChunk, Summary, declared_counts
 
 from .chunks import Places, decompressed, messages_in, with_payload
-from .contents import Copies, contained_span, read_index
 from .copies import first_uses, whole_chunk
 from .entries import index_trouble
+from .index import Copies, contained_span, read_index
 from .records import BagFile, Damaged, uint32_field
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from pc2scan.bags.units import Item, Unit
     from pc2scan.model import Buffer, ChunkRule, Connection, RawMessage
 
-    from .contents import Contents
+    from .index import BagIndex
 
 __all__ = ["Rosbag1Reader", "open_reader"]
 
@@ -72,17 +72,17 @@ class Rosbag1Reader(PartReader):
         self._is_whole = False
         try:
             try:
-                self._contents = self._found_contents()
+                self._index = self._found_index()
             except AnotherBeginsError as other:
                 self._file.end_at(other.offset)
-                self._contents = self._found_contents()
+                self._index = self._found_index()
             note_next(self._file, self._log)
-            for identity in sorted(self._contents.unlisted):
+            for identity in sorted(self._index.unlisted):
                 error = f"connection {identity} has messages, and only chunks describe it"
                 self._log.note(self._file.damage_error(error), key=("unlisted", identity), messages_lost=0)
-            self._copies = Copies(self._contents.connections)
+            self._copies = Copies(self._index.connections)
             self._spans = SpanCheck(
-                self._contents.segments, self._indexed_span, self._contained_span, self._file, self._log, trusted=False
+                self._index.segments, self._indexed_span, self._contained_span, self._file, self._log, trusted=False
             )
             self._spans.compare_ends()
             self._is_whole = not self._log.found
@@ -90,15 +90,15 @@ class Rosbag1Reader(PartReader):
             self.close()
             raise
 
-    def _found_contents(self) -> Contents:
+    def _found_index(self) -> BagIndex:
         """Find out what the bag holds, from its index or without it."""
         try:
             return read_index(self._file)
         except Damaged as err:
             problem = self._file.damage_error(f"its index cannot be read: {err}")
-        from .recovery import recovered_contents  # noqa: PLC0415  # only damaged bags pay for it
+        from .recovery import recovered_index  # noqa: PLC0415  # only damaged bags pay for it
 
-        return recovered_contents(self._file, problem, self._log)
+        return recovered_index(self._file, problem, self._log)
 
     @property
     def next_start(self) -> int | None:
@@ -113,12 +113,12 @@ class Rosbag1Reader(PartReader):
     @property
     def connections(self) -> Sequence[Connection]:
         """Every connection, in the order of the index; those that only chunks describe come last."""
-        return tuple(self._contents.connections.values())
+        return tuple(self._index.connections.values())
 
     @property
     def summary(self) -> Summary:
         """What the index tells."""
-        segments = self._contents.segments
+        segments = self._index.segments
         counts = [connection.message_count for connection in self.connections]
         return Summary(
             container="rosbag1",
@@ -144,13 +144,13 @@ class Rosbag1Reader(PartReader):
     ) -> list[Unit]:
         """Chunks by start; see `pc2scan.bags.reader.Reader`. They are decompressed to see whether they can be whole."""
         rule = rule if rule and rule.container == "rosbag1" else None
-        known = self._contents.connections
+        known = self._index.connections
         ids = None if connections is None else frozenset(connection.id for connection in connections)
         wanted = {key: item if ids is None or key in ids else None for key, item in known.items()}
         chosen = frozenset(key for key, item in wanted.items() if item is not None)
         self._bytes_read = 0
         self._spans.compare_beside(ids, start_ns, stop_ns)
-        due = [segment for segment in self._contents.segments if segment.may_hold(ids, start_ns, stop_ns)]
+        due = [segment for segment in self._index.segments if segment.may_hold(ids, start_ns, stop_ns)]
         alone = standing_alone(due, rule, start_ns, stop_ns) if rule else frozenset()
         needed = first_uses(due, start_ns) if alone else {}
 
@@ -236,7 +236,7 @@ class Rosbag1Reader(PartReader):
         from .recovery import payload_prefix, salvaged_messages  # noqa: PLC0415
 
         chunk = payload_prefix(self._file, segment)
-        left = salvaged_messages(chunk, self._contents.connections, (segment.start_ns, segment.end_ns))
+        left = salvaged_messages(chunk, self._index.connections, (segment.start_ns, segment.end_ns))
         note_salvaged(self._log, error, segment, segment.offset, len(chunk), left)
         return left.messages
 
@@ -250,7 +250,7 @@ class Rosbag1Reader(PartReader):
             return declared
         from .counts import counts_between  # noqa: PLC0415  # only topics that are skipped need it
 
-        return declared | counts_between(self._file, self._contents.segments, ids, start_ns, stop_ns)
+        return declared | counts_between(self._file, self._index.segments, ids, start_ns, stop_ns)
 
     @property
     def damage(self) -> tuple[Damage, ...]:

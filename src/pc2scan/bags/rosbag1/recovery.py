@@ -17,7 +17,7 @@ from pc2scan.files.salvage import decompressed_prefix
 from pc2scan.model import RawMessage
 
 from .chunks import payload
-from .contents import Contents, chunk_segment
+from .index import BagIndex, chunk_segment
 from .records import (
     BAG_HEADER,
     CHUNK,
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from .records import BagFile
     from .search import Fields
 
-__all__ = ["payload_prefix", "recovered_contents", "salvaged_messages"]
+__all__ = ["payload_prefix", "recovered_index", "salvaged_messages"]
 
 #: Messages outside chunks, which only damage puts there, are read in stretches of about this size, bytes.
 _RUN_SIZE = 4 << 20
@@ -76,7 +76,7 @@ class _Stamps:
         self.counts[connection] = self.counts.get(connection, 0) + 1
 
 
-def recovered_contents(file: BagFile, problem: DamageError, log: DamageLog) -> Contents:
+def recovered_index(file: BagFile, problem: DamageError, log: DamageLog) -> BagIndex:
     """Find out what a bag holds without its index.
 
     Parameters
@@ -90,7 +90,7 @@ def recovered_contents(file: BagFile, problem: DamageError, log: DamageLog) -> C
 
     Returns
     -------
-    Contents
+    BagIndex
         The connections have no counts: how many messages there were is what the index would tell.
 
     Raises
@@ -168,7 +168,7 @@ def recovered_contents(file: BagFile, problem: DamageError, log: DamageLog) -> C
     _find_times(file, found, log)
     _note(file, found, problem, log)
     connections = {key: replace(item, message_count=None) for key, item in sorted(found.connections.items())}
-    return Contents(connections, [segment for segment in found.segments if segment.end_ns])
+    return BagIndex(connections, [segment for segment in found.segments if segment.end_ns])
 
 
 def _next_after_header(file: BagFile) -> int:

@@ -14,9 +14,9 @@ from mcap.records import Chunk, DataEnd, Footer
 from mcap.stream_reader import StreamReader
 
 from pc2scan.bags.damage import DamageLog
-from pc2scan.bags.mcap import contents as mcap_contents
+from pc2scan.bags.mcap import index as mcap_index
 from pc2scan.bags.mcap.chunks import payload
-from pc2scan.bags.mcap.contents import Contents, Walk, find_declarations, read_header
+from pc2scan.bags.mcap.index import McapIndex, RecordWalk, find_declarations, read_header
 from pc2scan.bags.mcap.reader import McapReader
 from pc2scan.bags.mcap.records import MAGIC, RecordFile, split
 from pc2scan.errors import RecordingError
@@ -113,7 +113,7 @@ def rebuild_with_index(path: Path, head: bytes, chunks: list[Chunk]) -> None:
 
 
 def test_runs_outside_chunks_are_split(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, loads: list[Segment]) -> None:
-    monkeypatch.setattr(mcap_contents, "RUN_SIZE", 500)
+    monkeypatch.setattr(mcap_index, "RUN_SIZE", 500)
     path = library_file(tmp_path / "a.mcap", SAMPLE, use_chunking=False)
     expected = sorted(
         ((i + 1, n, t, t + 5, data) for n, (i, t, data) in enumerate(SAMPLE)), key=lambda message: message[2]
@@ -230,15 +230,15 @@ def test_what_precedes_damage_is_kept_for_recovery(tmp_path: Path) -> None:
     path = tmp_path / "b.mcap"
     path.write_bytes(data[: len(data) // 2])
     file = RecordFile(path)
-    contents = Contents()
+    index = McapIndex()
     with pytest.raises(RecordingError, match="the record at byte"):
-        Walk(file, contents).run(read_header(file, contents), file.size)
+        RecordWalk(file, index).run(read_header(file, index), file.size)
     find_declarations(
-        file, contents, lambda chunk: split(payload(file, chunk), chunk.offset, file), DamageLog(strict=True)
+        file, index, lambda chunk: split(payload(file, chunk), chunk.offset, file), DamageLog(strict=True)
     )
-    assert len(contents.segments) > 3
-    assert [channel.topic for channel in contents.channels.values()] == ["/topic0", "/topic1"]
-    assert all(len(payload(file, segment)) for segment in contents.segments)
+    assert len(index.segments) > 3
+    assert [channel.topic for channel in index.channels.values()] == ["/topic0", "/topic1"]
+    assert all(len(payload(file, segment)) for segment in index.segments)
     file.close()
 
 

@@ -1,4 +1,4 @@
-"""What a ROS 1 bag holds: its connections and chunks, from its index."""
+"""The index of a ROS 1 bag: its connections and chunks."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ if TYPE_CHECKING:
 
     from .records import BagFile
 
-__all__ = ["Contents", "Copies", "chunk_segment", "contained_span", "read_index"]
+__all__ = ["BagIndex", "Copies", "chunk_segment", "contained_span", "read_index"]
 
 
 @dataclass(frozen=True, slots=True)
-class Contents:
+class BagIndex:
     """What a bag holds, whichever way it was found out.
 
     ``unlisted`` are the connections that have messages and are not in the index.
@@ -89,7 +89,7 @@ class Copies:
         return f"connection {identity} has another {part} in it than elsewhere"
 
 
-def read_index(file: BagFile) -> Contents:
+def read_index(file: BagFile) -> BagIndex:
     """Find out what a bag holds from its index."""
     position, connection_count, chunk_count = _read_bag_header(file)
     if connection_count > MAX_CONNECTIONS:
@@ -136,7 +136,7 @@ def read_index(file: BagFile) -> Contents:
             segments.append(known)
     unlisted = frozenset(counts) - connections.keys()
     connections.update(_find_connections(file, segments, set(unlisted)))
-    return Contents(
+    return BagIndex(
         {key: replace(connection, message_count=counts[key]) for key, connection in connections.items()},
         segments,
         unlisted,

@@ -1,7 +1,7 @@
-"""What is where in an MCAP file.
+"""The index of an MCAP file: which chunks, messages outside chunks, channels and schemas it has, and where.
 
-It is told by the summary at the end of the file, and by a walk over the headers of the records that the
-summary does not account for. A file without a summary is walked from end to end, in the same way.
+It is read from the summary at the end of the file. Records that the summary does not account for are found by a walk
+over the headers of the records; a file without a summary is walked from end to end.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from .records import RecordFile
 
-__all__ = ["RUN_SIZE", "Contents", "Walk", "find_contents", "find_declarations", "read_header", "read_summary"]
+__all__ = ["RUN_SIZE", "McapIndex", "RecordWalk", "find_declarations", "find_index", "read_header", "read_summary"]
 
 _FOOTER_SIZE = RECORD.size + 20
 
@@ -48,8 +48,8 @@ RUN_SIZE = 4 << 20
 
 
 @dataclass(slots=True)
-class Contents:
-    """What is where in a file, however that was found out.
+class McapIndex:
+    """What is where in a file, by its summary or by a walk over its records.
 
     Attributes
     ----------
@@ -128,7 +128,7 @@ def _name_of(record: records.Schema | records.Channel) -> str:
     return f"{type(record).__name__.lower()} {record.id}"
 
 
-def find_contents(file: RecordFile, *, verify: bool = True) -> Contents:
+def find_index(file: RecordFile, *, verify: bool = True) -> McapIndex:
     """Find out what is where in a sound file, but for channels that only chunks declare.
 
     Parameters
@@ -147,18 +147,18 @@ def find_contents(file: RecordFile, *, verify: bool = True) -> Contents:
     AnotherBeginsError
         If another file begins behind its data.
     """
-    contents = Contents()
-    start = read_header(file, contents)
-    end, accounted = read_summary(file, contents, verify=verify)
-    stop = Walk(file, contents, accounted).run(start, end)
+    index = McapIndex()
+    start = read_header(file, index)
+    end, accounted = read_summary(file, index, verify=verify)
+    stop = RecordWalk(file, index, accounted).run(start, end)
     if stop != end:
         from .another import refuse_another  # noqa: PLC0415  # only damaged files pay for it
 
         refuse_another(file, stop, end)
-    return contents
+    return index
 
 
-def read_header(file: RecordFile, contents: Contents) -> int:
+def read_header(file: RecordFile, index: McapIndex) -> int:
     """Check the magic, note the profile, and return where the first record behind the header begins."""
     magic = file.read(0, min(len(MAGIC), file.size))
     if magic != MAGIC:
@@ -166,11 +166,11 @@ def read_header(file: RecordFile, contents: Contents) -> int:
             f"is not an MCAP file: it begins with {magic.hex(' ') or 'nothing'}, expected {MAGIC.hex(' ')}"
         )
     content = file.record(len(MAGIC), Opcode.HEADER)
-    contents.profile = parse(records.Header, content, len(MAGIC), file).profile
+    index.profile = parse(records.Header, content, len(MAGIC), file).profile
     return len(MAGIC) + RECORD.size + len(content)
 
 
-def read_summary(file: RecordFile, contents: Contents, *, verify: bool) -> tuple[int, dict[int, int]]:
+def read_summary(file: RecordFile, index: McapIndex, *, verify: bool) -> tuple[int, dict[int, int]]:
     """Read what the end of the file tells.
 
     Returns
@@ -196,28 +196,28 @@ def read_summary(file: RecordFile, contents: Contents, *, verify: bool) -> tuple
         actual = crc32(tail[: _FOOTER_SIZE - 4], crc32(data))
         if actual != footer.summary_crc:
             raise file.damage(f"the summary's CRC is {actual:08x}, recorded is {footer.summary_crc:08x}")
-        contents.verified = True
+        index.verified = True
     accounted: dict[int, int] = {}
     for kind, content in split(memoryview(data), start, file):
         if kind == Opcode.CHUNK_INDEX:
             chunk, following = _indexed_chunk(content, start, file)
-            contents.segments.append(chunk)
-            contents.all_counted = False
+            index.segments.append(chunk)
+            index.all_counted = False
             accounted[chunk.record_offset] = following
         elif kind == Opcode.STATISTICS:
-            contents.statistics = parse(records.Statistics, content, start, file)
+            index.statistics = parse(records.Statistics, content, start, file)
         elif kind in (Opcode.ATTACHMENT_INDEX, Opcode.METADATA_INDEX):
             # Attachments and metadata are found by the walk: it costs little, and the index that @mcap/core
             # 2.2.2 writes for files without chunks has wrong offsets.
-            if len(contents.extra_indexes) < _MAX_EXTRA_INDEXES:
+            if len(index.extra_indexes) < _MAX_EXTRA_INDEXES:
                 entry = parse(_EXTRA_INDEXES[kind], content, start, file)
-                contents.extra_indexes[entry.offset] = entry
+                index.extra_indexes[entry.offset] = entry
         else:
-            contents.declare(kind, content, start, file)
-    if len(accounted) != len(contents.segments):
+            index.declare(kind, content, start, file)
+    if len(accounted) != len(index.segments):
         raise file.damage("the summary's index names a chunk twice")
-    contents.channels_listed = bool(contents.channels)
-    contents.summarized = bool(accounted)
+    index.channels_listed = bool(index.channels)
+    index.summarized = bool(accounted)
     return start, accounted
 
 
@@ -296,22 +296,22 @@ class _Run:
         return Segment(self.start, size, "none", size, 0, self.start_ns, self.end_ns, frozenset(self.ids))
 
 
-class Walk:
+class RecordWalk:
     """The linear pass: from record header to record header, without reading what lies between.
 
     Parameters
     ----------
     file
         The open file.
-    contents
+    index
         Is completed. If the pass fails it holds everything in front of the damage.
     accounted
         Chunks that are known already: their place, and the place of the record to look at next.
     """
 
-    def __init__(self, file: RecordFile, contents: Contents, accounted: Mapping[int, int] | None = None) -> None:
+    def __init__(self, file: RecordFile, index: McapIndex, accounted: Mapping[int, int] | None = None) -> None:
         self._file = file
-        self._contents = contents
+        self._index = index
         self._accounted = accounted or {}
         self._run: _Run | None = None
         self._chunk: ChunkSegment | None = None
@@ -352,7 +352,7 @@ class Walk:
                 elif opcode == Opcode.DATA_END:
                     if length >= 4:
                         (crc,) = struct.unpack_from("<I", window.data, window.locate(offset, 13) + RECORD.size)
-                        self._contents.data_end = offset, crc
+                        self._index.data_end = offset, crc
                     offset = following
                     break
                 else:
@@ -379,14 +379,14 @@ class Walk:
             self._close()
             run = self._run = _Run(offset, log_time_ns)
         run.add(channel_id, log_time_ns, following)
-        self._contents.counts[channel_id] += 1
+        self._index.counts[channel_id] += 1
 
     def _other(self, opcode: int, window: _Window, offset: int, following: int) -> None:
         """Take note of a record that is not a message."""
         if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             # These may lie between messages of one run; loading the run steps over them.
             content = self._file.read(offset + RECORD.size, following - offset - RECORD.size)
-            self._contents.declare(opcode, content, offset, self._file)
+            self._index.declare(opcode, content, offset, self._file)
         elif opcode == OP_MESSAGE_INDEX:
             position = window.locate(offset, RECORD.size + 6) + RECORD.size
             if following - offset < RECORD.size + 6:
@@ -399,28 +399,28 @@ class Walk:
                 position = window.locate(offset, min(CHUNK_HEAD_SIZE, following - offset))
                 self._chunk = chunk_at(window.data, position, offset, self._file)
             elif opcode == Opcode.ATTACHMENT:
-                self._contents.attachments.append(offset)
+                self._index.attachments.append(offset)
             elif opcode == Opcode.METADATA:
-                self._contents.metadata.append(offset)
+                self._index.metadata.append(offset)
 
     def _close(self, *, complete: bool = True) -> None:
         """Finish the run or the chunk; message indexes are ``complete`` if another record follows."""
-        contents = self._contents
+        index = self._index
         if self._run is not None:
-            contents.segments.append(self._run.segment())
+            index.segments.append(self._run.segment())
             self._run = None
         if self._chunk is not None:
             ids = frozenset(self._indexed) if complete and self._indexed else None
-            contents.segments.append(replace(self._chunk, connection_ids=ids))
-            contents.counts.update(self._indexed)
-            contents.all_counted = contents.all_counted and ids is not None
+            index.segments.append(replace(self._chunk, connection_ids=ids))
+            index.counts.update(self._indexed)
+            index.all_counted = index.all_counted and ids is not None
             self._chunk = None
         self._indexed.clear()
 
 
 def find_declarations(
     file: RecordFile,
-    contents: Contents,
+    index: McapIndex,
     records_of: Callable[[ChunkSegment], Iterable[tuple[int, Buffer]]],
     log: DamageLog,
 ) -> None:
@@ -431,32 +431,32 @@ def find_declarations(
     Chunks are opened in the order of the file, first those with messages of unknown channels, and no
     more of them than needed. Without a summary, a channel that has no messages may stay unknown.
     """
-    chunks = [segment for segment in contents.segments if isinstance(segment, ChunkSegment)]
+    chunks = [segment for segment in index.segments if isinstance(segment, ChunkSegment)]
     chunks.sort(key=lambda chunk: chunk.offset)
-    used = frozenset[int]().union(*(s.connection_ids for s in contents.segments if s.connection_ids))
-    all_used_known = all(segment.connection_ids is not None for segment in contents.segments)
+    used = frozenset[int]().union(*(s.connection_ids for s in index.segments if s.connection_ids))
+    all_used_known = all(segment.connection_ids is not None for segment in index.segments)
 
     def complete() -> bool:
         """Whether every channel with messages and every schema of a channel is known."""
-        channels = contents.channels
-        if contents.statistics is not None:
-            enough = len(channels) >= contents.statistics.channel_count
+        channels = index.channels
+        if index.statistics is not None:
+            enough = len(channels) >= index.statistics.channel_count
         else:
-            enough = contents.channels_listed or all_used_known
+            enough = index.channels_listed or all_used_known
         return (
             enough
             and used <= channels.keys()
-            and all(c.schema_id in contents.schemas for c in channels.values() if c.schema_id)
+            and all(c.schema_id in index.schemas for c in channels.values() if c.schema_id)
         )
 
     def promising(chunk: ChunkSegment) -> bool:
         ids = chunk.connection_ids
-        return not contents.channels_listed if ids is None else not ids <= contents.channels.keys()
+        return not index.channels_listed if ids is None else not ids <= index.channels.keys()
 
     def declare_from(chunk: ChunkSegment) -> None:
         for opcode, content in records_of(chunk):
             try:
-                contents.declare(opcode, content, chunk.offset, file)
+                index.declare(opcode, content, chunk.offset, file)
             except DamageError as err:
                 log.note(err, offset=chunk.record_offset, key=opcode, bytes_lost=len(content))
 
