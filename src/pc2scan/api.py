@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
@@ -11,7 +12,7 @@ from pc2scan.compare.diff import TopicPair
 from pc2scan.compare.diff import diff as compare
 from pc2scan.compare.rules import Rules
 from pc2scan.core.params import ProjectionParams
-from pc2scan.pipeline.options import ConvertOptions
+from pc2scan.pipeline.options import ConvertOptions, destination_and_folder
 from pc2scan.pipeline.run import OutputOptions, Progress, run
 from pc2scan.tf.options import FrameOptions
 from pc2scan.tf.reading import recorded_transforms
@@ -48,6 +49,7 @@ def convert(
     profile: str | None = None,
     metadata_version: int = 8,
     ros_distro: str = "",
+    to: str | None = None,
     overwrite: bool = False,
     jobs: int = 0,
     verify: bool = True,
@@ -61,8 +63,9 @@ def convert(
     sources
         A recording, or several that are one: ROS 1 bag, rosbag2 directory, ``.db3`` or ``.mcap``.
     destination
-        ``*.bag``: a ROS 1 bag; ``*.mcap``: an MCAP file; any other name: a rosbag2 directory. None: beside
-        the first source, in its format, with ``_scan`` in its name.
+        ``*.bag``: a ROS 1 bag; ``*.mcap``: an MCAP file; text that ends with a slash: into that folder, named after
+        the first source; any other name: a rosbag2 directory. None: next to the first source, in its format, with
+        ``_scan`` in its name.
     params
         The projection's parameters; None means upstream's defaults.
     reverse, channels, deskew
@@ -76,7 +79,7 @@ def convert(
         See `pc2scan.pipeline.options.ConvertOptions`.
     start, end
         Times as `pc2scan.pipeline.options.TimeBound.parse` reads them.
-    storage, compression, profile, metadata_version, overwrite
+    storage, compression, profile, metadata_version, to, overwrite
         See `pc2scan.pipeline.run.OutputOptions`.
     progress
         Called now and then with bytes read, bytes in all, and messages read.
@@ -127,16 +130,19 @@ def convert(
         verify=verify,
         strict=strict,
     )
+    path, folder = destination_and_folder(destination if destination is None else os.fspath(destination))
     output = OutputOptions(
         storage=storage,
         compression=compression,
         profile=profile,
         metadata_version=metadata_version,
         overwrite=overwrite,
+        folder=folder,
+        to=to,
     )
     return run(
         [Path(path) for path in paths],
-        None if destination is None else Path(destination),
+        path,
         options,
         output,
         progress=progress,

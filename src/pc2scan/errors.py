@@ -96,6 +96,16 @@ class Pc2ScanError(Exception):
             parts.append(f"stamp {stamp_text(self.stamp_ns)}")
         return ", ".join(parts)
 
+    def as_dict(self) -> dict[str, str | int | None]:
+        """Return the error as JSON's types."""
+        return {
+            "class": type(self).__name__,
+            "message": self.message,
+            "place": self.where or None,
+            "hint": self.hint,
+            "exit_status": self.exit_status,
+        }
+
     def __str__(self) -> str:
         return f"{self.where}: {self.message}" if self.where else self.message
 

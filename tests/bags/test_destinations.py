@@ -95,10 +95,21 @@ def summary(container: str, storage: str = "") -> Summary:
 def test_default_destinations(source: str, of: Summary, expected: str, storage: str | None) -> None:
     found = default_destination([Path(source), Path("elsewhere/y.bag")], [of, summary("rosbag1")])
     assert found == Path(expected)
-    assert default_storage([of]) == storage
+    assert default_storage(found, [of]) == storage
     assert plan_destination(found, storage=storage, source_ros_version=2).container == (
         of.container if of.container != "sqlite3" else "rosbag2"
     )
+
+
+def test_destinations_in_a_folder_and_in_another_format() -> None:
+    found = default_destination([Path("a/x.bag")], [summary("rosbag1")], folder=Path("b"), to="mcap")
+    assert found == Path("b/x_scan.mcap")
+    db3 = [summary("sqlite3")]
+    folder = default_destination([Path("a/x.db3")], db3, to="rosbag2")
+    assert (folder, default_storage(folder, db3)) == (Path("a/x_scan"), "sqlite3")
+    assert default_storage(default_destination([Path("a/x.db3")], db3, to="bag"), db3) is None
+    with pytest.raises(DestinationError, match="is not a format; allowed: bag, mcap, rosbag2"):
+        default_destination([Path("a/x.bag")], [summary("rosbag1")], to="csv")
 
 
 def test_the_default_destination_of_the_current_directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,7 +14,7 @@ import zstandard
 import pc2scan.bags
 from bags.kinds import KINDS, make
 from pc2scan.bags.opening import open_recording, sniff
-from pc2scan.errors import RecordingError
+from pc2scan.errors import RecordingError, UsageError
 from support import RECORDINGS, needs_shared
 
 
@@ -97,11 +97,21 @@ def test_directories_without_a_recording(tmp_path: Path) -> None:
     with pytest.raises(RecordingError) as caught:
         sniff(tmp_path)
     assert "x.bag" in (caught.value.hint or "")
+    (tmp_path / "x.bag").unlink()
     make(tmp_path, "mcap")
     assert sniff(tmp_path) == "rosbag2"
     (tmp_path / "only metadata").mkdir()
     (tmp_path / "only metadata" / "metadata.yaml").touch()
     assert sniff(tmp_path / "only metadata") == "rosbag2"
+
+
+def test_directories_with_several_recordings(tmp_path: Path) -> None:
+    make(tmp_path, "rosbag1")
+    make(tmp_path, "mcap")
+    with pytest.raises(UsageError, match=r"holds 2 recordings, not one: x\.bag, x\.mcap"):
+        sniff(tmp_path)
+    (tmp_path / "metadata.yaml").touch()
+    assert sniff(tmp_path) == "rosbag2"
 
 
 @needs_shared

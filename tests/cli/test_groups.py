@@ -83,7 +83,7 @@ def test_the_command_and_the_library_take_the_same() -> None:
     # The library takes these as one object each, or says the opposite.
     frames = {p.name for p in shared.Frames.parameters()}
     projection = {p.name for p in shared.Projection.parameters()}
-    only_here = {"range_cutoff", "no_verify", "report", "quiet", "verbose"}
+    only_here = {"range_cutoff", "no_verify", "report", "quiet", "verbose", "each"}
     only_there = {"params", "frames", "verify", "progress"}
     assert command - frames - projection - only_here == library - only_there
 

@@ -18,16 +18,22 @@ if TYPE_CHECKING:
     from pc2scan.model import Summary, Writer
 
 __all__ = [
+    "TO",
     "Destination",
     "beside_recording",
+    "check_to",
     "default_destination",
     "default_storage",
     "kept_form",
+    "named_after",
     "open_writer",
     "plan_destination",
 ]
 
 _METADATA_VERSIONS = (8, 9)
+
+#: The formats that a destination can be asked to have, as users call them.
+TO = {"bag": "rosbag1", "mcap": "mcap", "rosbag2": "rosbag2"}
 
 #: Names that promise something that is not written; a directory called so would only confuse.
 _REFUSED_SUFFIXES = {
@@ -202,16 +208,39 @@ def _one_of(option: str, value: str, allowed: Sequence[str], path: Path) -> str:
     return value
 
 
-def default_destination(sources: Sequence[Path], summaries: Sequence[Summary], mark: str = "_scan") -> Path:
-    """Name a destination beside the first source, in its format: ``drive.bag`` becomes ``drive_scan.bag``.
+def default_destination(
+    sources: Sequence[Path],
+    summaries: Sequence[Summary],
+    mark: str = "_scan",
+    *,
+    folder: Path | None = None,
+    to: str | None = None,
+) -> Path:
+    """Name a destination after the first source: ``drive.bag`` becomes ``drive_scan.bag``.
 
-    ``mark`` is put behind the name. What an interrupted run left is named like its destination. A bare ``.db3`` file
-    becomes a rosbag2 directory. `default_storage` returns the storage that goes with it.
+    A bare ``.db3`` file becomes a rosbag2 directory. `default_storage` returns the storage that goes with it.
+
+    Parameters
+    ----------
+    sources, summaries
+        Of the conversion. What an interrupted run left is named like its destination.
+    mark
+        What is put behind the name.
+    folder
+        Where the destination is; None: next to the source.
+    to
+        One of `TO`; None: the source's format.
     """
-    source = sources[0]
+    return named_after(sources[0], summaries[0].container, mark, folder=folder, to=to)
+
+
+def named_after(
+    source: Path, container: str, mark: str = "_scan", *, folder: Path | None = None, to: str | None = None
+) -> Path:
+    """Name a destination as `default_destination` does, after a source in a container of this name."""
     if source.name in {"", ".."}:
         source = source.resolve()
-    entry = FORMATS[summaries[0].container]
+    entry = FORMATS[container]
     stem = source.name
     for leftover in LEFTOVERS:
         stem = stem.removesuffix(leftover) or stem
@@ -219,7 +248,30 @@ def default_destination(sources: Sequence[Path], summaries: Sequence[Summary], m
     if entry.is_in is None:
         for suffix in _source_suffixes():
             stem = stem[: -len(suffix)] if stem.lower().endswith(suffix) and len(stem) > len(suffix) else stem
-    return source.with_name(f"{stem}{mark}{FORMATS[entry.written_as or entry.name].suffix}")
+    written = FORMATS[entry.written_as or entry.name] if to is None else _to(to)
+    return (source.parent if folder is None else folder) / f"{stem}{mark}{written.suffix}"
+
+
+def check_to(path: Path, to: str | None) -> None:
+    """Raise if a destination's name says another format than the one that was asked for.
+
+    Raises
+    ------
+    DestinationError
+        If it does, or there is no such format.
+    """
+    if to is not None and (wanted := _to(to)) is not _named(path):
+        raise DestinationError(
+            f"`to={to}` asks for another format than this name does",
+            path=path,
+            hint=f"call it {path.with_suffix(wanted.suffix).name}, or leave `to` out",
+        )
+
+
+def _to(name: str) -> Format:
+    if name not in TO:
+        raise DestinationError(f"`to={name}` is not a format; allowed: {', '.join(TO)}")
+    return FORMATS[TO[name]]
 
 
 def _source_suffixes() -> tuple[str, ...]:
@@ -228,8 +280,10 @@ def _source_suffixes() -> tuple[str, ...]:
     return (*zstd.SUFFIXES, ".active", *(entry.suffix for entry in files))
 
 
-def default_storage(summaries: Sequence[Summary]) -> str | None:
+def default_storage(path: Path, summaries: Sequence[Summary]) -> str | None:
     """Return the storage for a rosbag2 directory made from these: the first source's; None if it has none."""
+    if not _named(path).storages:
+        return None
     first = summaries[0]
     return first.container if FORMATS[first.container].written_as else first.storage or None
 
@@ -238,7 +292,7 @@ def kept_form(path: Path, summaries: Sequence[Summary]) -> tuple[str | None, str
     """Return the storage and the compression that a destination of this name can keep of the first source's."""
     first = summaries[0]
     entry = _named(path)
-    storage = default_storage(summaries) if entry.storages else None
+    storage = default_storage(path, summaries)
     if entry.storages:
         entry = FORMATS[storage or entry.storages[0]]
     own = first.storage or first.container

@@ -76,7 +76,9 @@ class Format:
         What the names of such files end with, in lower case. With ``open_writer`` a destination of such a name gets
         this format; the format with the empty suffix gets all other names.
     is_in
-        For a directory: whether one holds such a recording.
+        For a directory: whether one holds such a recording, or several.
+    is_one
+        For a directory: whether all that it holds is one recording.
     open_storage
         Starts a file of a directory's; returns its writer, and what takes the directory's metadata as text. None if it
         is no storage of a directory.
@@ -113,6 +115,7 @@ class Format:
     magic: bytes = b""
     suffix: str = ""
     is_in: Callable[[Path], bool] | None = None
+    is_one: Callable[[Path], bool] | None = None
     open_storage: Callable[[Path, WriteOptions], tuple[Writer, Callable[[str], None]]] | None = None
     storages: tuple[str, ...] = ()
     written_as: str = ""
@@ -163,6 +166,7 @@ FORMATS = _table(
         open_reader=_late(".rosbag2.reader:open_reader"),
         open_writer=_late(".rosbag2.writer:open_writer"),
         is_in=_late(".rosbag2.metadata:is_in"),
+        is_one=_late(".rosbag2.metadata:is_one"),
         storages=("mcap", "sqlite3"),
         one_a_topic=True,
         times_ns=(-MAX_ROSBAG2_NS - 1, MAX_ROSBAG2_NS),

@@ -13,6 +13,7 @@ from pc2scan.files.source import opened_bytes
 from pc2scan.files.staging import working_names
 
 from . import zstd
+from .folders import recordings_in, several_recordings
 from .formats import FORMATS, ReadOptions, listed
 
 if TYPE_CHECKING:
@@ -58,6 +59,8 @@ def sniff(path: Path) -> str:
     ------
     RecordingError
         If nothing is there, it is not permitted to read it, or it is no recording.
+    UsageError
+        If it is a directory with several recordings.
     """
     try:
         mode = path.stat().st_mode
@@ -129,15 +132,15 @@ def _interrupted(path: Path) -> str | None:
 
 def _sniff_directory(path: Path) -> str:
     for name, entry in FORMATS.items():
-        if entry.is_in is not None and entry.is_in(path):
+        if entry.is_in is not None and entry.is_in(path) and (entry.is_one is None or entry.is_one(path)):
             return name
-    # A directory with a storage's files in it is a recording.
-    single = {entry.suffix for entry in FORMATS.values() if entry.magic and entry.open_storage is None}
-    bags = sorted(entry.name for entry in path.iterdir() if entry.suffix in single)
+    held = recordings_in(path)
+    if len(held) > 1:
+        raise several_recordings(path, held)
     raise RecordingError(
         "is a directory without a rosbag2 recording (no metadata.yaml, .db3 or .mcap files)",
         path=path,
-        hint=f"name the bags in it themselves: {', '.join(bags[:3])}" if bags else None,
+        hint=f"name the recording in it: {shlex.quote(str(held[0]))}" if held else None,
     )
 
 

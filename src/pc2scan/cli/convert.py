@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from .options import Conversion, Output, Reporting
-from .outcome import conclude, show
+from pc2scan.errors import DestinationError
+
+from .options import Conversion, Destination, Output, Reporting
+from .outcome import conclude, show, show_each, show_outcome
+from .progress import progress_bar
 
 __all__ = ["convert"]
 
@@ -21,16 +25,7 @@ def convert(
             help="ROS 1 bag, rosbag2 directory, .db3 or .mcap file. Several are one recording, merged in time order.",
         ),
     ],
-    destination: Annotated[
-        Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="DST",
-            help="*.bag: ROS 1 bag; *.mcap: MCAP file; any other name: rosbag2 directory. "
-            "Left out: beside SRC, in its format, with _scan in its name.",
-        ),
-    ] = None,
+    destination: Destination = None,
     *,
     conversion: Conversion,
     output: Output,
@@ -43,20 +38,36 @@ def convert(
     """
     options, origins = conversion.options(ros_distro=output.ros_distro)
 
+    from pc2scan.pipeline.options import destination_and_folder
+
+    named, folder = destination_and_folder(destination)
+    form = output.options(folder=folder, report=reporting.report)
+    also_read = conversion.read_files()
+    if output.each:
+        if named is not None:
+            raise DestinationError(
+                "`each` needs a folder to write into", path=named, hint=f"did you mean `destination={named}/`?"
+            )
+        from pc2scan.pipeline.each import run_each
+
+        with progress_bar(enabled=not reporting.quiet) as progress:
+            results = run_each(
+                sources,
+                options,
+                form,
+                origins=origins,
+                also_read=also_read,
+                progress=progress,
+                done=partial(show_outcome, verbose=reporting.verbose and not reporting.quiet),
+            )
+        if not reporting.quiet:
+            show_each(results)
+        raise typer.Exit(results.exit_status)
+
     from pc2scan.pipeline.run import run
 
-    from .progress import progress_bar
-
     with progress_bar(enabled=not reporting.quiet) as progress:
-        result = run(
-            sources,
-            destination,
-            options,
-            output.options(report=reporting.report),
-            origins=origins,
-            also_read=conversion.read_files(),
-            progress=progress,
-        )
+        result = run(sources, named, options, form, origins=origins, also_read=also_read, progress=progress)
     if not reporting.quiet:
         show(result, verbose=reporting.verbose)
     raise conclude(result, verbose=reporting.verbose)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import typer
+from typer.models import TyperPath
 
 from pc2scan.errors import UsageError
 from pc2scan.pipeline.parameters import PARAMETERS, Setting
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Compression",
     "Conversion",
+    "Destination",
     "Json",
     "Output",
     "Reporting",
@@ -52,6 +54,19 @@ _REPORT = "Report"
 #: How the numbers of parameters are read.
 _NUMBERS: Mapping[str, Callable[[str], float]] = {"int": int, "float": float}
 
+#: DST as it was typed: a slash at its end says that it is a folder.
+Destination = Annotated[
+    str | None,
+    typer.Option(
+        "--output",
+        "-o",
+        metavar="DST",
+        help="*.bag: ROS 1 bag; *.mcap: MCAP file; DIR/: into that folder, named after SRC; any other name: rosbag2 "
+        "directory.  [default: next to SRC, in its format, with _scan (repair: _repaired) in its name]",
+        show_default=False,
+        click_type=TyperPath(path_type=str),
+    ),
+]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 StaticTf = Annotated[
     list[str],
@@ -466,6 +481,22 @@ class Conversion(Group):
 class Output(Group):
     """How the destination is written."""
 
+    each: Annotated[
+        bool,
+        typer.Option(
+            "--each",
+            help="Convert each SRC, and each recording in a folder, by itself.",
+            rich_help_panel=_OUTPUT,
+        ),
+    ] = False
+    to: Annotated[
+        Literal["bag", "mcap", "rosbag2"] | None,
+        typer.Option(
+            help="Format of DST where -o does not name a file.  [default: SRC's]",
+            show_default=False,
+            rich_help_panel=_OUTPUT,
+        ),
+    ] = None
     storage: Annotated[
         Storage | None,
         typer.Option(help="Storage of a rosbag2 directory.  [default: mcap]", rich_help_panel=_OUTPUT),
@@ -509,7 +540,7 @@ class Output(Group):
         ),
     ] = False
 
-    def options(self, *, report: Path | None = None) -> "OutputOptions":
+    def options(self, *, folder: Path | None = None, report: Path | None = None) -> "OutputOptions":
         """What the library takes."""
         from pc2scan.pipeline.run import OutputOptions
 
@@ -520,6 +551,8 @@ class Output(Group):
             metadata_version=self.metadata_version,
             overwrite=self.overwrite,
             report=report,
+            folder=folder,
+            to=self.to,
         )
 
 

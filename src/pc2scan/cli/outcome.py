@@ -10,13 +10,14 @@ from pc2scan.errors import stamp_text
 from pc2scan.pipeline.parameters import PARAMETERS
 
 from .damage import SHOWN, show_recovery
-from .render import count, message, printable, size, table, warn
+from .render import count, error_text, message, printable, size, table, warn
 from .spelling import as_typed
 
 if TYPE_CHECKING:
+    from pc2scan.pipeline.each import Each, Outcome
     from pc2scan.pipeline.report import Report, Skipped
 
-__all__ = ["conclude", "show"]
+__all__ = ["conclude", "show", "show_each", "show_outcome"]
 
 
 def show(report: Report, *, verbose: bool = False) -> None:
@@ -105,3 +106,37 @@ def conclude(report: Report, *, verbose: bool = False) -> typer.Exit:
     for warning in report.warnings:
         warn(warning)
     return typer.Exit(report.exit_status)
+
+
+def show_outcome(outcome: Outcome, *, verbose: bool = False) -> None:
+    """Show what the user should know of one of several conversions, under the name of its source."""
+    if outcome.error is not None:
+        typer.echo(error_text(outcome.error), err=True)
+    elif (report := outcome.report) is not None:
+        if verbose:
+            show(report, verbose=True)
+        if report.exit_status or report.warnings:
+            typer.echo(printable(f"{outcome.source}:"), err=True)
+        conclude(report, verbose=verbose)
+
+
+def show_each(each: Each) -> None:
+    """Print what became of several recordings, a line for each."""
+    rows = []
+    for outcome in each.outcomes:
+        report = outcome.report
+        converted = [topic for topic in report.topics if topic.action == "converted"] if report else []
+        rows.append(
+            (
+                outcome.source.name or str(outcome.source),
+                report.destination if report else "-",
+                count(sum(topic.messages_out for topic in converted)),
+                count(sum(topic.empty_scans for topic in converted)),
+                count(report.skipped_count if report else 0),
+                f"{outcome.exit_status}",
+            )
+        )
+    table(("source", "to", "converted", "empty", "skipped", "status"), rows, left=("source", "to"))
+    written = sum(outcome.report is not None for outcome in each.outcomes)
+    failed = len(each.outcomes) - written
+    typer.echo(f"\n{written} of {len(each.outcomes)} recordings converted" + (f", {failed} failed" if failed else ""))

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from .options import Compression, Storage
+from .options import Compression, Destination, Storage
 from .outcome import conclude, show
 from .render import print_json
 
@@ -18,16 +18,7 @@ def repair(
     source: Annotated[
         Path, typer.Argument(metavar="SRC", help="ROS 1 bag, rosbag2 directory, .db3 or .mcap file; damaged or not.")
     ],
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="DST",
-            help="*.bag: ROS 1 bag; *.mcap: MCAP file; any other name: rosbag2 directory. "
-            "Left out: beside SRC, in its format, with _repaired in its name.",
-        ),
-    ] = None,
+    output: Destination = None,
     *,
     storage: Annotated[
         Storage | None, typer.Option(help="Storage of a rosbag2 directory.  [default: SRC's]", show_default=False)
@@ -50,15 +41,16 @@ def repair(
 
     Exit status 0 if nothing was damaged (DST is then a sound copy), 3 if something was. SRC is never changed.
     """
-    from pc2scan.pipeline.options import ConvertOptions
+    from pc2scan.pipeline.options import ConvertOptions, destination_and_folder
     from pc2scan.pipeline.run import OutputOptions, run
 
     from .progress import progress_bar
 
-    form = OutputOptions(storage=storage, compression=compression, overwrite=overwrite, report=report)
+    destination, folder = destination_and_folder(output)
+    form = OutputOptions(storage=storage, compression=compression, overwrite=overwrite, report=report, folder=folder)
     options = ConvertOptions(repair=True, verify=not no_verify)
     with progress_bar(enabled=not (quiet or as_json)) as progress:
-        result = run([source], output, options, form, progress=progress)
+        result = run([source], destination, options, form, progress=progress)
     if as_json:
         print_json(result.as_dict())
     elif not quiet:

@@ -23,7 +23,9 @@ OPTIONS = {
     "clouds": "--clouds",
     "compression": "--compression",
     "deskew": "--deskew",
+    "destination": "-o",
     "drop": "--drop",
+    "each": "--each",
     "end": "--end",
     "ignore": "--ignore",
     "keep": "--keep",
@@ -44,6 +46,7 @@ OPTIONS = {
     "strict": "--strict",
     "tf_from": "--tf-from",
     "tf_topics": "--tf-topic",
+    "to": "--to",
     "topics": "--topic",
     "write_static": "--write-static-tf",
 }

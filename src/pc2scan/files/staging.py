@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     #: Says what a directory has in it beside a recording; empty for nothing.
     _Beside = Callable[[Path], str]
 
-__all__ = ["LEFTOVERS", "prepared", "staged", "sync_directory", "sync_file", "working_names"]
+__all__ = ["LEFTOVERS", "made_folder", "prepared", "staged", "sync_directory", "sync_file", "working_names"]
 
 _PARTIAL = ".pc2scan-partial"
 _OLD = ".pc2scan-old"
@@ -112,6 +112,35 @@ def prepared(
         finally:
             with suppress(OSError):
                 _remove(partial)
+
+
+@contextmanager
+def made_folder(folder: Path) -> Iterator[None]:
+    """Make a folder to write into, if it does not exist; it disappears again if the body fails and leaves it empty.
+
+    Raises
+    ------
+    DestinationError
+        If it is something else, or the folder that it is to be in does not exist.
+    OutputError
+        If it cannot be made.
+    """
+    if folder.is_dir():
+        yield
+        return
+    if os.path.lexists(folder):
+        raise DestinationError("is not a folder", path=folder, hint="choose another name")
+    _check_parent(folder)
+    try:
+        folder.mkdir()
+    except OSError as err:
+        raise OutputError(f"cannot be made: {err.strerror}", path=folder) from err
+    try:
+        yield
+    except BaseException:
+        with suppress(OSError):
+            folder.rmdir()
+        raise
 
 
 def sync_file(path: Path) -> None:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import re
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.core.params import ProjectionParams
@@ -18,7 +20,7 @@ if TYPE_CHECKING:
 
     from pc2scan.core.unproject import UnprojectParams
 
-__all__ = ["ConvertOptions", "TimeBound", "TopicRequest"]
+__all__ = ["ConvertOptions", "TimeBound", "TopicRequest", "destination_and_folder"]
 
 #: Numbers from here on are points in time, not seconds from the beginning: no recording lasts three years.
 _ABSOLUTE_SECONDS = 100_000_000
@@ -90,6 +92,21 @@ def _bound(name: str, text: str | None) -> TimeBound | None:
         return None if text is None else TimeBound.parse(text)
     except UsageError as err:
         raise UsageError(f"`{name}`: {err.message}", hint=err.hint) from err
+
+
+def destination_and_folder(text: str | None) -> tuple[Path | None, Path | None]:
+    """Return the destination, or the folder to write into where that was typed: it ends with a slash, or with a dot.
+
+    >>> destination_and_folder("scans/"), destination_and_folder("scans")
+    ((None, PosixPath('scans')), (PosixPath('scans'), None))
+    """
+    if text is None:
+        return None, None
+    separators = tuple(filter(None, (os.sep, os.altsep)))
+    # Not Path.name: that ignores the slash.
+    if text.endswith(separators) or os.path.basename(text) in {".", ".."}:  # noqa: PTH119
+        return None, Path(text)
+    return Path(text), None
 
 
 @dataclass(frozen=True, slots=True)

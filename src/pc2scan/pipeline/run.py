@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import shlex
 import time
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -10,12 +12,14 @@ from typing import TYPE_CHECKING
 from pc2scan.bags.damage import RECOVER, Damage, count_details
 from pc2scan.bags.destinations import (
     beside_recording,
+    check_to,
     default_destination,
     default_storage,
     kept_form,
     open_writer,
     plan_destination,
 )
+from pc2scan.bags.folders import overlap_warnings
 from pc2scan.bags.formats import chunk_format
 from pc2scan.bags.merged import as_one
 from pc2scan.bags.opening import open_recordings
@@ -30,7 +34,7 @@ from pc2scan.errors import (
 )
 from pc2scan.files.overlap import Input, Output, refuse_overlap
 from pc2scan.files.source import state_of
-from pc2scan.files.staging import staged
+from pc2scan.files.staging import made_folder, staged
 from pc2scan.files.text_output import text_output
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.tf.placing import Frames
@@ -66,7 +70,7 @@ if TYPE_CHECKING:
     from .options import ConvertOptions
     from .plan import Plan
 
-__all__ = ["OutputOptions", "Progress", "run"]
+__all__ = ["OutputOptions", "Progress", "report_file", "run"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,6 +92,11 @@ class OutputOptions:
         Whether an existing destination is replaced, and whatever is in the report's place.
     report
         Where the report is written as JSON; None for nowhere.
+    folder
+        Where the destination is, if it is named after the source; None: next to the source. It is made if it does not
+        exist.
+    to
+        Format of the destination: ``bag``, ``mcap`` or ``rosbag2``; None: as it is named, or the source's.
     """
 
     storage: str | None = None
@@ -96,6 +105,8 @@ class OutputOptions:
     metadata_version: int = 8
     overwrite: bool = False
     report: Path | None = None
+    folder: Path | None = None
+    to: str | None = None
 
 
 def run(
@@ -123,16 +134,21 @@ def run(
     with ExitStack() as stack:
         inputs = (*sources, *options.frames.tf_from)
         states = [state_of(path) for path in inputs]
+        _refuse_missing_destination(sources, destination, output)
         readers = open_recordings(sources, stack, verify=options.verify, strict=options.strict)
         reader = as_one(readers)
         plan = _plan(reader, options)
         summaries = [opened.summary for opened in readers]
-        path = destination or default_destination(sources, summaries, "_repaired" if options.repair else "_scan")
+        mark = "_repaired" if options.repair else "_scan"
+        path = destination or default_destination(sources, summaries, mark, folder=output.folder, to=output.to)
+        check_to(path, output.to)
         target = _target(path, destination is not None, reader, summaries, options, output)
         report = Report([str(source) for source in sources], str(path), options.params, dict(origins or {}))
-        report.warnings += plan.warnings
+        report.warnings += (*overlap_warnings(readers), *plan.warnings)
         _refuse_overlap(sources, options, also_read or {}, path, output)
-        deliver = _report_file(output, stack)
+        deliver = report_file(output, stack)
+        if output.folder is not None:
+            stack.enter_context(made_folder(output.folder))
         with staged(path, overwrite=output.overwrite, beside_recording=beside_recording) as partial:
             span = _span(reader, options)
             conversion, others = _conversion(reader, plan, options, span, stack, report)
@@ -177,6 +193,16 @@ def run(
     return report
 
 
+def _refuse_missing_destination(sources: Sequence[Path], destination: Path | None, output: OutputOptions) -> None:
+    """Raise if the last of several sources does not exist: as with `cp`, it may be the destination that is meant."""
+    *others, last = sources
+    if not others or destination or output.folder or os.path.lexists(last) or not all(map(os.path.lexists, others)):
+        return
+    raise RecordingError(
+        "there is nothing of this name", path=last, hint=f"did you mean `destination={shlex.quote(str(last))}`?"
+    )
+
+
 def _refuse_overlap(
     sources: Sequence[Path],
     options: ConvertOptions,
@@ -191,7 +217,7 @@ def _refuse_overlap(
     refuse_overlap(inputs, [Output(path), *report])
 
 
-def _report_file(output: OutputOptions, stack: ExitStack) -> Callable[[str], None] | None:
+def report_file(output: OutputOptions, stack: ExitStack) -> Callable[[str], None] | None:
     """Make sure that the report can be written, before anything else is; returns what writes it."""
     if output.report is None:
         return None
@@ -244,7 +270,7 @@ def _target(
 ) -> Destination:
     """Decide the destination's form; that of a repaired recording is its source's where its name allows."""
     ros_version = _ros_version(reader.connections)
-    storage, compression = default_storage(summaries) if not is_named else None, None
+    storage, compression = default_storage(path, summaries) if not is_named else None, None
     if options.repair:
         storage, compression = kept_form(path, summaries)
     target = plan_destination(

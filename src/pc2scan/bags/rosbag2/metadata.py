@@ -21,7 +21,6 @@ Reading takes keys where they are, whatever the version says.
 from __future__ import annotations
 
 import os
-import re
 from collections import Counter
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -30,6 +29,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.bags import zstd
 from pc2scan.bags.damage import DamageLog
+from pc2scan.bags.folders import are_named_as_parts, natural_order, recordings_in
 from pc2scan.bags.formats import listed, storages
 from pc2scan.bags.qos import latches
 from pc2scan.errors import DamageError, RecordingError
@@ -49,6 +49,7 @@ __all__ = [
     "Extent",
     "beside_recording",
     "is_in",
+    "is_one",
     "located_file",
     "read_info",
     "storage_files",
@@ -95,6 +96,8 @@ class BagInfo:
         By file; older versions have none.
     span_ns
         Log times between which all messages are; None where it does not say.
+    is_guessed
+        Whether there is no metadata.yaml, so that only the files say what the recording is.
     """
 
     storage: str
@@ -106,6 +109,7 @@ class BagInfo:
     topic_counts: Mapping[tuple[str, str], int] = field(default_factory=dict)
     extents: Mapping[str, Extent] = field(default_factory=dict)
     span_ns: tuple[int, int] | None = None
+    is_guessed: bool = False
 
 
 def read_info(folder: Path, log: DamageLog) -> BagInfo:
@@ -121,7 +125,7 @@ def read_info(folder: Path, log: DamageLog) -> BagInfo:
     path = folder / METADATA_NAME
     try:
         if not os.path.lexists(path):
-            return _guessed_info(folder)
+            return replace(_guessed_info(folder), is_guessed=True)
         with opened_text(path) as file:
             # One more than allowed: what is too long is refused, not read.
             text = file.read(MAX_CHARACTERS + 1)
@@ -143,10 +147,18 @@ def is_in(folder: Path) -> bool:
     return (folder / METADATA_NAME).exists() or bool(storage_files(folder))
 
 
+def is_one(folder: Path) -> bool:
+    """Whether all recordings of a directory are one: it has a metadata.yaml, or all are named as parts of one."""
+    if (folder / METADATA_NAME).exists():
+        return True
+    held = recordings_in(folder)
+    return are_named_as_parts(held) and held == storage_files(folder)
+
+
 def storage_files(folder: Path) -> list[Path]:
     """Files of a directory that are named like rosbag2's storages, in natural order: 2 comes before 10."""
     found = [path for path in folder.iterdir() if path.is_file() and _storage_of(path.name) is not None]
-    return sorted(found, key=lambda path: [int(part) if part.isdigit() else part for part in _parts(path.name)])
+    return sorted(found, key=natural_order)
 
 
 def located_file(folder: Path, name: str) -> Path:
@@ -219,11 +231,6 @@ def _shown_storage(folder: Path, names: Iterable[str]) -> str:
         if found := _storage_of(path.name):
             return found
     raise ValueError(f"storage_identifier of {ROOT} is empty, and no file shows which storage it is")
-
-
-def _parts(name: str) -> list[str]:
-    # Text and numbers take turns, so that only like is compared with like.
-    return re.split(r"(\d+)", name, flags=re.ASCII)
 
 
 def _guessed_info(folder: Path) -> BagInfo:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from pc2scan.bags import zstd
 from pc2scan.bags.damage import RECOVER, DamageLog, count_details
+from pc2scan.bags.folders import refuse_unrelated
 from pc2scan.bags.formats import ReadOptions, storages
 from pc2scan.bags.merged import MergedReader
 from pc2scan.errors import DamageError, RecordingError, stamp_text
@@ -56,6 +57,8 @@ class Rosbag2Reader(MergedReader):
     ------
     RecordingError
         If metadata.yaml tells of what is not supported, or no file can be read.
+    UsageError
+        Without metadata.yaml, if the files are several recordings.
     DamageError
         With ``strict``, if metadata.yaml cannot be understood, or a file is missing or damaged.
     """
@@ -84,6 +87,8 @@ class Rosbag2Reader(MergedReader):
                 undo.callback(reader.close)
                 files.append(file)
                 opened.append(reader)
+            if self._info.is_guessed:
+                refuse_unrelated(path, files, opened)
             super().__init__(opened)
             undo.pop_all()
         try:

@@ -1,0 +1,247 @@
+"""Folders: which recordings are in one, and which files are the parts of one recording.
+
+A folder with a metadata.yaml is one recording. Without one, its files are one recording if they are parts:
+
+- They are named as ``ros2 bag record`` and ``rosbag record --split`` name parts: ``drive_0.mcap``, ``drive_1.mcap``, or
+  ``drive_2020-11-04-18-39-50_0.bag``, ``drive_2020-11-04-18-42-50_1.bag``.
+- A topic that several have is of one type in all of them, and two of them share a topic.
+- Their log times follow each other in the order of the numbers, with at most a second in common, and at most half of
+  the shorter one. Between two whose numbers follow each other lies at most a minute.
+
+All else are several recordings. Nobody records two drives to make one of them.
+"""
+
+from __future__ import annotations
+
+import re
+import shlex
+from contextlib import suppress
+from itertools import combinations, pairwise
+from typing import TYPE_CHECKING, NamedTuple
+
+from pc2scan.errors import UsageError
+
+from . import zstd
+from .formats import FORMATS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+    from pathlib import Path
+
+    from .reader import Reader
+
+__all__ = [
+    "are_named_as_parts",
+    "natural_order",
+    "overlap_warnings",
+    "recordings_in",
+    "refuse_unrelated",
+    "several_recordings",
+]
+
+#: A recorder's threads may write a message late; parts of one recording have no more than this in common, and no more
+#: than half of the shorter one, though that may be shorter than a message is late.
+_MAX_COMMON_NS = 1_000_000_000
+_LATE_NS = 10_000_000
+#: A recorder begins a part when the last one is full, not later.
+_MAX_GAP_NS = 60_000_000_000
+
+_DATE = re.compile(r"_?\d{4}([-_]\d{2}){5}")
+_NUMBERED = re.compile(r"(.+)_(\d+)")
+
+#: Recordings that an error names; topics that a warning names.
+_MAX_NAMED = 4
+
+
+class _PartName(NamedTuple):
+    """The name of a part: that of the recording, the number of the part, and the suffix."""
+
+    recording: str
+    number: int
+    suffix: str
+
+
+def recordings_in(folder: Path) -> list[Path]:
+    """Return what is a recording by its name in a folder: files, and folders with a recording in them.
+
+    In natural order. Hidden files and folders are ignored.
+    """
+    suffixes = tuple(entry.suffix + end for entry in FORMATS.values() if entry.suffix for end in _ENDS)
+    found = [
+        path
+        for path in folder.iterdir()
+        if not path.name.startswith(".")
+        and (_holds_recording(path) if path.is_dir() else path.name.lower().endswith(suffixes))
+    ]
+    return sorted(found, key=natural_order)
+
+
+#: What may follow the suffix of a recording's name.
+_ENDS = ("", ".active", *zstd.SUFFIXES)
+
+
+def _holds_recording(folder: Path) -> bool:
+    with suppress(OSError):
+        return any(entry.is_in is not None and entry.is_in(folder) for entry in FORMATS.values())
+    return False
+
+
+def natural_order(path: Path) -> list[int | str]:
+    """Return the key of a natural order of names: 2 comes before 10."""
+    # Text and numbers take turns, so that only like is compared with like.
+    return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", path.name, flags=re.ASCII)]
+
+
+def several_recordings(folder: Path, held: Sequence[Path], why: str = "") -> UsageError:
+    """Return the error for a folder that holds several recordings, where one was expected."""
+    names = [f"{path.name}/" if path.is_dir() else path.name for path in held]
+    more = f" and {len(names) - _MAX_NAMED} more" if len(names) > _MAX_NAMED else ""
+    one, all_of_them = shlex.quote(str(held[0])), shlex.quote(str(folder))
+    return UsageError(
+        f"holds {len(held)} recordings, not one: {', '.join(names[:_MAX_NAMED])}{more}{f' ({why})' if why else ''}",
+        path=folder,
+        hint=f"name one of them: {one}; pc2scan convert --each {all_of_them} -o DIR/ converts each by itself",
+    )
+
+
+def are_named_as_parts(paths: Iterable[Path]) -> bool:
+    """Whether files are named as the parts of one recording; a single file is one."""
+    files = list(paths)
+    parts = [part for path in files if (part := _part_name(path)) is not None]
+    return len(files) == 1 or (
+        len(parts) == len(files)
+        and len({(path.parent, part.recording, part.suffix) for path, part in zip(files, parts, strict=True)}) == 1
+        and len({part.number for part in parts}) == len(parts)
+    )
+
+
+def _part_name(path: Path) -> _PartName | None:
+    name = zstd.without_suffix(path.name).removesuffix(".active")
+    stem, dot, suffix = name.rpartition(".")
+    numbered = _NUMBERED.fullmatch(stem)
+    return _PartName(_DATE.sub("", numbered[1]), int(numbered[2]), dot + suffix) if numbered else None
+
+
+def refuse_unrelated(folder: Path, files: Sequence[Path], readers: Sequence[Reader]) -> None:
+    """Raise if the files of a folder, which are named as parts, cannot be those of one recording.
+
+    Parameters
+    ----------
+    folder
+        Where they are, without a metadata.yaml.
+    files, readers
+        The files in the order of their numbers, and what reads them.
+
+    Raises
+    ------
+    UsageError
+        If they are several recordings.
+    """
+    if why := _why_unrelated(files, readers):
+        raise several_recordings(folder, files, why)
+
+
+def _why_unrelated(files: Sequence[Path], readers: Sequence[Reader]) -> str:
+    """Say why files that are named as parts are none; empty if they may be parts."""
+    opened = [(file, reader) for file, reader in zip(files, readers, strict=True) if _has_messages(reader)]
+    for (file, reader), (other, other_reader) in combinations(opened, 2):
+        types, others = _types(reader), _types(other_reader)
+        for topic in types.keys() & others.keys():
+            if types[topic] != others[topic]:
+                return f"{topic} has other types in {file.name} and {other.name}"
+        if not types.keys() & others.keys() and not reader.damage and not other_reader.damage:
+            return f"{file.name} and {other.name} have no topic in common"
+    for (file, reader), (other, other_reader) in pairwise(opened):
+        end_ns, start_ns = reader.summary.end_ns, other_reader.summary.start_ns
+        if end_ns is None or start_ns is None:
+            continue
+        if end_ns - start_ns > _allowed_ns(reader, other_reader):
+            return f"{other.name} does not begin where {file.name} ends"
+        if start_ns - end_ns > _MAX_GAP_NS and _follows(file, other):
+            return f"{other.name} begins {_seconds(start_ns - end_ns)} after the end of {file.name}"
+    return ""
+
+
+def _follows(file: Path, other: Path) -> bool:
+    part, next_part = _part_name(file), _part_name(other)
+    return part is not None and next_part is not None and next_part.number == part.number + 1
+
+
+def overlap_warnings(readers: Sequence[Reader]) -> list[str]:
+    """Warn of recordings that would be merged though they were not made one after the other.
+
+    Parameters
+    ----------
+    readers
+        Of the sources that become one recording.
+
+    Returns
+    -------
+    list[str]
+        One warning for all that overlap in time and have the same topics; none for parts of one recording.
+    """
+    found: dict[str, None] = {}
+    topics: dict[str, None] = {}
+    longest_ns = 0
+    for reader, other in combinations(readers, 2):
+        common_ns = _common_ns(reader, other)
+        if common_ns <= (_allowed_ns(reader, other) if are_named_as_parts((reader.path, other.path)) else 0):
+            continue
+        shared = sorted(_moving_topics(reader) & _moving_topics(other))
+        if shared:
+            found |= {str(reader.path): None, str(other.path): None}
+            topics |= dict.fromkeys(shared)
+            longest_ns = max(longest_ns, common_ns)
+    if not found:
+        return []
+    warning = (
+        f"{_named(list(found))} overlap in time, by up to {_seconds(longest_ns)}, on {_named(list(topics))}: their "
+        "messages are mixed into one recording; `each=True` converts each by itself"
+    )
+    return [warning]
+
+
+def _common_ns(reader: Reader, other: Reader) -> int:
+    """How long two recordings overlap; 0 for not at all, or where their times are unknown."""
+    times = [time for each in (reader, other) for time in (each.summary.start_ns, each.summary.end_ns)]
+    start_ns, end_ns, other_start_ns, other_end_ns = times
+    if start_ns is None or end_ns is None or other_start_ns is None or other_end_ns is None:
+        return 0
+    return max(0, min(end_ns, other_end_ns) - max(start_ns, other_start_ns))
+
+
+def _allowed_ns(*readers: Reader) -> int:
+    """How long parts of one recording may overlap."""
+    durations = [(each.summary.end_ns or 0) - (each.summary.start_ns or 0) for each in readers]
+    return min(_MAX_COMMON_NS, max(_LATE_NS, min(durations) // 2))
+
+
+def _moving_topics(reader: Reader) -> set[str]:
+    """Topics with messages, without those that every part of a recording repeats."""
+    return {
+        connection.topic
+        for connection in reader.connections
+        if connection.message_count != 0 and not connection.latching and not connection.topic.endswith("/tf_static")
+    }
+
+
+def _types(reader: Reader) -> dict[str, frozenset[str]]:
+    types: dict[str, frozenset[str]] = {}
+    for connection in reader.connections:
+        types[connection.topic] = types.get(connection.topic, frozenset()) | {connection.ros_type}
+    return types
+
+
+def _has_messages(reader: Reader) -> bool:
+    return reader.summary.message_count != 0
+
+
+def _named(names: Sequence[str]) -> str:
+    more = len(names) - _MAX_NAMED
+    if more > 0:
+        return f"{', '.join(names[:_MAX_NAMED])} and {more} more"
+    return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
+
+
+def _seconds(duration_ns: int) -> str:
+    return f"{duration_ns / 1e9:,.3f} s"

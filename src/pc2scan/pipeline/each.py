@@ -1,0 +1,195 @@
+"""Several recordings converted one by one, each into a recording of its own."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+from pc2scan.bags.destinations import named_after
+from pc2scan.bags.folders import recordings_in
+from pc2scan.bags.opening import sniff
+from pc2scan.errors import DestinationError, Pc2ScanError, UsageError
+from pc2scan.files.overlap import Input, Output, refuse_overlap
+from pc2scan.version import __version__
+
+from .run import report_file, run
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from .options import ConvertOptions
+    from .report import Report
+    from .run import OutputOptions, Progress
+
+__all__ = ["Each", "Outcome", "run_each"]
+
+#: Exit statuses, from good to bad.
+_STATUSES = (0, 3, 2, 1)
+
+
+@dataclass(slots=True)
+class Outcome:
+    """What became of one recording: a report, or the error that it failed with.
+
+    Attributes
+    ----------
+    source, destination
+        ``destination`` is None where the source is no recording.
+    """
+
+    source: Path
+    destination: Path | None = None
+    report: Report | None = None
+    error: Pc2ScanError | None = None
+
+    @property
+    def exit_status(self) -> int:
+        """That of a run with this source alone."""
+        if self.error is not None:
+            return self.error.exit_status
+        return self.report.exit_status if self.report is not None else 0
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it as JSON's types: the keys of a report, or ``error`` in their place."""
+        if self.report is not None:
+            return self.report.as_dict()
+        return {
+            "exit_status": self.exit_status,
+            "sources": [str(self.source)],
+            "destination": None if self.destination is None else str(self.destination),
+            "error": None if self.error is None else self.error.as_dict(),
+        }
+
+
+@dataclass(slots=True)
+class Each:
+    """What became of several recordings."""
+
+    outcomes: list[Outcome] = field(default_factory=list)
+
+    @property
+    def exit_status(self) -> int:
+        """The worst of all."""
+        return max((outcome.exit_status for outcome in self.outcomes), key=_STATUSES.index, default=0)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return all reports as JSON's types."""
+        return {
+            "pc2scan": __version__,
+            "exit_status": self.exit_status,
+            "conversions": [outcome.as_dict() for outcome in self.outcomes],
+        }
+
+
+def run_each(
+    sources: Sequence[Path],
+    options: ConvertOptions,
+    output: OutputOptions,
+    *,
+    origins: Mapping[str, str] | None = None,
+    also_read: Mapping[str, Path] | None = None,
+    progress: Progress | None = None,
+    done: Callable[[Outcome], None] | None = None,
+) -> Each:
+    """Convert each of several recordings by itself, as `pc2scan.convert` does.
+
+    Parameters
+    ----------
+    sources
+        Recordings, and folders that hold several.
+    output
+        ``folder`` is where they go; None: next to their sources. The report has those of all.
+    done
+        Called with each outcome.
+
+    Returns
+    -------
+    Each
+        A recording that cannot be converted does not keep the others from it.
+
+    Raises
+    ------
+    UsageError
+        If a recording is given twice, or two would get the same name.
+    """
+    if not sources:
+        raise UsageError("no source given")
+    result = Each(list(_named(sources, output)))
+    _refuse_collisions(result.outcomes)
+    inputs = [Input(outcome.source) for outcome in result.outcomes]
+    for outcome in result.outcomes:
+        if outcome.destination is not None:
+            refuse_overlap(inputs, [Output(outcome.destination)])
+    with ExitStack() as stack:
+        deliver = None
+        if output.report is not None:
+            paths = [path for each in result.outcomes for path in (each.source, each.destination) if path is not None]
+            read = (*paths, *options.frames.tf_from, *(also_read or {}).values())
+            refuse_overlap(map(Input, read), [Output(output.report, "`report`")])
+            deliver = report_file(output, stack)
+        for outcome in result.outcomes:
+            if outcome.error is None:
+                try:
+                    outcome.report = run(
+                        [outcome.source],
+                        None,
+                        options,
+                        replace(output, report=None),
+                        origins=origins,
+                        also_read=also_read,
+                        progress=progress,
+                    )
+                except Pc2ScanError as err:
+                    outcome.error = err
+            if done is not None:
+                done(outcome)
+        if deliver is not None:
+            import json  # noqa: PLC0415  # only where it is asked for
+
+            deliver(json.dumps(result.as_dict(), indent=2) + "\n")
+    return result
+
+
+def _named(sources: Sequence[Path], output: OutputOptions) -> Iterator[Outcome]:
+    """The recordings, and what they will be converted to."""
+    for source in (path for given in sources for path in _expanded(given)):
+        try:
+            container = sniff(source).partition("+")[0]
+        except Pc2ScanError as err:
+            yield Outcome(source, error=err)
+        else:
+            yield Outcome(source, named_after(source, container, folder=output.folder, to=output.to))
+
+
+def _expanded(source: Path) -> Sequence[Path]:
+    """The recordings in a folder that is none itself; anything else is itself."""
+    if source.is_dir():
+        try:
+            sniff(source)
+        except Pc2ScanError:
+            return recordings_in(source) or (source,)
+    return (source,)
+
+
+def _refuse_collisions(outcomes: Sequence[Outcome]) -> None:
+    """Raise if two recordings are one, or would become one."""
+    sources: dict[Path, Path] = {}
+    destinations: dict[tuple[Path, str], Path] = {}
+    for outcome in outcomes:
+        source = outcome.source.resolve()
+        if source in sources:
+            raise UsageError(f"the recording is given twice (as {sources[source]} too)", path=outcome.source)
+        sources[source] = outcome.source
+        if outcome.destination is None:
+            continue
+        # A file system may ignore case.
+        place = outcome.destination.parent.resolve(), outcome.destination.name.casefold()
+        if place in destinations:
+            raise DestinationError(
+                f"would be made of {destinations[place]} and of {outcome.source}",
+                path=outcome.destination,
+                hint="convert one of them into another folder",
+            )
+        destinations[place] = outcome.source
