@@ -1,4 +1,4 @@
-"""Every error that pc2scan raises on purpose.
+"""The errors that pc2scan raises.
 
 ::
 
@@ -6,16 +6,16 @@
     ├── UsageError                 exit status 2: the call is wrong, nothing was tried
     │   ├── ParameterError         a projection parameter's name, type or value
     │   ├── TopicError             a topic that is missing, of another type or taken
-    │   └── DestinationError       DST cannot be what was asked for
+    │   └── DestinationError       DST cannot be written as asked for
     ├── RecordingError             a source cannot be read
-    │   └── DamageError            bytes of it are missing or wrong; without ``strict``, read around where possible
+    │   └── DamageError            bytes of it are missing or wrong; without ``strict``, the rest is recovered
     ├── OutputError                the destination cannot be written
     └── MessageError               one message cannot be converted (skipped, or fatal with ``fail``)
-        ├── DecodeError            its bytes are not what its type says
+        ├── DecodeError            its bytes contradict its type
         ├── TransformError         no transform for its frame and stamp
         └── UnwritableError        the destination's format cannot hold its log time or its size
 
-Anything else that escapes is a bug and keeps its traceback. This module imports nothing of pc2scan.
+Any other exception is a bug and keeps its traceback. This module imports nothing of pc2scan.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, ClassVar
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from os import PathLike
 
 __all__ = [
@@ -38,12 +39,13 @@ __all__ = [
     "TransformError",
     "UnwritableError",
     "UsageError",
+    "name_list",
     "stamp_text",
 ]
 
 
 def stamp_text(stamp_ns: int) -> str:
-    """Nanoseconds as seconds, every digit kept (a float would lose the last ones).
+    """Return nanoseconds as seconds with every digit (a float loses the last ones).
 
     >>> stamp_text(1604515190231374463), stamp_text(-1)
     ('1604515190.231374463', '-0.000000001')
@@ -52,17 +54,27 @@ def stamp_text(stamp_ns: int) -> str:
     return f"{'-' if stamp_ns < 0 else ''}{seconds}.{nanoseconds:09d}"
 
 
+def name_list(names: Sequence[str], limit: int = 20) -> str:
+    """Return names as a list for an error message: all of them, or the first ones and how many more.
+
+    >>> name_list(["/a", "/b", "/c"], limit=2), name_list([])
+    ('/a, /b and 1 more', 'none')
+    """
+    more = f" and {len(names) - limit} more" if len(names) > limit else ""
+    return (", ".join(names[:limit]) or "none") + more
+
+
 class Pc2ScanError(Exception):
-    """The root: what was wrong, where, and what to do about it.
+    """The base class: what was wrong, where, and what to do.
 
     Parameters
     ----------
     message
-        What was wrong: observed against allowed, in one sentence.
+        What was wrong: observed and allowed, in one sentence.
     path, topic, stamp_ns
-        Where, as far as it is known. ``stamp_ns`` is the header's stamp in nanoseconds.
+        Where, as far as known. ``stamp_ns`` is the header's stamp in nanoseconds.
     hint
-        What the user can do about it. Both name options as Python does, in backticks: ```overwrite=True` replaces
+        What the user can do. Message and hint name options as Python does, in backticks: ```overwrite=True` replaces
         it``.
     """
 
@@ -86,7 +98,7 @@ class Pc2ScanError(Exception):
 
     @property
     def where(self) -> str:
-        """The place, as ``path, topic, stamp``; empty when nothing is known."""
+        """The place as ``path, topic, stamp``; empty if unknown."""
         parts = []
         if self.path is not None:
             parts.append(str(self.path))
@@ -117,7 +129,7 @@ class UsageError(Pc2ScanError):
 
 
 class ParameterError(UsageError):
-    """A parameter is unknown, of the wrong type, or has a value that cannot be.
+    """A parameter is unknown, has the wrong type, or has an impossible value.
 
     Parameters
     ----------
@@ -139,15 +151,15 @@ class TopicError(UsageError):
 
 
 class DestinationError(UsageError):
-    """The destination exists, is a source, or cannot hold what was asked for."""
+    """The destination exists, is a source, or cannot be written as asked for."""
 
 
 class RecordingError(Pc2ScanError):
-    """A source cannot be read as the recording it claims to be."""
+    """A source cannot be read, or is not a recording."""
 
 
 class DamageError(RecordingError):
-    """Bytes of a source are missing or contradict its format; what is around them can be recovered."""
+    """Bytes of a source are missing or contradict its format; the rest can be recovered."""
 
 
 class OutputError(Pc2ScanError):
@@ -167,4 +179,4 @@ class TransformError(MessageError):
 
 
 class UnwritableError(MessageError):
-    """The destination's format has no room for a message's log time or size."""
+    """The destination's format cannot hold a message's log time or size."""

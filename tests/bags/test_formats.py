@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, get_args
 import pytest
 
 import pc2scan
-from pc2scan.bags.formats import FORMATS, Format, ReadOptions, WriteOptions, listed, storages
+from pc2scan.bags.formats import FORMATS, Format, ReadOptions, WriteOptions, and_list, storages
 from pc2scan.bags.opening import open_recording
 from pc2scan.bags.reader import Reader
 from pc2scan.bags.units import Unit
@@ -238,4 +238,4 @@ def test_the_command_line_offers_what_the_table_has() -> None:
     [((), ""), (("a",), "a"), (("a", "b"), "a and b"), (("a", "b", "c"), "a, b and c")],
 )
 def test_names_in_a_sentence(names: tuple[str, ...], text: str) -> None:
-    assert listed(names) == text
+    assert and_list(names) == text

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from pc2scan.bags.topics import find_topic, listed
+from pc2scan.bags.topics import find_topic
 from pc2scan.errors import TopicError
 
 CLOUD = "sensor_msgs/msg/PointCloud2"
@@ -29,8 +29,3 @@ def test_what_is_there_instead(asked: str, message: str, hint: str) -> None:
         find_topic(asked, TYPES, CLOUDS, CLOUD)
     assert caught.value.message == message
     assert (caught.value.hint or "").startswith(hint)
-
-
-def test_long_lists_are_cut() -> None:
-    assert listed([]) == "none"
-    assert listed(["/a", "/b", "/c"], limit=2) == "/a, /b and 1 more"

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from .reader import Reader
 
-__all__ = ["FORMATS", "Format", "ReadOptions", "WriteOptions", "chunk_format", "listed", "storages"]
+__all__ = ["FORMATS", "Format", "ReadOptions", "WriteOptions", "and_list", "chunk_format", "storages"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -212,6 +212,6 @@ def chunk_format(source: Summary) -> str:
     return entry.name if entry is not None and entry.has_chunks else ""
 
 
-def listed(names: Sequence[str]) -> str:
+def and_list(names: Sequence[str]) -> str:
     """Put names in a sentence: ``none, lz4 and zstd``."""
     return " and ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))

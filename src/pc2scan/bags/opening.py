@@ -14,7 +14,7 @@ from pc2scan.files.staging import working_names
 
 from . import zstd
 from .folders import recordings_in, several_recordings
-from .formats import FORMATS, ReadOptions, listed
+from .formats import FORMATS, ReadOptions, and_list
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -165,7 +165,7 @@ def _recognised(head: bytes, path: Path, state: str = "") -> str:
             path=path,
             hint="name the directory it is in",
         )
-    readable = f"{listed([entry.readable for entry in FORMATS.values()])} can be read"
+    readable = f"{and_list([entry.readable for entry in FORMATS.values()])} can be read"
     for magic, description in _LOOKALIKES.items():
         if head.startswith(magic):
             raise RecordingError(f"is no recording: it is {description}{state}", path=path, hint=readable)

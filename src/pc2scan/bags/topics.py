@@ -1,20 +1,16 @@
-"""Topics of a recording as people name them, and as errors list them."""
+"""Finds topics of a recording by the names that users give."""
 
 from __future__ import annotations
 
 import difflib
-from typing import TYPE_CHECKING
 
-from pc2scan.errors import TopicError
+from pc2scan.errors import TopicError, name_list
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-__all__ = ["find_topic", "listed", "short_type"]
+__all__ = ["find_topic", "short_type"]
 
 
 def find_topic(asked: str, types: dict[str, set[str]], candidates: list[str], kind: str) -> str:
-    """The topic of a type that a name means; a leading slash is no difference.
+    """Return the topic of a type by its name, with or without the leading slash.
 
     Parameters
     ----------
@@ -32,7 +28,7 @@ def find_topic(asked: str, types: dict[str, set[str]], candidates: list[str], ki
     TopicError
         If there is no such topic, or it has another type.
     """
-    there = f"{short_type(kind)} topics: {listed(candidates)}"
+    there = f"{short_type(kind)} topics: {name_list(candidates)}"
     for name in (asked, f"/{asked}", asked.removeprefix("/")):
         if name in types:
             if kind in types[name]:
@@ -44,13 +40,5 @@ def find_topic(asked: str, types: dict[str, set[str]], candidates: list[str], ki
 
 
 def short_type(kind: str) -> str:
-    """A type without its package."""
+    """Return a type without its package."""
     return kind.rsplit("/", 1)[-1]
-
-
-def listed(names: Sequence[str], limit: int = 20) -> str:
-    """Names for an error message: all of them, or the first ones and how many more."""
-    if not names:
-        return "none"
-    more = f" and {len(names) - limit} more" if len(names) > limit else ""
-    return ", ".join(names[:limit]) + more

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING
 
-from pc2scan.bags.topics import find_topic, listed, short_type
-from pc2scan.errors import TopicError
+from pc2scan.bags.topics import find_topic, short_type
+from pc2scan.errors import TopicError, name_list
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
 
@@ -102,11 +102,11 @@ def _targets(connections: Sequence[Connection], options: ConvertOptions) -> dict
 
 def _nothing_to_convert(types: dict[str, set[str]], candidates: list[str], kind: str) -> str:
     if candidates:
-        return f"every {short_type(kind)} topic is dropped: {listed(candidates)}"
+        return f"every {short_type(kind)} topic is dropped: {name_list(candidates)}"
     if not types:
         return "the recording has no topics"
     described = [f"{topic} ({', '.join(sorted(kinds))})" for topic, kinds in sorted(types.items())]
-    return f"the recording has no {short_type(kind)} topic; its topics are: {listed(described)}"
+    return f"the recording has no {short_type(kind)} topic; its topics are: {name_list(described)}"
 
 
 def _other_direction(types: dict[str, set[str]], kind: str) -> str | None:

@@ -1,33 +1,32 @@
-"""The transforms of a whole recording, and the transform between two frames at a stamp.
+"""Looks up the transform between two frames at a stamp, among all transforms of a recording.
 
-The rules are those of tf2 0.7.6 (``BufferCore``, ``TimeCache``, ``StaticCache``), where upstream looks its
-transforms up:
+The rules are those of tf2 0.7.6 (``BufferCore``, ``TimeCache``, ``StaticCache``), which upstream uses:
 
 - One leading slash of a frame's name is stripped. Names are otherwise compared as they are.
-- Quaternions are taken as published while their squared norm differs from 1 by less than 0.01. Others are refused.
-- A child has one parent at a time. Between two samples with different parents the earlier sample holds,
+- A quaternion is accepted, and used as published, if its squared norm differs from 1 by less than 0.01.
+- A child has one parent at a time. Between two samples with different parents the earlier sample is valid,
   unchanged, up to the later one.
-- Between two samples of one parent: translation by lerp, rotation by slerp; at the older one's stamp too, with the
-  ratio 0. The ratio is that of two durations, each as seconds in float64. The first and the last sample hold at their
-  stamps as they are.
-- A child whose first accepted transform was static is static for good: its last transform holds at any
-  time. Any other child is dynamic for good; what arrives for it as static is a sample like the others.
+- Between two samples of one parent, the translation is interpolated linearly and the rotation by slerp; at the older
+  one's stamp too, with the ratio 0. The ratio is that of two durations, each as seconds in float64. The first and the
+  last sample are used as they are at their own stamps.
+- A child whose first accepted transform was static stays static: its last transform is valid at any time. Any other
+  child stays dynamic; a transform that arrives for it as static is a sample like the others.
 - Samples may arrive in any order. Of several with one stamp the first to arrive is kept.
-- Transforms need be known only up to the common ancestor. Nothing is extrapolated.
+- Transforms are needed only up to the common ancestor. Nothing is extrapolated.
 - Both frames are walked up to the root, or to the first frame whose parent is not known at the time, unless one is the
   other's ancestor: the transforms above the common ancestor are in both walks and cancel out but for rounding.
 - A stamp of 0 asks for the latest time that every frame of the chain has.
 
-Where it departs from tf2, on purpose:
+Intended differences from tf2:
 
 - Nothing expires (tf2 keeps 10 s), and chains may be longer than tf2's 1000 frames.
 - Infinite components are refused like NaN.
-- A walk towards the root that runs into a loop is refused. tf2 answers where it meets the other frame before
-  it notices, with a transform that depends on the direction of the question.
+- A walk towards the root that runs into a loop is an error. tf2 returns a transform if it meets the other frame before
+  it detects the loop, and the transform depends on the direction of the lookup.
 - Lookups strip the leading slash too, and take a tolerance.
 
-Every operation is done in tf2's order (see `pc2scan.core.rigid`), so that lookups are equal to tf2's to the bit.
-ROS 2's tf2 takes the ratio of nanoseconds, which differs in the last bits of float64.
+Operations are in tf2's order (see `pc2scan.core.rigid`), so that lookups are bit-exact. ROS 2's tf2 computes the ratio
+from nanoseconds, which differs in the last bits of float64.
 """
 
 from __future__ import annotations
@@ -58,16 +57,16 @@ __all__ = ["TransformBuffer"]
 
 @dataclass(frozen=True, eq=False)  # not slotted: `infos` and `trees` are computed when first asked for
 class TransformBuffer:
-    """The transforms of a whole recording. Built by `TransformBuilder`; the rules are in the module's text.
+    """The transforms of a whole recording, built by `TransformBuilder`. The module's docstring has the rules.
 
     Attributes
     ----------
     frames
         Names of all frames, in the order of their first occurrence.
     rejections
-        What was not taken, in the order of occurrence; at most 100 entries.
+        The rejected transforms, in the order of occurrence; at most 100 entries.
     rejected
-        How many transforms were not taken in all.
+        Number of all rejected transforms.
     """
 
     frames: tuple[str, ...]
@@ -85,7 +84,7 @@ class TransformBuffer:
     _chains: dict[tuple[int, int], Chain | None] = field(default_factory=dict, repr=False)
 
     def __len__(self) -> int:
-        """How many samples are kept."""
+        """Number of samples that are kept."""
         return len(self._stamps_ns)
 
     def history(self, frame: str) -> FrameHistory | None:
@@ -94,24 +93,24 @@ class TransformBuffer:
         return None if number is None else self._history(number)
 
     def lookup(self, target: str, source: str, stamp_ns: int, tolerance_ns: int = 0) -> Rigid:
-        """``target_from_source`` at a stamp.
+        """Return ``target_from_source`` at a stamp.
 
         Parameters
         ----------
         target, source
-            Frame names; one leading slash is stripped. Equal names give the identity, known or not.
+            Frame names; one leading slash is stripped. Equal names give the identity, even if they are unknown.
         stamp_ns
             Nanoseconds since the epoch. 0 asks for the latest time that every frame of the chain has,
             as a time of 0 does in tf2 (a cloud stamped 0 gets the recording's last transform).
         tolerance_ns
-            A frame of the chain whose samples begin or end at most this far from the stamp gives the nearest
-            one. What is found without a tolerance is not changed by it.
+            How far the stamp may be outside the samples of a frame of the chain; its nearest sample is then used.
+            The tolerance never changes a result that is found without it.
 
         Raises
         ------
         TransformError
-            If a name is empty or unknown, there is no connection at that time, the stamp lies outside
-            a frame's samples, or the way up from a frame ends in a loop.
+            If a name is empty or unknown, the frames are not connected at that time, the stamp is outside
+            a frame's samples, or the frames above one form a loop.
         """
         query = self._query(target, source, stamp_ns, tolerance_ns)
         if query is None:
@@ -120,9 +119,9 @@ class TransformBuffer:
         return self._chain(query, time_ns).target_from_source(time_ns)
 
     def latest_common_ns(self, target: str, source: str) -> int:
-        """The time that `lookup` takes for a stamp of 0, which tf2 writes into its answer.
+        """Return the time that `lookup` uses for a stamp of 0; tf2 writes it into its result.
 
-        0 if every frame on the way is static.
+        0 if every frame of the chain is static.
 
         Raises
         ------
@@ -134,15 +133,15 @@ class TransformBuffer:
 
     @cached_property
     def infos(self) -> tuple[FrameInfo, ...]:
-        """What is known of each child frame, sorted by name."""
+        """Statistics of each child frame, sorted by name."""
         children = np.flatnonzero(np.diff(self._offsets)).tolist()
         return tuple(self._info(child) for child in sorted(children, key=self.frames.__getitem__))
 
     @cached_property
     def trees(self) -> tuple[Tree, ...]:
-        """The frames that hang together, the largest tree first.
+        """The connected frames, the largest tree first.
 
-        Two frames are in one tree if any transforms of the recording connect them, at whatever time.
+        Two frames are in one tree if any transforms of the recording connect them, at any time.
         """
         return trees_of(self.frames, self._offsets, self._parents)
 
@@ -170,7 +169,7 @@ class TransformBuffer:
         )
 
     def _query(self, target: str, source: str, stamp_ns: int, tolerance_ns: int) -> Query | None:
-        """The lookup with its names checked; None if both are the same."""
+        """Return the lookup with its names checked; None if both are the same."""
         target, source = target.removeprefix("/"), source.removeprefix("/")
         for name, role in ((target, "target_frame"), (source, "source_frame")):
             if not name:
@@ -193,7 +192,7 @@ class TransformBuffer:
         raise unknown_frame(name, role, stamp_ns, self.frames, self.rejections)
 
     def _chain(self, query: Query, time_ns: int | None) -> Chain:
-        """The way between the two frames, every frame on it known at the time, within the tolerance."""
+        """Return the chain between the two frames; raise if one of them has no transform at the time."""
         key = query.target_number, query.source_number
         if key not in self._chains:
             self._chains[key] = self._timeless_chain(*key)
@@ -207,7 +206,7 @@ class TransformBuffer:
         return chain
 
     def _timeless_chain(self, target: int, source: int) -> Chain | None:
-        """The way that holds at all times; None where frames change parents, loop or are not connected."""
+        """Return the chain that is valid at all times; None if frames change parents, loop or are not connected."""
         target_walk = walk_up(target, self._history, lambda link: link.sole_parent)
         source_walk = walk_up(source, self._history, lambda link: link.sole_parent)
         for walk in (target_walk, source_walk):
@@ -216,8 +215,8 @@ class TransformBuffer:
         return joined(target_walk, source_walk)
 
     def _timed_chain(self, query: Query, time_ns: int | None) -> Chain:
-        """The way at a time, or the error that says why there is none."""
-        # Without tolerance first, so that a tolerance never changes an answer that there is without it.
+        """Return the chain at a time; raise if there is none."""
+        # Without tolerance first, so that a tolerance never changes a result that is found without it.
         for tolerance_ns in dict.fromkeys((0, query.tolerance_ns)):
 
             def parent_of(link: FrameHistory, tolerance_ns: int = tolerance_ns) -> int:
@@ -231,17 +230,17 @@ class TransformBuffer:
             chain = joined(target_walk, source_walk)
             if chain is not None:
                 return chain
-        # tf2 walks from the source first, but says what stopped the walk from the target if both were.
+        # tf2 walks from the source first, but if both walks were blocked it reports the target's.
         blocked = target_walk.blocked or source_walk.blocked
         if blocked is not None:
             raise extrapolation(query, blocked, self.frames, time_ns)
         raise unconnected(query, source_walk, target_walk, self.frames, self.trees)
 
     def _latest_common_time(self, query: Query) -> int | None:
-        """The earliest of the latest stamps on the way; None where no frame on it is dynamic.
+        """Return the earliest of the frames' latest stamps; None if no frame of the chain is dynamic.
 
         Source of the rule: ``BufferCore::getLatestCommonTime``, which walks by each frame's latest parent
-        and passes over static frames and stamps of 0.
+        and skips static frames and stamps of 0.
         """
         chain = self._chain(query, None)
         latest = (link.last_ns for link in chain.links if not link.static)

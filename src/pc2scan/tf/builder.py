@@ -1,4 +1,4 @@
-"""Collecting the transforms of a recording for the buffer."""
+"""Collects the transforms of a recording for the buffer."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ if TYPE_CHECKING:
 
 __all__ = ["TransformBuilder"]
 
-#: Groups of rejected transforms that are named one by one; all are counted.
+#: Groups of rejected transforms that are reported one by one; all are counted.
 MAX_REJECTIONS = 100
 
-#: Frames, and pairs of a child and a parent, that are accepted; each takes about a kilobyte. Robots have hundreds.
+#: Limits of frames, and of pairs of a child and a parent; each takes about a kilobyte. Robots have hundreds.
 MAX_FRAMES = 100_000
 MAX_PAIRS = 200_000
 
@@ -33,7 +33,7 @@ MAX_PAIRS = 200_000
 class TransformBuilder:
     """Collects transforms in the order of the recording; `build` turns them into a `TransformBuffer`.
 
-    Holds 69 bytes a transform until then.
+    Needs 69 bytes a transform.
     """
 
     # Pair of frames, stamp_ns, whether static, and the pose.
@@ -58,9 +58,9 @@ class TransformBuilder:
         ----------
         rows
             ``(parent, child, stamp_ns, tx, ty, tz, qx, qy, qz, qw)``: ``parent_from_child`` in metres. Names
-            and numbers may be anything; `build` sets aside what is unusable.
+            and numbers may be anything; `build` rejects what is unusable.
         static
-            Whether they came on a static topic (``/tf_static``) or hold at any time by the user's word.
+            Whether they come from a static topic (``/tf_static``) or from the user.
 
         Raises
         ------
@@ -82,13 +82,13 @@ class TransformBuilder:
             raise RecordingError(
                 f"the transforms have more than {MAX_FRAMES:,} frames or {MAX_PAIRS:,} pairs of frames, "
                 "which no robot has",
-                hint="`tf_topics` names the topics whose transforms count",
+                hint="`tf_topics` chooses the topics to read transforms from",
             )
         self._pair_table.extend((*numbers, reason_of_names(parent, child)))
         return pair
 
     def build(self) -> TransformBuffer:
-        """Sort what was added and set aside what cannot be used. More may be added afterwards."""
+        """Sort the transforms and reject those that cannot be used. More may be added afterwards."""
         records = np.frombuffer(self._records, self._DTYPE)
         pairs = np.array(self._pair_table, np.int32).reshape(-1, 3)
         poses = records["pose"]
@@ -113,7 +113,7 @@ class TransformBuilder:
         )
 
     def _renumbered(self, used: NDArray[np.int32]) -> tuple[tuple[str, ...], NDArray[np.int32], NDArray[np.int32]]:
-        """Names of the frames that accepted transforms have, as tf2 knows no others; parents, children."""
+        """Return the names of the frames with accepted transforms, the only ones for tf2; parents, children."""
         occurs = np.zeros(len(self._names), dtype=np.bool_)
         occurs[used] = True
         numbers = (np.cumsum(occurs) - 1).astype(np.int32)
@@ -137,7 +137,7 @@ class TransformBuilder:
 
 
 def _first_of_each(children: NDArray[np.int32], flags: NDArray[np.bool_], count: int) -> NDArray[np.bool_]:
-    """The flag of each child's first transform; False for frames without one."""
+    """Return the flag of each child's first transform; False for frames without one."""
     result = np.zeros(count, dtype=np.bool_)
     numbers, first = np.unique(children, return_index=True)
     result[numbers] = flags[first]
@@ -147,9 +147,9 @@ def _first_of_each(children: NDArray[np.int32], flags: NDArray[np.bool_], count:
 def _kept_order(
     children: NDArray[np.int32], stamps_ns: NDArray[np.int64], is_static: NDArray[np.bool_]
 ) -> NDArray[np.int64]:
-    """Indices of the transforms to keep, by child and stamp.
+    """Return the indices of the transforms to keep, by child and stamp.
 
-    Of a dynamic child's transforms with one stamp the first is kept, of all a static one's the last.
+    A dynamic child keeps the first of its transforms with one stamp, a static child the last of all.
     """
     static = is_static[children]
     arrival = np.arange(len(children))

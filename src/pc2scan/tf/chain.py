@@ -1,4 +1,4 @@
-"""The way between two frames, and the product of the transforms on it."""
+"""The chain of transforms between two frames, and its product."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ __all__ = ["Chain", "Side"]
 
 @dataclass(frozen=True, slots=True)
 class Side:
-    """The links on the way up from a frame, with what is the same at any time multiplied once.
+    """The links from a frame up to the common ancestor; the static ones that come first are multiplied once.
 
     Attributes
     ----------
     links
-        All of them, in this order.
+        All links, in this order.
     begin
-        The product of the first ones, which are static.
+        The product of the static links that come first.
     rest
-        The others.
+        The other links.
     """
 
     links: tuple[FrameHistory, ...]
@@ -40,29 +40,29 @@ class Side:
     def of(cls, links: tuple[FrameHistory, ...]) -> Side:
         """Multiply the static links that come first."""
         static = tuple(takewhile(lambda link: link.static, links))
-        return cls(links, _multiplied(static, None, IDENTITY_POSE), links[len(static) :])
+        return cls(links, _extended(IDENTITY_POSE, static, None), links[len(static) :])
 
     def pose_at(self, time_ns: int | None) -> Pose:
-        """``ancestor_from_frame`` at a time; None asks for each link's latest."""
-        return _multiplied(self.rest, time_ns, self.begin)
+        """Return ``ancestor_from_frame`` at a time; None asks for each link's latest."""
+        return _extended(self.begin, self.rest, time_ns)
 
 
-#: What tf2 multiplies with where the frame itself is the top of its walk: the same but for the signs of zeros.
+#: The factor that tf2 uses if the frame itself is the top of its walk; it changes only the signs of zeros.
 _INVERSE_OF_NOTHING = inverse_pose(IDENTITY_POSE)
 
 
 @dataclass(frozen=True, slots=True)
 class Chain:
-    """The way between two frames.
+    """The links between two frames.
 
     Attributes
     ----------
     target_side, source_side
         The links up to the common ancestor.
     above
-        Those above it.
+        The links above it.
     fixed
-        What is found by static links alone, by the number of known links above.
+        Results that depend on static links alone, by the number of known links above.
     """
 
     target_side: Side
@@ -72,7 +72,7 @@ class Chain:
 
     @property
     def links(self) -> tuple[FrameHistory, ...]:
-        """Those that have to be known."""
+        """The links that have to be known."""
         return self.source_side.links + self.target_side.links
 
     def target_from_source(self, time_ns: int | None) -> Rigid:
@@ -82,12 +82,12 @@ class Chain:
         """
         known = tuple(takewhile(lambda link: link.gap_ns(time_ns) == 0, self.above))
         if not (self.source_side.links and self.target_side.links):
-            # Of an ancestor of the other frame, only whether its own parent is known has a say: in the signs of zeros.
+            # One frame is the other's ancestor: whether its own parent is known decides the signs of zeros.
             known = known[:1]
-            moves = False
+            is_dynamic = False
         else:
-            moves = not all(link.static for link in known)
-        if moves or self.source_side.rest or self.target_side.rest:
+            is_dynamic = not all(link.static for link in known)
+        if is_dynamic or self.source_side.rest or self.target_side.rest:
             return Rigid.from_pose(self._multiplied(known, time_ns))
         if len(known) not in self.fixed:
             self.fixed[len(known)] = Rigid.from_pose(self._multiplied(known, time_ns))
@@ -105,8 +105,8 @@ class Chain:
         return compose_poses(inverse_pose(target_pose), source_pose)
 
 
-def _multiplied(links: Iterable[FrameHistory], time_ns: int | None, pose: Pose) -> Pose:
-    """Go on from a pose in the first link's child up to the last link's parent."""
+def _extended(pose: Pose, links: Iterable[FrameHistory], time_ns: int | None) -> Pose:
+    """Transform a pose from the first link's child up to the last link's parent."""
     for link in links:
         pose = compose_poses(link.pose_at(time_ns), pose)
     return pose

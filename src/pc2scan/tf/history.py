@@ -1,4 +1,4 @@
-"""The transforms of one child frame over time, as tf2's ``TimeCache`` and ``StaticCache`` answer for them."""
+"""The transforms of one child frame over time, with the rules of tf2's ``TimeCache`` and ``StaticCache``."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class FrameHistory:
     child
         Index of the frame in `TransformBuffer.frames`.
     static
-        Whether the only transform holds at any time.
+        Whether the only transform is valid at any time.
     stamps_ns
         (N,) int64, increasing, N > 0.
     poses
@@ -56,28 +56,28 @@ class FrameHistory:
         return self.poses[:, 3:]
 
     def gap_ns(self, stamp_ns: int | None) -> int:
-        """How far a stamp lies outside: negative before the first sample, positive after the last."""
+        """Return how far a stamp is outside: negative before the first sample, positive after the last."""
         if self.static or stamp_ns is None:
             return 0
         return min(stamp_ns - self.first_ns, 0) or max(stamp_ns - self.last_ns, 0)
 
     def _older(self, stamp_ns: int | None) -> int:
-        """Index of the sample at a stamp or before it, the first one at least; None asks for the latest."""
+        """Return the index of the sample at a stamp or before it, or of the first one; None asks for the latest."""
         if self.static or stamp_ns is None or stamp_ns >= self.last_ns:
             return len(self.stamps_ns) - 1
         return max(int(self.stamps_ns.searchsorted(stamp_ns, "right")) - 1, 0)
 
     def parent_at(self, stamp_ns: int | None) -> int:
-        """Index of the parent at a stamp, the nearest known one outside the history."""
+        """Return the index of the parent at a stamp; outside the history, the nearest known one."""
         return self.sole_parent if self.sole_parent >= 0 else int(self.parents[self._older(stamp_ns)])
 
     def pose_at(self, stamp_ns: int | None) -> Pose:
-        """``parent_from_child`` at a stamp, the nearest known one outside the history."""
+        """Return ``parent_from_child`` at a stamp; outside the history, the nearest known one."""
         older = self._older(stamp_ns)
         first = self._pose(older)
         if self.static or stamp_ns is None or older + 1 == len(self.stamps_ns):
             return first
-        # The first sample has no older one; what lies in front of it is within the tolerance.
+        # The first sample has no older one; a stamp before it is within the tolerance.
         if stamp_ns <= self.first_ns or (self.sole_parent < 0 and self.parents[older] != self.parents[older + 1]):
             return first
         begin_ns, end_ns = self.stamps_ns[older : older + 2].tolist()
@@ -90,6 +90,6 @@ class FrameHistory:
 
 
 def _float_seconds(duration_ns: int) -> float:
-    """Seconds as ``ros::Duration::toSec`` rounds them."""
+    """Return seconds as ``ros::Duration::toSec`` rounds them."""
     seconds, nanoseconds = divmod(duration_ns, 1_000_000_000)
     return seconds + 1e-9 * nanoseconds

@@ -1,10 +1,10 @@
-"""Why there is no transform between two frames at a stamp, in tf2's words and with what to do about it."""
+"""Errors of transform lookups: tf2's text, details, and what to do."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pc2scan.errors import TransformError
+from pc2scan.errors import TransformError, name_list, stamp_text
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -20,7 +20,7 @@ __all__ = ["empty_name", "extrapolation", "looping", "unconnected", "unknown_fra
 #: Frames that an error message names.
 MAX_NAMES = 20
 
-_SEE_TF = "`pc2scan tf` shows the frames of a recording and the times they are known for"
+_SEE_TF = "`pc2scan tf` shows the frames of a recording and their times"
 
 
 def empty_name(role: str, stamp_ns: int) -> TransformError:
@@ -37,7 +37,7 @@ def unknown_frame(
 ) -> TransformError:
     """No transform has this frame."""
     there_are = (
-        f"The {len(frames)} frames with transforms are {_named(sorted(frames))}"
+        f"The {len(frames)} frames with transforms are {name_list(sorted(frames), MAX_NAMES)}"
         if frames
         else "There are no transforms"
     )
@@ -53,10 +53,10 @@ def unknown_frame(
 
 
 def extrapolation(query: Query, link: FrameHistory, frames: Sequence[str], time_ns: int | None) -> TransformError:
-    """A frame on the way is not known at the time; ``frames`` are the names of all."""
+    """A frame of the chain has no transform at the time; ``frames`` are the names of all."""
     time_ns = time_ns or 0
     gap_ns = link.gap_ns(time_ns)
-    gap, time, first, last = (_seconds(ns) for ns in (abs(gap_ns), time_ns, link.first_ns, link.last_ns))
+    gap, time, first, last = (stamp_text(ns) for ns in (abs(gap_ns), time_ns, link.first_ns, link.last_ns))
     if link.first_ns == link.last_ns:
         text = f"Lookup would require extrapolation at time {time}, but only time {last} is in the buffer"
     else:
@@ -70,7 +70,7 @@ def extrapolation(query: Query, link: FrameHistory, frames: Sequence[str], time_
         f"{text}, when looking up transform from frame [{query.source}] to frame [{query.target}]: "
         f"[{child}] in [{parent}] is known from {first} to {last}, "
         f"the time is {gap} s too {'early' if gap_ns < 0 else 'late'}, "
-        f"the tolerance is {_seconds(query.tolerance_ns)} s",
+        f"the tolerance is {stamp_text(query.tolerance_ns)} s",
         stamp_ns=query.stamp_ns,
         hint=f"a transform_tolerance of at least {gap} s would use the nearest transform; {_SEE_TF}",
     )
@@ -85,7 +85,7 @@ def unconnected(
         next(tree for tree in trees if name in tree.frames) for name in (query.source, query.target)
     )
     where = (
-        f"[{query.target}] is in {_described(target_tree)}, [{query.source}] in {_described(source_tree)}"
+        f"[{query.target}] is in {_tree_text(target_tree)}, [{query.source}] in {_tree_text(source_tree)}"
         if source_tree is not target_tree
         else f"at this time [{query.target}] leads up to [{target_top}], [{query.source}] to [{source_top}]"
     )
@@ -98,7 +98,7 @@ def unconnected(
 
 
 def looping(query: Query, walk: Walk, loop: int, frames: Sequence[str]) -> TransformError:
-    """A walk comes back to the frame ``loop``."""
+    """A walk visits the frame ``loop`` twice."""
     met = list(walk.links)
     names = [f"[{frames[frame]}]" for frame in met[met.index(loop) :][:MAX_NAMES]]
     return TransformError(
@@ -109,15 +109,6 @@ def looping(query: Query, walk: Walk, loop: int, frames: Sequence[str]) -> Trans
     )
 
 
-def _seconds(stamp_ns: int) -> str:
-    seconds, nanoseconds = divmod(abs(stamp_ns), 1_000_000_000)
-    return f"{'-' if stamp_ns < 0 else ''}{seconds}.{nanoseconds:09d}"
-
-
-def _named(names: Sequence[str]) -> str:
-    more = len(names) - MAX_NAMES
-    return ", ".join(names[:MAX_NAMES]) + (f" and {more} more" if more > 0 else "")
-
-
-def _described(tree: Tree) -> str:
-    return f"the tree of [{', '.join(tree.roots[:MAX_NAMES]) or 'no root'}] ({_named(tree.frames)})"
+def _tree_text(tree: Tree) -> str:
+    roots = ", ".join(tree.roots[:MAX_NAMES]) or "no root"
+    return f"the tree of [{roots}] ({name_list(tree.frames, MAX_NAMES)})"

@@ -1,4 +1,4 @@
-"""Which transforms count, and in which frame messages are converted: what callers ask for."""
+"""Options about transforms and frames, as callers give them."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ _QUATERNION_SLACK = 0.05
 
 @dataclass(frozen=True, slots=True)
 class StaticTransform:
-    """A transform that holds at any time, added by the user.
+    """A transform that the user adds; it is valid at any time.
 
     Attributes
     ----------
     parent, child
         Frame names.
     parent_from_child
-        Where the child is in the parent.
+        The pose of the child in the parent.
     """
 
     parent: str
@@ -149,20 +149,20 @@ def _joined(numbers: Iterable[float]) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameOptions:
-    """What a conversion is told about frames.
+    """The options of a conversion about frames.
 
     Attributes
     ----------
     tf_topics
-        Where the transforms are; empty means ``/tf`` and ``/tf_static``, or those of the only namespace that has them.
+        Topics of the transforms; empty means ``/tf`` and ``/tf_static``, or those of the only namespace that has them.
     tf_from
-        Further recordings whose transforms count.
+        Further recordings to read transforms from.
     static
-        Transforms that the recording lacks.
+        Transforms that are added to the recording's.
     source_frame
-        Overrides the ``frame_id`` of the messages to convert, where that is wrong or empty.
+        Replaces the ``frame_id`` of the messages to convert, if that is wrong or empty.
     write_static
-        Whether ``static`` is written to the destination's ``/tf_static``.
+        Whether to write ``static`` to the destination's ``/tf_static``.
     """
 
     tf_topics: tuple[str, ...] = ()

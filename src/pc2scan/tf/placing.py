@@ -1,4 +1,4 @@
-"""Which frame a message is converted in, and the transform that takes it there."""
+"""The frame in which a message is converted, and the transform to it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["Frames", "Placement"]
 
 
 class Placement(NamedTuple):
-    """Where a message goes: the output's ``frame_id``, and the transform to it (None where it stays)."""
+    """The output's ``frame_id``, and the transform to that frame (None if the message stays in its own)."""
 
     frame_id: str
     target_from_source: Rigid | None
@@ -27,13 +27,13 @@ class Frames:
     Attributes
     ----------
     target_frame
-        Empty where every message stays in its own frame.
+        Empty if every message stays in its own frame.
     source_frame
         See `FrameOptions`.
     buffer
-        None where there is no target frame.
+        None if there is no target frame.
     tolerance_ns
-        How far a stamp may lie outside the known transforms.
+        How far a stamp may be outside the known transforms.
     """
 
     target_frame: str = ""
@@ -42,7 +42,7 @@ class Frames:
     tolerance_ns: int = 0
 
     def place(self, frame_id: str, stamp_ns: int) -> Placement:
-        """Where a message of this frame and stamp goes.
+        """Return the frame and the transform for a message of this frame and stamp.
 
         Raises
         ------
@@ -57,9 +57,9 @@ class Frames:
         return Placement(target, self.buffer.lookup(target, source, stamp_ns, self.tolerance_ns))
 
     def transform_stamp(self, frame_id: str, stamp_ns: int) -> int:
-        """The stamp of the transform that `place` gives, in nanoseconds.
+        """Return the stamp of the transform that `place` returns, in nanoseconds.
 
-        That is the message's; for a message with the stamp 0, the time that this was looked up for.
+        That is the message's stamp; for the stamp 0, the time that `place` uses instead.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""A lookup as it was asked for."""
+"""The arguments of a lookup."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
-"""Reading the transforms of recordings, wherever in a file they are."""
+"""Reads the transforms of recordings."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pc2scan.errors import DecodeError, RecordingError, UsageError
+from pc2scan.errors import DecodeError, RecordingError, UsageError, name_list
 from pc2scan.messages.tfmessage import TF_TYPES, decode_transforms
 
 from .options import FrameOptions
@@ -23,24 +23,24 @@ __all__ = ["is_static", "read_transforms", "recorded_transforms", "tf_connection
 
 
 def tf_connections(connections: Sequence[Connection], topics: Sequence[str] = ()) -> list[Connection]:
-    """The connections that carry transforms.
+    """Return the connections with transforms.
 
     Parameters
     ----------
     topics
-        Names to take; empty means ``/tf`` and ``/tf_static``, or those of the only namespace that has them.
+        Their topics; empty means ``/tf`` and ``/tf_static``, or those of the only namespace that has them.
 
     Raises
     ------
     UsageError
-        If a name is not there, or several namespaces have transforms and none was named.
+        If a topic has no transforms, or several namespaces have transforms and no topic is given.
     """
     candidates = [c for c in connections if c.ros_type in TF_TYPES and c.ros_version is not None]
     names = {c.topic.strip("/") for c in candidates}
     if topics:
         missing = [topic for topic in topics if topic.strip("/") not in names]
         if missing:
-            known = ", ".join(f"/{name}" for name in sorted(names)) or "none"
+            known = name_list([f"/{name}" for name in sorted(names)])
             raise UsageError(f"no transforms on {missing[0]}", hint=f"topics with transforms: {known}")
         wanted = {topic.strip("/") for topic in topics}
         return [c for c in candidates if c.topic.strip("/") in wanted]
@@ -58,27 +58,27 @@ def tf_connections(connections: Sequence[Connection], topics: Sequence[str] = ()
 
 
 def is_static(topic: str) -> bool:
-    """Whether transforms on this topic hold at any time."""
+    """Whether transforms on this topic are valid at any time."""
     return topic.rsplit("/", 1)[-1] == "tf_static"
 
 
 def read_transforms(readers: Iterable[Reader], options: FrameOptions) -> tuple[TransformBuffer, list[str]]:
-    """Read every transform of recordings, whatever their place in the file, and the user's own.
+    """Read every transform of recordings, wherever it is in a file, and add the user's own.
 
     Parameters
     ----------
     readers
-        The sources first, then those of ``tf_from``.
+        The sources first, then the recordings of ``tf_from``.
 
     Returns
     -------
     TransformBuffer, list of str
         The transforms, and warnings: transforms that cannot be used, and messages that cannot be decoded.
     """
-    from .builder import TransformBuilder  # noqa: PLC0415  # only conversions with transforms pay for it
+    from .builder import TransformBuilder  # noqa: PLC0415  # only conversions with transforms need it
 
     builder = TransformBuilder()
-    # The user's word comes first: whoever adds a transform does so because the recording's is wrong or lacking.
+    # The user's transforms replace the recording's: they are given because those are wrong or missing.
     builder.add((static.row(0) for static in options.static), static=True)
     overridden = {static.child.removeprefix("/") for static in options.static}
     warnings: dict[str, int] = {}
@@ -102,22 +102,22 @@ def read_transforms(readers: Iterable[Reader], options: FrameOptions) -> tuple[T
                 err.path, err.topic = reader.path, connection.topic
                 raise
     buffer = builder.build()
-    told = [f"{text} ({count} times)" if count > 1 else text for text, count in warnings.items()]
-    told += [
+    texts = [f"{text} ({count} times)" if count > 1 else text for text, count in warnings.items()]
+    texts += [
         f"{r.count} transforms from {r.parent!r} to {r.child!r} are not usable: {r.reason}" for r in buffer.rejections
     ]
-    return buffer, told
+    return buffer, texts
 
 
 def recorded_transforms(path: Path) -> Callable[[str, str, int], Rigid]:
-    """Read a recording's transforms as a conversion without options does; return the lookup of one at a stamp.
+    """Read a recording's transforms as a conversion without options does, and return their lookup.
 
     Returns
     -------
     callable
         ``lookup(target, source, stamp_ns)``; raises TransformError if there is no transform.
     """
-    from pc2scan.bags.opening import open_recording  # noqa: PLC0415  # only who has no reader yet pays for it
+    from pc2scan.bags.opening import open_recording  # noqa: PLC0415  # callers with a reader do not need it
     from pc2scan.core.params import ProjectionParams  # noqa: PLC0415
 
     reader = open_recording(path)

@@ -1,4 +1,4 @@
-"""Transforms that tf2 does not take, and why."""
+"""Transforms that tf2 rejects, and why."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ REASONS = {
 
 @dataclass(frozen=True, slots=True)
 class Rejection:
-    """Transforms that were not taken, those of one pair of frames and one reason together.
+    """Rejected transforms of one pair of frames and one reason.
 
     Attributes
     ----------
     child, parent
         Frame names, a leading slash stripped.
     stamp_ns
-        The first one's stamp.
+        Stamp of the first one.
     reason
-        tf2's name for it and why.
+        tf2's name for the reason, and an explanation.
     count
-        How many there were.
+        How many were rejected.
     """
 
     child: str
@@ -49,7 +49,7 @@ class Rejection:
 
 
 def reason_of_names(parent: str, child: str) -> int:
-    """Why a pair of frames, leading slashes stripped, is unusable, or `ACCEPTED`."""
+    """Return why a pair of frames, leading slashes stripped, is rejected, or `ACCEPTED`."""
     if not child:
         return NO_CHILD
     if not parent:
@@ -58,7 +58,7 @@ def reason_of_names(parent: str, child: str) -> int:
 
 
 def reasons_of(poses: NDArray[np.float64], reasons: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Why each transform is unusable, or `ACCEPTED`; ``reasons`` are those that the names alone give."""
+    """Return why each transform is rejected, or `ACCEPTED`; ``reasons`` are those of the names alone."""
     finite = np.isfinite(poses).all(axis=1)
     with np.errstate(invalid="ignore"):  # a NaN may be one that signals
         zero = ~poses[:, 3:].any(axis=1)

@@ -1,4 +1,4 @@
-"""A file of static transforms that a user adds to a recording's."""
+"""Reads a YAML file of static transforms."""
 
 from __future__ import annotations
 
@@ -14,28 +14,30 @@ if TYPE_CHECKING:
 
 __all__ = ["load_static_transforms"]
 
-#: A file of static transforms is a page of text.
+#: Larger files are refused: a list of static transforms is a page of text.
 _MAX_FILE_BYTES = 1_000_000
 
 
 def load_static_transforms(path: Path) -> tuple[StaticTransform, ...]:
     """Read a YAML list of static transforms.
 
-    Each entry is a text as `StaticTransform.parse` reads it, or a mapping of ``parent`` (or ``frame_id``), ``child``
+    Each entry is a text that `StaticTransform.parse` reads, or a mapping of ``parent`` (or ``frame_id``), ``child``
     (or ``child_frame_id``), ``translation: [x, y, z]`` and ``rotation: [qx, qy, qz, qw]`` or
     ``rpy: [roll, pitch, yaw]``; metres and radians, or with a unit (``20cm``, ``90deg``).
 
     Raises
     ------
     UsageError
-        If the file cannot be read as that.
+        If the file cannot be read, or has anything else in it.
     """
     from ruamel.yaml import YAML  # noqa: PLC0415  # heavy
     from ruamel.yaml.error import YAMLError  # noqa: PLC0415
 
     try:
         if path.stat().st_size > _MAX_FILE_BYTES:
-            raise UsageError(f"{path.stat().st_size} bytes are no list of transforms", path=path)
+            raise UsageError(
+                f"has {path.stat().st_size} bytes; a list of static transforms has at most {_MAX_FILE_BYTES}", path=path
+            )
         with opened_text(path) as file:
             document = YAML(typ="safe", pure=True).load(file.read(_MAX_FILE_BYTES))
     except OSError as err:

@@ -1,4 +1,4 @@
-"""The frames of a recording, for people."""
+"""Statistics of the frames of a recording."""
 
 from __future__ import annotations
 
@@ -19,28 +19,28 @@ __all__ = ["FrameInfo", "Tree", "frame_info", "trees_of"]
 
 @dataclass(frozen=True, slots=True)
 class FrameInfo:
-    """What is known of one child frame, for people.
+    """Statistics of one child frame.
 
     Attributes
     ----------
     child
         The frame.
     parents
-        Every parent that it has had, the first first.
+        Every parent that it had, in the order of time.
     static
-        Whether its transform holds at any time.
+        Whether its transform is valid at any time.
     transforms
-        Samples that are kept.
+        Number of samples that are kept.
     received
-        Transforms that were accepted, repeated stamps and overwritten static ones included.
+        Number of accepted transforms, repeated stamps and overwritten static ones included.
     first_ns, last_ns
         Earliest and latest stamp.
     rate_hz
         Mean rate of the samples; None for fewer than two, or a static frame.
     largest_gap_ns
-        Longest time between two neighbouring samples; None where there is no rate.
+        Longest time between two neighbouring samples; None if there is no rate.
     largest_gap_at_ns
-        Stamp at which it begins.
+        Stamp at which that gap begins.
     """
 
     child: str
@@ -57,13 +57,13 @@ class FrameInfo:
 
 @dataclass(frozen=True, slots=True)
 class Tree:
-    """Frames that hang together at some time of the recording.
+    """Frames that are connected at some time of the recording.
 
     Attributes
     ----------
     roots
-        Frames without a parent, sorted. More than one where a child changed from one tree to another; none
-        where the frames form a loop.
+        Frames without a parent, sorted. More than one if a child changed from one tree to another; none
+        if the frames form a loop.
     frames
         All frames, the roots included, sorted.
     """
@@ -73,7 +73,7 @@ class Tree:
 
 
 def frame_info(link: FrameHistory, received: int, names: Sequence[str]) -> FrameInfo:
-    """What is known of one child frame; ``names`` are those of all frames."""
+    """Return the statistics of one child frame; ``names`` are those of all frames."""
     parents, first = np.unique(link.parents, return_index=True)
     count = len(link.stamps_ns)
     gaps = np.diff(link.stamps_ns)
@@ -93,33 +93,33 @@ def frame_info(link: FrameHistory, received: int, names: Sequence[str]) -> Frame
 
 
 def trees_of(names: Sequence[str], offsets: NDArray[np.int64], parents: NDArray[np.int32]) -> tuple[Tree, ...]:
-    """The frames that hang together, the largest tree first.
+    """Return the connected frames, the largest tree first.
 
     Parameters
     ----------
     names
-        Those of all frames.
+        Names of all frames.
     offsets
         The samples of frame i are those from ``offsets[i]`` to ``offsets[i + 1]``.
     parents
         The parent in each sample.
     """
-    # Union-find: every frame points to another of its tree, and in the end to the one that stands for it.
-    stands_for = list(range(len(names)))
+    # Union-find: following these from a frame leads to the one that represents its tree.
+    toward = list(range(len(names)))
 
-    def leader(frame: int) -> int:
-        while stands_for[frame] != frame:
-            stands_for[frame] = frame = stands_for[stands_for[frame]]
+    def representative(frame: int) -> int:
+        while toward[frame] != frame:
+            toward[frame] = frame = toward[toward[frame]]
         return frame
 
     counts = np.diff(offsets)
     edges = np.repeat(np.arange(len(names)), counts) * len(names) + parents
     for edge in np.unique(edges).tolist():
         child, parent = divmod(edge, len(names))
-        stands_for[leader(child)] = leader(parent)
+        toward[representative(child)] = representative(parent)
     members: dict[int, list[int]] = {}
     for frame in range(len(names)):
-        members.setdefault(leader(frame), []).append(frame)
+        members.setdefault(representative(frame), []).append(frame)
     is_child = (counts > 0).tolist()
     trees = (
         Tree(

@@ -17,16 +17,16 @@ __all__ = ["Walk", "joined", "walk_up"]
 
 @dataclass(frozen=True, slots=True)
 class Walk:
-    """A way up from a frame.
+    """A walk from a frame up to the root.
 
     Attributes
     ----------
     links
-        The link up from each frame met, by the frame's index, in this order; None for a root.
+        The link up from each visited frame, by the frame's index, in this order; None for a root.
     blocked
-        The child whose parent is not known at the time, where that ended the walk.
+        The child whose parent is not known at the time, if that ended the walk.
     loop
-        The frame that was met for the second time, where that ended the walk.
+        The frame that was visited twice, if that ended the walk.
     """
 
     links: dict[int, FrameHistory | None]
@@ -37,7 +37,7 @@ class Walk:
 def walk_up(
     start: int, history: Callable[[int], FrameHistory | None], parent_of: Callable[[FrameHistory], int]
 ) -> Walk:
-    """Walk up from a frame; ``parent_of`` returns -1 where it cannot say."""
+    """Walk up from a frame; ``parent_of`` returns -1 for an unknown parent."""
     met: dict[int, FrameHistory | None] = {}
     frame = start
     while frame not in met:
@@ -51,17 +51,17 @@ def walk_up(
 
 
 def joined(target_walk: Walk, source_walk: Walk) -> Chain | None:
-    """The way between the starts of two walks; None where they do not meet."""
+    """Return the chain between the starts of two walks; None if they do not meet."""
     common = next((frame for frame in target_walk.links if frame in source_walk.links), None)
     if common is None:
         return None
-    target_side, _ = _parted(target_walk, common)
-    source_side, above = _parted(source_walk, common)
+    target_side, _ = _split(target_walk, common)
+    source_side, above = _split(source_walk, common)
     return Chain(Side.of(target_side), Side.of(source_side), above)
 
 
-def _parted(walk: Walk, ancestor: int) -> tuple[tuple[FrameHistory, ...], tuple[FrameHistory, ...]]:
-    """The links of a walk below an ancestor, and from it on."""
+def _split(walk: Walk, ancestor: int) -> tuple[tuple[FrameHistory, ...], tuple[FrameHistory, ...]]:
+    """Return the links of a walk below an ancestor, and those from it on."""
     links = list(walk.links.values())
     below = list(walk.links).index(ancestor)
     return tuple(link for link in links[:below] if link), tuple(link for link in links[below:] if link)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
 from pc2scan.bags.chunked.segments import Segment
-from pc2scan.bags.formats import listed
+from pc2scan.bags.formats import and_list
 from pc2scan.files.compression import CompressionError, decompress
 from pc2scan.files.crc32 import crc32
 from pc2scan.files.limits import allowed_bytes
@@ -163,7 +163,7 @@ def _decompressed(data: memoryview, chunk: ChunkSegment, file: RecordFile) -> Bu
             f"{where} declares {size} bytes uncompressed, in a file of {file.size} at most {allowed} may be"
         )
     if chunk.compression not in COMPRESSIONS:
-        raise file.damage(f"{where} has compression {chunk.compression!r}, known are {listed(COMPRESSIONS)}")
+        raise file.damage(f"{where} has compression {chunk.compression!r}, known are {and_list(COMPRESSIONS)}")
     try:
         unpacked, complete = decompress(chunk.compression, data, size)
         if not complete:

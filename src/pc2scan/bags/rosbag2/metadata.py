@@ -30,7 +30,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from pc2scan.bags import zstd
 from pc2scan.bags.damage import DamageLog
 from pc2scan.bags.folders import are_named_as_parts, natural_order, recordings_in
-from pc2scan.bags.formats import listed, storages
+from pc2scan.bags.formats import and_list, storages
 from pc2scan.bags.qos import latches
 from pc2scan.errors import DamageError, RecordingError
 from pc2scan.files.source import opened_text
@@ -254,7 +254,7 @@ def _parsed_info(document: Any) -> BagInfo:
         raise UnsupportedError(f"has version {version}; 1 to {NEWEST_VERSION} are known")
     storage = _get(root, "storage_identifier", str, ROOT)
     if storage not in ("", *storages()):
-        raise UnsupportedError(f"has storage {storage!r}; {listed(sorted(storages()))} can be read")
+        raise UnsupportedError(f"has storage {storage!r}; {and_list(sorted(storages()))} can be read")
     files = [_file_name(path) for path in _get(root, "relative_file_paths", list, ROOT)]
     if not files:
         raise ValueError("names no files")
