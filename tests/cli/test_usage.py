@@ -79,7 +79,10 @@ def test_what_typer_finds_wrong_looks_like_all_else(arguments: list[str], error:
         (["-p", "min_height:=abc"], "min_height: expected a number, got 'abc' (from --param min_height:=abc)"),
         (["--beams", "3.5"], "beams: expected a whole number, got 3.5 (from --beams)"),
         (["--scan-time", "abc"], "scan_time: expected a number or auto, got 'abc' (from --scan-time)"),
-        (["--geometry", "abc"], "geometry: expected upstream, centered, got 'abc' (from --geometry)"),
+        (
+            ["--geometry", "abc"],
+            "geometry: expected upstream, centered, half-open, symmetric, got 'abc' (from --geometry)",
+        ),
         (["--queue-size", "-1"], "queue_size is -1, it must not be negative (from --queue-size)"),
     ],
     ids=str,

@@ -1,11 +1,13 @@
 """The consumers' rules one scan at a time, in the words and types of their C++: what `judge` has to agree with.
 
-``f`` is a float, Python's own numbers are doubles. A rule returns what happens to the scan.
+``f`` is a float, Python's own numbers are doubles. A rule returns what happens to the scan; ``first`` is None for the
+first one.
 """
 
 from __future__ import annotations
 
 import math
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,7 +15,7 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from pc2scan.core.consumers import Scan
+    from pc2scan.core.consumers import Placed, Scan
 
 f = np.float32
 
@@ -40,14 +42,36 @@ def number_of_range_readings(scan: Scan) -> int:
     return int(std_round((float(angle_max) - float(angle_min)) / float(angle_increment)) + residual)
 
 
-def slam_toolbox(scan: Scan, first: Scan) -> str:
-    if scan.beams != number_of_range_readings(first):
+def transforms(needs: tuple[str, ...], placed: Placed) -> bool:
+    """Whether a scan has the transforms that a consumer looks up."""
+    return not any(getattr(placed, role) is False for role in needs)
+
+
+def worst(off: float, increment: float) -> str:
+    share = off / abs(increment) if increment else (math.inf if off else 0.0)
+    if share <= 0.1:
+        return "accepted"
+    return "shifted" if share <= 1.1 else "misplaced"
+
+
+def slam_toolbox(scan: Scan, first: Scan | None, placed: Placed) -> str:
+    if not transforms(("odometry", "robot"), placed):
         return "ignored"
-    return "misplaced" if turned(scan, first) else "accepted"
+    laser = first or scan
+    if scan.beams != number_of_range_readings(laser):
+        return "ignored"
+    # SetRangeThreshold(min(max_laser_range, range_max)); in OccupancyGrid::AddScan and LocalizedRangeScan::Update a
+    # reading up to the threshold is a point.
+    threshold = min(25.0, f(laser.range_max).item())
+    if threshold == f(laser.range_max) and scan.full > 0.01 * scan.beams:
+        return "misplaced"
+    return "misplaced" if turned(scan, laser) else "accepted"
 
 
 def turned(scan: Scan, first: Scan) -> bool:
     """Whether a beam lies more than a tenth of an increment from where the first scan says."""
+    if scan is first:
+        return False
     begin, step = f(scan.angle_min).item(), f(scan.angle_increment).item()
     first_begin, first_step = f(first.angle_min).item(), f(first.angle_increment).item()
     return any(
@@ -55,7 +79,9 @@ def turned(scan: Scan, first: Scan) -> bool:
     )
 
 
-def cartographer(scan: Scan, _first: Scan) -> str:
+def cartographer(scan: Scan, _first: Scan | None, placed: Placed) -> str:
+    if not transforms(("robot",), placed):
+        return "ignored"
     if not f(scan.range_min) >= f(0):
         return "aborts"
     if not f(scan.range_max) >= f(scan.range_min):
@@ -68,6 +94,12 @@ def cartographer(scan: Scan, _first: Scan) -> str:
     hits = scan.returns + (scan.infinite if np.isposinf(f(scan.range_max)) else 0)
     if hits and scan.intensities > 0 and scan.intensities != scan.beams:
         return "aborts"
+    # CheckNoLeadingSlash, once there are points.
+    if hits and placed.frame_id[:1] == "/":
+        return "aborts"
+    # AddRangeData: the second point is earlier than the pose that the first one was placed at.
+    if hits > 1 and f(scan.time_increment) < f(0):
+        return "misplaced"
     return infinite_hits(scan)
 
 
@@ -76,37 +108,91 @@ def infinite_hits(scan: Scan) -> str:
     return "misplaced" if scan.infinite and f(np.inf) <= f(scan.range_max) else "accepted"
 
 
-def gmapping(scan: Scan, first: Scan) -> str:
-    if not first.beams < 2048:
-        return "aborts"
-    if scan.beams != first.beams:
+def gmapping(scan: Scan, first: Scan | None, placed: Placed) -> str:
+    if not transforms(("odometry", "robot"), placed):
         return "ignored"
-    written = ([scan.range_max] if scan.short else []) + ([math.inf] if scan.infinite else [])
-    max_range = float(f(scan.range_max))
-    # The matcher leaves out what is beyond the laser's range.
-    if any(not r > max_range and math.isinf(r) for r in written):
+    # initMapper: abs(abs(up.z()) - 1) > 0.001
+    if first is None and placed.up is not None and not abs(abs(placed.up) - 1) <= 0.001:
+        return "ignored"
+    laser = first or scan
+    if not laser.beams < 2048:
+        return "aborts"
+    if scan.beams != laser.beams:
+        return "ignored"
+    max_range = float(f(laser.range_max)) - 0.01
+    written = ([float(f(scan.range_max))] if scan.short else []) + ([math.inf] if scan.infinite else [])
+    # computeActiveArea leaves out what is beyond the laser's range, and grows the map until it contains the rest.
+    if any(not r > max_range and math.isinf(r) and r > 0 for r in written):
+        return "aborts"
+    if turned(scan, laser):
         return "misplaced"
-    return "misplaced" if turned(scan, first) else "accepted"
+    if not scan.beams:
+        return "accepted"
+    off = gmapping_off(
+        scan.angle_min, scan.angle_max, scan.angle_increment, scan.beams, upwards=placed.up is None or placed.up > 0
+    )
+    return worst(off, f(scan.angle_increment).item())
 
 
-def amcl(scan: Scan, _first: Scan) -> str:
+@cache
+def gmapping_off(low: float, high: float, step: float, beams: int, *, upwards: bool) -> float:
+    """How far gmapping's beams are from the scan's, at most."""
+    angle_min, angle_max, increment = f(low), f(high), f(step)
+    angle_center = float((angle_min + angle_max) / f(2))
+    do_reverse_range = bool(angle_min > angle_max) if upwards else bool(angle_min < angle_max)
+    res = abs(float(increment))
+    off = 0.0
+    for ros in range(beams):
+        # RangeSensor: angle = -.5 * res * beams, then += res
+        own = beams - 1 - ros if do_reverse_range else ros
+        theta = -0.5 * res * beams + own * res
+        seen = angle_center + theta if upwards else angle_center - theta
+        off = max(off, abs(seen - (float(angle_min) + ros * float(increment))))
+    return off
+
+
+def amcl(scan: Scan, _first: Scan | None, placed: Placed) -> str:
+    if not transforms(("odometry", "robot"), placed):
+        return "ignored"
     return "ignored" if float(f(scan.range_max)) <= 0.0 else "accepted"
 
 
-def nav2(scan: Scan, _first: Scan) -> str:
-    return infinite_hits(scan)
+def nav2(scan: Scan, _first: Scan | None, placed: Placed) -> str:
+    return infinite_hits(scan) if transforms(("robot",), placed) else "ignored"
 
 
-def mrpt(scan: Scan, _first: Scan) -> str:
-    if not scan.beams > 2:
+def mrpt(scan: Scan, _first: Scan | None, placed: Placed) -> str:
+    if not transforms(("robot",), placed):
+        return "ignored"
+    if not scan.beams > 1:
         return "aborts"
-    aperture = f(scan.angle_max) - f(scan.angle_min)
-    ang_step = float(aperture) / (scan.beams - 1)
-    increment = f(scan.angle_increment).item()
-    off = max(abs(i * ang_step - i * increment) for i in range(scan.beams))
-    return "misplaced" if off > 0.1 * abs(increment) else "accepted"
+    off = mrpt_off(scan.angle_min, scan.angle_max, scan.angle_increment, scan.beams)
+    return worst(off, f(scan.angle_increment).item())
 
 
-RULES: dict[str, Callable[[Scan, Scan], str]] = {
+@cache
+def mrpt_off(low: float, high: float, step: float, n: int) -> float:
+    """How far MRPT's beams are from the scan's, at most; inf where it reads outside of the ranges."""
+    angle_min, increment = float(f(low)), float(f(step))
+    aperture = float(f(high) - f(low))
+    if aperture == 0:
+        # 0 * inf is no index.
+        return math.inf
+    ang_step, fov05, inv_ang_step = aperture / (n - 1), 0.5 * aperture, (n - 1) / aperture
+    off = 0.0
+    for i_mrpt in range(n):
+        i_ros = int(inv_ang_step * (-fov05 - angle_min + ang_step * i_mrpt))
+        if i_ros < 0:
+            i_ros += n
+        elif i_ros >= n:
+            i_ros -= n
+        if not 0 <= i_ros < n:
+            return math.inf
+        between = -fov05 + ang_step * i_mrpt - (angle_min + i_ros * increment)
+        off = max(off, abs(math.remainder(between, 2 * math.pi)))
+    return off
+
+
+RULES: dict[str, Callable[[Scan, Scan | None, Placed], str]] = {
     rule.__name__: rule for rule in (slam_toolbox, cartographer, gmapping, amcl, nav2, mrpt)
 }

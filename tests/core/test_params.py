@@ -223,7 +223,7 @@ def test_a_number_of_beams_is_met(geometry: str, low: float, span: float, beams:
 
 def test_a_preset_is_beaten_by_what_is_given() -> None:
     params = ProjectionParams.preset("gmapping", range_max=20.0, min_height=-1.0)
-    assert (params.geometry, params.range_max, params.min_height, params.empty_range) == ("centered", 20, -1, 21)
+    assert (params.geometry, params.range_max, params.min_height, params.empty_range) == ("half-open", 20, -1, 21)
     with pytest.raises(ParameterError, match="there is no preset 'karto', only slam_toolbox"):
         ProjectionParams.preset("karto")
 

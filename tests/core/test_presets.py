@@ -11,10 +11,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from core.consumer_rules import RULES
-from pc2scan.core.consumers import CONSUMERS, Scan, judge
+from pc2scan.core.consumers import CONSUMERS, Placed, Scan, judge
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.presets import PRESETS
 from pc2scan.core.project import project
+from pc2scan.errors import ParameterError
 
 #: Degrees: 20 fields of view by 15 increments; coarse ones too, where Karto's rule for circles is at its narrowest.
 FIELDS = (30, 45, 60, 90, 100, 120, 135, 150, 180, 190, 200, 220, 240, 250, 270, 300, 330, 350, 359, 360)
@@ -40,13 +41,13 @@ def scan_of(params: ProjectionParams) -> Scan:
 
 
 def test_every_preset_has_a_consumer_with_rules() -> None:
-    assert set(PRESETS) == set(CONSUMERS) - {"mrpt"}
+    assert set(PRESETS) == set(CONSUMERS)
 
 
 @pytest.mark.parametrize("consumer", PRESETS)
 @pytest.mark.parametrize("start", ["centred on x", "from 0", "from -pi"])
 def test_a_preset_is_accepted_on_the_grid(consumer: str, start: str) -> None:
-    for field in FIELDS:
+    for field in FIELDS if consumer != "mrpt" or start == "centred on x" else (360,):
         span = math.radians(field)
         low = {"centred on x": -span / 2, "from 0": 0.0, "from -pi": -math.pi}[start]
         for increment in INCREMENTS:
@@ -59,9 +60,17 @@ def test_a_preset_is_accepted_on_the_grid(consumer: str, start: str) -> None:
             )
             scan = scan_of(params)
             assert judge(consumer, scan).outcome == "accepted", (field, increment)
-            assert RULES[consumer](scan, scan) == "accepted"
-            # A finite range_max and the last beam's angle satisfy all the others too.
-            assert {name: judge(name, scan).outcome for name in CONSUMERS} == dict.fromkeys(CONSUMERS, "accepted")
+            assert RULES[consumer](scan, None, Placed()) == "accepted"
+            if params.geometry == "centered":
+                assert_others(scan)
+
+
+def assert_others(scan: Scan) -> None:
+    """A finite range_max and the last beam's angle satisfy all others that read the message as it is defined."""
+    found = {name: judge(name, scan).outcome for name in CONSUMERS}
+    assert found.pop("gmapping") == "shifted"
+    found.pop("mrpt")
+    assert set(found.values()) == {"accepted"}
 
 
 @given(st.floats(-7, 4), st.floats(0.1, 7), st.floats(math.radians(0.18), 0.6))
@@ -70,8 +79,7 @@ def test_any_centered_scan_is_accepted_by_all(low: float, span: float, increment
     params = ProjectionParams.preset(
         "nav2", angle_min=low, angle_max=low + max(span, 2 * increment), angle_increment=increment
     )
-    scan = scan_of(params)
-    assert {name: judge(name, scan).outcome for name in CONSUMERS} == dict.fromkeys(CONSUMERS, "accepted")
+    assert_others(scan_of(params))
 
 
 @given(st.sampled_from([-math.pi, 0.0, -math.pi / 2, 1.0]), st.integers(3, 2000))
@@ -79,7 +87,43 @@ def test_any_circle_of_a_number_of_beams_is_accepted_by_all(low: float, beams: i
     params = ProjectionParams.preset("amcl", angle_min=low, angle_max=low + 2 * math.pi, beams=beams)
     scan = scan_of(params)
     assert scan.beams == beams
-    assert {name: judge(name, scan).outcome for name in CONSUMERS} == dict.fromkeys(CONSUMERS, "accepted")
+    assert_others(scan)
+    # gmapping's circle is one for slam_toolbox too.
+    circle = scan_of(replace(params, geometry="half-open"))
+    assert {name: judge(name, circle).outcome for name in CONSUMERS if name != "mrpt"} == dict.fromkeys(
+        [name for name in CONSUMERS if name != "mrpt"], "accepted"
+    )
+    around = scan_of(replace(params, geometry="symmetric"))
+    assert judge("mrpt", around).outcome == "accepted"
+    assert_others(around)
+
+
+@given(st.floats(0.05, 3.1), st.integers(2, 2000))
+def test_any_symmetric_sector_is_where_mrpt_and_gmapping_place_it(half: float, beams: int) -> None:
+    for consumer in ("mrpt", "gmapping"):
+        scan = scan_of(ProjectionParams.preset(consumer, angle_min=-half, angle_max=half, beams=beams))
+        assert scan.beams == beams
+        assert judge(consumer, scan).outcome == "accepted"
+
+
+def test_a_sector_to_one_side_is_refused_for_mrpt() -> None:
+    with pytest.raises(ParameterError, match="not symmetric around 0") as caught:
+        ProjectionParams.preset("mrpt", angle_min=0.0, angle_max=1.5)
+    assert caught.value.hint == "`angle_min=-1.5` `angle_max=1.5`, or a full circle"
+
+
+@pytest.mark.parametrize(("preset", "turned"), [("slam_toolbox", 0.5), ("gmapping", 0.0)])
+def test_where_gmapping_sees_a_wall(preset: str, turned: float) -> None:
+    """Heading of points as gmapping places them against where they are: half a beam off, or not."""
+    angles = np.linspace(-3.1, 3.1, 5000)
+    params = ProjectionParams.preset(preset, min_height=-1.0)
+    ranges = project(np.stack([5 * np.cos(angles), 5 * np.sin(angles), 0 * angles], axis=1), params).ranges
+    layout = params.layout
+    beams = np.flatnonzero(ranges < 50)
+    middle = (layout.angle_min + layout.angle_max) / 2
+    seen = middle + (beams - ranges.size / 2) * layout.angle_increment
+    true = layout.angle_min + beams * layout.angle_increment
+    assert np.abs(seen - true).max() / layout.angle_increment == pytest.approx(turned, abs=1e-3)
 
 
 def test_without_a_preset_they_refuse_or_misplace() -> None:

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pytest
 
 from e2e.command import run
 from pc2scan.cli.check import Consumer
 from pc2scan.core.consumers import CONSUMERS
-from scan_recordings import scans, write
+from scan_recordings import GOOD, scans, write
 from support import GOLDEN, ROOT
 
 if TYPE_CHECKING:
@@ -30,8 +33,81 @@ def test_good_scans(tmp_path: Path) -> None:
     done = run("check", path)
     assert (done.status, done.stderr) == (0, "")
     assert "/scan: 5 scans of 9 beams" in done.stdout
-    assert done.stdout.count("accepted\n") == len(CONSUMERS)
-    assert done.stdout.splitlines()[-1].startswith("ok: accepted by slam_toolbox, cartographer")
+    assert done.stdout.count("accepted\n") == len(CONSUMERS) - 1
+    assert done.stdout.splitlines()[-1] == "ok; shifted: gmapping"
+    done = run("check", path, "--for", "slam_toolbox", "--for", "cartographer")
+    assert done.stdout.splitlines()[-1] == "ok: accepted by slam_toolbox, cartographer"
+
+
+def test_good_scans_for_gmapping(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.mcap", *scans(5))
+    done = run("check", path, "--for", "gmapping")
+    assert (done.status, done.stdout.splitlines()[-1]) == (1, "not ok; shifted: gmapping")
+    assert "cure  advertise angle_max = angle_min + 9 * angle_increment: pc2scan convert --preset" in done.stdout
+
+
+def test_scans_without_transforms_are_not_ok(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.mcap", *scans(5), tree=())
+    done = run("check", path, "--for", "slam_toolbox")
+    assert done.status == 1
+    assert "slam_toolbox  ignored" in done.stdout
+    assert "here  the recording has no transforms; allowed: transforms at the scan's stamp" in done.stdout
+    assert "--tf-from takes them from another recording" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("change", "consumer", "outcome", "told"),
+    [
+        ({"range_max": math.inf, "ranges": [math.inf] * 9}, "gmapping", "aborts", "9 infinite ranges"),
+        ({"range_max": 20.0, "ranges": [19.9999] * 9}, "slam_toolbox", "misplaced", "9 ranges of range_max 20"),
+        ({"time_increment": -1e-3}, "cartographer", "misplaced", "time_increment -0.00"),
+        ({"frame_id": "/laser"}, "cartographer", "aborts", "frame_id '/laser'"),
+        ({"angle_min": 0.0, "angle_max": 2.0}, "mrpt", "misplaced", "ranges"),
+    ],
+)
+def test_what_was_accepted_and_is_not(
+    change: dict[str, Any], consumer: str, outcome: str, told: str, tmp_path: Path
+) -> None:
+    change = {name: np.array(value, np.float32) if name == "ranges" else value for name, value in change.items()}
+    path = write(tmp_path / "a.mcap", *scans(3, replace(GOOD, **change)))
+    done = run("check", path, "--for", consumer)
+    assert done.status == 1
+    assert f"{consumer:<14}{outcome}\n" in done.stdout
+    assert told in done.stdout
+
+
+def test_more_than_a_circle_optical_frames_and_empty_scans_are_defects(tmp_path: Path) -> None:
+    degrees = replace(GOOD, angle_min=-180.0, angle_max=180.0, angle_increment=45.0)
+    path = write(tmp_path / "degrees.mcap", *scans(3, degrees))
+    done = run("check", path, "--for", "amcl")
+    assert done.status == 1
+    assert "defect: 3 of 3 scans cover more than a full circle" in done.stdout
+    optical = replace(GOOD, frame_id="camera_optical_frame")
+    path = write(tmp_path / "optical.mcap", *scans(3, optical), tree=(("odom", "base_link"),))
+    done = run("check", path, "--for", "cartographer")
+    assert done.status == 1
+    assert "defect: the frame 'camera_optical_frame' is an optical frame by its name" in done.stdout
+    empty = write(tmp_path / "empty.mcap", *scans(3, replace(GOOD, ranges=np.full(9, math.inf, np.float32))))
+    done = run("check", empty, "--for", "nav2")
+    assert done.status == 1
+    assert "defect: 3 of 3 scans have no return at all" in done.stdout
+
+
+@pytest.mark.parametrize("consumer", CONSUMERS)
+def test_a_preset_is_accepted_by_its_consumer(consumer: str, tmp_path: Path) -> None:
+    made = run("convert", HALL, "-o", tmp_path / "out.mcap", "--preset", consumer, "--min-height", "-0.3", "--quiet")
+    assert (made.status, made.stderr) == (0, "")
+    done = run("check", tmp_path / "out.mcap", "--for", consumer)
+    assert (done.status, done.stdout.splitlines()[-1]) == (0, f"ok: accepted by {consumer}")
+
+
+def test_a_sector_to_one_side_cannot_be_made_for_mrpt(tmp_path: Path) -> None:
+    done = run(
+        "convert", HALL, "-o", tmp_path / "out.mcap", "--preset", "mrpt", "--angle-min", "0", "--angle-max", "1.5"
+    )
+    assert done.status == 2
+    assert "not symmetric around 0" in done.stderr
+    assert "--angle-min -1.5 --angle-max 1.5" in done.stderr
 
 
 @pytest.mark.parametrize("name", ["out.bag", "out.mcap", "out"])
@@ -68,11 +144,15 @@ def test_convert_warns_and_check_says_why(name: str, tmp_path: Path) -> None:
 
 
 def test_what_upstream_wrote_for_its_defaults_and_its_sample() -> None:
-    """Of the nodes' own outputs: both are taken by slam_toolbox, and both have a last beam that is not angle_max."""
-    for name, misplaced in (("defaults", {"cartographer", "gmapping", "nav2", "mrpt"}), ("launch_sample", {"mrpt"})):
-        found = json.loads(run("check", GOLDEN / name / "expected.bag", "--json").stdout)
+    """Of the nodes' own outputs, which have a last beam that is not angle_max; the recordings have no transforms."""
+    for name, wrong in (
+        ("defaults", {"cartographer": "misplaced", "gmapping": "aborts", "nav2": "misplaced", "mrpt": "misplaced"}),
+        ("launch_sample", {"gmapping": "shifted", "mrpt": "misplaced"}),
+    ):
+        expected = GOLDEN / name / "expected.bag"
+        found = json.loads(run("check", expected, "--json", "--base-frame", "lidar", "--odom-frame", "lidar").stdout)
         outcomes = {c["consumer"]: c["outcome"] for topic in found["topics"] for c in topic["consumers"]}
-        assert outcomes == {c: "misplaced" if c in misplaced else "accepted" for c in CONSUMERS}, name
+        assert outcomes == dict.fromkeys(CONSUMERS, "accepted") | wrong, name
 
 
 def test_nothing_is_warned_of_where_nobody_refuses(tmp_path: Path) -> None:

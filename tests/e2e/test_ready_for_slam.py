@@ -12,7 +12,7 @@ import pytest
 from core.consumer_rules import RULES
 from e2e.command import run
 from e2e.outputs import opened
-from pc2scan.core.consumers import Scan
+from pc2scan.core.consumers import Placed, Scan
 from pc2scan.core.presets import PRESETS
 from support import ROOT
 
@@ -46,11 +46,14 @@ def test_a_preset_is_accepted_by_its_consumer(consumer: str, tmp_path: Path) -> 
     scans = opened(destination).scans()
     assert len(scans) == 5
     first = described(scans[0])
-    assert {RULES[consumer](described(scan), first) for scan in scans} == {"accepted"}
+    assert {RULES[consumer](described(scan), first, Placed()) for scan in scans} == {"accepted"}
+    # gmapping wants angle_max one increment behind the last beam.
+    steps = 360 if consumer == "gmapping" else 359
     for scan in scans:
         assert len(scan.ranges) == 360
-        last = scan.angle_min + 359 * float(np.float32(scan.angle_increment))
-        assert np.float32(scan.angle_max) == np.float32(last)
+        last = scan.angle_min + steps * float(np.float32(scan.angle_increment))
+        assert scan.angle_max == pytest.approx(last, abs=1e-6)
+        assert (scan.angle_min + scan.angle_max == pytest.approx(0, abs=1e-6)) == (consumer in {"gmapping", "mrpt"})
         assert scan.scan_time == np.float32(0.1)
         assert np.isinf(scan.ranges).any() == (consumer != "gmapping")
     told = json.loads(report.read_text())

@@ -147,7 +147,7 @@ def test_words_among_numbers(written: str, expected: object) -> None:
         ("scan_time:=never", "scan_time: expected a number or auto, got 'never' (from --param scan_time:=never)"),
         ("range_min:=auto", "range_min: expected a number, got 'auto' (from --param range_min:=auto)"),
         ("no_return:=1.5", "no_return: expected inf, range-max-plus, range-max-minus, nan, zero, got 1.5 (from"),
-        ("geometry:=.inf", "geometry: expected upstream, centered, got inf (from"),
+        ("geometry:=.inf", "geometry: expected upstream, centered, half-open, symmetric, got inf (from"),
         ("reduce:=best", "reduce: expected min, max, mean, median, kth, got 'best' (from --param reduce:=best)"),
         ("beams:=1.5", "beams: expected a whole number, got 1.5 (from --param beams:=1.5)"),
     ],
@@ -206,7 +206,8 @@ def test_a_preset_is_the_weakest(consumer: str, load: Load) -> None:
     file = load(ros2({"use_inf": "true", "range_max": 4.0, "scan_time": 0.3333}))
     option = Setting("range_min", 0.5, "--range-min")
     resolved = resolve([option, *file.settings, *preset_settings(consumer)])
-    assert resolved.params == ProjectionParams(geometry="centered", range_min=0.5, range_max=4.0, scan_time=0.3333)
+    geometry = {"gmapping": "half-open", "mrpt": "symmetric"}.get(consumer, "centered")
+    assert resolved.params == ProjectionParams(geometry=geometry, range_min=0.5, range_max=4.0, scan_time=0.3333)
     assert resolved.origin["geometry"] == f"--preset {consumer}"
     assert resolved.origin["no_return"] == "default"
     assert resolve(preset_settings(consumer)).params == ProjectionParams.preset(consumer)
@@ -215,7 +216,7 @@ def test_a_preset_is_the_weakest(consumer: str, load: Load) -> None:
 def test_a_preset_that_does_not_exist() -> None:
     err = failure(lambda: preset_settings("slamtoolbox"))
     assert str(err) == "there is no preset 'slamtoolbox'; did you mean slam_toolbox?"
-    assert err.hint == "the presets are slam_toolbox, cartographer, gmapping, amcl, nav2"
+    assert err.hint == "the presets are slam_toolbox, cartographer, gmapping, amcl, nav2, mrpt"
 
 
 def test_a_setting_that_loses_is_checked_all_the_same() -> None:

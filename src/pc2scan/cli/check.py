@@ -69,13 +69,14 @@ def check(
     transforms: TfSources,
     as_json: Json = False,
 ) -> None:
-    """Tell whether SLAM and navigation would take a recording's scans.
+    """Check whether SLAM and navigation would take a recording's scans.
 
-    For each LaserScan topic and consumer: accepted; misplaced (taken, but with beams or ranges where nothing is);
-    ignored; or aborts (the consumer dies). With the rule, the numbers and the cure. Then what is wrong whoever
-    reads the scans: frames and transforms, stamps, rates, lengths, ranges. Defects, or merely worth a notice.
+    For each LaserScan topic and consumer: accepted; shifted (taken, but turned by up to one beam); misplaced (taken,
+    but with beams or ranges where nothing is); ignored; or aborts (the consumer ends). With the rule, the numbers and
+    the cure. Then what is wrong whoever reads the scans: frames and transforms, stamps, rates, lengths, ranges.
+    Defects, or merely worth a notice.
 
-    Exit status: 0 all accepted (and no defect, without --for), 1 not, 2 wrong usage.
+    Exit status: 0 all accepted (without --for: or shifted, and no defect), 1 not, 2 wrong usage.
     """
     from pc2scan.inspect.check import check as look
 

@@ -245,8 +245,8 @@ class Projection(Group):
         str | None,
         typer.Option(
             metavar="CONSUMER",
-            help="Choose what suits a consumer of the scans: slam_toolbox, cartographer, gmapping, amcl, nav2. Every "
-            "parameter that is given, here or in a file, beats it.",
+            help="Choose what suits a consumer of the scans: slam_toolbox, cartographer, gmapping, amcl, nav2, mrpt. "
+            "Every parameter that is given, here or in a file, beats it.",
             rich_help_panel=_SLAM,
         ),
     ] = None

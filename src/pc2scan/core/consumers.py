@@ -1,12 +1,15 @@
-"""What the programs that read laser scans do with one: take it, ignore it, die of it, or mis-place its beams.
+"""What the programs that read laser scans do with one: take it, ignore it, abort, or misplace its beams.
 
 Sources of the rules, in C++ (floats of the message are float32, literals float64 unless marked):
 
-- slam_toolbox: ``LaserAssistant::makeLaser`` (laser_utils.cpp), ``LaserRangeFinder::Update``, ``Validate`` (Karto.h).
-- Cartographer: ``LaserScanToPointCloudWithIntensities`` (cartographer_ros, msg_conversion.cc).
-- gmapping: ``initMapper`` and ``addScan`` (slam_gmapping.cpp), ``setLaserParameters`` (openslam, scanmatcher.cpp).
-- AMCL: ``AmclNode::updateFilter`` (nav2_amcl, amcl_node.cpp).
-- Nav2: ``Scan::getSourceData`` (nav2_collision_monitor, scan.cpp). Its costmap leaves infinite ranges out: it takes
+- slam_toolbox: ``LaserAssistant::makeLaser`` (laser_utils.cpp), ``LaserRangeFinder::Update``, ``Validate``,
+  ``LocalizedRangeScan::Update`` and ``OccupancyGrid::AddScan`` (Karto.h), ``laserCallback`` (slam_toolbox_async.cpp).
+- Cartographer: ``LaserScanToPointCloudWithIntensities`` (cartographer_ros, msg_conversion.cc), ``HandleLaserScan`` and
+  ``HandleRangefinder`` (sensor_bridge.cc), ``LocalTrajectoryBuilder2D::AddRangeData`` (cartographer).
+- gmapping: ``initMapper``, ``getOdomPose`` and ``addScan`` (slam_gmapping.cpp), ``RangeSensor`` (openslam,
+  rangesensor.cpp), ``setLaserParameters``, ``computeActiveArea`` (scanmatcher.cpp).
+- AMCL: ``AmclNode::updateFilter`` and its message filter (nav2_amcl, amcl_node.cpp).
+- Nav2: ``Scan::getSourceData`` (nav2_collision_monitor, scan.cpp). Its costmap ignores infinite ranges: it takes
   what laser_geometry takes, ``range < range_max``.
 - MRPT: ``fromROS`` (ros2bridge, laser_scan.cpp).
 
@@ -18,33 +21,57 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Literal
 
-from .params import float32
+import numpy as np
+
+from .params import float32, range_max_minus
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    import numpy as np
     from numpy.typing import NDArray
 
-__all__ = ["CONSUMERS", "OUTCOMES", "Outcome", "Scan", "Verdict", "expected_by_karto", "judge", "last_beam"]
+__all__ = [
+    "CONSUMERS",
+    "OUTCOMES",
+    "Outcome",
+    "Placed",
+    "Scan",
+    "Verdict",
+    "expected_by_karto",
+    "judge",
+    "last_beam",
+]
 
-Outcome = Literal["accepted", "misplaced", "ignored", "aborts"]
+Outcome = Literal["accepted", "shifted", "misplaced", "ignored", "aborts"]
 
-#: From the harmless to the worst: accepted; taken, but with beams or ranges where there is nothing; thrown away; a
-#: failed check that ends the process.
-OUTCOMES: tuple[Outcome, ...] = ("accepted", "misplaced", "ignored", "aborts")
+#: From the harmless to the worst: accepted; taken, but turned by up to one beam; taken, but with beams or ranges where
+#: there is nothing; dropped; a failure that ends the process.
+OUTCOMES: tuple[Outcome, ...] = ("accepted", "shifted", "misplaced", "ignored", "aborts")
 
 #: gmapping asserts ``beams < LASER_MAXBEAMS``.
 _GMAPPING_BEAMS = 2048
 
-#: MRPT asserts ``ranges.size() > 2``.
-_MRPT_BEAMS = 3
+#: gmapping does not start while the z axis of the scan's frame differs from the robot's by more than this.
+_GMAPPING_TILT = 0.001
 
-#: Beams that are off by more than this share of an increment are mis-placed. Smaller differences are roundings of a
+#: slam_toolbox's default of ``max_laser_range``, metres.
+_KARTO_RANGE = 25.0
+
+#: MRPT asserts ``ranges.size() > 1``.
+_MRPT_BEAMS = 2
+
+#: Beams that are off by more than this share of an increment are shifted. Smaller differences are roundings of a
 #: driver's angles; none of the consumers draws the line itself.
-_MISPLACED = 0.1
+_OFF = 0.1
+
+#: Beams that are off by more than so many increments are misplaced.
+_SHIFTED = 1.0 + _OFF
+
+#: Where more than this share of a scan's ranges are `Scan.full`, these are no returns.
+_MISSES = 0.01
 
 _TWO_PI = 2 * math.pi
 
@@ -83,6 +110,8 @@ class Scan:
         Ranges below ``range_min``, the zeros among them included.
     long
         Finite ranges above ``range_max``.
+    full
+        Ranges that are ``range_max`` or 0.1 mm less (``no_return: range-max-minus``), as some write no return.
     """
 
     angle_min: float
@@ -100,6 +129,7 @@ class Scan:
     zero: int = 0
     short: int = 0
     long: int = 0
+    full: int = 0
 
     def __post_init__(self) -> None:
         for name in (
@@ -149,7 +179,37 @@ class Scan:
             zero=int((ranges == 0).sum()),
             short=int((ranges < low).sum()),
             long=int(((ranges > high) & (ranges < math.inf)).sum()),
+            full=int(((ranges == high) | (ranges == range_max_minus(high))).sum()) if 0 < high < math.inf else 0,
         )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Placed:
+    """What the transforms say of a scan, at its stamp.
+
+    Attributes
+    ----------
+    frame_id
+        The frame in the scan's header.
+    odometry, robot
+        Whether there is a transform from the scan's frame to the odometry's frame, and to the robot's; None if that
+        is not known.
+    up
+        The z coordinate, in the scan's frame, of the point on the robot's z axis that is 1 m above the sensor: 1 for
+        a level sensor, -1 upside down. None if that is not known.
+    missing
+        Why a transform is missing.
+    """
+
+    frame_id: str = ""
+    odometry: bool | None = None
+    robot: bool | None = None
+    up: float | None = None
+    missing: str = ""
+
+
+#: Nothing is known of the transforms.
+_ANYWHERE = Placed()
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,6 +228,8 @@ class Verdict:
         What the scan has, and what the rule wants.
     cure
         What to do about it.
+    unplaced
+        Whether the scan is ignored for its transforms. The consumer then waits for the next one, and keeps nothing.
     """
 
     consumer: str
@@ -176,6 +238,7 @@ class Verdict:
     observed: str = ""
     allowed: str = ""
     cure: str = ""
+    unplaced: bool = False
 
     @property
     def refused(self) -> bool:
@@ -183,7 +246,7 @@ class Verdict:
         return self.outcome in ("ignored", "aborts")
 
 
-def judge(consumer: str, scan: Scan, first: Scan | None = None) -> Verdict:
+def judge(consumer: str, scan: Scan, first: Scan | None = None, placed: Placed | None = None) -> Verdict:
     """What a consumer does with a scan.
 
     Parameters
@@ -195,13 +258,18 @@ def judge(consumer: str, scan: Scan, first: Scan | None = None) -> Verdict:
     first
         The first scan that this consumer saw of the sensor: slam_toolbox and gmapping keep its angles and its
         length for all others. None if this is the first.
+    placed
+        What the transforms say of the scan; None: they are not considered.
 
     Raises
     ------
     KeyError
         If there is no such consumer.
     """
-    return CONSUMERS[consumer](scan, scan if first is None else first)
+    place = placed or _ANYWHERE
+    return _unplaced(consumer, place, started=first is not None) or CONSUMERS[consumer](
+        scan, scan if first is None else first, place
+    )
 
 
 def last_beam(scan: Scan) -> float:
@@ -233,30 +301,80 @@ def _rounded(value: float) -> int:
     return math.floor(value + 0.5) if value >= 0 else math.ceil(value - 0.5)
 
 
-def _slam_toolbox(scan: Scan, first: Scan) -> Verdict:
+#: The transforms without which a consumer drops a scan: to the odometry's frame, and to the robot's.
+_NEEDS: dict[str, tuple[str, ...]] = {
+    "slam_toolbox": ("odometry", "robot"),
+    "cartographer": ("robot",),
+    "gmapping": ("odometry", "robot"),
+    "amcl": ("odometry", "robot"),
+    "nav2": ("robot",),
+    "mrpt": ("robot",),
+}
+
+
+def _unplaced(consumer: str, placed: Placed, *, started: bool) -> Verdict | None:
+    """The verdict on a scan that a consumer ignores for its transforms; None if it takes it."""
+    lacking = [role for role in _NEEDS[consumer] if getattr(placed, role) is False]
+    if lacking:
+        return Verdict(
+            consumer,
+            "ignored",
+            f"a scan without a transform to the {' and the '.join(f'{role} frame' for role in lacking)} is dropped",
+            placed.missing or f"no transform from {placed.frame_id!r}",
+            "transforms at the scan's stamp",
+            "keep /tf and /tf_static when recording or converting; `tf_from` takes them from another recording",
+            unplaced=True,
+        )
+    if consumer == "gmapping" and not started and placed.up is not None and _tilted(placed.up):
+        return Verdict(
+            consumer,
+            "ignored",
+            "it does not start unless the sensor is level: abs(abs(z) - 1) <= 0.001 for the point 1 m above it",
+            f"z {placed.up:.6g} in the scan's frame {placed.frame_id!r}",
+            "0.999 to 1.001, or -1.001 to -0.999",
+            "make level scans: pc2scan convert --target-frame base_link",
+            unplaced=True,
+        )
+    return None
+
+
+def _tilted(up: float) -> bool:
+    return not abs(abs(up) - 1) <= _GMAPPING_TILT
+
+
+def _slam_toolbox(scan: Scan, first: Scan, _placed: Placed) -> Verdict:
     expected = expected_by_karto(first)
-    if expected == scan.beams:
-        return _kept_angles("slam_toolbox", scan, first)
-    if scan.beams != first.beams and expected == first.beams:
+    if expected != scan.beams:
+        if scan.beams != first.beams and expected == first.beams:
+            return Verdict(
+                "slam_toolbox",
+                "ignored",
+                "every scan must be as long as the first one's angles say",
+                f"{scan.beams} ranges",
+                f"{expected} ranges",
+                "give all scans one number of beams (pc2scan convert does, to scans made from clouds)",
+            )
         return Verdict(
             "slam_toolbox",
             "ignored",
-            "every scan must be as long as the first one's angles say",
+            "len(ranges) must be round((angle_max - angle_min) / angle_increment) + 1, or + 0 for a full circle",
             f"{scan.beams} ranges",
-            f"{expected} ranges",
-            "give all scans one number of beams (pc2scan convert does, to scans made from clouds)",
+            f"{expected} ranges" if expected is not None and expected > 0 else "angles that make a number of beams",
+            f"{_advertise(first)}: pc2scan convert --preset slam_toolbox, or --geometry centered",
         )
-    return Verdict(
-        "slam_toolbox",
-        "ignored",
-        "len(ranges) must be round((angle_max - angle_min) / angle_increment) + 1, or + 0 for a full circle",
-        f"{scan.beams} ranges",
-        f"{expected} ranges" if expected is not None and expected > 0 else "angles that make a number of beams",
-        f"{_advertise(first)}: pc2scan convert --preset slam_toolbox, or --geometry centered",
-    )
+    if first.range_max <= _KARTO_RANGE and scan.full > _MISSES * scan.beams:
+        return Verdict(
+            "slam_toolbox",
+            "misplaced",
+            "a finite range up to range_max is a return if range_max is at most max_laser_range (default 25 m)",
+            f"{scan.full} ranges of range_max {scan.range_max:.9g} or 0.1 mm less: points where nothing is",
+            "inf for no return, or a range_max above max_laser_range",
+            "`no_return=inf`, or `range_max=100.0`: pc2scan convert --preset slam_toolbox",
+        )
+    return _kept_angles("slam_toolbox", scan, first)
 
 
-def _cartographer(scan: Scan, _first: Scan) -> Verdict:
+def _cartographer(scan: Scan, _first: Scan, placed: Placed) -> Verdict:
     def aborts(rule: str, observed: str, allowed: str, cure: str) -> Verdict:
         return Verdict("cartographer", "aborts", rule, observed, allowed, cure)
 
@@ -287,12 +405,31 @@ def _cartographer(scan: Scan, _first: Scan) -> Verdict:
             "CHECK len(intensities) == len(ranges), if there are intensities",
             f"{scan.intensities} intensities",
             f"0 or {scan.beams}",
-            "leave the intensities out, or give every beam one",
+            "write no intensities, or one for every beam",
         )
-    return _infinite_hits("cartographer", scan)
+    # A scan without points is dropped before its frame is looked at.
+    if hits and placed.frame_id.startswith("/"):
+        return aborts(
+            "CHECK that the frame_id has no leading slash",
+            f"frame_id {placed.frame_id!r}",
+            repr(placed.frame_id.removeprefix("/")),
+            "for scans made from clouds: pc2scan convert --source-frame",
+        )
+    if hits > 1 and scan.time_increment < 0:
+        return Verdict(
+            "cartographer",
+            "misplaced",
+            "points are taken in the order of time: those that are earlier than the first are placed at its pose",
+            f"time_increment {scan.time_increment:.9g} s",
+            ">= 0",
+            "`time_increment=0.0`: pc2scan convert --preset cartographer",
+        )
+    if scan.infinite and scan.range_max == math.inf:
+        return _infinite_hits("cartographer", scan)
+    return Verdict("cartographer")
 
 
-def _gmapping(scan: Scan, first: Scan) -> Verdict:
+def _gmapping(scan: Scan, first: Scan, placed: Placed) -> Verdict:
     if first.beams >= _GMAPPING_BEAMS:
         return Verdict(
             "gmapping",
@@ -311,23 +448,56 @@ def _gmapping(scan: Scan, first: Scan) -> Verdict:
             f"{first.beams} ranges",
             "give all scans one number of beams (pc2scan convert does, to scans made from clouds)",
         )
-    verdict = _infinite_hits("gmapping", scan)
-    if verdict.outcome != "accepted":
-        return verdict
-    # Ranges below range_min are replaced by range_max.
-    if math.isinf(scan.range_max) and scan.short:
+    # Ranges above the first scan's range_max are skipped, and ranges below range_min become range_max.
+    infinite = scan.infinite + (scan.short if scan.range_max == math.inf else 0)
+    if infinite and not math.inf > first.range_max:
         return Verdict(
             "gmapping",
-            "misplaced",
-            "a range below range_min becomes range_max, and goes into the map",
-            f"{scan.short} ranges below range_min, range_max {scan.range_max:.9g}",
+            "aborts",
+            "the map grows until it contains every range up to range_max; ranges below range_min become range_max",
+            f"{scan.infinite} infinite ranges, {scan.short} below range_min, range_max {first.range_max:.9g}",
             "a finite range_max",
             "give a finite `range_max`: pc2scan convert --preset gmapping",
         )
-    return _kept_angles("gmapping", scan, first)
+    kept = _kept_angles("gmapping", scan, first)
+    return kept if kept.outcome != "accepted" else _half_open(scan, placed)
 
 
-def _amcl(scan: Scan, _first: Scan) -> Verdict:
+def _half_open(scan: Scan, placed: Placed) -> Verdict:
+    """The verdict of gmapping on where it places the beams of a scan.
+
+    Its beams are in the order of growing angles, beam ``i`` at ``(i - N / 2) * angle_increment`` from the middle
+    between ``angle_min`` and ``angle_max``; of a sensor that is upside down, seen from below.
+    """
+    if not scan.beams:
+        return Verdict("gmapping")
+    step = abs(scan.angle_increment)
+    middle = float32(float32(scan.angle_min + scan.angle_max) / 2)
+    down = placed.up is not None and placed.up <= 0
+    reverse = scan.angle_min < scan.angle_max if down else scan.angle_min > scan.angle_max
+    off = max(
+        (
+            middle
+            + (-1 if down else 1) * ((scan.beams - 1 - beam if reverse else beam) - scan.beams / 2) * step
+            - (scan.angle_min + beam * scan.angle_increment)
+            for beam in (0, scan.beams - 1)
+        ),
+        key=abs,
+    )
+    steps = scan.beams - 2 if reverse else scan.beams
+    wanted = float32(scan.angle_min + steps * scan.angle_increment)
+    return _off(
+        "gmapping",
+        scan,
+        off,
+        "beam i is placed at (i - len(ranges) / 2) * angle_increment from the middle between angle_min and angle_max",
+        f"angle_max {scan.angle_max:.9g}",
+        f"angle_max {wanted:.9g}",
+        f"advertise angle_max = angle_min + {steps} * angle_increment: pc2scan convert --preset gmapping",
+    )
+
+
+def _amcl(scan: Scan, _first: Scan, _placed: Placed) -> Verdict:
     if scan.range_max <= 0:
         return Verdict(
             "amcl",
@@ -340,33 +510,61 @@ def _amcl(scan: Scan, _first: Scan) -> Verdict:
     return Verdict("amcl")
 
 
-def _nav2(scan: Scan, _first: Scan) -> Verdict:
-    return _infinite_hits("nav2", scan)
+def _nav2(scan: Scan, _first: Scan, _placed: Placed) -> Verdict:
+    return _infinite_hits("nav2", scan) if scan.infinite and scan.range_max == math.inf else Verdict("nav2")
 
 
-def _mrpt(scan: Scan, _first: Scan) -> Verdict:
+def _mrpt(scan: Scan, _first: Scan, _placed: Placed) -> Verdict:
     if scan.beams < _MRPT_BEAMS:
         return Verdict(
             "mrpt",
             "aborts",
-            "ASSERT(ranges.size() > 2)",
+            "ASSERT(ranges.size() > 1)",
             f"{scan.beams} ranges",
             f"at least {_MRPT_BEAMS}",
             "more beams",
         )
-    # angle_increment is not read: the step is the aperture over the number of steps.
-    step = float32(scan.angle_max - scan.angle_min) / (scan.beams - 1)
-    off = (scan.beams - 1) * (step - scan.angle_increment)
-    if abs(off) <= _MISPLACED * abs(scan.angle_increment):
-        return Verdict("mrpt")
-    return Verdict(
+    off = _mrpt_off(scan.angle_min, scan.angle_max, scan.angle_increment, scan.beams)
+    half = (scan.beams - 1) * abs(scan.angle_increment) / 2
+    return _off(
         "mrpt",
-        "misplaced",
-        "angle_increment is ignored, the step is (angle_max - angle_min) / (len(ranges) - 1)",
-        f"a step of {step:.9g}, the last beam off by {abs(math.degrees(off)):.3g} deg",
-        f"angle_increment {scan.angle_increment:.9g}",
-        f"{_advertise(scan)}: pc2scan convert --geometry centered",
+        scan,
+        off,
+        "angles run from -(angle_max - angle_min) / 2 to + that, in equal steps; angle_increment is not read, and "
+        "each beam takes the range at its index, truncated",
+        f"angle_min {scan.angle_min:.9g}, angle_max {scan.angle_max:.9g}",
+        f"a sector around 0: {-half:.6g} to {half:.6g}",
+        "pc2scan convert --preset mrpt, or --geometry symmetric",
     )
+
+
+@lru_cache(maxsize=64)
+def _mrpt_off(angle_min: float, angle_max: float, angle_increment: float, beams: int) -> float:
+    """How far MRPT's beams are from where a scan says, at most, radians; inf where it reads outside of the ranges."""
+    aperture = float32(angle_max - angle_min)
+    if not (math.isfinite(aperture) and math.isfinite(angle_increment)) or aperture == 0:
+        return math.inf
+    number = np.arange(beams)
+    step, half, inverse = aperture / (beams - 1), 0.5 * aperture, (beams - 1) / aperture
+    # The order of the operations is MRPT's: what is truncated is often a whole number but for roundings.
+    taken = np.trunc(inverse * ((-half - angle_min) + step * number))
+    taken += np.where(taken < 0, beams, np.where(taken >= beams, -beams, 0))
+    if taken.min() < 0 or taken.max() >= beams:
+        return math.inf
+    off = (-half + step * number) - (angle_min + taken * angle_increment)
+    return float(np.abs(off - _TWO_PI * np.rint(off / _TWO_PI)).max())
+
+
+def _off(consumer: str, scan: Scan, off: float, rule: str, observed: str, allowed: str, cure: str) -> Verdict:
+    """The verdict on a scan whose beams are at most so far from where it says, radians."""
+    share = abs(off) / abs(scan.angle_increment) if scan.angle_increment else math.inf if off else 0.0
+    if share <= _OFF:
+        return Verdict(consumer)
+    turned = f"beams off by up to {abs(math.degrees(off)):.3g} deg ({share:.3g} of an increment)"
+    if off == math.inf:
+        turned = "ranges are read that the scan does not have"
+    outcome: Outcome = "shifted" if share <= _SHIFTED else "misplaced"
+    return Verdict(consumer, outcome, rule, f"{observed}: {turned}", allowed, cure)
 
 
 def _advertise(scan: Scan) -> str:
@@ -375,13 +573,7 @@ def _advertise(scan: Scan) -> str:
 
 
 def _infinite_hits(consumer: str, scan: Scan) -> Verdict:
-    """The verdict of a consumer that takes range_min <= range <= range_max for a return.
-
-    gmapping leaves out what is above range_max instead, which is something else if that is NaN.
-    """
-    passes = not math.inf > scan.range_max if consumer == "gmapping" else math.inf <= scan.range_max
-    if not (passes and scan.infinite):
-        return Verdict(consumer)
+    """The verdict of a consumer that takes range_min <= range <= range_max for a return, both infinite."""
     return Verdict(
         consumer,
         "misplaced",
@@ -397,7 +589,7 @@ def _kept_angles(consumer: str, scan: Scan, first: Scan) -> Verdict:
     begin = scan.angle_min - first.angle_min
     end = begin + (scan.beams - 1) * (scan.angle_increment - first.angle_increment)
     off = max(abs(begin), abs(end))
-    if not scan.beams or off <= _MISPLACED * abs(first.angle_increment):
+    if not scan.beams or off <= _OFF * abs(first.angle_increment):
         return Verdict(consumer)
     return Verdict(
         consumer,
@@ -411,7 +603,7 @@ def _kept_angles(consumer: str, scan: Scan, first: Scan) -> Verdict:
 
 
 #: The consumers by name, in the order in which they are shown.
-CONSUMERS: dict[str, Callable[[Scan, Scan], Verdict]] = {
+CONSUMERS: dict[str, Callable[[Scan, Scan, Placed], Verdict]] = {
     "slam_toolbox": _slam_toolbox,
     "cartographer": _cartographer,
     "gmapping": _gmapping,

@@ -8,9 +8,18 @@ from __future__ import annotations
 
 import math
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-__all__ = ["TURN", "BeamLayout", "beam_count", "centered_layout", "float32", "upstream_layout"]
+__all__ = [
+    "TURN",
+    "BeamLayout",
+    "beam_count",
+    "centered_layout",
+    "float32",
+    "half_open_layout",
+    "symmetric_layout",
+    "upstream_layout",
+]
 
 TURN = 2 * math.pi
 
@@ -57,7 +66,7 @@ class BeamLayout:
         Length of ``ranges``.
     angle_min, angle_max, angle_increment
         As in the message. Beam ``i`` looks at ``angle_min + i * angle_increment``: upstream means the lower edge of
-        the beam by it, the centered geometry its middle.
+        the beam by it, the other geometries its middle.
     full_circle
         Whether the last beam and the first are neighbours, and every angle belongs to one of the beams. Upstream's
         geometry knows nothing of that: False.
@@ -130,6 +139,30 @@ def centered_layout(angle_min: float, angle_max: float, angle_increment: float, 
     if (beams or full_circle) and increment > step:
         increment = _float32_beside(increment, -1)
     return BeamLayout(count, first, float32(first + (count - 1) * increment), increment, full_circle)
+
+
+def half_open_layout(angle_min: float, angle_max: float, angle_increment: float, beams: int = 0) -> BeamLayout:
+    """The beams of `centered_layout`, with an ``angle_max`` one increment behind the last beam's middle.
+
+    Why: gmapping places beam ``i`` at ``(i - N / 2) * angle_increment`` from the middle between ``angle_min`` and
+    ``angle_max``, which is where it is if ``angle_max`` is ``angle_min + N * angle_increment``.
+    """
+    layout = centered_layout(angle_min, angle_max, angle_increment, beams)
+    return replace(layout, angle_max=float32(layout.angle_min + layout.count * layout.angle_increment))
+
+
+def symmetric_layout(angle_min: float, angle_max: float, angle_increment: float, beams: int = 0) -> BeamLayout:
+    """The beams of `centered_layout`, moved so that their middle is 0: a circle begins half an increment after -pi.
+
+    Notes
+    -----
+    Why: MRPT takes beams for symmetric around 0 (see `pc2scan.core.consumers`), and truncates the quotient that is a
+    beam's index. ``angle_min`` is two float32 steps lower than ``-angle_max``, so that every such quotient is a little
+    above its whole number, and their difference is still a float32.
+    """
+    layout = centered_layout(angle_min, angle_max, angle_increment, beams)
+    last = float32((layout.count - 1) * layout.angle_increment / 2)
+    return replace(layout, angle_min=-_float32_beside(last, 1), angle_max=_float32_beside(last, -1))
 
 
 def _float32_beside(value: float, steps: int) -> float:

@@ -10,10 +10,18 @@ from typing import Any, Literal
 
 from pc2scan.errors import ParameterError
 
-from .layout import BeamLayout, beam_count, centered_layout, float32, upstream_layout
+from .layout import (
+    BeamLayout,
+    beam_count,
+    centered_layout,
+    float32,
+    half_open_layout,
+    symmetric_layout,
+    upstream_layout,
+)
 from .presets import PRESETS
 
-__all__ = ["CHOICES", "MAX_BEAMS", "MEASURED", "ProjectionParams", "beam_count", "float32"]
+__all__ = ["CHOICES", "MAX_BEAMS", "MEASURED", "ProjectionParams", "beam_count", "float32", "range_max_minus"]
 
 #: More beams than this is a mistyped increment: a ten-thousandth of a degree over a full circle makes 3.6 million.
 MAX_BEAMS = 4_000_000
@@ -21,7 +29,7 @@ MAX_BEAMS = 4_000_000
 
 #: How the choices of parameters are spelled.
 CHOICES: dict[str, tuple[str, ...]] = {
-    "geometry": ("upstream", "centered"),
+    "geometry": ("upstream", "centered", "half-open", "symmetric"),
     "no_return": ("inf", "range-max-plus", "range-max-minus", "nan", "zero"),
     "reduce": ("min", "max", "mean", "median", "kth"),
     "angle_rounding": ("correct", "glibc-2.40"),
@@ -37,9 +45,21 @@ _TRUTHS = {"bool", "bool_"}
 #: A value is shown up to here, characters.
 _LONGEST = 80
 
-#: What ``no_return: range-max-minus`` stays below ``range_max``, metres. Source of the number: nav2_costmap_2d's
-#: ObstacleLayer::laserScanValidInfCallback puts infinite ranges there, so that they clear and do not mark.
-_BELOW_RANGE_MAX = 0.0001
+_LAYOUTS = {
+    "upstream": upstream_layout,
+    "centered": centered_layout,
+    "half-open": half_open_layout,
+    "symmetric": symmetric_layout,
+}
+
+
+def range_max_minus(range_max: float) -> float:
+    """What ``no_return: range-max-minus`` writes: 0.1 mm less than a finite float32 ``range_max``, as float32.
+
+    Source of the number: nav2_costmap_2d's ObstacleLayer::laserScanValidInfCallback puts infinite ranges there, so that
+    they clear and do not mark. Where float32 is coarser than that, the sum must not round to ``range_max``.
+    """
+    return float32(min(range_max - 0.0001, range_max * (1 - 2.0**-23)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,8 +80,8 @@ class ProjectionParams:
         Limits of z in the target frame, metres, inclusive. **The default of ``min_height`` is the
         smallest positive double: everything at or below z = 0 is dropped.**
     angle_min, angle_max
-        The sector, radians, inclusive. With ``geometry`` centered: the middle of the first beam, and what that of
-        the last one does not exceed; any angles, 0 to 2 pi too.
+        The sector, radians, inclusive. With another ``geometry`` than upstream's: the middle of the first beam, and
+        what that of the last one does not exceed; any angles, 0 to 2 pi too.
     angle_increment
         Width of a beam, radians.
     scan_time
@@ -76,7 +96,9 @@ class ProjectionParams:
         Chunks of messages in flight at most; 0 means as many as memory allows. Nothing is ever dropped.
     geometry
         ``upstream``: beam i begins at ``angle_min + i * angle_increment``. ``centered``: it looks there, and takes
-        what is within half an increment on either side; see `centered_layout`.
+        what is within half an increment on either side; see `centered_layout`. ``half-open``: the same beams, with
+        ``angle_max`` one increment behind the last one, as gmapping takes it. ``symmetric``: the same beams, moved so
+        that their middle is 0, as MRPT takes it; the sector must be symmetric, or a full circle.
     beams
         How many beams the sector has, instead of ``angle_increment``, which then is what follows; 0: the
         increment tells.
@@ -137,7 +159,7 @@ class ProjectionParams:
         Parameters
         ----------
         consumer
-            ``slam_toolbox``, ``cartographer``, ``gmapping``, ``amcl`` or ``nav2``.
+            ``slam_toolbox``, ``cartographer``, ``gmapping``, ``amcl``, ``nav2`` or ``mrpt``.
         **changes
             Parameters that win over the preset's.
 
@@ -203,9 +225,19 @@ class ProjectionParams:
         if not layout.angle_min < layout.angle_max:
             raise ParameterError(
                 f"angle_increment is {self.angle_increment} rad, which leaves the sector {self.angle_min} to "
-                f"{self.angle_max} rad a single direction; the centered geometry needs two",
+                f"{self.angle_max} rad a single direction; the {self.geometry} geometry needs two",
                 name="angle_increment",
             )
+        if self.geometry == "symmetric" and not layout.full_circle:
+            off = abs(self.angle_min + self.angle_max)
+            if off > layout.angle_increment / 2:
+                widest = max(abs(self.angle_min), abs(self.angle_max))
+                raise ParameterError(
+                    f"angle_min {self.angle_min} rad and angle_max {self.angle_max} rad are not symmetric around 0, "
+                    "as the symmetric geometry wants them: MRPT takes every sector for symmetric",
+                    name="angle_min",
+                    hint=f"`angle_min={-widest:.6g}` `angle_max={widest:.6g}`, or a full circle",
+                )
 
     def _check_returns(self) -> None:
         if self.reduce == "kth" and not self.kth:
@@ -224,8 +256,7 @@ class ProjectionParams:
     @property
     def layout(self) -> BeamLayout:
         """What the scan's message advertises of its beams."""
-        make = centered_layout if self.geometry == "centered" else upstream_layout
-        return make(self.angle_min, self.angle_max, self.angle_increment, self.beams)
+        return _LAYOUTS[self.geometry](self.angle_min, self.angle_max, self.angle_increment, self.beams)
 
     @property
     def length(self) -> int:
@@ -244,8 +275,7 @@ class ProjectionParams:
             case "range-max-plus":
                 return float32(last + self.inf_epsilon)
             case "range-max-minus":
-                # Where float32 is coarser than that, the sum must not round to range_max.
-                return float32(min(last - _BELOW_RANGE_MAX, last * (1 - 2.0**-23)))
+                return range_max_minus(last)
             case "nan":
                 return math.nan
             case "zero":

@@ -32,11 +32,14 @@ PRESETS: Mapping[str, Mapping[str, float | str]] = MappingProxyType(
         # cartographer_ros keeps ranges up to range_max. It takes beams to be measured in their order, which those of a
         # lidar that turns clockwise are not: time_increment stays 0.
         "cartographer": _COMMON,
-        # A number for no return, as the sensors of its time gave one: none of its arithmetic meets infinity.
-        "gmapping": {**_COMMON, "no_return": "range-max-plus"},
+        # It places beams from the middle of the sector, and needs angle_max one increment behind the last beam. And a
+        # number for no return, as the sensors of its time gave one: none of its arithmetic meets infinity.
+        "gmapping": {**_COMMON, "geometry": "half-open", "no_return": "range-max-plus"},
         # Ranges from range_max on count as no return.
         "amcl": _COMMON,
         # Its inf_is_valid clears what is in front of an infinite range, and no other value.
         "nav2": _COMMON,
+        # It takes every sector for symmetric around 0.
+        "mrpt": {**_COMMON, "geometry": "symmetric"},
     }
 )

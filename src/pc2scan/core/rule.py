@@ -50,7 +50,7 @@ def rule_of(params: ProjectionParams) -> NDArray[np.float64]:
         with np.errstate(over="ignore"):
             beyond = np.nextafter(-_first_from(-params.range_max), np.float32(np.inf))
         most = math.nextafter(_first_square(beyond), -math.inf)
-    beams = centered_beams if params.geometry == "centered" else upstream_beams
+    beams = upstream_beams if params.geometry == "upstream" else centered_beams
     lowest, highest = float(_first_from(params.min_height)), -float(_first_from(-params.max_height))
     least = _first_square(_first_from(params.range_min))
     glibc = float(params.angle_rounding == "glibc-2.40")

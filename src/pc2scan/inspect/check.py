@@ -18,7 +18,7 @@ from pc2scan.messages.laserscan import LASERSCAN, decode_laserscan
 from pc2scan.tf.options import FrameOptions
 from pc2scan.tf.reading import read_transforms
 
-from .scan_frames import ScanFrames, no_transforms
+from .scan_frames import ScanFrames
 from .scan_topic import Finding, ScanTopic
 
 if TYPE_CHECKING:
@@ -30,9 +30,12 @@ if TYPE_CHECKING:
     from pc2scan.model import Connection
     from pc2scan.tf.buffer import TransformBuffer
 
-    from .scan_topic import Judged
 
 __all__ = ["Check", "ConsumerCheck", "TopicCheck", "check"]
+
+
+#: Defects of scans that are of no use to any consumer.
+_UNUSABLE = {"full-circle", "no-returns", "optical-frame"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,11 +126,25 @@ class Check:
 
     @property
     def accepted(self) -> bool:
-        """Whether every consumer that counts takes every scan of every topic; where there is none it does not."""
+        """Whether every consumer that counts takes every scan of every topic; where there is none it does not.
+
+        Beams that are shifted, by up to one increment, count only where consumers were asked for: no scan satisfies
+        slam_toolbox and gmapping at once, unless it is a full circle.
+        """
+        taken = ("accepted",) if self.asked else ("accepted", "shifted")
         return all(
-            {c.consumer: c.outcome for c in topic.consumers}.get(consumer) == "accepted"
+            {c.consumer: c.outcome for c in topic.consumers}.get(consumer) in taken
             for topic in self.topics
             for consumer in self.counting
+        )
+
+    @property
+    def unusable(self) -> bool:
+        """Whether scans are of no use to anyone: empty, in an optical frame, or wider than a circle."""
+        return any(
+            finding.level == "defect" and finding.kind in _UNUSABLE
+            for topic in self.topics
+            for finding in topic.findings
         )
 
     @property
@@ -140,10 +157,10 @@ class Check:
     def exit_status(self) -> int:
         """0 if the scans are good, 1 if not.
 
-        With consumers asked for: whether these accept every scan of every topic. Without: whether all do, and
-        there is no defect.
+        With consumers asked for: whether these accept every scan of every topic, and none is `unusable`. Without:
+        whether all do, and there is no defect.
         """
-        return int(not self.accepted or (not self.asked and self.defects > 0))
+        return int(not self.accepted or self.unusable or (not self.asked and self.defects > 0))
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON's types; infinite numbers and NaN are text."""
@@ -166,7 +183,7 @@ def check(
     base_frame: str = "",
     frames: FrameOptions | None = None,
 ) -> Check:
-    """Tell what those who read laser scans would do with the ones of a recording.
+    """Check what those who read laser scans would do with the ones of a recording.
 
     Parameters
     ----------
@@ -239,13 +256,12 @@ def _read(
         except DecodeError as err:
             scans.add_undecodable(message.log_time_ns, err.message)
             continue
-        scans.add(scan, message.log_time_ns)
-        places.add(scan.frame_id, scan.stamp_ns)
-    return [_topic_check(name, scans, places if len(buffer) else None) for name, (scans, places) in topics.items()]
+        scans.add(scan, message.log_time_ns, places.add(scan.frame_id, scan.stamp_ns))
+    return [_topic_check(name, scans, places) for name, (scans, places) in topics.items()]
 
 
-def _topic_check(name: str, scans: ScanTopic, places: ScanFrames | None) -> TopicCheck:
-    missing = [] if not scans.scans else [no_transforms()] if places is None else places.findings()
+def _topic_check(name: str, scans: ScanTopic, places: ScanFrames) -> TopicCheck:
+    missing = places.findings() if scans.scans else []
     findings = sorted([*scans.findings(), *missing], key=lambda finding: finding.level)
     return TopicCheck(
         name,
@@ -255,14 +271,9 @@ def _topic_check(name: str, scans: ScanTopic, places: ScanFrames | None) -> Topi
         scans.interval_ns,
         scans.first,
         tuple(
-            _consumer_check(consumer, judged, outcome)
+            ConsumerCheck(consumer, worst[0].outcome, worst[1], worst[0], worst[2])
             for consumer, judged in scans.judged.items()
-            if (outcome := judged.worst) is not None
+            if (worst := judged.worst()) is not None
         ),
         tuple(findings),
     )
-
-
-def _consumer_check(consumer: str, judged: Judged, outcome: Outcome) -> ConsumerCheck:
-    verdict, stamp_ns = judged.firsts[outcome]
-    return ConsumerCheck(consumer, outcome, judged.counts[outcome], verdict, stamp_ns)

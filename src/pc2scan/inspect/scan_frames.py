@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from pc2scan.core.consumers import Placed
+from pc2scan.core.rigid import Rigid
 from pc2scan.errors import TransformError
 
 from .scan_topic import Finding, Tally, finding
@@ -14,23 +16,29 @@ if TYPE_CHECKING:
 
     from .scan_topic import Level
 
-__all__ = ["BASE_FRAMES", "ScanFrames", "no_transforms"]
+__all__ = ["BASE_FRAMES", "ScanFrames"]
 
 #: What a robot's body is usually called, the first that is there.
 BASE_FRAMES = ("base_link", "base_footprint")
 
-#: gmapping refuses a laser whose z axis has this much less than 1 of the robot's: 2.6 degrees.
+#: A sensor is tilted if its z axis has this much less than 1 of the robot's: 2.6 degrees.
 _TILT = 0.001
+
+#: A frame's z axis is not up at all if it has less than this of the robot's: 45 degrees and more.
+_SIDEWAYS = math.sqrt(0.5)
+
+#: How frames of cameras are called, whose z axis looks forward (REP 103).
+_OPTICAL = ("_optical_frame", "_optical")
 
 _HINT = "`pc2scan tf` shows the frames; `tf_from` takes transforms from another recording"
 
 
-def no_transforms() -> Finding:
-    """What is told of a recording without any transforms."""
+def _no_transforms() -> Finding:
+    """What is reported of a recording without any transforms."""
     return Finding(
         "no-transforms",
         "notice",
-        "the recording has no transforms: SLAM needs them from the scan's frame to odometry",
+        "the recording has no transforms: SLAM and navigation drop scans that they cannot place",
         "keep /tf and /tf_static when recording or converting; `tf_from` takes them from another recording",
     )
 
@@ -57,29 +65,57 @@ class ScanFrames:
         self._scans: dict[str, int] = {}
         self._missing: dict[str, Tally] = {}
         self._reasons: dict[str, str] = {}
-        self._tilted = Tally()
+        self._looked = 0
+        self._tilted, self._sideways = Tally(), Tally()
         self._tilt = 0.0
+        self._named = bool(base_frame)
 
-    def add(self, frame_id: str, stamp_ns: int) -> None:
+    def add(self, frame_id: str, stamp_ns: int) -> Placed:
         """Look up one scan's transforms."""
         frame = frame_id.removeprefix("/")
         self._scans[frame] = self._scans.get(frame, 0) + 1
-        if self._joined(frame, self._odom):
-            try:
-                self._buffer.lookup(self._odom, frame, stamp_ns)
-            except TransformError as err:
-                self._missing.setdefault(frame, Tally()).add(stamp_ns)
-                self._reasons.setdefault(frame, err.message)
-        if self._joined(frame, self._base):
-            try:
-                moved = self._buffer.lookup(self._base, frame, stamp_ns)
-            except TransformError:
-                return
-            # Upside down is level too.
-            level = min(abs(float(moved.matrix[2, 2])), 1.0)
-            if level < 1 - _TILT:
-                self._tilted.add(stamp_ns)
-                self._tilt = max(self._tilt, math.degrees(math.acos(level)))
+        odometry, missing = self._moved(frame, self._odom, stamp_ns)
+        if odometry is None and self._joined(frame, self._odom):
+            self._missing.setdefault(frame, Tally()).add(stamp_ns)
+            self._reasons.setdefault(frame, missing)
+        robot, why = self._moved(frame, self._base, stamp_ns)
+        known: bool | None = robot is not None
+        if robot is None and self._trees and self._base not in self._trees and not self._named:
+            # What the robot's frame is called is not known.
+            known = None
+        return Placed(
+            frame_id=frame_id,
+            odometry=odometry is not None,
+            robot=known,
+            up=None if robot is None else self._up(robot, stamp_ns),
+            missing=missing or why,
+        )
+
+    def _moved(self, frame: str, target: str, stamp_ns: int) -> tuple[Rigid | None, str]:
+        """The transform to a frame at a stamp, or why there is none."""
+        if frame == target:
+            return Rigid.identity(), ""
+        if not self._trees:
+            return None, "the recording has no transforms"
+        try:
+            return self._buffer.lookup(target, frame, stamp_ns), ""
+        except TransformError as err:
+            return None, err.message
+
+    def _up(self, base_from_scan: Rigid, stamp_ns: int) -> float:
+        """See `Placed.up`; counts how the sensor is tilted."""
+        ahead, left, up = (float(part) for part in base_from_scan.matrix[:, 2])
+        # Upside down is level too.
+        level = min(abs(up), 1.0)
+        self._looked += 1
+        if level < _SIDEWAYS:
+            self._sideways.add(stamp_ns)
+        if level < 1 - _TILT:
+            self._tilted.add(stamp_ns)
+        self._tilt = max(self._tilt, math.degrees(math.acos(level)))
+        # gmapping moves the point (0, 0, 1 + the sensor's height) of the robot's frame into that of the scan.
+        x, y, _ = (float(part) for part in base_from_scan.translation)
+        return up - x * ahead - y * left
 
     def _joined(self, one: str, other: str) -> bool:
         tree = self._trees.get(one)
@@ -87,6 +123,8 @@ class ScanFrames:
 
     def findings(self) -> list[Finding]:
         """What is missing."""
+        if not self._trees:
+            return [_no_transforms(), *self._optical_findings()]
         found = []
         roles: tuple[tuple[str, str, str, Level], ...] = (
             ("odometry", self._odom, "odom_frame", "defect"),
@@ -104,21 +142,38 @@ class ScanFrames:
                     )
                 )
         for frame, scans in self._scans.items():
-            # An empty name is told with the scans themselves.
+            # An empty name is reported with the scans themselves.
             if frame:
                 found += self._frame_findings(frame, scans)
-        if self._tilted.count:
+        optical = self._optical_findings()
+        found += optical
+        if self._tilted.count and not optical:
             found.append(
                 finding(
                     "tilted",
                     "notice",
                     f"{self._tilted.count:,} scans are tilted against {self._base}, by up to {self._tilt:.1f} deg: "
-                    "2D SLAM takes them for level, and gmapping does not start with them",
+                    "2D SLAM takes them for level",
                     "for scans made from clouds: pc2scan convert --target-frame",
                     self._tilted,
                 )
             )
         return found
+
+    def _optical_findings(self) -> list[Finding]:
+        hint = "for scans made from clouds: pc2scan convert --target-frame base_link; a scan lies in the x-y plane"
+        # A lidar that tilts looks sideways for a moment.
+        if 2 * self._sideways.count > self._looked:
+            text = (
+                f"{self._sideways.count:,} scans are in a frame whose z axis is not up, as those of cameras "
+                f"(optical frames): it is turned by up to {self._tilt:.1f} deg from that of {self._base}"
+            )
+            return [finding("optical-frame", "defect", text, hint, self._sideways)]
+        named = [frame for frame in self._scans if frame.endswith(_OPTICAL)]
+        if not named or self._looked:
+            return []
+        text = f"the frame {named[0]!r} is an optical frame by its name: z is forward, and scans lie across the view"
+        return [Finding("optical-frame", "defect", text, hint, self._scans[named[0]])]
 
     def _frame_findings(self, frame: str, scans: int) -> list[Finding]:
         if frame not in self._trees:
@@ -133,7 +188,7 @@ class ScanFrames:
         if missing is not None:
             share = f"{missing.count:,} of {scans:,} scans"
             text = f"{share} have no transform from {frame!r} to {self._odom!r} at their stamp"
-            if missing.count < scans:
+            if missing.count <= scans / 2:
                 hint = "a few at the beginning and the end are usual, and SLAM drops them; " + _HINT
                 found.append(finding("no-transform", "notice", text, hint, missing))
             else:

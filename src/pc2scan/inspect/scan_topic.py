@@ -7,7 +7,8 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
-from pc2scan.core.consumers import CONSUMERS, OUTCOMES, Outcome, Scan, Verdict, judge
+from pc2scan.core.consumers import CONSUMERS, OUTCOMES, Outcome, Placed, Scan, Verdict, judge
+from pc2scan.core.layout import TURN
 from pc2scan.errors import stamp_text
 from pc2scan.messages.consumed import consumed_scan
 
@@ -83,16 +84,33 @@ class Judged:
 
     counts: Counter[Outcome] = field(default_factory=Counter)
     firsts: dict[Outcome, tuple[Verdict, int]] = field(default_factory=dict)
+    placed: int = 0
+    unplaced: Tally = field(default_factory=Tally)
+    reason: Verdict | None = None
 
     def add(self, verdict: Verdict, stamp_ns: int) -> None:
-        """Count one more."""
+        """Count the verdict on one more scan, whatever its transforms."""
         self.counts[verdict.outcome] += 1
         self.firsts.setdefault(verdict.outcome, (verdict, stamp_ns))
 
-    @property
-    def worst(self) -> Outcome | None:
-        """The worst outcome of any scan; None if there was none."""
-        return max(self.counts, key=OUTCOMES.index, default=None)
+    def add_unplaced(self, verdict: Verdict, stamp_ns: int) -> None:
+        """Count a scan that is ignored for its transforms."""
+        self.unplaced.add(stamp_ns)
+        self.reason = self.reason or verdict
+
+    def worst(self) -> tuple[Verdict, int, int] | None:
+        """The verdict on the scan that fares worst, how many do, and its stamp; None if there was no scan.
+
+        Transforms count only where no scan has them: some without at the beginning and the end are usual. What is wrong
+        with the scans themselves comes first.
+        """
+        if not self.counts:
+            return None
+        outcome = max(self.counts, key=OUTCOMES.index)
+        verdict, stamp_ns = self.firsts[outcome]
+        if outcome in {"accepted", "shifted"} and not self.placed and self.reason is not None:
+            return self.reason, self.unplaced.count, self.unplaced.stamp_ns or 0
+        return verdict, self.counts[outcome], stamp_ns
 
 
 class ScanTopic:
@@ -121,9 +139,10 @@ class ScanTopic:
         self._undecodable = Tally()
         self._reason = ""
         self._first_of: dict[str, Scan] = {}
+        self._kept_of: dict[tuple[str, str], Scan] = {}
         self._back, self._repeated, self._zero_stamp = Tally(), Tally(), Tally()
         self._empty, self._intensities, self._length = Tally(), Tally(), Tally()
-        self._slow, self._no_frame, self._times = Tally(), Tally(), Tally()
+        self._slow, self._no_frame, self._times, self._turned = Tally(), Tally(), Tally(), Tally()
         self._ranges: Counter[str] = Counter()
         self._last_ns: int | None = None
         self._intervals: Counter[int] = Counter()
@@ -136,8 +155,8 @@ class ScanTopic:
         self._undecodable.add(log_time_ns)
         self._reason = self._reason or reason
 
-    def add(self, message: LaserScan, log_time_ns: int) -> None:
-        """Look at the next scan."""
+    def add(self, message: LaserScan, log_time_ns: int, placed: Placed | None = None) -> None:
+        """Look at the next scan; without ``placed``, transforms are not considered."""
         stamp_ns = message.stamp_ns
         scan = consumed_scan(message)
         self.scans += 1
@@ -146,7 +165,16 @@ class ScanTopic:
         self.beams[scan.beams] += 1
         first = self._first_of.setdefault(message.frame_id, scan)
         for consumer, judged in self.judged.items():
-            judged.add(judge(consumer, scan, first), stamp_ns)
+            key = consumer, message.frame_id
+            kept = self._kept_of.get(key)
+            verdict = judge(consumer, scan, kept, placed)
+            if verdict.unplaced:
+                judged.add_unplaced(verdict, stamp_ns)
+                verdict = judge(consumer, scan, kept)
+            else:
+                judged.placed += 1
+                self._kept_of.setdefault(key, scan)
+            judged.add(verdict, stamp_ns)
         for name in ("beams", "returns", "infinite", "nan", "zero", "short", "long"):
             self._ranges[name] += getattr(scan, name)
         for wrong, tally in (
@@ -154,6 +182,7 @@ class ScanTopic:
             (not scan.returns, self._empty),
             (scan.intensities not in (0, scan.beams), self._intensities),
             (scan.beams != first.beams, self._length),
+            (_turn(scan) > TURN * _ROUNDING, self._turned),
             (scan.time_increment * (scan.beams - 1) > scan.scan_time * _ROUNDING > 0, self._slow),
             (not (0 <= scan.scan_time < math.inf and abs(scan.time_increment) < math.inf), self._times),
         ):
@@ -238,6 +267,18 @@ class ScanTopic:
                     f"{min(self.beams):,} to {max(self.beams):,}",
                     "give all scans one number of beams",
                     self._length,
+                )
+            )
+        if self._turned.count and self.first is not None:
+            found.append(
+                finding(
+                    "full-circle",
+                    "defect",
+                    f"{self._of(self._turned)} cover more than a full circle: {self.first.beams:,} beams by "
+                    f"{math.degrees(self.first.angle_increment):.4g} deg, from angle_min {self.first.angle_min:.6g} to "
+                    f"angle_max {self.first.angle_max:.6g} rad",
+                    "angles in degrees? At most 2 pi (6.28319 rad) are a circle",
+                    self._turned,
                 )
             )
         if self._intensities.count:
@@ -332,7 +373,7 @@ class ScanTopic:
     def _range_findings(self) -> list[Finding]:
         found = []
         if self._empty.count:
-            every = self._empty.count == self.scans
+            every = 2 * self._empty.count > self.scans
             found.append(
                 finding(
                     "no-returns",
@@ -371,6 +412,11 @@ class ScanTopic:
 def finding(kind: str, level: Level, text: str, hint: str, tally: Tally) -> Finding:
     """Tell of what was tallied."""
     return Finding(kind, level, text, hint, tally.count, tally.stamp_ns)
+
+
+def _turn(scan: Scan) -> float:
+    """How far a scan turns from its first beam to its last, or says that it does, radians."""
+    return max(abs(scan.angle_max - scan.angle_min), (scan.beams - 1) * abs(scan.angle_increment))
 
 
 def _share(count: int, total: int) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from pc2scan.core.consumers import CONSUMERS, judge
@@ -15,9 +16,10 @@ __all__ = ["refusal"]
 
 
 def refusal(data: Buffer, serialization: str) -> str:
-    """Who would ignore scans like this one, or die of them: a sentence for a warning; empty if nobody.
+    """Who would ignore scans like this one, or abort: a sentence for a warning; empty if nobody.
 
-    Mis-placed beams are left to `pc2scan check`: upstream's own defaults have some in most eyes.
+    Only what a scan advertises counts. What its ranges do is left to `pc2scan check`: infinite ranges with an infinite
+    range_max, as upstream's own defaults have them, are misplaced by most consumers, and gmapping aborts.
 
     Parameters
     ----------
@@ -26,7 +28,7 @@ def refusal(data: Buffer, serialization: str) -> str:
     serialization
         ``ros1`` or ``cdr``.
     """
-    scan = consumed_scan(decode_laserscan(data, serialization))
+    scan = replace(consumed_scan(decode_laserscan(data, serialization)), infinite=0, short=0)
     verdicts = [verdict for consumer in CONSUMERS if (verdict := judge(consumer, scan)).refused]
     if not verdicts:
         return ""

@@ -160,7 +160,7 @@ _HELP: dict[str, tuple[str, str]] = {
     ),
     "geometry": (
         "",
-        "Where beam i looks: upstream takes what begins there, centered what is within half an increment of it.",
+        "What beam i takes: upstream: what begins there; centered: what is around it; half-open, symmetric: the same.",
     ),
     "beams": ("", "How many beams the sector has, instead of angle_increment."),
     "no_return": ("", "What a beam without a return reads. Left out: use_inf tells."),
