@@ -263,6 +263,30 @@ def test_the_same_calls_write_the_same_bytes(tmp_path: Path, compression: str) -
     assert one.read_bytes() == two.read_bytes()
 
 
+def test_schemas_with_and_without_an_id_are_counted_once_each(tmp_path: Path) -> None:
+    """Ids are kept for chunks that are copied; what other files add has none, and 0 is none."""
+    path = tmp_path / "a.mcap"
+    writer = McapWriter(path)
+    connections = [
+        connection("/one", id=1, schema_id=7),
+        connection("/two", id=2, schema_id=8),
+        connection("/three", id=3, schema_id=0, msgtype="std_msgs/msg/String"),
+        connection("/four", id=4, schema_id=0, msgtype="", definition=Definition()),
+    ]
+    writer.keep_ids(connections)
+    for each in connections:
+        writer.add_connection(each)
+    writer.finish()
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
+    assert summary.statistics.schema_count == len(summary.schemas) == 3
+    assert {c.topic: c.schema_id for c in summary.channels.values()} == {"/one": 7, "/two": 8, "/three": 1, "/four": 0}
+    with closing(McapReader(path, strict=True)) as reader:
+        assert [c.ros_type for c in reader.connections] == [c.ros_type for c in connections]
+
+
 def test_indexes_and_statistics_agree_with_the_library(tmp_path: Path) -> None:
     """What the library's writer puts into its summary for the same chunks, ours puts there too."""
     path = write(tmp_path / "a.mcap", SAMPLE, compression="none", chunk_size=1000)

@@ -342,8 +342,8 @@ class McapReader(PartReader):
                     error = f"the statistics count {declared} {kind}, {len(places)} were found"
                     self._log.note(self._file.damage(error), key=kind)
             for kind, declared, fewest, most in _declarations_counted(index, statistics):
-                # Some writers count nothing, and some only what messages use.
-                if declared and not fewest <= declared <= most:
+                # Some writers count nothing, some only what messages use, and some what they wrote nowhere.
+                if declared and not (fewest <= declared and (declared <= most or not index.channels_listed)):
                     error = f"the statistics count {declared} {kind}, {most} were found"
                     self._log.note(self._file.damage(error), key=kind, messages_lost=0)
         begun = {*index.attachments, *index.metadata}

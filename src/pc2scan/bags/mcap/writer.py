@@ -131,7 +131,8 @@ class McapWriter:
         """Let these keep their channels' and schemas' ids when they are declared, and no other one have them."""
         self._keeping = True
         self._channel_ids.keep([connection.id for connection in connections])
-        self._schema_ids.keep([connection.schema_id for connection in connections])
+        # 0 stands for no schema, and is no id.
+        self._schema_ids.keep([connection.schema_id for connection in connections if connection.schema_id])
 
     def compress_ahead(self, pool: Threads) -> None:
         """Compress chunks on these threads from now on; the file stays the same."""
@@ -355,7 +356,7 @@ class McapWriter:
             message_end_time=self._last_ns,
             message_start_time=self._first_ns or 0,
             metadata_count=len(self._groups[Opcode.METADATA_INDEX]),
-            schema_count=len(self._schemas),
+            schema_count=sum(map(len, self._schemas.values())),
         )
 
 
