@@ -661,6 +661,26 @@ def test_a_topic_that_metadata_yaml_lists_otherwise(what: str, tmp_path: Path) -
     assert rows_of(tmp_path / "out") == rows
 
 
+def test_a_table_that_the_list_of_tables_lost(tmp_path: Path) -> None:
+    """The definitions: no other table names them, and without them other ones would be written."""
+    source = write_db3(tmp_path / "drive.db3", drive(1))
+    before = definitions_of(source)
+    data = bytearray(source.read_bytes())
+    # The first page lists the tables, behind the file's header; here is how many.
+    (cells,) = struct.unpack_from(">H", data, 103)
+    struct.pack_into(">H", data, 103, cells - 1)
+    source.write_bytes(data)
+    status, stderr, _ = report_of("repair", source, "-o", tmp_path / "out")
+    assert status == 3
+    assert "table sqlite_master contradicts itself" in stderr
+    assert definitions_of(tmp_path / "out") == before
+
+
+def definitions_of(path: Path) -> dict[str, bytes]:
+    with closing(open_recording(path)) as reader:
+        return {connection.topic: connection.definition.data for connection in reader.connections}
+
+
 def test_a_row_of_another_topic_is_found_by_metadata_yaml(tmp_path: Path) -> None:
     source = write_rosbag2(tmp_path / "drive", drive(3))
     with closing(sqlite3.connect(source / "drive_0.db3")) as database, database:

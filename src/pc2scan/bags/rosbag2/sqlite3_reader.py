@@ -455,7 +455,8 @@ class Sqlite3Reader(Reader):
 
     def _check_small_tables(self) -> None:
         """Look at what is wrong with the tables that describe the messages, but for those made here of the pages."""
-        for table in ("topics", "message_definitions") if self._pages is None else ():
+        # The first one lists all others: a damaged one may list fewer.
+        for table in ("sqlite_master", "topics", "message_definitions") if self._pages is None else ():
             if self._columns(table) and (trouble := table_trouble(self._query, table)):
                 error = self._damage(trouble.what)
                 if trouble.unreachable:
