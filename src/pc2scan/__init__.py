@@ -1,8 +1,8 @@
-"""Recorded 3D lidar to 2D laser scans, bit for bit what ROS's pointcloud_to_laserscan returns.
+"""Converts recorded 3D lidar to 2D laser scans, bit for bit what ROS's pointcloud_to_laserscan returns.
 
-`convert` turns recordings into recordings, `project` turns points into a scan, `check` tells who would take a
-recording's scans, `info` what is in it, `diff` what differs between two. Errors are those of `pc2scan.errors`.
-Importing this module is cheap: what it offers is loaded on first use.
+`convert` converts recordings, `project` converts points to a scan, `check` checks which consumers accept a recording's
+scans, `info` describes a recording, `diff` compares two. Errors are those of `pc2scan.errors`.
+Importing this module is cheap: its functions and classes are loaded on first use.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from importlib import import_module
 
 from .version import __version__ as __version__
 
-# As typing has it. Loading that module would be most of what importing this one takes.
+# A constant, as importing `typing` would take most of the time of importing this module.
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any

@@ -1,4 +1,4 @@
-"""JSON has neither infinity nor NaN; pc2scan writes them as text. Imports nothing of pc2scan."""
+"""Converts values for JSON, which has neither infinity nor NaN. Imports nothing of pc2scan."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ __all__ = ["json_value"]
 
 
 def json_value(value: Any) -> Any:
-    """Return a value with every number that is not finite as text, in lists and dictionaries too; tuples become lists.
+    """Return a value with infinities and NaNs as text, in lists and dictionaries too; tuples become lists.
 
     >>> json_value({"range_max": float("inf"), "angles": (0.5, float("nan"))})
     {'range_max': 'inf', 'angles': [0.5, 'nan']}

@@ -1,4 +1,4 @@
-"""What every container has in common: connections, messages, and the protocols of readers and writers."""
+"""The data types that all containers share: connections, messages, chunks; and the protocol of writers."""
 
 from __future__ import annotations
 
@@ -13,15 +13,14 @@ if TYPE_CHECKING:
 
 Buffer = bytes | memoryview
 
-#: The id of a connection that no recording has yet.
+#: The id of a connection that is not in a recording yet.
 NEW_ID = -1
 
-#: The latest log time that rosbag2 can hold; it writes this for the start of a recording without messages.
+#: The latest log time that rosbag2 can store; it is also the start of a recording without messages.
 MAX_ROSBAG2_NS = 2**63 - 1
 
-#: Latched, as rosbag2 (metadata version 8) writes it: keep last 1, reliable, transient local, automatic
-#: liveliness, every duration infinite. Topics that are not latched get none: ``ros2 bag play`` then
-#: publishes with its default.
+#: The QoS profile of a latched topic as rosbag2 (metadata version 8) writes it: keep last 1, reliable, transient
+#: local, automatic liveliness, infinite durations. Other topics get no profile: ``ros2 bag play`` uses its default.
 LATCHED_QOS = """\
 - history: 1
   depth: 1
@@ -48,9 +47,9 @@ class Definition:
     Attributes
     ----------
     encoding
-        MCAP's words: ``ros1msg``, ``ros2msg``, ``ros2idl``, another schema encoding, or empty for none.
+        MCAP's schema encoding: ``ros1msg``, ``ros2msg``, ``ros2idl``, another one, or empty for none.
     data
-        The definition with those it depends on, byte for byte as the recording carries it.
+        The definition with those it depends on, byte for byte as recorded.
     """
 
     encoding: str = ""
@@ -63,7 +62,7 @@ class Definition:
 
 
 def _in_utf8(text: str) -> str:
-    """The text, with replacement characters for the bytes that were kept as surrogates."""
+    """Return the text with replacement characters instead of surrogates."""
     return text.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
 
 
@@ -74,30 +73,30 @@ class Connection:
     Attributes
     ----------
     id
-        Unique within its reader, and for a chunked container the id that its messages carry. `NEW_ID` for a connection
-        that is made, not read.
+        Unique within its reader; in a chunked container the id in its messages. `NEW_ID` for a connection that is not
+        read from a recording.
     topic
         As recorded.
     msgtype
         As recorded: ``sensor_msgs/PointCloud2`` or ``sensor_msgs/msg/PointCloud2``.
     serialization
-        MCAP's words: ``ros1``, ``cdr``, or another message encoding.
+        MCAP's message encoding: ``ros1``, ``cdr``, or another one.
     definition
-        What the recording says of the type.
+        The recorded definition of the type.
     digest
-        The type's identity where recorded: md5sum (ROS 1), RIHS01 hash (ROS 2), or empty.
+        The recorded hash of the type: md5sum (ROS 1), RIHS01 (ROS 2), or empty.
     callerid
-        ROS 1's name of the publishing node; None when not recorded.
+        ROS 1's name of the publishing node; None if not recorded.
     latching
         ROS 1: latched. ROS 2: durability transient local in any of the offered profiles.
     qos
-        rosbag2's ``offered_qos_profiles``, verbatim (YAML text); empty when not recorded.
+        rosbag2's ``offered_qos_profiles``, verbatim (YAML text); empty if not recorded.
     metadata
         MCAP channel metadata or further ROS 1 connection header fields, verbatim.
     message_count
-        None where the container does not say.
+        None if the container does not have it.
     schema_id
-        In an MCAP file: the id of its definition; 0 for none.
+        In an MCAP file: the id of the definition; 0 for none.
     """
 
     id: int
@@ -120,7 +119,7 @@ class Connection:
 
     @property
     def in_utf8(self) -> Connection:
-        """The same for a container whose texts are UTF-8; ROS 1's may be any bytes, and are kept as surrogates."""
+        """The same with texts in UTF-8; texts of ROS 1 may be any bytes, read as surrogates."""
         texts = (self.topic, self.msgtype, self.digest, self.callerid or "", *chain(*self.metadata.items()))
         if all(map(str.isascii, texts)):
             return self
@@ -135,15 +134,15 @@ class Connection:
 
     @property
     def ros_version(self) -> int | None:
-        """1 or 2 for the ROS version that serialised the messages, None for another encoding."""
+        """The ROS version of the messages' serialisation, 1 or 2; None for another encoding."""
         return {"ros1": 1, "cdr": 2}.get(self.serialization)
 
 
 class RawMessage(NamedTuple):
     """One recorded message, not decoded.
 
-    ``log_time_ns`` is the time of recording, ``publish_time_ns`` (equal to it where the container has
-    only one) the time of publishing, both in integer nanoseconds. ``data`` may be a view into a larger buffer.
+    ``log_time_ns`` is the time of recording, ``publish_time_ns`` the time of publishing (the same if the container has
+    only one), both in integer nanoseconds. ``data`` may be a view into a larger buffer.
     """
 
     connection: Connection
@@ -154,12 +153,12 @@ class RawMessage(NamedTuple):
 
     @property
     def size(self) -> int:
-        """Bytes of its data."""
+        """Size of the data, bytes."""
         return len(self.data)
 
 
 def own(data: Buffer) -> Buffer:
-    """Return data that may be kept: a copy, if borrowed (see `pc2scan.files.source.SourceFile.borrow`)."""
+    """Return data that may be kept: a copy of borrowed data (see `pc2scan.files.source.SourceFile.borrow`)."""
     return data if isinstance(data, bytes) or isinstance(data.obj, bytes) else bytes(data)
 
 
@@ -170,25 +169,25 @@ def owned(message: RawMessage) -> RawMessage:
 
 
 def declared_counts(connections: Iterable[Connection]) -> dict[int, int]:
-    """Messages of each connection in the whole recording, by id, where the container declares them."""
+    """Return the number of messages of each connection in the whole recording, by id, as the container declares it."""
     return {c.id: c.message_count for c in connections if c.message_count is not None}
 
 
 @dataclass(frozen=True, slots=True)
 class StoredChunk:
-    """A chunk as a whole, to be written without taking it apart.
+    """A chunk that is written as a whole, without reading its messages one by one.
 
     Attributes
     ----------
     compression
-        ``none``, ``bz2``, ``lz4`` or ``zstd``: it is written as it is. Empty: its records are not compressed, and are
-        to be as the destination's own chunks are.
+        ``none``, ``bz2``, ``lz4`` or ``zstd``: it is written as stored. Empty: its records are not compressed, and the
+        writer compresses them like its own chunks.
     stored
-        Its records, compressed so.
+        Its records with this compression.
     size
-        Bytes of its records, uncompressed.
+        Size of its uncompressed records, bytes.
     crc
-        CRC-32 of its records; 0 when there is none.
+        CRC-32 of its uncompressed records; 0 if there is none.
     index
         For every connection with messages in it, by id: their log times (ns) and places among the uncompressed
         records, in the order of the file.
@@ -201,27 +200,27 @@ class StoredChunk:
     index: Mapping[int, Sequence[tuple[int, int]]]
 
     def span_ns(self) -> tuple[int, int]:
-        """Log times of the earliest and the latest message."""
+        """Return the log times of the earliest and the latest message."""
         return min(map(min, self.index.values()))[0], max(map(max, self.index.values()))[0]
 
 
 @dataclass(frozen=True, slots=True)
 class ChunkRule:
-    """Which chunks a destination takes as they are.
+    """Which chunks can be copied to a destination as a whole.
 
     Attributes
     ----------
     container
-        Whose chunks: ``rosbag1`` or ``mcap``.
+        The container of the chunks: ``rosbag1`` or ``mcap``.
     compressions
-        Those that a chunk may keep; one of another is compressed again, as a whole.
+        Compressions that a chunk may keep; a chunk with another one is compressed again, as a whole.
     connection_ids
-        The connections that go to the destination untouched and have the same ids there. A chunk with anything of
-        another one is not taken.
+        The connections that are copied unchanged and have the same ids in the destination. A chunk with messages of
+        other connections is not copied.
     declarations
         Schema and Channel records of the destination, byte for byte. A chunk may repeat these and has no others.
     last_ns
-        The latest log time that the destination can hold; None if that is any that the source can.
+        The latest log time that the destination can store; None if it can store all of the source's.
     """
 
     container: str
@@ -233,7 +232,7 @@ class ChunkRule:
 
 @dataclass(frozen=True, slots=True)
 class Attachment:
-    """An MCAP attachment: a file carried along."""
+    """An MCAP attachment: a file in the recording."""
 
     name: str
     media_type: str
@@ -252,20 +251,20 @@ class Metadata:
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """What a reader knows of its recording without reading the messages.
+    """A reader's summary of its recording, made without reading the messages.
 
     Attributes
     ----------
     container
         ``rosbag1``, ``rosbag2`` (a directory), ``sqlite3`` (a bare ``.db3``) or ``mcap``.
     storage
-        Of a rosbag2 directory: ``sqlite3`` or ``mcap``; else empty.
+        Storage of a rosbag2 directory: ``sqlite3`` or ``mcap``; else empty.
     compression
-        The compressions that occur, sorted: ``none``, ``bz2``, ``lz4``, ``zstd``.
+        The compressions in use, sorted: ``none``, ``bz2``, ``lz4``, ``zstd``.
     size_bytes
-        Of all files together.
+        Size of all files together.
     message_count, start_ns, end_ns
-        None where only reading every message would tell. ``end_ns`` is the last message's log time.
+        None if they are unknown without reading every message. ``end_ns`` is the last message's log time.
     """
 
     container: str
@@ -279,30 +278,30 @@ class Summary:
 
 
 class Writer(Protocol):
-    """A recording being written; it becomes valid with `finish` and not before."""
+    """Writes a recording, which is valid only after `finish`."""
 
     def keep_ids(self, connections: Collection[Connection]) -> None:
-        """Let these connections keep their ids when they are declared, and no other one have them."""
+        """Reserve the ids of these connections, so that they keep them when they are declared."""
         ...
 
     def add_connection(self, connection: Connection) -> int:
-        """Declare a connection; returns the handle that `write` takes. Its ``id`` matters only to `keep_ids`."""
+        """Declare a connection; returns the handle for `write`. Its ``id`` matters only if it is reserved."""
         ...
 
     def declarations(self) -> frozenset[bytes]:
-        """What a chunk may repeat of the connections declared so far; see `ChunkRule`."""
+        """Return the declarations so far that a chunk may repeat; see `ChunkRule`."""
         ...
 
     def compress_ahead(self, pool: Threads) -> None:
-        """Compress on these threads, which outlive the writer's work; what is written stays the same."""
+        """Compress on these threads, which outlive the writer's work; the written bytes stay the same."""
         ...
 
     def write(self, handle: int, log_time_ns: int, data: Buffer, publish_time_ns: int, sequence: int = 0) -> None:
-        """Append a message; ``UnwritableError``, and nothing is written, if the format cannot hold it."""
+        """Append a message; raises ``UnwritableError`` and writes nothing if the format cannot hold it."""
         ...
 
     def write_chunk(self, chunk: StoredChunk) -> None:
-        """Append a whole chunk, whose connections have been declared and have kept their ids."""
+        """Append a whole chunk; its connections must be declared and have kept their ids."""
         ...
 
     def add_attachment(self, attachment: Attachment) -> None:
@@ -318,7 +317,7 @@ class Writer(Protocol):
         ...
 
     def abort(self) -> None:
-        """Release the files; what was written is left for the caller to remove."""
+        """Release the files; the caller removes the unfinished recording."""
         ...
 
 

@@ -1,4 +1,4 @@
-"""The threads of a conversion, and how much may be held for them ahead of its turn."""
+"""Runs the work of a conversion on threads, and returns results in order within bounds of memory."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _Arguments = ParamSpec("_Arguments")
 
 
 class Task(Future[_Result], Generic[_Result]):
-    """A piece of work that threads were given. Who waits for its result works on others meanwhile."""
+    """A piece of work for threads. A thread that waits for its result works on other tasks meanwhile."""
 
     def __init__(self, work: Callable[[], _Result], threads: Threads) -> None:
         super().__init__()
@@ -30,13 +30,13 @@ class Task(Future[_Result], Generic[_Result]):
         self._threads = threads
 
     def run(self) -> None:
-        """Do it, unless it was given up; an interruption is raised at once."""
+        """Do the work, unless it was cancelled; an interruption is raised at once."""
         work, self._work = self._work, None
         if work is None or not self.set_running_or_notify_cancel():
             return
         try:
             result = work()
-        except Exception as err:  # noqa: BLE001  # it is raised where the result is asked for
+        except Exception as err:  # noqa: BLE001  # `result` raises it
             self.set_exception(err)
         except BaseException as err:
             self.set_exception(err)
@@ -56,24 +56,24 @@ class Task(Future[_Result], Generic[_Result]):
 
 
 class Threads:
-    """Some threads, one of which is that of the caller: it works while it waits for a result.
+    """A pool of threads that includes the caller's thread: it works while it waits for a result.
 
     Parameters
     ----------
     jobs
-        How many threads.
+        Number of threads.
 
     Attributes
     ----------
     jobs
-        How many threads.
+        Number of threads.
     ahead
-        Pieces of work that may wait, or have a result that waits for its turn.
+        Pieces of work that may be queued or finished before their turn.
 
     Notes
     -----
-    An executor of the standard library's leaves the caller's thread idle or in the way: it would be one more than there
-    are cores, and what takes a fraction of a millisecond waits as long for the interpreter's lock.
+    With an executor of the standard library the caller's thread would be one more than there are cores, and short work
+    would wait as long for the interpreter's lock as it takes.
     """
 
     def __init__(self, jobs: int) -> None:
@@ -101,14 +101,14 @@ class Threads:
         self._tasks.put(task)
         if len(self._threads) < self.jobs - 1:
             thread = Thread(target=self._serve, name=f"pc2scan_{len(self._threads)}")
-            # Where there may be no more threads, those that there are do the work.
+            # If the system allows no more threads, the existing ones do the work.
             with suppress(RuntimeError):
                 thread.start()
                 self._threads.append(thread)
         return task
 
     def help(self, task: Task[_Result]) -> None:
-        """Work until a task is done, or as long as there is something to do."""
+        """Work until a task is done or no work is queued."""
         while not task.done():
             try:
                 other = self._tasks.get_nowait()
@@ -119,24 +119,24 @@ class Threads:
 
     def _serve(self) -> None:
         while (task := self._tasks.get()) is not None:
-            # An interruption of this thread alone is told by the task.
+            # The task keeps the error, also an interruption of this thread alone.
             with suppress(BaseException):
                 task.run()
-            # Its result must not be kept while the thread waits for the next one.
+            # Releases the result while the thread waits for the next task.
             del task
 
 
 class InOrder(Generic[_Result]):
-    """Work on threads whose results are taken in the order in which it was put in, within bounds of memory.
+    """A queue of work on threads; results are taken in the order of the queue, within bounds of memory.
 
     Parameters
     ----------
     threads
-        Who works.
+        The threads.
     bytes_a_thread
         Bytes that may wait for each thread.
     least
-        Pieces of work that may wait whatever their size.
+        Pieces of work that may always wait, whatever their size.
     most
         Pieces of work that may wait at most; None: as many as `Threads.ahead`.
     """
@@ -147,24 +147,24 @@ class InOrder(Generic[_Result]):
         self._most = max(1, threads.ahead if most is None else min(most, threads.ahead))
         self._least = min(least, self._most)
         self._held = 0
-        #: The result, and how many bytes wait for it. What is done at its turn is not submitted.
+        #: The result, its future, and its size in bytes. Work that is done at its turn has no future.
         self._waiting: deque[tuple[Callable[[], _Result], Future[_Result] | None, int]] = deque()
 
     def __len__(self) -> int:
         return len(self._waiting)
 
     def has_room(self, size: int) -> bool:
-        """Whether one more of so many bytes may wait."""
+        """Whether one more piece of this size may wait."""
         return len(self._waiting) < (self._most if self._held + size <= self._bytes else self._least)
 
     def put(self, work: Callable[[], _Result], size: int, *, at_its_turn: bool = False) -> None:
-        """Let a thread call ``work``, or whoever takes its result."""
+        """Queue ``work`` for a thread, or (``at_its_turn``) for the caller of `take`."""
         future = None if at_its_turn else self._threads.submit(work)
         self._waiting.append((work if future is None else future.result, future, size))
         self._held += size
 
     def is_ready(self) -> bool:
-        """Whether there is a first result that can be taken without waiting."""
+        """Whether the first result can be taken without waiting."""
         return bool(self._waiting) and ((future := self._waiting[0][1]) is None or future.done())
 
     def take(self) -> _Result:
@@ -174,7 +174,7 @@ class InOrder(Generic[_Result]):
         return result()
 
     def cancel(self) -> None:
-        """Give up what has not begun."""
+        """Cancel work that has not begun."""
         for _, future, _ in self._waiting:
             if future is not None:
                 future.cancel()

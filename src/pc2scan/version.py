@@ -1,4 +1,4 @@
-"""The version of pc2scan, where every layer may read it; imports nothing."""
+"""The version of pc2scan. Imports nothing, so that every layer may import it."""
 
 from __future__ import annotations
 

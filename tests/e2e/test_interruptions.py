@@ -425,7 +425,7 @@ def test_a_destination_inside_the_source(tmp_path: Path) -> None:
     source = write_rosbag2(tmp_path / "drive", CONTENT)
     done = run("convert", source, "-o", source / "out.mcap")
     assert done.status == 2
-    assert "lies inside the source" in done.stderr
+    assert "is inside the source" in done.stderr
     assert sorted(path.name for path in source.iterdir()) == ["drive_0.db3", "metadata.yaml"]
 
 

@@ -65,10 +65,10 @@ assert "isal" in sys.modules
 def test_parts_are_combined(first: bytes, second: bytes) -> None:
     expected = zlib.crc32(first + second)
     assert crc32_combined(zlib.crc32(first), zlib.crc32(second), len(second)) == expected
-    assert module._moved(zlib.crc32(first), len(second)) ^ zlib.crc32(second) == expected
+    assert module._shifted(zlib.crc32(first), len(second)) ^ zlib.crc32(second) == expected
 
 
 def test_large_parts_are_combined() -> None:
     first, second = NOISE[:100], NOISE[100:]
     assert crc32_combined(zlib.crc32(first), zlib.crc32(second), len(second)) == zlib.crc32(NOISE)
-    assert module._moved(zlib.crc32(first), len(second)) ^ zlib.crc32(second) == zlib.crc32(NOISE)
+    assert module._shifted(zlib.crc32(first), len(second)) ^ zlib.crc32(second) == zlib.crc32(NOISE)

@@ -240,7 +240,7 @@ def test_a_failing_rename_brings_the_old_back(tmp_path: Path, monkeypatch: pytes
             make_directory(partial)
 
     monkeypatch.setattr(Path, "rename", fail_once)
-    with pytest.raises(OutputError, match="cannot be put in its place: Input/output error"):
+    with pytest.raises(OutputError, match="cannot be renamed to its final name: Input/output error"):
         run()
     assert (dst / "x_0.db3").read_text() == "old"
     assert names(tmp_path) == ["out"]

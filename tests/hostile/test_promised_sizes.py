@@ -204,7 +204,7 @@ def test_connections_without_number_in_a_bag(tmp_path: Path) -> None:
     head = rosbag1_files.bag_header(len(rosbag1_files.bag_header(0, 0, 0)), 1_000_000, 0)
     (tmp_path / "a.bag").write_bytes(head + b"".join(records) * 200)
     done = run_bounded(tmp_path, "info", tmp_path / "a.bag")
-    assert "at most 100000 are believed" in done.stdout + done.stderr
+    assert "at most 100000 are allowed" in done.stdout + done.stderr
 
 
 def test_connections_without_number_in_a_database(tmp_path: Path) -> None:

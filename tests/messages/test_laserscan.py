@@ -12,8 +12,8 @@ from hypothesis.extra.numpy import arrays
 from rosbags.typesys import Stores, get_typestore
 
 from pc2scan.errors import DecodeError
-from pc2scan.messages.laserscan import LASERSCAN, LaserScan, _described, decode_laserscan, encode_laserscan
-from pc2scan.messages.wire import MEMORABLE_BYTES
+from pc2scan.messages.laserscan import LASERSCAN, LaserScan, _frame_and_geometry, decode_laserscan, encode_laserscan
+from pc2scan.messages.wire import MAX_CACHED_BYTES
 
 ROS1 = get_typestore(Stores.ROS1_NOETIC)
 ROS2 = get_typestore(Stores.ROS2_JAZZY)
@@ -66,11 +66,11 @@ def test_zeros_keep_their_sign_whatever_was_encoded_before() -> None:
 
 
 def test_long_names_are_not_kept() -> None:
-    before = _described.cache_info().currsize
+    before = _frame_and_geometry.cache_info().currsize
     for letter in "abcd":
-        named = scan(floats(1), floats(), frame=letter * (MEMORABLE_BYTES + 1))
+        named = scan(floats(1), floats(), frame=letter * (MAX_CACHED_BYTES + 1))
         assert decode_laserscan(encode_laserscan(named, "cdr"), "cdr").frame_id == named.frame_id
-    assert _described.cache_info().currsize == before
+    assert _frame_and_geometry.cache_info().currsize == before
 
 
 def test_big_endian_scans_are_read() -> None:

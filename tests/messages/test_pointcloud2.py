@@ -20,7 +20,7 @@ from pc2scan.messages.pointcloud2 import (
     decode_pointcloud2,
     encode_pointcloud2,
 )
-from pc2scan.messages.wire import MEMORABLE_BYTES
+from pc2scan.messages.wire import MAX_CACHED_BYTES
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -249,7 +249,7 @@ def test_what_all_clouds_of_a_topic_have_in_common_is_decoded_once() -> None:
 
 
 def test_long_descriptions_are_not_kept() -> None:
-    data = bytes(ROS2.serialize_cdr(message(XYZ, bytes(24), width=2, frame="x" * MEMORABLE_BYTES), POINTCLOUD2))
+    data = bytes(ROS2.serialize_cdr(message(XYZ, bytes(24), width=2, frame="x" * MAX_CACHED_BYTES), POINTCLOUD2))
     decode = CloudDecoder("cdr")
     first, second = decode(data), decode(data)
     assert first == second

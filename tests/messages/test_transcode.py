@@ -318,7 +318,7 @@ def test_latched_profile_is_what_rosbags_understands() -> None:
 
 
 def test_same_ros_version_is_the_callers_mistake() -> None:
-    with pytest.raises(ValueError, match="of ROS version 1 already"):
+    with pytest.raises(ValueError, match="already is of ROS version 1"):
         transcoder(ros1("uint8 a\n"), 1)
 
 

@@ -1,6 +1,6 @@
-"""Compressing and decompressing, by the compression's name.
+"""Compresses and decompresses data, by the compression's name.
 
-What is decompressed is untrusted: every function that decompresses is given how much may come out of it.
+Compressed data are untrusted: every function that decompresses takes a limit for the result.
 """
 
 from __future__ import annotations
@@ -25,14 +25,13 @@ __all__ = [
     "zstd_head",
 ]
 
-#: How every LZ4 frame begins.
+#: The first bytes of every LZ4 frame.
 LZ4_MAGIC = b"\x04\x22\x4d\x18"
 
-#: How every zstd frame begins.
+#: The first bytes of every zstd frame.
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
-
-#: zstandard's own.
+#: zstandard's default.
 _ZSTD_LEVEL = 3
 
 
@@ -41,12 +40,12 @@ class CompressionError(ValueError):
 
 
 class Decompressed(NamedTuple):
-    """What came out.
+    """The result of decompressing.
 
     Attributes
     ----------
     data
-        At most one byte more than was expected, which shows that there is more.
+        At most one byte more than expected; the additional byte shows that there is more.
     complete
         Whether this is all, and the compressed data end where they should.
     """
@@ -65,27 +64,27 @@ def decompress(compression: str, data: Buffer, size: int) -> Decompressed:
     data
         All of the compressed data.
     size
-        Bytes that should come out. No more memory is taken than for these.
+        Expected size of the result, bytes. No more memory is used.
 
     Raises
     ------
     CompressionError
-        If the data are no such data.
+        If the data have another format or are damaged.
     MemoryError
-        If so much does not fit into memory.
+        If the result does not fit into memory.
     """
     return _DECOMPRESS[compression](data, size)
 
 
 def compress(compression: str, data: Buffer, level: int | None = None) -> Buffer:
-    """Compress: ``none``, ``bz2``, ``lz4`` or ``zstd``, which alone takes a level; default: the libraries' settings."""
+    """Compress with ``none``, ``bz2``, ``lz4`` or ``zstd``; only zstd has a level. Default: the libraries' settings."""
     return _COMPRESS[compression](data, level)
 
 
 class Decoder:
     """Decompresses piece by piece; made by `decoder`.
 
-    A piece that cannot be decompressed leaves nothing behind, so small pieces lose less.
+    A piece that fails is lost as a whole, so small pieces lose less.
     """
 
     def __init__(self, codec: Any, feed: Callable[[Buffer, int], bytes], failure: type[Exception]) -> None:
@@ -100,14 +99,14 @@ class Decoder:
 
     @property
     def unused_data(self) -> bytes:
-        """What was given behind that end."""
+        """The input after that end."""
         return bytes(self._codec.unused_data)
 
     def feed(self, piece: Buffer, limit: int = -1) -> bytes:
         """Decompress a piece.
 
-        ``limit`` bounds what comes out (-1: no bound). zstd ignores it, but a piece of 64 bytes becomes at most
-        some dozen blocks of 128 KB, and one of 2 KiB at most 64 MB.
+        ``limit`` bounds the result (-1: no bound). zstd ignores it, but a piece of 64 bytes becomes at most
+        about a dozen blocks of 128 KB, and one of 2 KiB at most 64 MB.
 
         Raises
         ------
@@ -134,12 +133,12 @@ def decoder(compression: str) -> Decoder:
 
 
 def zstd_content_size(data: Buffer) -> int:
-    """Return how many bytes a zstd frame declares; -1 if it does not.
+    """Return the size that a zstd frame declares, bytes; -1 if it declares none.
 
     Raises
     ------
     CompressionError
-        If it is no zstd frame.
+        If it is not a zstd frame.
     """
     import zstandard  # noqa: PLC0415  (only recordings that need it pay for it)
 
@@ -150,7 +149,7 @@ def zstd_content_size(data: Buffer) -> int:
 
 
 def zstd_head(file: IO[bytes], size: int) -> bytes:
-    """Decompress the first bytes of a zstd file; fewer, if there are fewer.
+    """Decompress the first bytes of a zstd file; fewer if the file has fewer.
 
     Raises
     ------
@@ -185,7 +184,7 @@ def _from_lz4(data: Buffer, size: int) -> Decompressed:
 
     unlz4 = lz4.frame.LZ4FrameDecompressor()
     try:
-        # LZ4 allocates its limit at once, and cannot expand more than 255 times.
+        # LZ4 allocates its limit at once. It expands at most 255 times.
         unpacked: bytes = unlz4.decompress(data, min(size, 255 * len(data)) + 1)
     except (OSError, RuntimeError, EOFError) as err:
         raise CompressionError(str(err)) from err
@@ -193,7 +192,7 @@ def _from_lz4(data: Buffer, size: int) -> Decompressed:
 
 
 def _from_zstd(data: Buffer, size: int) -> Decompressed:
-    # The size in the frame's own header would win over the limit given here.
+    # The library prefers the size in the frame's header to this limit.
     declared = zstd_content_size(data)
     if declared >= 0 and declared != size:
         raise CompressionError(f"the compressed data declare {declared} bytes")

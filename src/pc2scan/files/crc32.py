@@ -1,6 +1,6 @@
-"""CRC-32 as zlib and MCAP have it, by the fastest way there is here.
+"""Computes CRC-32 as zlib and MCAP define it, with the fastest available library.
 
-zlib's takes as long as reading an uncompressed recording, and a fifth of decompressing zstd.
+zlib needs as long for it as for reading an uncompressed recording, and a fifth of the time of decompressing zstd.
 """
 
 from __future__ import annotations
@@ -16,29 +16,26 @@ if TYPE_CHECKING:
 
 __all__ = ["crc32", "crc32_combined"]
 
-#: zlib is done with fewer bytes before the other library is loaded.
+#: For fewer bytes, zlib is faster than loading the other library.
 _WORTH_LOADING = 1 << 18
 
 
 def crc32(data: Buffer, value: int = 0) -> int:
-    """Return the CRC-32 of bytes, or continue that of the bytes in front of them, ``value``."""
+    """Return the CRC-32 of bytes; ``value`` is the CRC of the bytes before them."""
     return zlib.crc32(data, value) if len(data) < _WORTH_LOADING else _fastest()(data, value)
 
 
 def crc32_combined(first: int, second: int, length: int) -> int:
-    """Return the CRC-32 of bytes, given those of their beginning and of the ``length`` bytes that follow it."""
+    """Return the CRC-32 of two parts together: ``first``, and ``second`` of ``length`` bytes."""
     try:
         from isal import isal_zlib  # noqa: PLC0415  # seldom needed
     except ImportError:
-        return _moved(first, length) ^ second
+        return _shifted(first, length) ^ second
     return isal_zlib.crc32_combine(first, second, length)
 
 
-def _moved(value: int, length: int) -> int:
-    """Return what a CRC becomes when so many zeros follow, apart from what the zeros themselves would add.
-
-    A CRC is the remainder of a polynomial over GF(2), which ``8 * length`` further bits multiply by x that many times.
-    """
+def _shifted(value: int, length: int) -> int:
+    """Multiply a CRC, the remainder of a polynomial over GF(2), by x to the power of ``8 * length``."""
     # x^8, the highest bit being x^0.
     power = 1 << 23
     while length:

@@ -1,19 +1,19 @@
-"""What is believed of a recording's declarations: beyond it, a file asks for memory and not for what is in it."""
+"""Limits for the sizes and counts that an untrusted recording declares; more would only take memory."""
 
 from __future__ import annotations
 
 __all__ = ["MAX_CONNECTIONS", "MAX_FILE_RATIO", "MAX_UNPACKED", "allowed_bytes"]
 
-#: Any chunk or message may unpack to this many bytes, however few it is stored in.
+#: Size to which any chunk or message may be decompressed, even if it is stored in few bytes.
 MAX_UNPACKED = 32 << 20
 
-#: A file that is compressed as a whole may unpack to so many times its size; zeros shrink to a thirty-thousandth.
+#: Limit of the ratio for a file that is compressed as a whole. zstd compresses zeros 30,000 times.
 MAX_FILE_RATIO = 1000
 
-#: Connections of a recording. MCAP has numbers for 65,535.
+#: Connections of a recording. MCAP's ids allow 65,535.
 MAX_CONNECTIONS = 100_000
 
 
 def allowed_bytes(stored: int) -> int:
-    """How many bytes may come out of something compressed, given how many the file (or the message) is stored in."""
+    """Return the allowed size of decompressed data, given the size of the file (or message) that holds them."""
     return MAX_UNPACKED + 2 * stored

@@ -1,4 +1,4 @@
-"""What a run reads, compared with what it writes: no output may replace, remove or hide an input."""
+"""Compares the inputs of a run with its outputs: no output may replace, remove or hide an input."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 
 __all__ = ["Input", "Output", "refuse_overlap"]
 
-#: Endings of what SQLite reads beside a database.
+#: Endings of the files that SQLite reads beside a database.
 _LOGS = ("-wal", "-journal", "-shm")
 
-#: Links that lead to links: the system follows no more than this many.
+#: Links that lead to links: the system follows at most this many.
 _MAX_LINKS = 40
 
 #: Device and inode.
@@ -29,7 +29,7 @@ _Id = tuple[int, int]
 
 
 class Input(NamedTuple):
-    """A file or folder that a run reads, and what for: ``source``, or the option that names it."""
+    """A file or folder that a run reads, and its role: ``source``, or the option that names it."""
 
     path: Path
     role: str = "source"
@@ -45,21 +45,21 @@ class Output(NamedTuple):
 def refuse_overlap(inputs: Iterable[Input], outputs: Sequence[Output]) -> None:
     """Raise if an output of a run is one of its inputs, or another output.
 
-    Files and folders are compared by device and inode, and all links on the way to them count: hard links, symbolic
-    links, links to folders, and names that a file system does not distinguish. With an output count the names that it
-    has while it is written; with a folder what is in it; with a file the logs that SQLite reads beside a database.
+    Files and folders are compared by device and inode, through hard links, symbolic links, links to folders, and names
+    that a file system does not distinguish. An output includes the names that it has while it is written; a folder
+    includes its entries; a file includes the logs that SQLite reads beside a database.
 
     Parameters
     ----------
     inputs
-        What is read. Nothing of it has to exist.
+        The inputs; they need not exist.
     outputs
-        What is going to be written.
+        The outputs.
 
     Raises
     ------
     DestinationError
-        If an output is an input, lies inside one, or contains one, or if two outputs do so with each other.
+        If an output is an input, is inside one, or contains one, or if this is true of two outputs.
     """
     read = _Inputs(inputs)
     for output in outputs:
@@ -70,7 +70,7 @@ def refuse_overlap(inputs: Iterable[Input], outputs: Sequence[Output]) -> None:
 
 
 class _Inputs:
-    """All places of the inputs, by path and by device and inode, and the folders that they are in."""
+    """All paths of the inputs, by name and by device and inode, and the folders above them."""
 
     def __init__(self, inputs: Iterable[Input]) -> None:
         self._paths: dict[Path, Input] = {}
@@ -96,15 +96,15 @@ class _Inputs:
                     self._folders.setdefault(identity, given)
 
     def related(self, path: Path) -> tuple[str, Input] | None:
-        """How a path is related to an input, and to which; None if it has nothing to do with any."""
+        """Return how a path is related to an input, and to which; None if to none."""
         places = list(_places(path))
-        # What does not exist has no inode, but a log that appears beside a database would be read with it.
+        # A file that does not exist has no inode, but a log that appears beside a database would be read with it.
         if found := self._paths.get(places[0]) or _first(self._ids, _ids(*places)):
             return "is", found
         if found := _first(self._folders, _ids(*places)):
             return "contains", found
         if found := _first(self._ids, _ids(*(folder for place in places for folder in place.parents))):
-            return "lies inside", found
+            return "is inside", found
         return None
 
 
@@ -124,7 +124,7 @@ def _refuse_input(output: Output, read: _Inputs) -> None:
 
 
 def _leftover(output: Output, path: Path, found: Input) -> DestinationError:
-    """Say that an input has a name that staging uses, and how the user comes out of that."""
+    """Return the error for an input with a name that staging needs, and a command that renames it."""
     better = output.path.with_name(f"interrupted_{output.path.name}")
     rename = f" (mv {shlex.quote(str(path))} {shlex.quote(str(better))})" if not os.path.lexists(better) else ""
     return DestinationError(
@@ -141,7 +141,7 @@ def _refuse_output(output: Output, earlier: Output) -> None:
     if own & others:
         relation = "is"
     elif others & _folder_keys(output.path):
-        relation = "lies inside"
+        relation = "is inside"
     elif own & _folder_keys(earlier.path):
         relation = "contains"
     if relation:
@@ -153,7 +153,7 @@ def _subject(output: Output) -> str:
 
 
 def _entries(path: Path) -> list[Path]:
-    """What is in a folder; nothing for a file, or where nothing can be read."""
+    """Return the entries of a folder; none for a file, or if the folder cannot be read."""
     try:
         return list(path.iterdir())
     except OSError:
@@ -161,7 +161,7 @@ def _entries(path: Path) -> list[Path]:
 
 
 def _logs(path: Path) -> Iterator[Path]:
-    """What SQLite would read beside a database: files, or what may become one."""
+    """Return the paths that SQLite would read beside a database, if they are files or do not exist."""
     for log in (path.with_name(path.name + suffix) for suffix in _LOGS if path.name):
         # A name may be too long, which `Path.is_dir` raises.
         if not os.path.isdir(log):  # noqa: PTH112
@@ -169,7 +169,7 @@ def _logs(path: Path) -> Iterator[Path]:
 
 
 def _places(path: Path) -> Iterator[Path]:
-    """Where a path is: its own place, and each one that it leads to if it is a symbolic link."""
+    """Return a path without links in its folders, and if it is a symbolic link each path that it leads to."""
     for _ in range(_MAX_LINKS):
         path = Path(os.path.realpath(path.parent), path.name) if path.name not in {"", ".."} else path.resolve()
         yield path
@@ -180,7 +180,7 @@ def _places(path: Path) -> Iterator[Path]:
 
 
 def _ids(*paths: Path) -> list[_Id]:
-    """Device and inode of what exists of some paths; of a symbolic link its own and its target's."""
+    """Return device and inode of those paths that exist; for a symbolic link its own and its target's."""
     found = []
     for path in paths:
         for look in (os.lstat, os.stat):
@@ -191,7 +191,7 @@ def _ids(*paths: Path) -> list[_Id]:
 
 
 def _key(path: Path) -> object:
-    """Equal for all that may be one file: a file system may ignore case, and take two spellings for one name."""
+    """Return a key that is equal for paths that may be one file: file systems may ignore case or Unicode's forms."""
     place = next(_places(path))
     return tuple(_ids(place.parent)[-1:]) or place.parent, unicodedata.normalize("NFC", place.name).casefold()
 

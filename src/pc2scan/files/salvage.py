@@ -1,8 +1,7 @@
-"""As much of broken compressed data as can be decompressed.
+"""Decompresses the part of damaged data that can be decompressed.
 
-Only damaged chunks come here. Data are fed in small pieces, because a decompressor that fails forgets what it
-made of the piece that it failed on. LZ4 frames are taken apart block by block, so that a broken block costs only
-itself, and of it only what follows the break.
+Data are fed in small pieces, because a decompressor that fails drops its output for that piece. LZ4 frames are decoded
+block by block, so that only the rest of a damaged block is lost.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = ["SIZE_LIMIT", "decompressed_prefix"]
 
-#: A chunk whose declared size may be damaged too is decompressed to this many bytes, if it declares fewer.
+#: A damaged chunk is decompressed up to this size even if it declares less: its declared size may be damaged too.
 SIZE_LIMIT = 16 << 20
 
 _PIECE = 64
@@ -36,15 +35,15 @@ def decompressed_prefix(data: Buffer, compression: str, declared: int) -> bytes:
     data
         The compressed data, perhaps cut off.
     compression
-        ``none``, ``bz2``, ``lz4`` or ``zstd``; of anything else nothing is made.
+        ``none``, ``bz2``, ``lz4`` or ``zstd``; any other gives no bytes.
     declared
-        The size that the chunk declares, bytes. It may be exceeded up to `SIZE_LIMIT`, since it may be wrong.
+        The size that the chunk declares, bytes. It may be wrong: the result may have up to `SIZE_LIMIT`.
 
     Returns
     -------
     bytes
-        What came out, from the beginning. After a broken block of an LZ4 frame with independent blocks, the next
-        ones follow without a gap.
+        The decompressed bytes from the beginning. After a damaged block of an LZ4 frame with independent blocks, the
+        next ones follow without a gap.
     """
     limit = min(max(declared, SIZE_LIMIT), allowed_bytes(len(data)))
     if compression == "none":
@@ -74,7 +73,7 @@ def _fed(decoding: Decoder, data: memoryview, limit: int) -> bytes:
 
 
 def _lz4_frame(data: memoryview, limit: int) -> bytes:
-    """Take an LZ4 frame apart. Source: lz4_Frame_format.md of the LZ4 project."""
+    """Decode an LZ4 frame block by block. Source: lz4_Frame_format.md of the LZ4 project."""
     import lz4.block  # noqa: PLC0415  (only recordings that need it pay for it)
 
     if len(data) < 7 or bytes(data[:4]) != LZ4_MAGIC:
@@ -87,7 +86,7 @@ def _lz4_frame(data: memoryview, limit: int) -> bytes:
     while position + 4 <= len(data) and len(out) < limit:
         (length,) = struct.unpack_from("<I", data, position)
         stored, length = length >> 31, length & 0x7FFF_FFFF
-        # No block is longer than what it decompresses to: such a one would be stored.
+        # A block that compression would lengthen is stored uncompressed: none is longer than `block_size`.
         if length == 0 or length > block_size:
             break
         block = bytes(data[position + 4 : position + 4 + length])

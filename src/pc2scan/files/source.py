@@ -1,4 +1,4 @@
-"""The file of a recording: read at given places, or written from start to end."""
+"""Reads the file of a recording at given places, and writes a new file from start to end."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ __all__ = ["FreeIds", "NewFile", "SourceFile", "file_beside", "opened_bytes", "o
 
 _Result = TypeVar("_Result")
 
-#: So many bytes are read into a buffer that is used again. Memory for fewer costs no page faults, and a buffer for more
-#: would take much memory beside what is made of them.
+#: Sizes that are read into a reused buffer. Memory for fewer bytes costs no page faults, and a larger buffer would take
+#: too much memory beside the results.
 _BORROWED_BYTES = range(1 << 18, 1 << 24)
 
-#: What SQLite keeps beside a database that is written to.
+#: Endings of the files that SQLite keeps beside a database while it is written.
 _LOGS = ("-wal", "-journal")
 
-#: The sizes of buffers, so that one serves chunks of different sizes.
+#: Buffers have multiples of this size, so that one serves chunks of different sizes.
 _ROUNDED_TO = 1 << 20
 
 
 def state_of(path: Path) -> tuple[tuple[str, int, int, int, int], ...]:
-    """What shows whether a recording was changed: of each file the name, inode, size and both times of change.
+    """Return the name, inode, size and both times of change of each file of a recording, to detect changes.
 
-    Anyone can set a file's modification time back (``cp -p``, ``rsync -t``, ``touch -r``), but not its ctime. The logs
-    beside a database belong to it: a recorder that is still running may write to nothing else.
+    ``cp -p``, ``rsync -t`` and ``touch -r`` set a file's modification time back, but not its ctime. The logs beside a
+    database are included: a recorder that is still running may write only to these.
     """
     try:
         if path.is_dir():
@@ -53,7 +53,7 @@ def state_of(path: Path) -> tuple[tuple[str, int, int, int, int], ...]:
 
 
 def file_beside(path: Path, suffix: str) -> Path | None:
-    """Return the file whose name is that of another and ``suffix``, if it is there; with it a name may be too long."""
+    """Return the file with another file's name and ``suffix``; None if it does not exist or the name is too long."""
     side = path.with_name(path.name + suffix)
     with suppress(OSError):
         return side if side.is_file() else None
@@ -61,23 +61,23 @@ def file_beside(path: Path, suffix: str) -> Path | None:
 
 
 def opened_bytes(path: Path) -> BinaryIO:
-    """Open a file to read it, if it is one: a FIFO would wait for a writer, and a device has no end.
+    """Open a file for reading; special files are refused, as a FIFO would wait for a writer and a device has no end.
 
     Raises
     ------
     OSError
-        If it is not there or may not be read, or is neither a file nor a directory.
+        If it does not exist, may not be read, or is neither a file nor a directory.
     """
-    return open(path, "rb", opener=_opened)
+    return open(path, "rb", opener=_open_regular)
 
 
 def opened_text(path: Path) -> TextIOWrapper:
     """Open a file of UTF-8 text as `opened_bytes` does."""
-    return open(path, encoding="utf-8", opener=_opened)
+    return open(path, encoding="utf-8", opener=_open_regular)
 
 
-def _opened(path: str, flags: int) -> int:
-    # Looked at before it is opened, which alone acts upon some devices, and after: it may have been replaced.
+def _open_regular(path: str, flags: int) -> int:
+    # Checked before it is opened, because opening alone has an effect on some devices, and after: it may be another.
     _refuse_special(os.stat(path), path)  # noqa: PTH116  # an opener's paths are text
     descriptor = os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
     try:
@@ -89,7 +89,7 @@ def _opened(path: str, flags: int) -> int:
 
 
 def _refuse_special(found: os.stat_result, path: str) -> None:
-    """Raise if this is no file. Of a directory, opening it does."""
+    """Raise if this is a special file. For a directory, opening raises."""
     kinds = {stat.S_ISFIFO: "FIFO", stat.S_ISSOCK: "socket", stat.S_ISCHR: "device", stat.S_ISBLK: "device"}
     for is_kind, name in kinds.items():
         if is_kind(found.st_mode):
@@ -97,14 +97,14 @@ def _refuse_special(found: os.stat_result, path: str) -> None:
 
 
 class SourceFile:
-    """A file's bytes by their place: what is not there is an error, never a short answer.
+    """Reads a file's bytes at given places; too few bytes are an error, never a short result.
 
     Parameters
     ----------
     path
         The file.
     start
-        Where in the file the recording begins: places count from here, and what is in front is not there.
+        Where in the file the recording begins; places count from here.
 
     Raises
     ------
@@ -115,26 +115,26 @@ class SourceFile:
     def __init__(self, path: Path, start: int = 0) -> None:
         self.path = path
         self.start = start
-        #: Where in the file another recording begins, behind this one.
+        #: Where in the file another recording follows this one.
         self.next_start: int | None = None
         self._descriptor = -1
         self._buffers = _shared.setdefault("", _Buffers())
         try:
-            self._descriptor = _opened(str(path), os.O_RDONLY | getattr(os, "O_CLOEXEC", 0))
+            self._descriptor = _open_regular(str(path), os.O_RDONLY | getattr(os, "O_CLOEXEC", 0))
             self.size = os.fstat(self._descriptor).st_size - start
         except OSError as err:
             self.close()
             raise self.error(f"cannot be opened: {err.strerror}") from err
 
     def end_at(self, size: int) -> None:
-        """Let the recording have so many bytes: another one begins there."""
+        """End the recording after this many bytes, where another one begins."""
         self.size = size
         self.next_start = self.start + size
 
     def expect(self, offset: int, length: int) -> None:
-        """Let the system begin to read what is needed soon; where it cannot, nothing changes."""
+        """Tell the system to read these bytes ahead, if it can."""
         offset += self.start
-        # What is there already would be looked for page by page: the last byte tells.
+        # If the last byte is cached already, the call is saved: it would look for each page.
         with suppress(OSError, AttributeError):
             if os.preadv(self._descriptor, [bytearray(1)], offset + length - 1, os.RWF_NOWAIT):
                 return
@@ -153,11 +153,11 @@ class SourceFile:
         return RecordingError(message, path=self.path, hint=hint)
 
     def located(self, message: str) -> str:
-        """Say of which recording in the file places are that a message names."""
+        """Add to a message with places where in the file the recording begins."""
         return f"in the recording from byte {self.start} on, {message}" if self.start else message
 
     def damage(self, message: str) -> Exception:
-        """Make the error for bytes that are not there or not what they must be; formats say it in their own way."""
+        """Make the error for missing or wrong bytes; formats override it."""
         return self.error(message)
 
     def read(self, offset: int, length: int) -> bytes:
@@ -178,15 +178,14 @@ class SourceFile:
         return data
 
     def borrow(self, offset: int, length: int, callback: Callable[[memoryview], _Result]) -> _Result:
-        """Call ``callback`` with exactly these bytes, read into a buffer that is used again if they are many.
+        """Call ``callback`` with exactly these bytes; many bytes are read into a reused buffer.
 
         Parameters
         ----------
         offset, length
             The bytes' place.
         callback
-            Keeps none of the bytes, unless they are those of a ``bytes`` (see `pc2scan.model.own`): the buffer has
-            others soon.
+            Must copy the bytes that it keeps (`pc2scan.model.own`), because the buffer is overwritten afterwards.
         """
         if length not in _BORROWED_BYTES or not hasattr(os, "preadv"):
             return callback(memoryview(self.read(offset, length)))
@@ -206,7 +205,7 @@ class SourceFile:
             raise self.damage(f"{length} bytes are declared from byte {offset} on, but the file has {self.size} bytes")
 
     def _fill(self, view: memoryview, offset: int) -> None:
-        """Read exactly so many bytes as fit into ``view``."""
+        """Fill ``view`` with the bytes at a place of the file."""
         done = 0
         try:
             while done < len(view) and (more := os.preadv(self._descriptor, [view[done:]], offset + done)):
@@ -230,11 +229,11 @@ class SourceFile:
 
 
 class _Buffers(list[bytearray]):
-    """Buffers that are free. All open files share them: one for each thread that reads is enough."""
+    """The free buffers. All open files share them, so that each thread that reads needs one."""
 
     def take(self, length: int) -> bytearray:
-        """Return a buffer for at least so many bytes; whoever takes it appends it again."""
-        # Not asked first whether there is one: another thread may take it in between.
+        """Return a buffer of at least this size; the caller appends it again."""
+        # Not checked first: another thread may take the buffer in between.
         with suppress(IndexError):
             buffer = self.pop()
             if len(buffer) >= length:
@@ -242,7 +241,7 @@ class _Buffers(list[bytearray]):
         return bytearray(-(-length // _ROUNDED_TO) * _ROUNDED_TO)
 
 
-#: The buffers, as long as any file is open.
+#: The buffers; they exist as long as any file is open.
 _shared: WeakValueDictionary[str, _Buffers] = WeakValueDictionary()
 
 
@@ -262,7 +261,7 @@ class NewFile:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        #: Where the next bytes come to lie.
+        #: Where the next bytes are written.
         self.position = 0
         self._file = path.open("xb")
 
@@ -277,7 +276,7 @@ class NewFile:
         return start
 
     def replace(self, offset: int, data: Buffer) -> None:
-        """Write over what was written; nothing is put after that."""
+        """Overwrite bytes; `put` may not be called after that."""
         try:
             self._file.seek(offset)
             self._file.write(data)
@@ -295,7 +294,7 @@ class NewFile:
 
     def abort(self) -> None:
         """Release the file; what was written is left for the caller to remove."""
-        # Closing writes what is buffered, and there may be no room for it: the reason for aborting.
+        # Closing writes the buffered bytes and may fail for the same reason as the run.
         with suppress(OSError):
             self._file.close()
 
@@ -304,7 +303,7 @@ class NewFile:
 
 
 class FreeIds:
-    """Ids for what is declared in a file: some are kept, all others are handed out from the first one on.
+    """Gives ids to the declarations of a file: some are reserved, all others are counted from the first one on.
 
     Parameters
     ----------
@@ -318,11 +317,11 @@ class FreeIds:
         self._taken: set[int] = set()
 
     def keep(self, ids: Collection[int]) -> None:
-        """Hand these out to nobody but those who ask for them."""
+        """Reserve these ids for callers that ask for them."""
         self._kept.update(ids)
 
     def take(self, wanted: int) -> int:
-        """Return ``wanted`` if it is kept and nobody has it, else the next one that is neither kept nor taken."""
+        """Return ``wanted`` if it is reserved and not taken, else the next id that is neither."""
         if wanted in self._kept and wanted not in self._taken:
             self._taken.add(wanted)
             return wanted

@@ -1,4 +1,4 @@
-"""A destination appears whole or not at all: written beside its place, then renamed into it."""
+"""Writes a destination under a temporary name beside it and renames it at the end, so that it is complete or absent."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
-    #: Says what a directory has in it beside a recording; empty for nothing.
+    #: Returns what a directory has in it beside a recording; empty for nothing.
     _Beside = Callable[[Path], str]
 
 __all__ = ["LEFTOVERS", "made_folder", "prepared", "staged", "sync_directory", "sync_file", "working_names"]
@@ -22,37 +22,37 @@ _PARTIAL = ".pc2scan-partial"
 _OLD = ".pc2scan-old"
 _LOCK = f"{_PARTIAL}.lock"
 
-#: Endings of what a run that was killed leaves beside its destination.
+#: Endings of the files that a killed run leaves beside its destination.
 LEFTOVERS = (_PARTIAL, _OLD)
 
 
 def working_names(dst: Path) -> tuple[Path, ...]:
     """Return the paths beside a destination that a run creates, renames and removes while it writes it.
 
-    What is read must have none of them: see `pc2scan.files.overlap`.
+    No input may have one of them: see `pc2scan.files.overlap`.
     """
     return tuple(dst.with_name(dst.name + ending) for ending in (_PARTIAL, _OLD, _LOCK)) if dst.name else ()
 
 
 @contextmanager
 def staged(dst: Path, *, overwrite: bool, beside_recording: _Beside | None = None) -> Iterator[Path]:
-    """Give a path to write to, and make it the destination at the end.
+    """Yield a path to write to, and rename it to the destination at the end.
 
     Parameters
     ----------
     dst
-        The file or directory that is to appear. Neither it nor one of its `working_names` is something that is read.
+        The file or directory to write. Neither it nor one of its `working_names` may be an input.
     overwrite
-        Whether a file, or a directory that holds a rosbag2 recording and nothing else, may be replaced if it is there.
-        It stays untouched until the new one is complete.
+        Whether an existing file, or a directory with a rosbag2 recording and nothing else, may be replaced.
+        It stays unchanged until the new one is complete.
     beside_recording
-        Says what a directory has in it beside a recording, if anything. Without it no directory is replaced.
+        Returns what a directory has in it beside a recording, if anything. Without it no directory is replaced.
 
     Yields
     ------
     Path
-        ``<dst>.pc2scan-partial``, where nothing is. The body creates a file or a directory there. If it
-        raises anything, that is removed and the error goes on.
+        ``<dst>.pc2scan-partial``, which does not exist. The body creates a file or a directory there. If the body
+        raises, that is removed.
 
     Raises
     ------
@@ -78,22 +78,22 @@ def staged(dst: Path, *, overwrite: bool, beside_recording: _Beside | None = Non
 def prepared(
     dst: Path, check: Callable[[], bool], beside_recording: _Beside | None = None
 ) -> Iterator[tuple[Path, Callable[[], None]]]:
-    """Give a path to write to, and a function that makes it the destination.
+    """Yield a path to write to, and a function that renames it to the destination.
 
     Parameters
     ----------
     dst
         See `staged`.
     check
-        Raises if ``dst`` may not be written, and returns whether what is there may be replaced. Called once, at the
-        beginning; what appears later is replaced only if it returned true.
+        Raises if ``dst`` may not be written, and returns whether an existing ``dst`` may be replaced. Called once, at
+        the beginning; a file that appears later is replaced only if the result was true.
     beside_recording
         See `staged`.
 
     Yields
     ------
     path, function
-        Where nothing is; and what to call once it is complete. Without that call it is removed.
+        A path that does not exist, and the function to call when it is complete. Without the call it is removed.
 
     Raises
     ------
@@ -103,7 +103,7 @@ def prepared(
     _check_parent(dst)
     partial = dst.with_name(dst.name + _PARTIAL)
     with _only_run(dst):
-        # What is here now was left by a run that died: a living one holds the lock.
+        # A partial file that exists now is of a run that died: a running one holds the lock.
         with _cleaning_up(dst):
             _remove(partial)
         overwrite = check()
@@ -116,12 +116,12 @@ def prepared(
 
 @contextmanager
 def made_folder(folder: Path) -> Iterator[None]:
-    """Make a folder to write into, if it does not exist; it disappears again if the body fails and leaves it empty.
+    """Make a folder to write into, if it does not exist; it is removed again if the body fails and leaves it empty.
 
     Raises
     ------
     DestinationError
-        If it is something else, or the folder that it is to be in does not exist.
+        If it is not a folder, or the folder above it does not exist.
     OutputError
         If it cannot be made.
     """
@@ -145,13 +145,13 @@ def made_folder(folder: Path) -> Iterator[None]:
 
 def sync_file(path: Path) -> None:
     """Wait until a file's content is on the disk."""
-    # Not read-only: Windows flushes only what it may write.
+    # Not read-only: Windows flushes only files that are open for writing.
     with path.open("rb+") as file:
         os.fsync(file.fileno())
 
 
 def sync_directory(path: Path) -> None:
-    """Wait until a directory's entries are on the disk, where the system can do so."""
+    """Wait until a directory's entries are on the disk, if the system can do so."""
     if os.name == "nt":
         return
     descriptor = os.open(path, os.O_RDONLY)
@@ -174,7 +174,7 @@ def _check_parent(dst: Path) -> None:
     _check_length(dst)
     if not parent.is_dir():
         raise DestinationError(f"{parent} is not a directory", path=dst)
-    # Even a link there is not to be replaced: /dev/stdout is one.
+    # Even links there are not replaced: /dev/stdout is one.
     place = os.path.realpath(parent)
     if place == "/dev" or place.startswith(("/proc/", "/sys/")):
         raise DestinationError(f"{parent} holds devices, not files", path=dst, hint="name a file in another directory")
@@ -183,9 +183,9 @@ def _check_parent(dst: Path) -> None:
 
 
 def _check_length(dst: Path) -> None:
-    """Raise if the file system cannot hold the name, or those of the files beside it while it is written."""
+    """Raise if the file system cannot hold the name, or one of its `working_names`."""
     limit = 255
-    # Not on every system, nor known of every file system.
+    # Not every system and file system can tell.
     with suppress(OSError, ValueError, AttributeError):
         limit = os.pathconf(dst.parent, "PC_NAME_MAX")
     allowed = limit - len(_LOCK)
@@ -200,14 +200,14 @@ def _cleaning_up(dst: Path) -> Iterator[None]:
     try:
         yield
     except OSError as err:
-        raise OutputError(f"what an interrupted run left cannot be removed: {err.strerror}", path=dst) from err
+        raise OutputError(f"the files of an interrupted run cannot be removed: {err.strerror}", path=dst) from err
 
 
 def _restore(dst: Path) -> None:
-    """Undo or complete the replacing of a directory, if a run died between its two steps."""
+    """Undo or complete the replacement of a directory, if a run died between the two steps."""
     aside = dst.with_name(dst.name + _OLD)
     if os.path.lexists(dst):
-        # The new one was in its place; all that was left was to remove the old.
+        # The new one was renamed already; only the old one had to be removed.
         _remove(aside)
     elif os.path.lexists(aside):
         aside.rename(dst)
@@ -218,7 +218,7 @@ def _check_existing(dst: Path, *, overwrite: bool, beside_recording: _Beside | N
         return
     if not overwrite:
         raise _exists(dst)
-    # Of a link only the link is replaced; but a device behind it is what was meant.
+    # A link itself is replaced, not its target; but a link to a device means the device.
     if dst.exists() and not dst.is_file() and not dst.is_dir():
         raise DestinationError("is neither a file nor a directory, and cannot be overwritten", path=dst)
     if dst.is_symlink() or dst.is_file():
@@ -227,7 +227,7 @@ def _check_existing(dst: Path, *, overwrite: bool, beside_recording: _Beside | N
 
 
 def _refuse_other_directory(dst: Path, beside_recording: _Beside | None) -> None:
-    """Raise if a directory has anything to lose but a recording."""
+    """Raise if a directory has anything but a recording in it."""
     reason = beside_recording(dst) if beside_recording else "it is not looked into"
     if reason:
         raise DestinationError(
@@ -243,7 +243,7 @@ def _exists(dst: Path) -> DestinationError:
 
 @contextmanager
 def _only_run(dst: Path) -> Iterator[None]:
-    """Hold the lock that tells a living run from a dead one; the kernel releases it when the process ends."""
+    """Hold the lock of a running run; the kernel releases it when the process ends."""
     lock = dst.with_name(dst.name + _LOCK)
     try:
         descriptor = _locked(lock)
@@ -254,7 +254,7 @@ def _only_run(dst: Path) -> Iterator[None]:
     try:
         yield
     finally:
-        # Removed before it is released: who gets the lock on a removed file notices, in _locked.
+        # Removed before it is released: a run that locks the removed file notices, in _locked.
         with suppress(OSError):
             lock.unlink()
         with suppress(OSError):
@@ -262,20 +262,20 @@ def _only_run(dst: Path) -> Iterator[None]:
 
 
 def _locked(lock: Path) -> int:
-    """Open a lock file and lock it; BlockingIOError if another process has."""
+    """Open a lock file and lock it; BlockingIOError if another process has locked it."""
     try:
         import fcntl  # noqa: PLC0415  (not on Windows)
     except ImportError:
-        return _opened(lock)
+        return _open_lock(lock)
     while True:
-        descriptor = _opened(lock)
+        descriptor = _open_lock(lock)
         try:
             try:
                 fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
                 raise
             except OSError:
-                # Some network file systems cannot lock. That is no reason not to write there.
+                # Some network file systems cannot lock files, but can be written.
                 return descriptor
             with suppress(FileNotFoundError):
                 if os.path.samestat(os.fstat(descriptor), lock.lstat()):
@@ -283,12 +283,12 @@ def _locked(lock: Path) -> int:
         except BaseException:
             os.close(descriptor)
             raise
-        # The run that held it ended, and removed it, between our opening and our locking it.
+        # The run that held the lock ended, and removed it, between opening and locking it here.
         os.close(descriptor)
 
 
-def _opened(lock: Path) -> int:
-    """Open a lock file, or create it; never through a link, and never a file that has a content to lose."""
+def _open_lock(lock: Path) -> int:
+    """Open a lock file, or create it; never through a link, and never a file that is not empty."""
     flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_NOFOLLOW", 0)
     try:
         descriptor = os.open(lock, flags, 0o644)
@@ -299,12 +299,12 @@ def _opened(lock: Path) -> int:
     status = os.fstat(descriptor)
     if not stat.S_ISREG(status.st_mode) or status.st_size:
         os.close(descriptor)
-        raise _no_lock(lock, "no lock of pc2scan: it has a content")
+        raise _no_lock(lock, "not a lock of pc2scan: it is not empty")
     return descriptor
 
 
 def _no_lock(lock: Path, what: str) -> DestinationError:
-    return DestinationError(f"is where the run's lock would be, and is {what}", path=lock, hint="move it away")
+    return DestinationError(f"has the name of the run's lock, but is {what}", path=lock, hint="move it away")
 
 
 def _commit(partial: Path, dst: Path, *, overwrite: bool, beside_recording: _Beside | None) -> None:
@@ -318,7 +318,7 @@ def _commit(partial: Path, dst: Path, *, overwrite: bool, beside_recording: _Bes
             _rename_file(partial, dst)
         sync_directory(dst.parent)
     except OSError as err:
-        raise OutputError(f"cannot be put in its place: {err.strerror}", path=dst) from err
+        raise OutputError(f"cannot be renamed to its final name: {err.strerror}", path=dst) from err
 
 
 def _sync(path: Path) -> None:
@@ -331,13 +331,13 @@ def _sync(path: Path) -> None:
 
 
 def _rename_file(partial: Path, dst: Path) -> None:
-    """Rename, but never over what appeared meanwhile: a link, unlike a rename, refuses to."""
+    """Rename, but never over a file that appeared meanwhile: unlike a rename, a link fails then."""
     try:
         os.link(partial, dst)
     except FileExistsError as err:
         raise _exists(dst) from err
     except OSError:
-        # FAT, and some network file systems, have no links.
+        # FAT and some network file systems have no links.
         if os.path.lexists(dst):
             raise _exists(dst) from None
         partial.replace(dst)
@@ -346,7 +346,7 @@ def _rename_file(partial: Path, dst: Path) -> None:
 
 
 def _rename_directory(partial: Path, dst: Path) -> None:
-    """Rename; the system itself refuses unless the name is free or that of an empty directory."""
+    """Rename a directory; the system refuses if the name exists and is not an empty directory."""
     if os.path.lexists(dst):
         raise _exists(dst)
     try:
@@ -358,12 +358,12 @@ def _rename_directory(partial: Path, dst: Path) -> None:
 
 
 def _replace(partial: Path, dst: Path, beside_recording: _Beside | None) -> None:
-    """Put the new in the place of the old, which comes back if that fails."""
+    """Replace the old by the new one; if that fails, the old one is restored."""
     if not partial.is_dir() and (dst.is_symlink() or not dst.is_dir()):
         partial.replace(dst)
         return
     if dst.is_dir() and not dst.is_symlink():
-        # Something may have been put there since the beginning.
+        # Other files may have been added since the beginning.
         _refuse_other_directory(dst, beside_recording)
     aside = dst.with_name(dst.name + _OLD)
     dst.rename(aside)
@@ -373,13 +373,13 @@ def _replace(partial: Path, dst: Path, beside_recording: _Beside | None) -> None
         if not os.path.lexists(dst):
             aside.rename(dst)
         raise
-    # The new one is on the disk before the old one goes.
+    # The new one is on the disk before the old one is removed.
     sync_directory(dst.parent)
     _remove(aside)
 
 
 def _remove(path: Path) -> None:
-    """Delete a file or a directory, if it is there; of a symbolic link only the link."""
+    """Delete a file or a directory if it exists; a symbolic link, not its target."""
     try:
         mode = path.lstat().st_mode
     except FileNotFoundError:

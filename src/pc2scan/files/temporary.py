@@ -1,4 +1,4 @@
-"""Temporary copies: where they are, and the error where there is no room for one."""
+"""Folders for temporary copies, and the errors if there is no room."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _HINT = "make room there, or set the environment variable TMPDIR to another fold
 
 
 def private_folder(path: Path) -> TemporaryDirectory[str]:
-    """Make a folder that only this user can enter, for a copy of ``path``; it goes when it is cleaned up.
+    """Make a folder for a copy of ``path`` that only this user can enter; ``cleanup`` removes it.
 
     Raises
     ------
@@ -36,7 +36,7 @@ def private_folder(path: Path) -> TemporaryDirectory[str]:
 
 @contextmanager
 def making_copy(path: Path, folder: Path) -> Iterator[None]:
-    """Make the error of a copy of ``path`` in a private folder say where that is.
+    """Wrap errors of copying ``path`` to a private folder, with the folder's place.
 
     Raises
     ------
@@ -55,7 +55,7 @@ def _no_copy(err: OSError, path: Path, folder: Path | None) -> RecordingError:
 
 
 def sqlite_is_full(path: Path) -> RecordingError:
-    """Make the error for SQLite's own temporary files, which it keeps elsewhere than Python does."""
+    """Make the error for SQLite's own temporary files, which are in another folder than Python's."""
     named = (os.environ.get("SQLITE_TMPDIR"), os.environ.get("TMPDIR"), "/var/tmp", "/usr/tmp", "/tmp")  # noqa: S108
     usable = (place for place in named if place and Path(place).is_dir() and os.access(place, os.W_OK | os.X_OK))
     place = next(usable, ".")

@@ -1,4 +1,4 @@
-"""A text that a run writes, such as its report: whole or not at all, and over no file of the user's."""
+"""Writes a text, such as a report, completely or not at all, and never over a file of the user's."""
 
 from __future__ import annotations
 
@@ -21,26 +21,26 @@ __all__ = ["text_output"]
 
 @contextmanager
 def text_output(path: Path, *, beginning: bytes, overwrite: bool) -> Iterator[Callable[[str], None]]:
-    """Make sure that a text can be written, and give the function that writes it.
+    """Check that a text can be written, and yield the function that writes it.
 
     Parameters
     ----------
     path
-        The file that is to appear, as `pc2scan.files.staging.staged` makes it.
+        The file to write, staged as by `pc2scan.files.staging.staged`.
     beginning
-        What files of this kind begin with: one that does may be replaced, as may an empty file.
+        The first bytes of files of this kind: one that has them may be replaced, and an empty file.
     overwrite
-        Whether any other file may be replaced. A symbolic link is replaced by the file, what it leads to is not.
+        Whether any other file may be replaced. A symbolic link itself is replaced, not the file that it leads to.
 
     Yields
     ------
     function
-        Writes a text, to be called once. Without the call nothing appears.
+        Writes a text; called at most once. Without the call there is no file.
 
     Raises
     ------
     DestinationError
-        If something else is there, or it is not a file.
+        If another file, or something else, has this path.
     OutputError
         If it cannot be written; by the function too.
     """
@@ -59,7 +59,7 @@ def text_output(path: Path, *, beginning: bytes, overwrite: bool) -> Iterator[Ca
                 file.put(text.encode("utf-8"))
                 file.finish()
             except OutputError as err:
-                # What the user knows is the name that it will have.
+                # The user knows the final name.
                 raise OutputError(err.message, path=path) from err
             commit()
 
@@ -86,7 +86,7 @@ def _may_replace(path: Path, beginning: bytes, *, overwrite: bool) -> bool:
 
 
 def _is_ours(path: Path, beginning: bytes) -> bool:
-    """Whether a file has nothing in it to lose: a text of the same kind, or nothing at all."""
+    """Whether a file may be replaced: a text of the same kind, or an empty file."""
     try:
         if not stat.S_ISREG(path.lstat().st_mode):
             return False

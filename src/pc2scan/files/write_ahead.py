@@ -1,4 +1,4 @@
-"""Chunks that are compressed on other threads, and written in the order in which they were put in."""
+"""Compresses chunks on other threads, and writes them in order."""
 
 from __future__ import annotations
 
@@ -15,33 +15,32 @@ __all__ = ["WriteAhead"]
 
 Prepared = TypeVar("Prepared")
 
-#: So many bytes wait for each thread.
+#: Bytes that may wait for each thread.
 _BYTES_A_THREAD = 8 << 20
 
 
 class WriteAhead:
-    """A queue between chunks that are full and the file.
+    """A queue between full chunks and the file.
 
-    Without threads, which is how it begins, everything is done at once by the caller. What is written, and in which
-    order, is the same.
+    Until `use` is called, the caller's thread does everything at once. The written bytes are the same.
     """
 
     def __init__(self) -> None:
         self._queue: InOrder[Callable[[], None]] | None = None
 
     def use(self, pool: Threads) -> None:
-        """Work on what is put in from now on on these threads."""
+        """Use these threads from now on."""
         self._queue = InOrder(pool, _BYTES_A_THREAD, 1)
 
     def put(self, prepare: Callable[[], Prepared], write: Callable[[Prepared], None], size: int) -> None:
-        """Call ``prepare`` on any thread, then ``write`` with its result on the caller's, in its turn.
+        """Call ``prepare`` on any thread, then ``write`` with its result on the caller's, in order.
 
         Parameters
         ----------
         prepare, write
-            What they raise is raised here or in `finish`, when it is their turn.
+            Their errors are raised here or in `finish`, in order.
         size
-            Bytes that are held until it is written.
+            Bytes that are held until ``write`` is called.
         """
 
         def prepared() -> Callable[[], None]:
@@ -55,7 +54,7 @@ class WriteAhead:
         self._queue.put(prepared, size)
 
     def put_ready(self, write: Callable[[], None], size: int) -> None:
-        """Call ``write`` in its turn: at once if nothing waits."""
+        """Call ``write`` in order: at once if nothing waits."""
         if self._queue is not None:
             self._make_room(self._queue, size)
         if self._queue:
@@ -69,12 +68,12 @@ class WriteAhead:
             self._queue.take()()
 
     def cancel(self) -> None:
-        """Give up everything that waits."""
+        """Drop everything that waits."""
         if self._queue is not None:
             self._queue.cancel()
 
     @staticmethod
     def _make_room(queue: InOrder[Callable[[], None]], size: int) -> None:
-        """Write what is ready, and of the rest as much as there is too much with ``size`` bytes more."""
+        """Write finished chunks, and wait for more until there is room for ``size`` bytes."""
         while queue and (queue.is_ready() or not queue.has_room(size)):
             queue.take()()

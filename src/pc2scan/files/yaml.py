@@ -1,4 +1,4 @@
-"""YAML as rosbag2 writes it; the library is loaded by the first call."""
+"""Reads and writes YAML as rosbag2 writes it; the first call loads the library."""
 
 from __future__ import annotations
 
@@ -9,23 +9,22 @@ from typing import Any
 __all__ = ["MAX_CHARACTERS", "dump_yaml", "load_yaml"]
 
 
-#: rosbag2 writes some 600 characters a topic. Each one here costs the library up to 300 bytes and 20 microseconds.
+#: rosbag2 writes some 600 characters a topic. The library takes up to 300 bytes and 20 microseconds for each character.
 MAX_CHARACTERS = 800_000
 
-
-#: The library looks at every open bracket again for each that follows.
+#: The library's time is quadratic in the number of open brackets.
 _MAX_BRACKETS = 100
 
 
 def load_yaml(text: str) -> Any:
     """Read a document.
 
-    Tags construct nothing, and aliases may not make a document larger than its text.
+    Tags construct no objects, and aliases may not make a document larger than its text.
 
     Raises
     ------
     ValueError
-        If it is not YAML, beyond 800,000 characters, or unfolds; the text says what it is, and where it is wrong.
+        If it is not YAML, has more than 800,000 characters, or its aliases expand to more; the text says where.
     """
     if len(text) > MAX_CHARACTERS:
         raise ValueError(f"has more than {MAX_CHARACTERS:,} characters, which is more than rosbag2 writes")
@@ -40,7 +39,7 @@ def load_yaml(text: str) -> Any:
 
     try:
         yaml = YAML(typ="safe", pure=True)
-        # An anchor that is used again is legal.
+        # A repeated anchor is legal.
         yaml.composer.warn_double_anchors = False
         node = yaml.compose(text)
         if node is None:
@@ -60,16 +59,16 @@ def _constructed(yaml: Any, node: Any) -> Any:
     try:
         return yaml.constructor.construct_document(node)
     except (ValueError, ArithmeticError, LookupError, TypeError, AttributeError) as err:
-        # What the library's constructors do not expect: a key that holds a mapping, a tagged value of another kind.
+        # The library's constructors do not expect, for instance, a mapping as a key or a tagged value of another kind.
         raise ValueError(f"is not valid YAML: {err}") from err
 
 
 def _unfolded(node: Any, sizes: dict[int, int]) -> int:
-    """How many nodes there are with every alias written out."""
+    """Return the number of nodes with every alias expanded."""
     if node.id == "scalar":
         return 1
     if id(node) not in sizes:
-        # An alias within what it stands for has no end.
+        # An alias inside its own anchor expands without end.
         sizes[id(node)] = 1 << 64
         parts = (part for pair in node.value for part in pair) if node.id == "mapping" else iter(node.value)
         sizes[id(node)] = 1 + sum(_unfolded(part, sizes) for part in parts)

@@ -1,8 +1,8 @@
-"""rosbags' conversions between the wire formats, within bounds that a message's own length gives.
+"""Runs rosbags' conversions between the wire formats, bounded by the length of the message.
 
-The functions that rosbags generates look at a message's length only where a sequence or a string begins. Arrays of a
-fixed size, and messages made of nothing else, are taken to be there: a message of a hundred bytes may then ask for
-gigabytes, or for hours. Here every type says how many bytes it takes at least, and these are looked for first.
+The functions that rosbags generates check a message's length only at the beginning of a sequence or a string. They
+assume that arrays of a fixed size, and messages made of nothing else, are complete: a message of a hundred bytes can
+then take gigabytes, or hours. Here each type has a minimum size, which is checked first.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 __all__ = ["BoundedTypes"]
 
-#: The generated functions step to the alignment of a member that does not follow.
+#: At the end of a message, the generated functions may skip to the alignment of a member that does not exist.
 _MAX_PADDING = 7
 
 
@@ -25,15 +25,15 @@ class BoundedTypes:
     Parameters
     ----------
     msgdefs
-        rosbags' compiled definitions, by name: the type itself and all that it is made of.
+        rosbags' compiled definitions, by name: of the type itself and all nested types.
     root
         The type's name.
     least
-        Bytes that a message takes at least.
+        Minimum size of a message, bytes.
     repeated
-        The same for the types that are elements of sequences.
+        Minimum sizes of the types that are elements of sequences.
     makes_objects
-        Whether a message made into Python's objects can have as many of them as it has bytes.
+        Whether a message can become as many Python objects as it has bytes.
     """
 
     __slots__ = ("_least", "_msgdefs", "_root", "makes_objects")
@@ -54,7 +54,7 @@ class BoundedTypes:
         Raises
         ------
         SerdeError, struct.error, ValueError
-            If the bytes are not what the type says.
+            If the bytes contradict the type.
         """
         msgdef = self._msgdefs[self._root]
         types = _Types(self._msgdefs, len(data))
@@ -70,12 +70,12 @@ class BoundedTypes:
         Raises
         ------
         SerdeError, struct.error, ValueError
-            If the bytes are not what the type says.
+            If the bytes contradict the type.
         """
         msgdef = self._msgdefs[self._root]
         body = data[4:]
         types = _Types(self._msgdefs, len(data))
-        # Some writers pad the end.
+        # Some writers add padding at the end.
         size = self._measured(body, 4, msgdef.getsize_cdr_to_ros1, types, 3)
         made = memoryview(bytearray(size))
         msgdef.cdr_to_ros1(body, 0, made, 0, types)
@@ -84,7 +84,7 @@ class BoundedTypes:
     def _measured(
         self, body: memoryview, head: int, measure: Callable[..., tuple[int, int]], types: _Types, padding: int
     ) -> int:
-        """Return the size of the result, after making sure that the fields take the bytes that there are."""
+        """Check that the fields take as many bytes as the message has; return the size of the result."""
         if len(body) < self._least:
             raise ValueError(f"its fields take {head + self._least} or more")
         taken, size = measure(body, 0, None, 0, types)
@@ -94,13 +94,13 @@ class BoundedTypes:
 
 
 class _Types:
-    """What the generated functions ask of rosbags' store, for one message."""
+    """The part of rosbags' store that the generated functions use, for one message."""
 
     __slots__ = ("_msgdefs", "max_sequence_length")
 
     def __init__(self, msgdefs: Mapping[str, Any], length: int) -> None:
         self._msgdefs = msgdefs
-        # Every element takes a byte at least.
+        # Every element takes at least one byte.
         self.max_sequence_length = max(length, 1)
 
     def get_msgdef(self, name: str) -> Any:
@@ -108,7 +108,7 @@ class _Types:
 
 
 def _guarded(msgdef: Any, least: int) -> SimpleNamespace:
-    """Let a type's sizes be computed only where there are as many bytes as it takes."""
+    """Wrap a type's functions: its size is computed only if the message has the type's minimum of bytes left."""
 
     def checked(measure: Callable[..., tuple[int, int]]) -> Callable[..., tuple[int, int]]:
         def measured(body: memoryview, place: int, made: None, size: int, types: _Types) -> tuple[int, int]:

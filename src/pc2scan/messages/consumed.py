@@ -1,4 +1,4 @@
-"""LaserScan messages as the consumers' rules see them."""
+"""Turns LaserScan messages into the scans of the consumers' rules."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["consumed_scan"]
 
 
 def consumed_scan(message: LaserScan) -> Scan:
-    """A decoded scan as the consumers' rules see it."""
+    """Return a decoded scan as the consumers' rules take it."""
     return Scan.of(
         message.ranges,
         angle_min=message.angle_min,

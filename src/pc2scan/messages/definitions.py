@@ -1,4 +1,4 @@
-"""The definitions of the messages that pc2scan itself writes, and how ROS identifies them.
+"""The definitions of the messages that pc2scan writes, with their md5sums and RIHS01 hashes.
 
 The texts are ROS's own, comments included, as its recorders store them (see ``NOTICE``): ``ros1.msg`` as
 genmsg's ``gendeps --cat`` prints it, ``ros2.msg`` as rosbag2's MCAP recorder concatenates it.
@@ -13,7 +13,7 @@ from pc2scan.model import Definition, normalized_type
 
 __all__ = ["TYPES", "definition"]
 
-#: md5sum and RIHS01 hash by type. The tests compute both anew.
+#: md5sum and RIHS01 hash by type. The tests compute both again.
 _DIGESTS = {
     "sensor_msgs/msg/LaserScan": (
         "90c7ef2dc6895d81024acba2ac42f369",
@@ -35,19 +35,19 @@ TYPES = frozenset(_DIGESTS)
 
 @cache
 def definition(msgtype: str, ros_version: int) -> tuple[Definition, str]:
-    """Return the definition of a type that pc2scan writes, and its identity.
+    """Return the definition of a type that pc2scan writes, and its hash.
 
     Parameters
     ----------
     msgtype
-        One of `TYPES`, in either ROS version's spelling.
+        One of `TYPES`, in the spelling of either ROS version.
     ros_version
         1 for ROS 1, 2 for ROS 2.
 
     Returns
     -------
     definition : Definition
-        The text with all that it depends on, as ``ros1msg`` or ``ros2msg``.
+        The text with all types that it depends on, as ``ros1msg`` or ``ros2msg``.
     digest : str
         md5sum (ROS 1) or RIHS01 hash (ROS 2).
 

@@ -1,4 +1,4 @@
-"""sensor_msgs/LaserScan: serialised bytes to arrays, and arrays to bytes."""
+"""Decodes and encodes sensor_msgs/LaserScan."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .wire import MEMORABLE_BYTES, Cursor, Packer
+from .wire import MAX_CACHED_BYTES, Cursor, Packer
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -29,7 +29,7 @@ def _no_values() -> NDArray[np.float32]:
     return np.empty(0, np.float32)
 
 
-# Not frozen, though nobody changes one: a frozen one takes three times as long to make.
+# Never changed, but not frozen: making a frozen one takes three times as long.
 @dataclass(slots=True, eq=False)
 class LaserScan:
     """A decoded scan. All angles, times and ranges are float32 in the message.
@@ -79,7 +79,7 @@ def decode_laserscan(data: Buffer, serialization: str) -> LaserScan:
     Returns
     -------
     LaserScan
-        Its arrays are views where the bytes allow.
+        Its arrays are views if the byte order allows.
 
     Raises
     ------
@@ -114,9 +114,9 @@ def decode_laserscan(data: Buffer, serialization: str) -> LaserScan:
 
 
 @lru_cache(maxsize=64)
-def _described(frame_id: str, geometry: bytes, serialization: str) -> bytes:
-    """What is between a scan's stamp and its ranges: the same in all scans of a topic, as a rule."""
-    # Aligned as behind the stamp, which takes eight bytes in CDR.
+def _frame_and_geometry(frame_id: str, geometry: bytes, serialization: str) -> bytes:
+    """Encode the fields between a scan's stamp and its ranges: usually the same in all scans of a topic."""
+    # The stamp takes eight bytes in CDR, so that alignment can count from here.
     packer = Packer(serialization)
     packer.string(frame_id)
     packer.align(4)
@@ -148,9 +148,10 @@ def encode_laserscan(scan: LaserScan, serialization: str) -> bytes:
             packed = np.array(geometry).astype("<f4").tobytes()
     packer = Packer(serialization)
     packer.stamp(scan.sequence, scan.stamp_ns)
-    described = _described if len(scan.frame_id) <= MEMORABLE_BYTES else _described.__wrapped__
-    packer.raw(described(scan.frame_id, packed, serialization))
-    # Everything from the geometry on is aligned in either format.
+    cached = len(scan.frame_id) <= MAX_CACHED_BYTES
+    encode = _frame_and_geometry if cached else _frame_and_geometry.__wrapped__
+    packer.raw(encode(scan.frame_id, packed, serialization))
+    # From the geometry on, everything is aligned in both formats.
     for values in (scan.ranges, scan.intensities):
         packer.raw(_COUNT.pack(len(values)) + values.astype(_FLOAT32, copy=False).tobytes())
     return packer.finish()

@@ -1,4 +1,4 @@
-"""sensor_msgs/PointCloud2: serialised bytes to arrays, and arrays to bytes."""
+"""Decodes and encodes sensor_msgs/PointCloud2."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from pc2scan.errors import DecodeError
 
-from .wire import MEMORABLE_BYTES, Cursor, Packer
+from .wire import MAX_CACHED_BYTES, Cursor, Packer
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -34,11 +34,11 @@ POINTCLOUD2 = "sensor_msgs/msg/PointCloud2"
 #: sensor_msgs/PointField's datatype constants, as NumPy spells them without byte order.
 DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 
-#: A cloud with more fields than this is damaged: real sensors have up to some twenty.
+#: A cloud with more fields than this is damaged: real sensors have about twenty at most.
 MAX_FIELDS = 4096
 
-#: What is computed of a point takes far more memory than it does itself if it is smaller than three float32: a cloud
-#: with more of them than this asks for memory. Real messages have some 100,000 points.
+#: Limit of points smaller than three float32, because the arrays computed from them take far more memory than the
+#: points. Real messages have some 100,000 points.
 MAX_SMALL_POINTS = 2_000_000
 _SMALL = 12
 
@@ -48,12 +48,12 @@ _DTYPES = {order: {code: np.dtype(order + name) for code, name in DATATYPES.item
 
 @dataclass(frozen=True, slots=True)
 class PointField:
-    """sensor_msgs/PointField: where in a point a value is, and what it is.
+    """sensor_msgs/PointField: a value of each point, its place and its datatype.
 
     Attributes
     ----------
     offset
-        Bytes from the beginning of a point; need not be aligned.
+        Bytes from the beginning of a point; may be unaligned.
     datatype
         A key of `DATATYPES`.
     count
@@ -66,8 +66,8 @@ class PointField:
     count: int = 1
 
 
-class _Place(NamedTuple):
-    """Where in a cloud a field's values are; ``needed`` are the bytes that the cloud has to have."""
+class _FieldLayout(NamedTuple):
+    """Where a field's values are in a cloud's data, which must have ``needed`` bytes."""
 
     dtype: np.dtype[Any]
     offset: int
@@ -76,10 +76,10 @@ class _Place(NamedTuple):
     needed: int
 
 
-# Not frozen, though nobody changes one: a frozen one takes three times as long to make.
+# Never changed, but not frozen: making a frozen one takes three times as long.
 @dataclass(slots=True)
 class PointCloud2:
-    """A decoded cloud; the points stay the bytes that the message carries.
+    """A decoded cloud; its points are a view of the message's bytes.
 
     Attributes
     ----------
@@ -103,25 +103,25 @@ class PointCloud2:
     data: memoryview
     is_dense: bool
     #: By name of a field. Clouds of one description share it.
-    _places: dict[str, _Place] = field(default_factory=dict, repr=False, compare=False)
+    _layouts: dict[str, _FieldLayout] = field(default_factory=dict, repr=False, compare=False)
 
     @property
     def points(self) -> int:
-        """Points declared, non-returns included."""
+        """Number of declared points, non-returns included."""
         return self.height * self.width
 
     def field(self, name: str) -> NDArray[Any]:
-        """One field of every point, as a view.
+        """Return one field of every point, as a view.
 
         Parameters
         ----------
         name
-            A field's name; of several with one name the first, as upstream finds it.
+            A field's name; if several fields have it, the first is returned, as upstream does.
 
         Returns
         -------
         numpy.ndarray
-            Read-only view in the recorded datatype and byte order: shape ``(points,)`` where the rows follow each
+            Read-only view in the recorded datatype and byte order: shape ``(points,)`` if the rows follow each
             other without a gap, else ``(height, width)``. Only the first element of a field with a
             ``count`` above 1.
 
@@ -131,22 +131,22 @@ class PointCloud2:
             If the field is missing or of an unknown datatype, if it does not fit into a point, or if ``data``
             is shorter than declared.
         """
-        place = self._places.get(name)
-        if place is None:
-            place = self._places[name] = self._place(name)
-        if len(self.data) < place.needed:
+        layout = self._layouts.get(name)
+        if layout is None:
+            layout = self._layouts[name] = self._layout_of(name)
+        if len(self.data) < layout.needed:
             raise self._error(
                 f"data has {len(self.data)} bytes, but {self.height} x {self.width} points of "
-                f"{self.point_step} bytes (row_step {self.row_step}) take {place.needed}"
+                f"{self.point_step} bytes (row_step {self.row_step}) take {layout.needed}"
             )
-        if not place.needed:
-            return np.empty(0, place.dtype)
-        view: NDArray[Any] = np.ndarray(place.shape, place.dtype, self.data, place.offset, place.strides)
+        if not layout.needed:
+            return np.empty(0, layout.dtype)
+        view: NDArray[Any] = np.ndarray(layout.shape, layout.dtype, self.data, layout.offset, layout.strides)
         if not self.data.readonly:
             view.flags.writeable = False
         return view
 
-    def _place(self, name: str) -> _Place:
+    def _layout_of(self, name: str) -> _FieldLayout:
         found = next((field for field in self.fields if field.name == name), None)
         if found is None:
             names = ", ".join(field.name for field in self.fields) or "none"
@@ -155,14 +155,14 @@ class PointCloud2:
             raise self._error(f"field {name!r} has datatype {found.datatype}, known are 1 to 8")
         dtype = _DTYPES[">" if self.is_bigendian else "<"][found.datatype]
         if not self.points:
-            return _Place(dtype, found.offset, (0,), (0,), 0)
+            return _FieldLayout(dtype, found.offset, (0,), (0,), 0)
         if found.offset + dtype.itemsize > self.point_step:
             raise self._error(
                 f"field {name!r} takes bytes {found.offset} to {found.offset + dtype.itemsize} of a point, "
                 f"but point_step is {self.point_step}"
             )
         row = self.width * self.point_step
-        # Some drivers leave row_step 0; it only has a meaning from the second row on.
+        # Some drivers write row_step 0; it matters only from the second row on.
         row_step = self.row_step if self.height > 1 and self.row_step else row
         if row_step < row:
             raise self._error(
@@ -170,21 +170,21 @@ class PointCloud2:
             )
         needed = (self.height - 1) * row_step + row
         if row_step == row:
-            return _Place(dtype, found.offset, (self.points,), (self.point_step,), needed)
-        return _Place(dtype, found.offset, (self.height, self.width), (row_step, self.point_step), needed)
+            return _FieldLayout(dtype, found.offset, (self.points,), (self.point_step,), needed)
+        return _FieldLayout(dtype, found.offset, (self.height, self.width), (row_step, self.point_step), needed)
 
     def xyz(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
-        """The coordinates: `field` of ``x``, ``y`` and ``z``, metres in ``frame_id``.
+        """Return the coordinates: `field` of ``x``, ``y`` and ``z``, metres in ``frame_id``.
 
         Raises
         ------
         DecodeError
-            As `field` does, and if there are more tiny points than can be.
+            As `field` does, and if there are more than `MAX_SMALL_POINTS` tiny points.
         """
         if self.point_step < _SMALL and self.points > MAX_SMALL_POINTS:
             raise self._error(
                 f"the cloud declares {self.points:,} points of {self.point_step} bytes, "
-                f"at most {MAX_SMALL_POINTS:,} of fewer than {_SMALL} bytes are believed"
+                f"at most {MAX_SMALL_POINTS:,} of fewer than {_SMALL} bytes are allowed"
             )
         return self.field("x"), self.field("y"), self.field("z")
 
@@ -193,7 +193,7 @@ class PointCloud2:
 
 
 class _Description(NamedTuple):
-    """What is between a cloud's stamp and its points."""
+    """The fields of a message between its stamp and its points."""
 
     frame_id: str
     height: int
@@ -203,21 +203,21 @@ class _Description(NamedTuple):
     point_step: int
     row_step: int
     size: int
-    places: dict[str, _Place]
+    layouts: dict[str, _FieldLayout]
 
 
 class CloudDecoder:
-    """Decodes clouds of one serialisation, best those of one topic, one after the other. Threads may share one.
+    """Decodes clouds of one serialisation, fastest if they are of one topic. Threads may share one.
 
-    What is between the stamp and the points is the same in all clouds of a topic, as a rule. Taking it apart takes as
-    long as projecting some thousand points, so it is compared with the last one's.
+    The bytes between the stamp and the points are usually the same in all clouds of a topic. Decoding them takes as
+    long as projecting some thousand points, so the last result is kept and used again for equal bytes.
     """
 
     __slots__ = ("_last", "_serialization")
 
     def __init__(self, serialization: str) -> None:
         self._serialization = serialization
-        #: The byte order, the bytes of a description, and what they say.
+        #: The byte order, the bytes of a description, and the description.
         self._last: tuple[str, bytes, _Description] | None = None
 
     def __call__(self, data: Buffer) -> PointCloud2:
@@ -231,7 +231,7 @@ class CloudDecoder:
         except DecodeError as err:
             err.stamp_ns = stamp_ns
             raise
-        return PointCloud2(sequence, stamp_ns, *description[:7], points, is_dense, description.places)
+        return PointCloud2(sequence, stamp_ns, *description[:7], points, is_dense, description.layouts)
 
     def _description(self, cursor: Cursor) -> _Description:
         order = cursor.byte_order
@@ -242,17 +242,17 @@ class CloudDecoder:
             if known_order == order and bytes(cursor.data[start:end]) == raw:
                 cursor.position = end
                 return description
-        description = _described(cursor)
-        if cursor.position - start <= MEMORABLE_BYTES:
+        description = _read_description(cursor)
+        if cursor.position - start <= MAX_CACHED_BYTES:
             self._last = order, bytes(cursor.data[start : cursor.position]), description
         return description
 
 
-def _described(cursor: Cursor) -> _Description:
+def _read_description(cursor: Cursor) -> _Description:
     frame_id = cursor.string()
     height, width, count = cursor.read("III")
     if count > MAX_FIELDS:
-        raise DecodeError(f"the cloud declares {count} fields, at most {MAX_FIELDS} are believed")
+        raise DecodeError(f"the cloud declares {count} fields, at most {MAX_FIELDS} are allowed")
     fields = []
     for _ in range(count):
         name = cursor.string()
@@ -275,7 +275,7 @@ def decode_pointcloud2(data: Buffer, serialization: str) -> PointCloud2:
     Raises
     ------
     DecodeError
-        If the message ends too early or declares more fields than can be.
+        If the message ends too early or declares more than `MAX_FIELDS`.
     """
     return CloudDecoder(serialization)(data)
 
@@ -299,7 +299,7 @@ def encode_pointcloud2(
     serialization
         ``ros1`` or ``cdr``.
     data
-        The points, ``height * width`` times ``point_step`` bytes; the width follows.
+        The points, ``height * width`` times ``point_step`` bytes; the width is computed from it.
     """
     width = len(data) // (point_step * height) if point_step * height else 0
     packer = Packer(serialization)

@@ -1,8 +1,8 @@
-"""TFMessage to rows and back, in ROS 1's wire format and in CDR.
+"""Decodes and encodes TFMessage, in ROS 1's wire format and in CDR.
 
 ``tf/tfMessage``, ``tf2_msgs/TFMessage`` and ``tf2_msgs/msg/TFMessage`` share one layout: a sequence of
-geometry_msgs/TransformStamped. A recording holds a million of them where it holds a thousand clouds, so the
-loops unpack whole runs of primitives; `Cursor` reads what is around them.
+geometry_msgs/TransformStamped. A recording has a thousand times more of them than clouds. For speed, the loops unpack
+several primitives at once; `Cursor` reads only the beginning.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 __all__ = ["TF_TYPES", "decode_transforms", "encode_transforms"]
 
-#: The types that are decoded here, in ROS 2's spelling (`pc2scan.model.normalized_type`).
+#: The types that this module decodes, in ROS 2's spelling (`pc2scan.model.normalized_type`).
 TF_TYPES = frozenset({"tf/msg/tfMessage", "tf2_msgs/msg/TFMessage"})
 
 #: A message with more transforms than this is damaged: each takes half a kilobyte once decoded.
@@ -57,13 +57,13 @@ def decode_transforms(data: Buffer, serialization: str) -> list[TransformRow]:
     Raises
     ------
     DecodeError
-        If the message ends too early, declares more transforms than can be, or its encapsulation is unknown.
+        If the message ends too early, declares more than `MAX_TRANSFORMS`, or its encapsulation is unknown.
     """
     cursor = Cursor(data, serialization)
     count = cursor.uint32()
     if count > MAX_TRANSFORMS:
-        raise DecodeError(f"TFMessage declares {count} transforms, at most {MAX_TRANSFORMS} are believed")
-    # Positions count from behind the encapsulation, where CDR's alignment starts.
+        raise DecodeError(f"TFMessage declares {count} transforms, at most {MAX_TRANSFORMS} are allowed")
+    # Positions count from the end of the encapsulation header, as CDR's alignment does.
     body = bytes(cursor.data[cursor.base :])
     position = cursor.position - cursor.base
     rows: list[TransformRow] = []
@@ -119,7 +119,7 @@ def _cdr_text(raw: bytes) -> str:
 
 
 def encode_transforms(rows: Sequence[TransformRow], serialization: str) -> bytes:
-    """Encode a TFMessage; the counterpart of `decode_transforms`.
+    """Encode a TFMessage; the inverse of `decode_transforms`.
 
     Parameters
     ----------

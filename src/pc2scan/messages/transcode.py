@@ -1,12 +1,12 @@
-"""Messages that only pass through, from one ROS version's serialisation to the other's.
+"""Re-encodes messages that pc2scan does not convert, from ROS 1 to ROS 2 and back.
 
-What differs between the ROS versions: padding and string terminators, the Header's sequence number, the
-spelling of types, the definitions and their identities, and latching against durability. rosbags converts
-the bytes without making objects of them; this module decides what it is told about the type.
+The ROS versions differ in padding and string terminators, the Header's sequence number, the spelling of types, the
+definitions and their hashes, and latching or durability. rosbags converts the bytes without making objects; this module
+gives it the types.
 
 rosbags generates Python source from definitions and executes it. It gets names made here (``f0``,
-``pc2scan/msg/T1``), so that no name from a recording reaches the interpreter; names are checked all the
-same (`schema`).
+``pc2scan/msg/T1``), so that no name from a recording reaches the interpreter; names are checked nevertheless
+(`schema`).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 __all__ = ["DEFAULT_DISTRO", "DISTROS", "Transcoding", "defined", "transcoder"]
 
-#: ROS 2's distributions whose message sets rosbags has, and ROS 1's last.
+#: ROS 2's distributions whose message sets rosbags has, and ROS 1's last distribution.
 DISTROS = (
     "dashing",
     "eloquent",
@@ -49,7 +49,7 @@ DISTROS = (
 #: A long-term release; few message types have changed since foxy.
 DEFAULT_DISTRO = "jazzy"
 
-#: Channel metadata and connection header fields that mean something to one ROS version only.
+#: Channel metadata and connection header fields that only one ROS version uses.
 _METADATA_OF = {
     1: frozenset({"callerid", "latching", "md5sum", "type", "topic", "message_definition"}),
     2: frozenset({"offered_qos_profiles", "topic_type_hash"}),
@@ -58,19 +58,19 @@ _METADATA_OF = {
 
 @dataclass(frozen=True, slots=True)
 class Transcoding:
-    """How one connection's messages are carried over to the other ROS version.
+    """How one connection's messages are re-encoded for the other ROS version.
 
     Attributes
     ----------
     connection
-        As it is to be declared in the destination.
+        The connection to declare in the destination.
     encode
-        Turns one serialised message into the other serialisation. ``DecodeError`` if its bytes are not what
-        the type says. May be called from several threads.
+        Turns one serialised message into the other serialisation. ``DecodeError`` if its bytes contradict the type.
+        May be called from several threads.
     notes
-        For the report: what a reader of the destination should know.
+        Notes for the report.
     fields
-        How many the type and all that it is made of declare.
+        Number of fields that the type and its nested types declare.
     """
 
     connection: Connection
@@ -88,21 +88,21 @@ def transcoder(
 ) -> Transcoding:
     """Plan how a connection's messages are re-encoded for the other ROS version.
 
-    Where the other ROS version has a type of the same name and layout, the destination gets its definition and
-    identity, so that its nodes accept the messages; field names may then differ in case (``CameraInfo.D``,
-    ``d``). Otherwise the destination gets the recording's own definition in the other ROS version's words.
+    If the other ROS version has a type of the same name and layout, the destination gets its definition and
+    hash, so that its nodes accept the messages; field names may then differ in case (``CameraInfo.D``,
+    ``d``). Otherwise the destination gets the recording's own definition in the other ROS version's syntax.
 
     Parameters
     ----------
     connection
-        Of the ROS version that is not wanted; ``serialization`` is ``ros1`` or ``cdr``.
+        A connection of the other ROS version; ``serialization`` is ``ros1`` or ``cdr``.
     ros_version
-        What the destination speaks: 1 or 2.
+        The destination's ROS version: 1 or 2.
     distro
-        One of `DISTROS`: whose message sets fill in what the recording does not define and tell what the
-        destination's nodes expect. The other ROS version's are noetic and jazzy.
+        One of `DISTROS`: its message set has the types that the recording does not define, and those that the
+        destination's nodes expect. For the other ROS version these are noetic's and jazzy's.
     definitions
-        Further definitions by type name, asked before the message sets when the connection has none.
+        Further definitions by type name, used before the message sets if the connection has none.
 
     Returns
     -------
@@ -113,7 +113,7 @@ def transcoder(
     ------
     DecodeError
         If the type is unknown, its definition is unusable, or the other ROS version cannot carry it. The
-        whole topic is concerned.
+        error is about the whole topic.
     UsageError
         If ``distro`` is none of `DISTROS`.
     ValueError
@@ -122,37 +122,38 @@ def transcoder(
     Notes
     -----
     ROS 2's Header has no sequence number: it is dropped, and 0 on the way back. ROS 1's unsigned seconds
-    and ROS 2's signed ones share their bytes; they part in 2038.
+    and ROS 2's signed ones have the same bytes until 2038.
     """
     _check_distro(distro)
     source = connection.ros_version
     if source == ros_version:
-        raise ValueError(f"{connection.topic} is of ROS version {ros_version} already")
+        raise ValueError(f"{connection.topic} already is of ROS version {ros_version}")
     if source is None:
         raise DecodeError(
             f"{connection.msgtype} is serialised as {connection.serialization!r}, expected 'ros1' or 'cdr'",
             topic=connection.topic,
         )
-    plan = _plan(connection.msgtype, _definition(connection, definitions or {}), source, distro)
+    plan = _type_plan(connection.msgtype, _definition(connection, definitions or {}), source, distro)
     if isinstance(plan, DecodeError):
         raise DecodeError(plan.message, topic=connection.topic, hint=plan.hint)
-    return Transcoding(_declared(connection, plan), _Encoder(plan, source, connection.topic), plan.notes, plan.fields)
+    encoder = _Encoder(plan, source, connection.topic)
+    return Transcoding(_transcoded_connection(connection, plan), encoder, plan.notes, plan.fields)
 
 
 def defined(connection: Connection, distro: str = DEFAULT_DISTRO) -> Connection:
-    """Give a connection the definition that its recording lacks, as older rosbag2 recordings do.
+    """Add the definition to a connection without one; older rosbag2 recordings have none.
 
     Parameters
     ----------
     connection
-        Of either ROS version.
+        A connection of either ROS version.
     distro
-        One of `DISTROS`: whose message set knows the type.
+        One of `DISTROS`: its message set has the type.
 
     Returns
     -------
     Connection
-        The same if it has a definition, or if the message set does not know its type.
+        The same connection if it has a definition, or if the message set does not have its type.
 
     Raises
     ------
@@ -185,7 +186,7 @@ def _check_distro(distro: str) -> None:
 
 
 def _definition(connection: Connection, further: Mapping[str, Definition]) -> Definition:
-    """Return the connection's definition, or one of the same type from elsewhere."""
+    """Return the connection's definition, or one of the same type from ``further``."""
     if connection.definition.data.strip():
         return connection.definition
     for name in (connection.msgtype, connection.ros_type, ros1_type(connection.msgtype)):
@@ -198,8 +199,8 @@ def _definition(connection: Connection, further: Mapping[str, Definition]) -> De
 
 
 @dataclass(frozen=True, slots=True)
-class _Plan:
-    """What depends on type and definition only, and is shared by connections."""
+class _TypePlan:
+    """The part of a plan that depends on type and definition only; connections share it."""
 
     msgtype: str
     definition: Definition
@@ -213,16 +214,16 @@ class _Plan:
 
 
 @lru_cache(maxsize=256)
-def _plan(msgtype: str, definition: Definition, source: int, distro: str) -> _Plan | DecodeError:
-    """Plan once for all connections of a type; so is what cannot be planned remembered."""
+def _type_plan(msgtype: str, definition: Definition, source: int, distro: str) -> _TypePlan | DecodeError:
+    """Return the plan for all connections of a type, or the error; both are cached."""
     try:
-        return _planned(msgtype, definition, source, distro)
+        return _new_type_plan(msgtype, definition, source, distro)
     except DecodeError as err:
         return err.with_traceback(None)
 
 
-def _planned(msgtype: str, definition: Definition, source: int, distro: str) -> _Plan:
-    """Settle the destination's type and compile the conversion."""
+def _new_type_plan(msgtype: str, definition: Definition, source: int, distro: str) -> _TypePlan:
+    """Choose the destination's type and compile the conversion."""
     target = 3 - source
     root = schemas.canonical(msgtype)
     here, there = _store(source, distro), _store(target, distro)
@@ -232,25 +233,25 @@ def _planned(msgtype: str, definition: Definition, source: int, distro: str) -> 
     shared = {name for name in ours if schemas.same_layout(ours, theirs, name)}
     schema = schemas.closure(root, lambda name: theirs[name] if name in shared else ours.get(name))
     if differing := [name for name in ours if name in theirs and name not in shared]:
-        listed = ", ".join(ros1_type(name) if target == 1 else name for name in differing)
+        names = ", ".join(ros1_type(name) if target == 1 else name for name in differing)
         notes = (
             *notes,
-            f"layout differs from {_title(there)}'s {listed}: written with the recording's own definition",
+            f"layout differs from {_title(there)}'s {names}: written with the recording's own definition",
         )
     if root in shared and root in own_definitions.TYPES:
         text, digest = own_definitions.definition(root, target)
     else:
         text = Definition(f"ros{target}msg", schemas.render(schema, target).encode())
         digest = schemas.md5sum(schema) if target == 1 else schemas.rihs01(schema)
-    store, names = _compile(schema)
+    store, made_names = _compile(schema)
     fields = sum(len(struct.fields) for struct in schema.values())
-    return _Plan(
+    return _TypePlan(
         ros1_type(root) if target == 1 else root,
         text,
         digest,
         store,
-        names[root],
-        _bounded(store, schema, names, source),
+        made_names[root],
+        _bounded(store, schema, made_names, source),
         Lock(),
         notes,
         fields,
@@ -258,7 +259,7 @@ def _planned(msgtype: str, definition: Definition, source: int, distro: str) -> 
 
 
 def _store(ros_version: int, distro: str) -> str:
-    """Name rosbags' message set of a ROS version."""
+    """Return the name of rosbags' message set for a ROS version."""
     if ros_version == 1:
         return "ros1_noetic"
     return f"ros2_{DEFAULT_DISTRO if distro == 'noetic' else distro}"
@@ -270,11 +271,11 @@ def _title(store: str) -> str:
 
 
 def _recorded(msgtype: str, definition: Definition, here: str) -> tuple[Mapping[str, Struct], tuple[str, ...]]:
-    """Read the recording's definition; where it says nothing, the ROS version's message set does."""
+    """Read the recording's definition; if it is empty, the ROS version's message set has the type."""
     if definition.data.strip():
         return schemas.parse(definition, msgtype), ()
     if schemas.canonical(msgtype) in schemas.known(here):
-        # A message without fields has an empty definition, which is then the same as none.
+        # A message without fields has an empty definition, as if it had none.
         empty = not schemas.known(here)[schemas.canonical(msgtype)].fields
         return {}, () if empty else (f"no definition in the recording: {_title(here)}'s {msgtype} is assumed",)
     return schemas.parse(definition, msgtype) if definition.encoding else {}, ()
@@ -283,7 +284,7 @@ def _recorded(msgtype: str, definition: Definition, here: str) -> tuple[Mapping[
 def _compile(schema: Schema) -> tuple[Any, dict[str, str]]:
     """Register a schema with rosbags under names made here; returns the store and the made names.
 
-    The Header keeps its name, by which rosbags knows where ROS 1's sequence number is; so do the two types
+    The Header keeps its name, by which rosbags finds ROS 1's sequence number, and so do the two types
     that rosbags' empty store already has.
     """
     from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
@@ -300,13 +301,13 @@ def _compile(schema: Schema) -> tuple[Any, dict[str, str]]:
             lambda index, _: f"f{index}",
         )
     )
-    # Compiles now, so that what cannot be compiled fails the topic and not each message.
+    # Compiles now, so that an error concerns the topic and not each message.
     store.get_msgdef(names[next(iter(schema))])
     return store, names
 
 
 def _bounded(store: Any, schema: Schema, names: Mapping[str, str], source: int) -> BoundedTypes:
-    """Let the conversion know how many bytes each type takes at least."""
+    """Make the conversion, with the minimum size of each type."""
     from .bounded import BoundedTypes  # noqa: PLC0415
 
     root = next(iter(schema))
@@ -331,8 +332,8 @@ def _bounded(store: Any, schema: Schema, names: Mapping[str, str], source: int) 
 # --- declaring ---
 
 
-def _declared(connection: Connection, plan: _Plan) -> Connection:
-    """Return the connection in the other ROS version's terms."""
+def _transcoded_connection(connection: Connection, plan: _TypePlan) -> Connection:
+    """Return the connection as the other ROS version declares it."""
     source = connection.ros_version or 0
     target = 3 - source
     return replace(
@@ -350,8 +351,8 @@ def _declared(connection: Connection, plan: _Plan) -> Connection:
 # --- encoding ---
 
 
-#: A larger message in the byte order that nobody uses is refused if it has sequences of messages or strings: it is
-#: re-encoded by way of Python's objects, which take a hundred times as much memory.
+#: A larger big-endian message is refused if it has sequences of messages or strings: it is re-encoded by way of
+#: Python objects, which take a hundred times as much memory. No known recorder writes big-endian.
 _MAX_BIG_ENDIAN = 1_000_000
 
 
@@ -360,13 +361,13 @@ class _Encoder:
 
     __slots__ = ("_convert", "_errors", "_plan", "_topic")
 
-    def __init__(self, plan: _Plan, source: int, topic: str) -> None:
+    def __init__(self, plan: _TypePlan, source: int, topic: str) -> None:
         from rosbags.serde import SerdeError  # noqa: PLC0415
 
         self._plan = plan
         self._topic = topic
         self._convert = self._to_cdr if source == 1 else self._to_ros1
-        # What rosbags lets through, besides its own: it leaves some checks to slices, structs and asserts.
+        # Besides its own, rosbags raises the errors of slices, structs and asserts.
         self._errors = (
             SerdeError,
             struct.error,
@@ -383,9 +384,9 @@ class _Encoder:
         try:
             return self._convert(memoryview(data))
         except self._errors as err:
-            told = str(err).replace(repr(self._plan.root), "it") or type(err).__name__
+            reason = str(err).replace(repr(self._plan.root), "it") or type(err).__name__
             raise DecodeError(
-                f"{self._plan.msgtype} of {len(data)} bytes cannot be re-encoded: {told}", topic=self._topic
+                f"{self._plan.msgtype} of {len(data)} bytes cannot be re-encoded: {reason}", topic=self._topic
             ) from err
 
     def _to_cdr(self, data: memoryview) -> memoryview:
@@ -400,7 +401,7 @@ class _Encoder:
             )
         plan = self._plan
         if data[1] == 0:
-            # Big-endian, which rosbags' direct conversion does not take.
+            # rosbags' direct conversion does not accept big-endian.
             if len(data) > _MAX_BIG_ENDIAN and plan.types.makes_objects:
                 raise ValueError(f"it is big-endian, and longer than the {_MAX_BIG_ENDIAN} bytes allowed for that")
             store, root = plan.store, plan.root

@@ -1,7 +1,7 @@
-"""The two wire formats of ROS, as far as the few types that pc2scan decodes need them.
+"""Reads and writes the primitives of ROS's two wire formats, as far as pc2scan needs them.
 
 ROS 1: little-endian, packed; a string is a uint32 length and bytes. ROS 2: CDR (XCDR version 1): a 4-byte
-encapsulation header names the byte order, primitives are aligned to their size counted from behind that
+encapsulation header has the byte order, primitives are aligned to their size counted from the end of that
 header, a string's length includes its NUL.
 
 Sources: http://wiki.ros.org/ROS/Technical%20Overview (message serialization), OMG DDS-XTypes 1.3, 7.4.1.
@@ -18,21 +18,21 @@ from pc2scan.errors import DecodeError
 if TYPE_CHECKING:
     from pc2scan.model import Buffer
 
-__all__ = ["MEMORABLE_BYTES", "Cursor", "Packer"]
+__all__ = ["MAX_CACHED_BYTES", "Cursor", "Packer"]
 
-#: What messages have in common is remembered if it is no longer than this: a recording from strangers has thousands of
-#: topics with megabytes each. Real ones take some 200 bytes.
-MEMORABLE_BYTES = 1 << 10
+#: Parts that messages have in common are kept if they are no longer than this: an untrusted recording may have
+#: thousands of topics with megabytes each. Real parts take some 200 bytes.
+MAX_CACHED_BYTES = 1 << 10
 
 
 @cache
-def _layout(code: str) -> tuple[struct.Struct, int]:
-    """Compile codes; returns what their last one is aligned to, too."""
+def _compiled(code: str) -> tuple[struct.Struct, int]:
+    """Compile codes; returns the alignment of the last one, too."""
     return struct.Struct(code), struct.calcsize(code[-1])
 
 
 class Cursor:
-    """Reads primitives one after the other, in either wire format.
+    """Reads primitives in order, in either wire format.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ class Cursor:
 
     def read(self, code: str) -> tuple[int, ...]:
         """Read primitives that need no padding between them: `struct` codes, aligned to the first."""
-        layout, alignment = _layout(self._order + code)
+        layout, alignment = _compiled(self._order + code)
         start = self.position
         if self._aligned:
             start += (self.base - start) % alignment
@@ -130,7 +130,7 @@ class Cursor:
 
 
 class Packer:
-    """Writes primitives one after the other; the counterpart of `Cursor`, always little-endian."""
+    """Writes primitives in order; the inverse of `Cursor`, always little-endian."""
 
     __slots__ = ("_aligned", "_parts", "_size")
 
@@ -156,7 +156,7 @@ class Packer:
 
     def write(self, code: str, *values: float) -> None:
         """Append primitives that need no padding between them: `struct` codes, aligned to the last."""
-        layout, alignment = _layout("<" + code)
+        layout, alignment = _compiled("<" + code)
         if self._aligned:
             self.align(alignment)
         self._parts.append(layout.pack(*values))
@@ -176,7 +176,7 @@ class Packer:
         self.string(frame_id)
 
     def stamp(self, sequence: int, stamp_ns: int) -> None:
-        """Append a sequence number, which ROS 2 has not, and a stamp.
+        """Append a sequence number (ROS 1 only) and a stamp.
 
         Raises
         ------
@@ -199,5 +199,5 @@ class Packer:
         return b"".join(self._parts)
 
     def finish(self) -> bytes:
-        """Return the message: behind CDR's encapsulation header, in ROS 2."""
+        """Return the message, in ROS 2 with CDR's encapsulation header."""
         return b"".join((b"\x00\x01\x00\x00", *self._parts)) if self._aligned else self.body()

@@ -93,7 +93,7 @@ def read_index(file: BagFile) -> BagIndex:
     """Find out what a bag holds from its index."""
     position, connection_count, chunk_count = _read_bag_header(file)
     if connection_count > MAX_CONNECTIONS:
-        raise Damaged(f"{connection_count} connections are declared, at most {MAX_CONNECTIONS} are believed")
+        raise Damaged(f"{connection_count} connections are declared, at most {MAX_CONNECTIONS} are allowed")
     connections: dict[int, Connection] = {}
     for _ in range(connection_count):
         fields, start, position = file.record(position, CONNECTION)

@@ -1,11 +1,11 @@
-"""Message definitions as data: read from text, checked, compared, written, identified.
+"""Message definitions as data: read from text, checked, compared, written, hashed.
 
-A `Schema` spells types as ROS 2 does, whatever the source, and says only what both
-ROS versions share: ``std_msgs/msg/Header`` has no sequence number, ROS 1's ``time`` and ``duration`` are
-``builtin_interfaces``'s. ROS 1's spelling returns when it is written (`render`, `md5sum`).
+A `Schema` spells types as ROS 2 does, whatever the source, and has only what both ROS versions share:
+``std_msgs/msg/Header`` has no sequence number, ROS 1's ``time`` and ``duration`` are those of ``builtin_interfaces``.
+`render` and `md5sum` write ROS 1's spelling again.
 
-Definitions come from files that anyone may have made: `parse` and `closure` accept plain identifiers only
-and bound sizes, depth and recursion, so that nothing downstream grows or loops without end.
+Definitions come from untrusted recordings: `parse` and `closure` accept plain identifiers only and bound sizes, depth
+and recursion, so that all later steps are bounded too.
 
 Sources: http://wiki.ros.org/msg, https://docs.ros.org/en/jazzy/Concepts/Basic/About-Interfaces.html,
 https://mcap.dev/spec/registry (how ``ros1msg``, ``ros2msg`` and ``ros2idl`` concatenate definitions),

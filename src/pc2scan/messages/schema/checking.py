@@ -1,4 +1,4 @@
-"""A type and all that it is made of, checked and bounded."""
+"""Collects a type and all nested types, and checks their names and sizes."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ if TYPE_CHECKING:
 __all__ = ["closure"]
 
 MAX_DEPTH = 64
-#: Declared fields, each of which takes rosbags up to a millisecond and 45 kB to compile; each element of a fixed
-#: array of strings or messages counts, as rosbags unrolls them.
+#: Limit of declared fields. rosbags needs up to a millisecond and 45 kB to compile one; each element of a fixed
+#: array of strings or messages counts, because rosbags unrolls them.
 MAX_FIELDS = 2_000
-#: Fields of one message when everything nested is written out, the elements of sequences once.
+#: Limit of one message's fields with all nested types expanded, the elements of sequences once.
 MAX_LEAVES = 100_000
-#: A message in a sequence may have so many fields, and so many more for each byte that it takes: fields without bytes
-#: take time, and any number of them fits into a short message.
+#: Limits of the fields of a message in a sequence: so many, and so many more for each byte that it takes. Fields
+#: without bytes take time, and a short message may have any number of them.
 MAX_LEAVES_BESIDE_BYTES, MAX_LEAVES_A_BYTE = 64, 4
 
 _IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]*", re.ASCII)
 
 
 def closure(root: str, lookup: Callable[[str], Struct | None]) -> Schema:
-    """Collect a type and all that it is made of.
+    """Collect a type and all nested types.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ def closure(root: str, lookup: Callable[[str], Struct | None]) -> Schema:
     ------
     DecodeError
         If a type is missing or contains itself; if a name is not an identifier; beyond 64 levels, 2,000
-        fields or 100,000 fields with everything nested written out; for what only one ROS version can carry
+        fields or 100,000 fields with all nested types expanded; for types that only one ROS version can carry
         (wstring, an array of length 0).
     """
     schema: Schema = {}
@@ -101,14 +101,14 @@ def closure(root: str, lookup: Callable[[str], Struct | None]) -> Schema:
 
 
 def _width(field: Field) -> int:
-    """How many elements rosbags' conversion handles one by one."""
+    """Return how many elements rosbags' conversion handles one by one."""
     return (
         max(field.size, 1) if field.shape == "array" and (field.type not in PRIMITIVES or field.type == "string") else 1
     )
 
 
 def _empty(schema: Schema, name: str) -> bool:
-    """Whether a message takes no bytes in ROS 1, so that any number of them fits everywhere."""
+    """Whether a message takes no bytes in ROS 1, so that a sequence may have any number of them."""
     return all(
         field.shape != "sequence" and field.type not in PRIMITIVES and _empty(schema, field.type)
         for field in schema[name].fields

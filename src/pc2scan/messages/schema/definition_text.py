@@ -1,4 +1,4 @@
-"""Definition texts of recordings, read: ``ros1msg`` and ``ros2msg`` here, ``ros2idl`` by `idl`."""
+"""Reads the definition texts of recordings: ``ros1msg`` and ``ros2msg`` here, ``ros2idl`` with `idl`."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def parse(definition: Definition, msgtype: str) -> dict[str, Struct]:
     Returns
     -------
     dict of str to Struct
-        Every type in the text, used or not, by canonical name; what they refer to may be missing.
+        Every type in the text, used or not, by canonical name; nested types may be missing.
 
     Raises
     ------
@@ -87,7 +87,7 @@ def _sections(definition: Definition, msgtype: str) -> Iterator[tuple[str, str, 
         if heading:
             yield heading[1], heading[2], part[heading.end() :]
         elif index == 0:
-            # The first section of an IDL text may be preceded by a separator, leaving nothing before it.
+            # An IDL text may begin with a separator, so that its first part is empty.
             if kind == "MSG" or part.strip():
                 yield kind, msgtype, part
         elif part.strip():
@@ -113,7 +113,7 @@ def _parse_msg(text: str, owner: str, *, ros1: bool) -> Struct:
                 value = _uncommented(value)
             constants.append(Constant(match["name"], match["type"], value))
         elif not rest or rest.startswith("#") or not ros1:
-            # What follows the name in ROS 2 is a default value, which takes no place in a message.
+            # In ROS 2 a default value may follow the name; it takes no place in a message.
             fields.append(_field(match, owner, ros1=ros1))
         else:
             raise DecodeError(f"{owner}: line {number} of its definition is not a field: {excerpt(line)}")
@@ -121,7 +121,7 @@ def _parse_msg(text: str, owner: str, *, ros1: bool) -> Struct:
 
 
 def _field(match: re.Match[str], owner: str, *, ros1: bool) -> Field:
-    """Make a field of a matched line."""
+    """Make a field from a matched line."""
     shape: Shape = "scalar"
     size = _number(match["size"] or "0")
     if match["array"]:
@@ -133,7 +133,7 @@ def _field(match: re.Match[str], owner: str, *, ros1: bool) -> Field:
 
 
 def _resolve(word: str, owner: str, *, ros1: bool) -> str:
-    """Turn a type as written in ``owner``'s definition into a primitive or a full name."""
+    """Turn a type in ``owner``'s definition into a primitive or a full name."""
     if word in PRIMITIVES or word in ROS2_ONLY:
         return word
     if word in _ROS1_WORDS:
@@ -146,13 +146,13 @@ def _resolve(word: str, owner: str, *, ros1: bool) -> str:
 
 
 def _uncommented(value: str) -> str:
-    """Cut a comment off, unless the ``#`` is within quotes."""
+    """Remove a comment, unless the ``#`` is within quotes."""
     quoted = re.match(r"'(?:\\.|[^'\\])*'|\"(?:\\.|[^\"\\])*\"", value)
     return quoted[0] if quoted else value.split("#", 1)[0].rstrip()
 
 
 def _number(digits: str) -> int:
-    """Read a size; the limit keeps it far from where Python's own conversion fails."""
+    """Read a size; far fewer digits are allowed than Python's own limit."""
     if len(digits) > 10:
         raise DecodeError(f"size of {len(digits)} digits in a definition")
     return int(digits)

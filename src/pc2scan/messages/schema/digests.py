@@ -1,4 +1,4 @@
-"""How ROS identifies a type: ROS 1's md5sum, ROS 2's RIHS01."""
+"""Computes ROS's hashes of a type: ROS 1's md5sum, ROS 2's RIHS01."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["md5sum", "rihs01"]
 
 
 def md5sum(schema: Schema) -> str:
-    """Compute ROS 1's identity of a schema's first type: the MD5 of its text, nested types as their sums."""
+    """Compute ROS 1's hash of a schema's first type: the MD5 of its text, nested types as their sums."""
     sums: dict[str, str] = {}
 
     def identify(name: str) -> str:
@@ -32,10 +32,10 @@ def md5sum(schema: Schema) -> str:
 
 
 def rihs01(schema: Schema) -> str:
-    """Compute ROS 2's identity of a schema's first type."""
+    """Compute ROS 2's hash of a schema's first type."""
     from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
 
     store = get_typestore(Stores.EMPTY)
-    # Only the parse trees are needed, so nothing is registered and no code is made of the names.
+    # Only the parse trees are needed: nothing is registered, so no code is generated from the names.
     store.fielddefs = fielddefs(schema, str, lambda _, field: field.name)
     return store.hash_rihs01(next(iter(schema)))

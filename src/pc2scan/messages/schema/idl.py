@@ -1,4 +1,4 @@
-"""IDL as ROS 2 generates it, read by rosbags after what could take it long is refused."""
+"""Reads IDL as ROS 2 generates it, with rosbags' parser; IDL that would take the parser long is refused."""
 
 from __future__ import annotations
 
@@ -45,16 +45,16 @@ def parse_idl(text: str, name: str) -> dict[str, Struct]:
 def _plain_idl(text: str, name: str) -> str:
     r"""Strip comments, annotations and includes, and refuse what ROS 2 does not generate.
 
-    rosbags' parser repeats its work 64-fold for every nested parenthesis and twice for every nested
-    sequence, and a shift can ask for any number of bits. ``\\`` is refused because the two of us would see
-    a string end in different places, and an optional member because it is not plain CDR.
+    rosbags' parser needs 64 times as long for every nested parenthesis and twice as long for every nested
+    sequence, and a shift can ask for any number of bits. ``\\`` is refused because rosbags' parser and this function
+    disagree on where such a string ends, and an optional member because it is not plain CDR.
     """
 
     def keep(match: re.Match[str]) -> str:
         if match["annotation"] == "optional":
             raise DecodeError(f"{name}: its IDL has an optional member")
         if match["open"]:
-            # The first is enough: looking for the end of each would take the square of the text's length.
+            # Raises at the first: searching the end of each would take quadratic time.
             raise DecodeError(
                 f"{name}: its IDL has a {'string' if match['open'] == chr(34) else 'comment'} without an end"
             )

@@ -1,4 +1,4 @@
-"""Whether two definitions of a type have the same bytes on the wire."""
+"""Compares the wire layout of two definitions of a type."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ __all__ = ["same_layout"]
 def same_layout(ours: Mapping[str, Struct], theirs: Mapping[str, Struct], name: str) -> bool:
     """Whether both have a type with the same bytes on the wire and the same names.
 
-    Names are compared without case and underscores (ROS 1's ``CameraInfo.D`` is ROS 2's ``d``); bounds and
-    constants do not count, nor whether a byte is called ``byte``, ``char`` or ``uint8``.
+    Names are compared without case and underscores (ROS 1's ``CameraInfo.D`` is ROS 2's ``d``). Bounds and
+    constants are ignored, and ``byte``, ``char`` and ``uint8`` are the same.
     """
     if builtin(name):
         return True

@@ -1,4 +1,4 @@
-"""rosbags' own message sets, and its form of definitions."""
+"""Reads rosbags' message sets, and converts schemas to and from its form of definitions."""
 
 from __future__ import annotations
 
@@ -60,14 +60,14 @@ def _from_rosbags(name: str, desc: Any) -> Field:
 def fielddefs(
     schema: Schema, type_name: Callable[[str], str], field_name: Callable[[int, Field], str]
 ) -> dict[str, Any]:
-    """Turn a schema into rosbags' parse trees, without constants, naming types and fields as told."""
+    """Turn a schema into rosbags' parse trees, without constants, with new names for types and fields."""
     from rosbags.interfaces import Nodetype  # noqa: PLC0415
 
     shapes = {"array": Nodetype.ARRAY, "sequence": Nodetype.SEQUENCE}
 
     def describe(field: Field) -> Any:
         if field.type in PRIMITIVES:
-            # ROS 2's IDL, from which its hashes are made, has uint8 for char.
+            # ROS 2's hashes are made from its IDL, which has uint8 for char.
             inner: Any = (Nodetype.BASE, ("uint8" if field.type == "char" else field.type, field.bound))
         else:
             inner = (Nodetype.NAME, type_name(field.type))

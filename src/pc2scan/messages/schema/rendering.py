@@ -1,4 +1,4 @@
-"""Definitions as text, in either ROS version's words."""
+"""Writes definitions as text, for either ROS version."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def constant_lines(struct: Struct, ros_version: int) -> Iterator[str]:
         value = constant.value
         if constant.type == "string":
             bare = value[1:-1] if len(value) > 1 and value[0] == value[-1] and value[0] in "'\"" else value
-            # In ROS 1 quotes would be part of the value; in ROS 2 they keep a # from beginning a comment.
+            # In ROS 1 quotes would be part of the value; in ROS 2 a # outside quotes begins a comment.
             value = bare if ros_version == 1 else _quoted(bare)
         yield f"{constant.type} {constant.name}={value}"
 

@@ -1,4 +1,4 @@
-"""How short a message of a type can be."""
+"""Computes the minimum size of a message."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ def least_bytes(schema: Mapping[str, Struct], name: str, ros_version: int) -> in
     Parameters
     ----------
     schema
-        Has the type and all that it is made of; no type contains itself.
+        Has the type and all nested types; no type contains itself.
     ros_version
-        Whose wire format: 1 or 2.
+        ROS version of the wire format: 1 or 2.
     """
     known: dict[str, int] = {}
 
@@ -42,7 +42,7 @@ def least_bytes(schema: Mapping[str, Struct], name: str, ros_version: int) -> in
         if field.shape == "sequence":
             return 4
         if field.type == "string":
-            # ROS 2's have a NUL at the end.
+            # ROS 2's strings end with a NUL.
             size = 3 + ros_version
         else:
             size = _WIDTHS[field.type] if field.type in PRIMITIVES else least(field.type)

@@ -1,4 +1,4 @@
-"""What a message definition says, as data."""
+"""The data types of message definitions."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ __all__ = [
 
 HEADER = "std_msgs/msg/Header"
 
-#: What both ROS versions can carry. ``byte`` and ``char`` are 8 bits wide in both.
+#: Primitives of both ROS versions. ``byte`` and ``char`` are 8 bits wide in both.
 PRIMITIVES = frozenset({"bool", "byte", "char", "string", "float32", "float64"}) | {
     f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)
 }
-#: What only ROS 2 knows.
+#: Primitives of ROS 2 only.
 ROS2_ONLY = frozenset({"wstring", "wchar", "float128"})
 
 RENAMED = {"roslib/msg/Header": HEADER, "tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}
-#: What ROS 2's IDL generator puts into a message without fields, since IDL has no empty struct.
+#: The field that ROS 2's IDL generator adds to a message without fields, since IDL has no empty struct.
 PLACEHOLDER = "structure_needs_at_least_one_member"
 
 Shape = Literal["scalar", "array", "sequence"]
@@ -53,7 +53,7 @@ class Field:
     type
         One of `PRIMITIVES` or a message type in ROS 2's spelling.
     shape
-        ``array`` has a fixed number of elements, ``sequence`` is preceded by their number.
+        ``array`` has a fixed number of elements, ``sequence`` begins with their number.
     size
         Elements of an array; the bound of a sequence, 0 for none.
     bound
@@ -69,7 +69,7 @@ class Field:
 
 @dataclass(frozen=True, slots=True)
 class Constant:
-    """A constant: it names a value and takes no place in a message. ``value`` is text, as defined."""
+    """A named constant; it takes no place in a message. ``value`` is text, as defined."""
 
     name: str
     type: str
@@ -84,7 +84,7 @@ class Struct:
     constants: tuple[Constant, ...] = ()
 
 
-#: A message type and all that it is made of, by name, in the order of first use, itself first.
+#: A message type and all nested types, by name, in the order of first use, itself first.
 Schema = dict[str, Struct]
 
 
@@ -96,12 +96,12 @@ BUILTIN = {
 
 
 def builtin(name: str) -> bool:
-    """Whether a type is one of the two that ROS 1 has as primitives: a time and a duration."""
+    """Whether a type is a time or a duration, which are primitives in ROS 1."""
     return name in BUILTIN
 
 
 def canonical(msgtype: str) -> str:
-    """Spell a type as ROS 2 does, under the name it has today.
+    """Spell a type as ROS 2 does, with its current name.
 
     >>> canonical("tf/tfMessage"), canonical("sensor_msgs/PointCloud2")
     ('tf2_msgs/msg/TFMessage', 'sensor_msgs/msg/PointCloud2')
@@ -111,12 +111,12 @@ def canonical(msgtype: str) -> str:
 
 
 def fields_of(name: str, struct: Struct, ros_version: int) -> tuple[Field, ...]:
-    """Return the fields, with ROS 1's sequence number where it belongs."""
+    """Return the fields, with the sequence number of ROS 1's Header."""
     return (Field("seq", "uint32"), *struct.fields) if ros_version == 1 and name == HEADER else struct.fields
 
 
 def without_sequence_number(name: str, struct: Struct) -> Struct:
-    """Drop ``seq`` from ROS 1's Header, after making sure that it is a Header."""
+    """Remove ``seq`` from ROS 1's Header, after checking that it is a Header."""
     if name != HEADER:
         return struct
     kinds = [(field.type, field.shape) for field in struct.fields]
@@ -130,5 +130,5 @@ def without_sequence_number(name: str, struct: Struct) -> Struct:
 
 
 def excerpt(text: str) -> str:
-    """Text from a recording, short enough for an error."""
+    """Return text from a recording, shortened for an error."""
     return repr(text if len(text) <= 60 else text[:57] + "...")
