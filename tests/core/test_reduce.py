@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pc2scan.core.reduce import extremes, means, winners
+from pc2scan.core.reduce import extremes, means, surfaces, winners
 
 BEAMS = 5
 RETURNS = st.lists(
@@ -52,6 +52,41 @@ def test_winners(how: str, kth: int, returns: list[tuple[int, float]]) -> None:
         empty = math.inf if how == "min" else -math.inf
         lengths = [empty if index < 0 else returns[index][1] for index in expected]
         assert extremes(beams, ranges, BEAMS, largest=how == "max").tolist() == lengths
+
+
+def on_the_surface(ranges: list[tuple[float, int]], depth: float, slope: float) -> int:
+    """The index of the median of the returns near the closest, of pairs of range and index."""
+    if not ranges:
+        return -1
+    ordered = sorted(ranges)
+    closest = ordered[0][0]
+    limit = closest + (depth + slope * closest) if closest < math.inf else math.inf
+    near = [(length, index) for length, index in ordered if length <= limit]
+    middle = statistics.median_low([length for length, _ in near])
+    assert near[(len(near) - 1) // 2][0] == middle
+    return near[(len(near) - 1) // 2][1]
+
+
+@given(
+    st.lists(
+        st.tuples(
+            st.integers(0, BEAMS - 1),
+            st.one_of(st.sampled_from([0.0, 1.0, 1.05, 1.25, math.inf]), st.floats(0, 3, width=32)),
+        ),
+        max_size=40,
+    ),
+    st.sampled_from([0.0, 0.05, 0.25, 10.0]),
+    st.sampled_from([0.0, 0.05, 0.5]),
+)
+def test_surfaces(returns: list[tuple[int, float]], depth: float, slope: float) -> None:
+    beams = np.array([beam for beam, _ in returns], np.intp)
+    ranges = np.array([length for _, length in returns], np.float32)
+    found = surfaces(beams, ranges, BEAMS, depth, slope)
+    lengths = ranges.tolist()
+    assert found.tolist() == [
+        on_the_surface([(lengths[i], i) for i, (b, _) in enumerate(returns) if b == beam], depth, slope)
+        for beam in range(BEAMS)
+    ]
 
 
 @given(st.lists(st.tuples(st.integers(0, BEAMS - 1), st.floats(-1e6, 1e6, width=32)), max_size=40))

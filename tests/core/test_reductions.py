@@ -85,6 +85,10 @@ def reduced(beam: list[tuple[float, int, float]], params: ProjectionParams) -> t
             for reach, _, own in beam:
                 length, value = length + reach, value + own
             return length / len(beam), value / len(beam)
+        case "surface":
+            closest, window = ordered[0][0], params.surface_slope * params.layout.angle_increment
+            near = [e for e in ordered if e[0] <= closest + (params.surface_depth + window * closest)]
+            place = (len(near) - 1) // 2
         case "max":
             longest = ordered[-1][0]
             place = next(place for place, entry in enumerate(ordered) if entry[0] == longest)
@@ -106,7 +110,7 @@ POINTS = st.lists(
 
 @st.composite
 def parameters(draw: st.DrawFn) -> ProjectionParams:
-    reduce = draw(st.sampled_from(["min", "max", "mean", "median", "kth"]))
+    reduce = draw(st.sampled_from(["min", "max", "mean", "median", "kth", "surface"]))
     low = draw(st.sampled_from([-PI, 0.0, -1.0]))
     return ProjectionParams(
         geometry=draw(st.sampled_from(["upstream", "centered"])),
@@ -120,6 +124,8 @@ def parameters(draw: st.DrawFn) -> ProjectionParams:
         no_return=draw(st.sampled_from(["inf", "range-max-plus", "range-max-minus", "nan", "zero"])),
         reduce=reduce,
         kth=draw(st.integers(1, 3)) if reduce == "kth" else 0,
+        surface_depth=draw(st.sampled_from([0.0, 0.05, 5.0])) if reduce == "surface" else 0.05,
+        surface_slope=draw(st.sampled_from([0.0, 3.0])) if reduce == "surface" else 3.0,
         min_points=draw(st.integers(1, 3)),
     )
 
@@ -210,6 +216,9 @@ def test_intensities_of_any_type_become_float32(dtype: str) -> None:
         ({"reduce": "mean"}, [2.5, 5, math.inf]),
         ({"reduce": "median"}, [2, 5, math.inf]),
         ({"reduce": "kth", "kth": 3}, [3, math.inf, math.inf]),
+        # The three closest of 1, 2, 3 and 4 m; the width of a beam is 0.5 rad.
+        ({"reduce": "surface", "surface_depth": 0.5, "surface_slope": 3.0}, [2, 5, math.inf]),
+        ({"reduce": "surface", "surface_slope": 0.0}, [1, 5, math.inf]),
         ({"min_points": 2}, [1, math.inf, math.inf]),
         ({"reduce": "max", "no_return": "zero"}, [4, 5, 0]),
         ({"reduce": "max", "no_return": "range-max-plus"}, [4, 5, 31]),
@@ -231,6 +240,33 @@ def test_nothing_is_half_a_beam_off() -> None:
         slots = plain.slots_of(angles, rule_of(params), layout.count)
         off = (angles.astype(np.float64) - layout.angle_min - slots * layout.angle_increment) / layout.angle_increment
         assert off.mean() == pytest.approx(bias, abs=1e-2)
+
+
+def wall(reduce: str, far: float = 0.0) -> NDArray[np.float32]:
+    """Distances to a wall 4 m ahead, as 16 rings with 1 cm of noise see it; its right half is ``far`` metres away."""
+    random = np.random.default_rng(11)
+    angles = np.tile(np.arange(-0.6, 0.6, math.radians(0.2)), 16)
+    ahead = np.where((angles < 0.006) & (far > 0), far, 4.0) + random.normal(0, 0.01, angles.size)
+    points = np.stack([ahead, ahead * np.tan(angles), np.zeros(angles.size)], axis=1)
+    ranges = project(points, replace(CENTERED, angle_min=-0.5, angle_max=0.5, reduce=reduce)).ranges
+    cosines = np.cos(-0.5 + np.arange(ranges.size) * CENTERED.layout.angle_increment).astype(np.float32)
+    ahead_of_beams: NDArray[np.float32] = ranges * cosines
+    return ahead_of_beams
+
+
+def test_the_surface_of_a_wall_is_where_it_is_and_the_closest_return_in_front_of_it() -> None:
+    assert np.median(wall("min")) == pytest.approx(4 - 0.03, abs=0.015)
+    assert np.median(wall("surface")) == pytest.approx(4, abs=0.002)
+    assert np.abs(wall("surface") - 4).max() < 0.02
+
+
+def test_a_mean_is_between_near_and_far_and_a_surface_never() -> None:
+    def between(reduce: str) -> int:
+        seen = wall(reduce, far=8.0)
+        return int(np.count_nonzero((seen > 4.2) & (seen < 7.8)))
+
+    assert between("mean") == 1
+    assert between("surface") == between("min") == 0
 
 
 def test_an_empty_cloud() -> None:

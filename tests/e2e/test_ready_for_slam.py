@@ -194,3 +194,27 @@ def test_what_cannot_be_is_said_before_anything_is_written(
     assert message in done.stderr
     assert "Traceback" not in done.stderr
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_closest_surface_is_read_and_a_mean_is_warned_of(tmp_path: Path) -> None:
+    readings = {}
+    for how in ("min", "surface", "mean"):
+        done = run("convert", HALL, "-o", tmp_path / f"{how}.mcap", *HEIGHTS, "--preset", "nav2", "--reduce", how)
+        assert done.status == 0, done.stderr
+        readings[how] = opened(tmp_path / f"{how}.mcap").scans()[0].ranges
+        assert ("warning: reduce is mean" in done.stderr) == (how == "mean")
+    assert "--reduce surface is as smooth" in done.stderr
+    # The median of the closest surface is at most its depth behind the closest return.
+    seen = np.isfinite(readings["min"])
+    behind = readings["surface"][seen] - readings["min"][seen]
+    window = 0.05 + 3 * math.radians(1) * readings["min"][seen]
+    assert behind.min() == 0 < behind.max()
+    assert (behind <= window + 1e-5).all()
+    deeper = run(
+        "convert", HALL, "-o", tmp_path / "deep.mcap", *HEIGHTS, "--reduce", "surface", "--surface-depth", "50"
+    )
+    assert deeper.status == 0
+    refused = run("convert", HALL, "-o", tmp_path / "none.mcap", *HEIGHTS, "--surface-depth", "0.2")
+    assert refused.status == 2
+    assert "surface_depth is 0.2, which goes with reduce surface, not min" in refused.stderr
+    assert "hint: --reduce surface" in refused.stderr

@@ -148,7 +148,10 @@ def test_words_among_numbers(written: str, expected: object) -> None:
         ("range_min:=auto", "range_min: expected a number, got 'auto' (from --param range_min:=auto)"),
         ("no_return:=1.5", "no_return: expected inf, range-max-plus, range-max-minus, nan, zero, got 1.5 (from"),
         ("geometry:=.inf", "geometry: expected upstream, centered, half-open, symmetric, got inf (from"),
-        ("reduce:=best", "reduce: expected min, max, mean, median, kth, got 'best' (from --param reduce:=best)"),
+        (
+            "reduce:=best",
+            "reduce: expected min, max, mean, median, kth, surface, got 'best' (from --param reduce:=best)",
+        ),
         ("beams:=1.5", "beams: expected a whole number, got 1.5 (from --param beams:=1.5)"),
     ],
 )

@@ -31,12 +31,16 @@ MAX_BEAMS = 4_000_000
 CHOICES: dict[str, tuple[str, ...]] = {
     "geometry": ("upstream", "centered", "half-open", "symmetric"),
     "no_return": ("inf", "range-max-plus", "range-max-minus", "nan", "zero"),
-    "reduce": ("min", "max", "mean", "median", "kth"),
+    "reduce": ("min", "max", "mean", "median", "kth", "surface"),
     "angle_rounding": ("correct", "glibc-2.40"),
 }
 
 #: Parameters that may be measured in the recording instead of given.
 MEASURED = ("scan_time", "time_increment")
+
+#: What ``reduce: surface`` takes for one surface: metres, and widths of a beam.
+_SURFACE_DEPTH = 0.05
+_SURFACE_SLOPE = 3.0
 
 #: What the values of each type are called in errors.
 _EXPECTED = {float: "a number", bool: "true or false", int: "a whole number", str: "text"}
@@ -107,9 +111,12 @@ class ProjectionParams:
         ``range-max-minus`` (0.1 mm below ``range_max``), ``nan`` or ``zero``; empty: ``use_inf`` tells.
     reduce
         Which of a beam's returns it reads: ``min``, ``max``, ``mean``, ``median`` (of an even number the lower one of
-        the two in the middle) or ``kth``.
+        the two in the middle), ``kth`` or ``surface``: the median of the returns on the closest surface.
     kth
         With ``reduce`` kth: 1 is the closest return, 2 the next; a beam with fewer has no return.
+    surface_depth, surface_slope
+        With ``reduce`` surface: the closest surface is what lies within ``surface_depth`` (metres) + ``surface_slope``
+        * range * ``angle_increment`` behind the closest return.
     min_points
         A beam with fewer returns has none.
     intensity_field
@@ -147,6 +154,8 @@ class ProjectionParams:
     no_return: str = ""
     reduce: str = "min"
     kth: int = 0
+    surface_depth: float = _SURFACE_DEPTH
+    surface_slope: float = _SURFACE_SLOPE
     min_points: int = 1
     intensity_field: str = ""
     time_increment: float | Literal["auto"] = 0.0
@@ -180,7 +189,15 @@ class ProjectionParams:
             if isinstance(value, float) and math.isnan(value):
                 raise ParameterError(f"{field.name} is NaN", name=field.name)
         self._check_words()
-        for name in ("transform_tolerance", "scan_time", "queue_size", "beams", "kth"):
+        for name in (
+            "transform_tolerance",
+            "scan_time",
+            "queue_size",
+            "beams",
+            "kth",
+            "surface_depth",
+            "surface_slope",
+        ):
             value = getattr(self, name)
             if value != "auto" and value < 0:
                 raise ParameterError(f"{name} is {value}, it must not be negative", name=name)
@@ -244,6 +261,16 @@ class ProjectionParams:
             raise ParameterError("reduce is kth, which needs to know which: kth must be 1 or more", name="kth")
         if self.kth and self.reduce != "kth":
             raise ParameterError(f"kth is {self.kth}, which goes with reduce kth, not {self.reduce}", name="kth")
+        for name, default in (("surface_depth", _SURFACE_DEPTH), ("surface_slope", _SURFACE_SLOPE)):
+            value = getattr(self, name)
+            if math.isinf(value):
+                raise ParameterError(f"{name} is {value}, it must be finite", name=name)
+            if value != default and self.reduce != "surface":
+                raise ParameterError(
+                    f"{name} is {value}, which goes with reduce surface, not {self.reduce}",
+                    name=name,
+                    hint="`reduce=surface`",
+                )
         if self.min_points < 1:
             raise ParameterError(f"min_points is {self.min_points}, it must be 1 or more", name="min_points")
         if self.no_return.startswith("range-max") and math.isinf(float32(self.range_max)):

@@ -23,7 +23,7 @@ import numpy as np
 from . import kernel
 from .params import ProjectionParams
 from .points import coordinates_of, values_of
-from .reduce import extremes, means, winners
+from .reduce import extremes, means, surfaces, winners
 from .rule import rule_of
 
 if TYPE_CHECKING:
@@ -200,6 +200,12 @@ class Projector:
                 lit[seen] = means(slots, values, counts)[seen]
         elif values is None and params.reduce in {"min", "max"}:
             found[seen] = extremes(slots, returns, counts.size, largest=params.reduce == "max")[seen]
+        elif params.reduce == "surface":
+            slope = params.surface_slope * params.layout.angle_increment
+            winner = surfaces(slots, returns, counts.size, params.surface_depth, slope)[seen]
+            found[seen] = returns[winner]
+            if values is not None:
+                lit[seen] = values[winner]
         else:
             winner = winners(slots, returns, counts, params.reduce, params.kth)[seen]
             found[seen] = returns[winner]

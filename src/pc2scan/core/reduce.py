@@ -13,7 +13,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["extremes", "means", "winners"]
+__all__ = ["extremes", "means", "surfaces", "winners"]
 
 
 def extremes(
@@ -69,6 +69,47 @@ def winners(
     places = begins + (kth - 1 if how == "kth" else (counts - 1) // 2)
     there = counts >= max(1, kth)
     found[there] = order[places[there]]
+    return found
+
+
+def surfaces(
+    beams: NDArray[Any], ranges: NDArray[np.float32], count: int, depth: float, slope: float
+) -> NDArray[np.intp]:
+    """Which return each beam reads if it is to be on the closest surface: the median of those near the closest one.
+
+    Parameters
+    ----------
+    beams, ranges
+        (M,), as for `extremes`.
+    count
+        N, the beams of the scan.
+    depth
+        Metres behind the closest return, of range r, that belong to its surface ...
+    slope
+        ... and metres more for each metre of r.
+
+    Returns
+    -------
+    (N,) intp, 0 to M - 1; -1 for a beam without returns. Of an even number of returns up to ``r + (depth + slope * r)``
+    the lower one of the two in the middle.
+
+    Notes
+    -----
+    A beam is as wide as its increment, so that on a wall that is seen at a slant its returns differ by about ``r *
+    increment / tan(angle)``: ``slope`` is some increments. The closest one is the near edge of the beam or the largest
+    error of the sensor, the median is the middle of both; and what is behind the surface does not count, so that
+    nothing appears between a near thing and a far one.
+    """
+    limits = extremes(beams, ranges, count).astype(np.float64)
+    seen = limits < np.inf
+    limits[seen] += depth + slope * limits[seen]
+    near = np.flatnonzero(ranges <= limits[beams])
+    own = beams[near]
+    order = near[np.lexsort((ranges[near], own))]
+    counts = np.bincount(own, minlength=count)
+    found = np.full(count, -1, np.intp)
+    there = counts > 0
+    found[there] = order[(np.cumsum(counts) - counts + (counts - 1) // 2)[there]]
     return found
 
 

@@ -166,9 +166,11 @@ _HELP: dict[str, tuple[str, str]] = {
     "no_return": ("", "What a beam without a return reads. Left out: use_inf tells."),
     "reduce": (
         "",
-        "Which of its returns a beam reads: the closest, farthest, their mean, median, or the kth closest.",
+        "Which of its returns a beam reads: the closest, farthest, mean, median, kth closest, or closest surface.",
     ),
     "kth": ("", "Which one `reduce=kth` takes: 1 is the closest. A beam with fewer returns has none."),
+    "surface_depth": ("m", "How far behind the closest return `reduce=surface` takes returns for the same surface."),
+    "surface_slope": ("", "What `reduce=surface` adds to that: so many widths of the beam at the closest return."),
     "min_points": ("", "A beam with fewer returns than this has none."),
     "intensity_field": ("", "Field of the cloud whose values, at the returns shown, become the scan's intensities."),
     "time_increment": (

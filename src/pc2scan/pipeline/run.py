@@ -41,7 +41,7 @@ from pc2scan.tf.placing import Frames
 from pc2scan.tf.reading import read_transforms
 from pc2scan.threads import Threads
 
-from .acceptance import refusal
+from .acceptance import ghosts, refusal
 from .declarations import Declarations
 from .plan import make_plan
 from .report import BEGINNING, Report
@@ -176,7 +176,7 @@ def run(
                 rule = chunk_rule(routes, target, writer) if copying else None
                 stream(reader, routes, options, span, rule, pool, writer, report, progress)
                 if conversion.target_type == LASERSCAN:
-                    report.warnings += _refusals(routes.values(), target.serialization)
+                    report.warnings += [*ghosts(options.params), *_refusals(routes.values(), target.serialization)]
                 _refuse_changed(inputs, states)
                 report.damage += [damage for each in (reader, *others) for damage in each.damage]
                 _compare_counts(reader, routes, options, report)
