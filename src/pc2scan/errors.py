@@ -8,6 +8,7 @@
     │   ├── TopicError             a topic that is missing, of another type or taken
     │   └── DestinationError       DST cannot be written as asked for
     ├── RecordingError             a source cannot be read
+    │   ├── MissingError           exit status 2: there is nothing of its name
     │   └── DamageError            bytes of it are missing or wrong; without ``strict``, the rest is recovered
     ├── OutputError                the destination cannot be written
     └── MessageError               one message cannot be converted (skipped, or fatal with ``fail``)
@@ -31,6 +32,7 @@ __all__ = [
     "DecodeError",
     "DestinationError",
     "MessageError",
+    "MissingError",
     "OutputError",
     "ParameterError",
     "Pc2ScanError",
@@ -156,6 +158,12 @@ class DestinationError(UsageError):
 
 class RecordingError(Pc2ScanError):
     """A source cannot be read, or is not a recording."""
+
+
+class MissingError(RecordingError):
+    """There is nothing of a source's name."""
+
+    exit_status = 2
 
 
 class DamageError(RecordingError):

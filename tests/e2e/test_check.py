@@ -175,4 +175,4 @@ def test_wrong_usage(tmp_path: Path) -> None:
     assert clouds.status == 2
     assert "pc2scan convert" in clouds.stderr
     gone = run("check", tmp_path / "gone.bag")
-    assert (gone.status, "Traceback" in gone.stderr) == (1, False)
+    assert (gone.status, "Traceback" in gone.stderr) == (2, False)

@@ -174,7 +174,7 @@ def test_one_that_fails_does_not_keep_the_others_from_it(drives: Path) -> None:
     assert f"{damaged}:\n" in done.stderr
     assert "4 of 6 recordings converted, 2 failed" in done.stdout
     statuses = {line.split()[0]: line.split()[-1] for line in done.stdout.splitlines()[2:8]}
-    assert statuses == {"a.bag": "0", "b.mcap": "0", "c": "0", "d.bag": "3", "e.bag": "1", "missing.bag": "1"}
+    assert statuses == {"a.bag": "0", "b.mcap": "0", "c": "0", "d.bag": "3", "e.bag": "1", "missing.bag": "2"}
     assert names(drives.parent) == {drives.name, "a_scan.bag", "b_scan.mcap", "c_scan", "d_scan.bag"}
 
 

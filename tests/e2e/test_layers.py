@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 PACKAGE = ROOT / "src" / "pc2scan"
 
 #: Every layer may import these; they import nothing of pc2scan but each other.
-GROUND = {"errors", "json_types", "model", "threads", "version"}
+GROUND = {"errors", "json_types", "model", "names", "threads", "version"}
 
 #: What else each layer may import of pc2scan, for type checkers too; its own modules always.
 ALLOWED = {
@@ -26,6 +26,7 @@ ALLOWED = {
     "json_types": set[str](),
     "version": set[str](),
     "model": set[str](),
+    "names": set[str](),
     "threads": set[str](),
     "files": set[str](),
     "core": set[str](),
@@ -48,6 +49,7 @@ THIRD_PARTY = {
     "json_types": set[str](),
     "version": set[str](),
     "model": set[str](),
+    "names": set[str](),
     "threads": set[str](),
     "files": {"isal", "lz4", "zstandard", "ruamel"},
     "core": {"numpy"},

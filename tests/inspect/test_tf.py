@@ -52,7 +52,7 @@ def test_the_command_draws_the_tree_and_looks_up() -> None:
 def test_a_frame_that_is_not_there_is_an_error_that_names_those_that_are() -> None:
     failed = command("--lookup", "odom", "camera")
     assert failed.returncode == 1
-    assert '"camera"' in failed.stderr
+    assert "'camera'" in failed.stderr
     assert "base_link, lidar, odom" in failed.stderr
     assert failed.stdout == ""
 

@@ -539,7 +539,7 @@ def test_no_text_whatever_raises_anything_else(load: Load, text: str | bytes) ->
 
 def test_files_that_are_not_there(tmp_path: Path) -> None:
     missing = failure(lambda: load_params_file(tmp_path / "none.yaml"))
-    assert str(missing) == f"{tmp_path / 'none.yaml'}: there is no such file"
+    assert str(missing) == f"{tmp_path / 'none.yaml'}: there is nothing of this name"
     directory = failure(lambda: load_params_file(tmp_path))
     assert str(directory) == f"{tmp_path}: this is a directory, not a parameter file"
     (tmp_path / "file").touch()
@@ -616,7 +616,7 @@ def any_params(draw: st.DrawFn) -> ProjectionParams:
         min_height=heights[0],
         max_height=heights[1],
         angle_min=angle_min,
-        angle_max=draw(st.floats(angle_min + 0.1, 6.28)),
+        angle_max=draw(st.floats(angle_min + 0.1, min(angle_min + 6.28, 6.28))),
         angle_increment=draw(st.floats(1e-4, 1e-1)),
         scan_time=draw(st.floats(0)),
         range_min=ranges[0],

@@ -16,7 +16,7 @@ class TestBuilder:
         second = builder.build()
         assert (len(first), len(second), len(builder)) == (1, 2, 2)
         assert x_of(second, "a", "b", at(1)) == 2
-        assert "extrapolation" in refusal(first, "a", "b", at(1)).message
+        assert "is not known at" in refusal(first, "a", "b", at(1)).message
 
     def test_more_frames_than_a_robot_has_are_refused(self) -> None:
         builder = TransformBuilder()

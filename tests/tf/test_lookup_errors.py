@@ -12,16 +12,15 @@ class TestRefusal:
     def test_unknown_frame_names_the_ones_there_are(self) -> None:
         error = refusal(built(static=[row("base", "lidar", 0)]), "base", "velodyne", at(1))
         assert error.message == (
-            '"velodyne" passed to lookupTransform argument source_frame does not exist. '
-            "The 2 frames with transforms are base, lidar"
+            "no transform has the source frame 'velodyne'; the 2 frames with transforms are base, lidar"
         )
         assert error.stamp_ns == at(1)
         assert "`source_frame`" in str(error.hint)
 
     def test_unknown_target(self) -> None:
-        assert '"map" passed to lookupTransform argument target_frame' in str(
-            refusal(built(static=[row("base", "lidar", 0)]), "map", "lidar", at(1))
-        )
+        error = refusal(built(static=[row("base_link", "lidar", 0)]), "Base-Link", "lidar", at(1))
+        assert "no transform has the target frame 'Base-Link'" in error.message
+        assert str(error.hint).startswith("did you mean base_link? ")
 
     def test_names_are_not_endless(self) -> None:
         buffer = built(static=[row("base", f"f{number:03}", 0) for number in range(100)])
@@ -30,7 +29,7 @@ class TestRefusal:
         assert message.endswith("f018 and 81 more")
 
     def test_no_transforms_at_all(self) -> None:
-        assert "There are no transforms" in refusal(built(), "a", "b", at(1)).message
+        assert "there are no transforms" in refusal(built(), "a", "b", at(1)).message
 
     def test_unknown_for_having_been_rejected(self) -> None:
         buffer = built([row("odom", "base", 0), row("base", "lidar", 0, norm=0)])
@@ -40,37 +39,33 @@ class TestRefusal:
 
     @pytest.mark.parametrize("names", [("", "a"), ("a", ""), ("", ""), ("/", "a")])
     def test_empty_names(self, names: tuple[str, str]) -> None:
-        assert "cannot be empty" in refusal(built(static=[row("a", "b", 0)]), *names, at(0)).message
+        assert "frame has no name" in refusal(built(static=[row("a", "b", 0)]), *names, at(0)).message
 
     def test_not_connected_describes_both_trees(self) -> None:
         buffer = built(static=[row("map", "odom", 0), row("base", "lidar", 0), row("base", "imu", 0)])
         error = refusal(buffer, "odom", "lidar", at(0))
         assert error.message == (
-            "Could not find a connection between 'odom' and 'lidar' because they are not part of the same "
-            "tree. Tf has two or more unconnected trees: [odom] is in the tree of [map] (map, odom), "
+            "no transforms connect [lidar] with [odom]: [odom] is in the tree of [map] (map, odom), "
             "[lidar] in the tree of [base] (base, imu, lidar)"
         )
 
     def test_too_late(self) -> None:
         buffer = built([row("odom", "base", second) for second in (1, 2)], [row("base", "lidar", 0)])
         assert refusal(buffer, "odom", "lidar", at(2.25), SECOND // 100).message == (
-            "Lookup would require extrapolation 0.250000000s into the future. Requested time "
-            "1700000002.250000000 but the latest data is at time 1700000002.000000000, when looking up "
-            "transform from frame [lidar] to frame [odom]: [base] in [odom] is known from "
+            "the transform from [lidar] to [odom] is not known at 1700000002.250000000: [base] in [odom] is known from "
             "1700000001.000000000 to 1700000002.000000000, the time is 0.250000000 s too late, the "
             "tolerance is 0.010000000 s"
         )
 
     def test_too_early(self) -> None:
         error = refusal(built([row("odom", "base", second) for second in (1, 2)]), "odom", "base", at(0.5))
-        assert "0.500000000s into the past" in error.message
-        assert "earliest data is at time 1700000001.000000000" in error.message
+        assert "is not known at 1700000000.500000000" in error.message
         assert "0.500000000 s too early" in error.message
         assert "at least 0.500000000 s" in str(error.hint)
 
     def test_only_one_sample(self) -> None:
         message = refusal(built([row("odom", "base", 1)]), "odom", "base", at(2)).message
-        assert "at time 1700000002.000000000, but only time 1700000001.000000000 is in the buffer" in message
+        assert "not known at 1700000002.000000000: [base] in [odom] is known only at 1700000001.000000000" in message
 
     def test_of_several_frames_the_farthest_is_named(self) -> None:
         buffer = built([row("a", "b", 5), row("b", "c", 1), row("c", "d", 3)])
@@ -82,7 +77,7 @@ class TestRefusal:
         for target, source in [("a", "b"), ("b", "a"), ("a", "d"), ("d", "c")]:
             assert "contains a loop" in refusal(buffer, target, source, at(0)).message
             assert "contains a loop" in refusal(buffer, target, source, 0).message
-        assert "[d] to frame [a]: [c] in [b] in [a] in [c]" in refusal(buffer, "a", "d", at(0)).message
+        assert "[d] to [a]: [c] in [b] in [a] in [c]" in refusal(buffer, "a", "d", at(0)).message
 
     def test_two_frames_in_each_other(self) -> None:
         buffer = built([row(*pair, second) for second in (0, 1) for pair in (("a", "b"), ("b", "a"))])

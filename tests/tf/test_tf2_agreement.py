@@ -31,9 +31,9 @@ ORACLE = Path(__file__).with_name("tf2_oracle.py")
 
 #: What tf2 calls a refusal, and what our message then says.
 REFUSALS = {
-    "LookupException": "does not exist",
-    "ConnectivityException": "Could not find a connection",
-    "ExtrapolationException": "require extrapolation",
+    "LookupException": "no transform has the",
+    "ConnectivityException": "no transforms connect",
+    "ExtrapolationException": "is not known at",
 }
 
 

@@ -7,8 +7,9 @@ import shlex
 import stat
 from typing import TYPE_CHECKING
 
-from pc2scan.errors import RecordingError
+from pc2scan.errors import MissingError, RecordingError
 from pc2scan.files.compression import LZ4_MAGIC, ZSTD_MAGIC
+from pc2scan.files.nearby import missing_hint
 from pc2scan.files.source import opened_bytes
 from pc2scan.files.staging import working_names
 
@@ -57,8 +58,10 @@ def sniff(path: Path) -> str:
 
     Raises
     ------
+    MissingError
+        If nothing is there.
     RecordingError
-        If nothing is there, it is not permitted to read it, or it is no recording.
+        If it is not permitted to read it, or it is no recording.
     UsageError
         If it is a directory with several recordings.
     """
@@ -71,7 +74,9 @@ def sniff(path: Path) -> str:
         with opened_bytes(path) as file:
             head = file.read(64)
     except FileNotFoundError as err:
-        raise RecordingError("there is nothing of this name", path=path, hint=_interrupted(path)) from err
+        suffixes = [entry.suffix for entry in FORMATS.values() if entry.suffix]
+        hint = _interrupted(path) or missing_hint(path, suffixes)
+        raise MissingError("there is nothing of this name", path=path, hint=hint) from err
     except OSError as err:
         raise RecordingError(f"cannot be read: {err.strerror}", path=path) from err
     if head.startswith(ZSTD_MAGIC):

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import difflib
-
 from pc2scan.errors import TopicError, name_list
+from pc2scan.names import did_you_mean
 
 __all__ = ["find_topic", "short_type"]
 
@@ -34,9 +33,8 @@ def find_topic(asked: str, types: dict[str, set[str]], candidates: list[str], ki
             if kind in types[name]:
                 return name
             raise TopicError(f"topic {name} is {', '.join(sorted(types[name]))}, not {kind}", hint=there)
-    near = difflib.get_close_matches(asked, candidates, n=1)
-    hint = f"did you mean {near[0]}? " if near else ""
-    raise TopicError(f"no topic {asked} in the recording", hint=f"{hint}{there}")
+    near = did_you_mean(asked, candidates)
+    raise TopicError(f"no topic {asked} in the recording", hint=f"{near} {there}".strip())
 
 
 def short_type(kind: str) -> str:

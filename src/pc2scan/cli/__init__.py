@@ -24,11 +24,15 @@ def _run() -> None:
     # NumPy's linear algebra would start threads, which takes longer than many a conversion, and nothing here uses them.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from .app import application
+    from .failures import StdoutError, end_without_output, guarded
     from .memory import keep_freed_memory
 
     keep_freed_memory()
+    sys.stdout = guarded(sys.stdout)
     try:
         application(*sys.argv[1:2])(prog_name="pc2scan")
+    except StdoutError as err:
+        sys.exit(end_without_output(err.args[0], sys.argv[1:]))
     finally:
         # Before it ends, the interpreter would look for garbage in all that was loaded: a fifth of a short run.
         gc.freeze()

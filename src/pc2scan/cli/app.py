@@ -12,9 +12,9 @@ from typer.core import TyperCommand, TyperGroup
 
 from pc2scan.errors import Pc2ScanError
 
+from .failures import show_failure
 from .groups import flat
 from .interrupts import interruptible
-from .render import error_text
 from .usage import NoArgsIsHelpError, TyperUsageError, in_our_words
 
 if TYPE_CHECKING:
@@ -27,9 +27,9 @@ __all__ = ["COMMANDS", "application"]
 COMMANDS = ("convert", "check", "info", "tf", "repair", "diff", "golden")
 
 EPILOG = (
-    "Exit status: 0 done, 1 failed and nothing written, 2 wrong usage, "
+    "Exit status: 0 done, 1 failed and nothing written, 2 wrong usage or a missing file, "
     "3 written but with messages skipped, from a damaged source, or without the report. "
-    "check: 0 accepted, 1 not. diff and golden: 0 the same, 1 different, 2 not comparable."
+    "check, diff and golden: 0 accepted or the same, 1 not, 2 could not be judged."
 )
 
 _INTERRUPTED = 128 + signal.SIGINT
@@ -64,13 +64,12 @@ class _Group(TyperGroup):
         """Run the command; user errors become a message and an exit status, bugs keep their traceback."""
         # A termination must unwind the stack, so that nothing half-written stays behind.
         previous = _handle_termination()
+        words = [*ctx._protected_args, *ctx.args]  # noqa: SLF001  # as the base class reads them
         try:
-            words = [*ctx._protected_args, *ctx.args]  # noqa: SLF001  # as the base class reads them
             with interruptible(), _usage_errors(words):
                 return super().invoke(ctx)
         except Pc2ScanError as err:
-            typer.echo(error_text(err), err=True)
-            raise typer.Exit(err.exit_status) from err
+            raise typer.Exit(show_failure(err, words)) from err
         except KeyboardInterrupt:
             typer.echo("interrupted: nothing was written", err=True)
             raise typer.Exit(_INTERRUPTED) from None
@@ -89,9 +88,7 @@ def _usage_errors(typed: Sequence[str]) -> Iterator[None]:
     except NoArgsIsHelpError:
         raise
     except TyperUsageError as err:
-        ours = in_our_words(err, typed)
-        typer.echo(error_text(ours), err=True)
-        raise typer.Exit(ours.exit_status) from err
+        raise typer.Exit(show_failure(in_our_words(err, typed), typed)) from err
 
 
 def _handle_termination() -> Any:

@@ -10,7 +10,6 @@ import typer
 
 from .options import Json
 from .render import message, print_json
-from .unusable import exit_status_2
 
 __all__ = ["diff"]
 
@@ -105,24 +104,23 @@ def diff(
 
     Exit status: 0 the same, 1 different, 2 not comparable.
     """
-    with exit_status_2():
-        from pc2scan.compare.diff import TopicPair
-        from pc2scan.compare.diff import diff as compare
-        from pc2scan.compare.rules import Rules, parse_tolerance
+    from pc2scan.compare.diff import TopicPair
+    from pc2scan.compare.diff import diff as compare
+    from pc2scan.compare.rules import Rules, parse_tolerance
 
-        rules = Rules(
-            atol=parse_tolerance(atol, "--atol"),
-            rtol=parse_tolerance(rtol, "--rtol"),
-            allow_beams=allow_beams,
-            ignore=frozenset(ignore),
-        )
-        pairs = [TopicPair.parse(topic) for topic in topics]
-        compared = partial(compare, a, b, topics=pairs, all_topics=all_topics, rules=rules)
-        if explain or clouds is not None:
-            from pc2scan.tf.reading import recorded_transforms
+    rules = Rules(
+        atol=parse_tolerance(atol, "--atol"),
+        rtol=parse_tolerance(rtol, "--rtol"),
+        allow_beams=allow_beams,
+        ignore=frozenset(ignore),
+    )
+    pairs = [TopicPair.parse(topic) for topic in topics]
+    compared = partial(compare, a, b, topics=pairs, all_topics=all_topics, rules=rules)
+    if explain or clouds is not None:
+        from pc2scan.tf.reading import recorded_transforms
 
-            compared = partial(compared, transforms_of=recorded_transforms, clouds=clouds)
-        result = compared()
+        compared = partial(compared, transforms_of=recorded_transforms, clouds=clouds)
+    result = compared()
     if as_json:
         print_json(result.as_dict())
     elif not quiet:

@@ -9,7 +9,6 @@ import typer
 
 from .options import Json
 from .render import message, print_json, printable
-from .unusable import exit_status_2
 
 if TYPE_CHECKING:
     from pc2scan.golden.result import CaseResult, GoldenReport
@@ -47,24 +46,23 @@ def golden(
 
     Exit status: 0 all as expected, 1 some differ, 2 some could not be checked.
     """
-    with exit_status_2():
-        from pc2scan.golden.case import case_folders
-        from pc2scan.golden.check import check_case
-        from pc2scan.golden.junit import junit_file
-        from pc2scan.golden.result import GoldenReport
+    from pc2scan.golden.case import case_folders
+    from pc2scan.golden.check import check_case
+    from pc2scan.golden.junit import junit_file
+    from pc2scan.golden.result import GoldenReport
 
-        from .in_process import run_command
+    from .in_process import run_command
 
-        report = GoldenReport(str(folder))
-        cases = case_folders(folder, pattern)
-        with junit_file(junit, [case for _, case in cases], overwrite=overwrite) as write_junit:
-            for name, case in cases:
-                result = check_case(name, case, run_command, update=update)
-                report.cases.append(result)
-                if not as_json:
-                    _show(result, quiet=quiet)
-            _conclude(report, as_json=as_json)
-            write_junit(report)
+    report = GoldenReport(str(folder))
+    cases = case_folders(folder, pattern)
+    with junit_file(junit, [case for _, case in cases], overwrite=overwrite) as write_junit:
+        for name, case in cases:
+            result = check_case(name, case, run_command, update=update)
+            report.cases.append(result)
+            if not as_json:
+                _show(result, quiet=quiet)
+        _conclude(report, as_json=as_json)
+        write_junit(report)
     raise typer.Exit(report.exit_status)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING
 
 # Typer has these in no public place; it is held to versions in which they are here.
@@ -9,6 +10,7 @@ from typer._click.exceptions import BadOptionUsage, BadParameter, MissingParamet
 from typer._click.exceptions import UsageError as TyperUsageError
 
 from pc2scan.errors import UsageError
+from pc2scan.names import did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -38,8 +40,9 @@ def in_our_words(err: TyperUsageError, typed: Sequence[str]) -> UsageError:
     text = err.message.rstrip(".")
     if isinstance(err, BadParameter) and err.param is not None:
         value, is_not, kind = text.rpartition(" is not ")
+        near = did_you_mean(value.strip("'"), re.findall(r"'([^']*)'", kind)) if kind.startswith("one of") else ""
         spellings = err.param.opts if err.param.param_type_name == "option" else [err.param.human_readable_name]
-        return UsageError(f"{_spelling(spellings, typed)}: {value}{is_not}{_KINDS.get(kind, kind)}", hint=hint)
+        return UsageError(f"{_spelling(spellings, typed)}: {value}{is_not}{_KINDS.get(kind, kind)}", hint=near or hint)
     if isinstance(err, BadOptionUsage):
         return UsageError(f"{err.option_name} {text.removeprefix(f'Option {err.option_name!r} ')}", hint=hint)
     text, _, near = text.partition(". Did you mean ")

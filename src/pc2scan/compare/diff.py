@@ -7,10 +7,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from pc2scan.bags.opening import open_recording
-from pc2scan.errors import TopicError, UsageError
+from pc2scan.errors import TopicError, UsageError, name_list
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
 from pc2scan.messages.schema import canonical
+from pc2scan.names import did_you_mean
 
 from .held import held
 from .libm import Clouds, Explainer
@@ -174,11 +175,12 @@ def _named(a: Source, b: Source, pairs: Sequence[TopicPair]) -> list[tuple[Strea
         for source, topic in ((a, pair.a), (b, pair.b)):
             topics = _by_topic(source)
             if topic not in topics:
+                near = did_you_mean(topic, sorted(topics))
                 raise TopicError(
                     "there is no such topic",
                     path=source.path,
                     topic=topic,
-                    hint=f"the recording's topics are: {', '.join(sorted(topics)) or 'none'}",
+                    hint=f"{near} the recording's topics are: {name_list(sorted(topics))}".strip(),
                 )
             sides.append(Stream(source, topics[topic]))
         streams.append((sides[0], sides[1]))

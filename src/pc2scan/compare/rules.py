@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from pc2scan.core.compare import Tolerance
 from pc2scan.errors import UsageError
+from pc2scan.names import did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -67,7 +68,9 @@ class Rules:
                 hint="0.001 allows one beam in a thousand",
             )
         if unknown := sorted(self.ignore - IGNORABLE.keys()):
-            raise UsageError(f"{unknown[0]!r} cannot be ignored", hint=f"what can be ignored: {', '.join(IGNORABLE)}")
+            near = did_you_mean(unknown[0], IGNORABLE)
+            hint = f"{near} what can be ignored: {', '.join(IGNORABLE)}".strip()
+            raise UsageError(f"{unknown[0]!r} cannot be ignored", hint=hint)
 
     def tolerance(self, name: str) -> Tolerance:
         """Return the tolerance of ``ranges``, ``intensities`` or a field."""

@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 from pc2scan.compare.rules import Rules
 from pc2scan.errors import UsageError
+from pc2scan.files.nearby import missing_hint
 from pc2scan.files.overlap import Input
 from pc2scan.files.source import opened_text
 from pc2scan.files.yaml import MAX_CHARACTERS, load_yaml
+from pc2scan.names import did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -98,6 +100,8 @@ def case_folders(folder: Path, pattern: str = "") -> list[tuple[str, Path]]:
         If there is no folder, or no case in it, or none with such a name.
     """
     try:
+        if not os.path.lexists(folder):
+            raise UsageError("there is nothing of this name", path=folder, hint=missing_hint(folder))
         if not folder.is_dir():
             raise UsageError("is not a folder", path=folder, hint="name the folder that holds the cases")
         if is_case(folder):
@@ -112,7 +116,8 @@ def case_folders(folder: Path, pattern: str = "") -> list[tuple[str, Path]]:
         )
     chosen = [(name, case) for name, case in found if pattern in name or fnmatchcase(name, pattern)]
     if not chosen:
-        raise UsageError(f"none of its {len(found)} cases has {pattern!r} in its name", path=folder)
+        near = did_you_mean(pattern, [name for name, _ in found])
+        raise UsageError(f"none of its {len(found)} cases has {pattern!r} in its name", path=folder, hint=near or None)
     return chosen
 
 
@@ -174,7 +179,9 @@ def _settings(path: Path) -> dict[str, Any]:
     if not isinstance(settings, dict):
         raise UsageError("is not a mapping", path=path, hint=f"the keys are {', '.join(KEYS)}")
     if unknown := [key for key in settings if key not in KEYS]:
-        raise UsageError(f"unknown key {unknown[0]!r}", path=path, hint=f"the keys are {', '.join(KEYS)}")
+        near = did_you_mean(str(unknown[0]), KEYS)
+        hint = f"{near} the keys are {', '.join(KEYS)}".strip()
+        raise UsageError(f"unknown key {unknown[0]!r}", path=path, hint=hint)
     return settings
 
 

@@ -7,7 +7,6 @@ they were written. `resolve` lets the stronger setting win, checks names, types 
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
 from contextlib import suppress
@@ -19,6 +18,7 @@ from pc2scan.core.params import CHOICES, MEASURED, ProjectionParams
 from pc2scan.core.presets import PRESETS
 from pc2scan.core.quantities import EXAMPLES, FULL_TURN, in_degrees, quantity
 from pc2scan.errors import ParameterError
+from pc2scan.names import did_you_mean, nearest
 
 from .ros_scalars import plain_scalar
 
@@ -246,9 +246,9 @@ def unknown_parameter(name: str, origin: str, direction: Direction | None) -> Pa
         message = f"{direction} has no parameter {name!r} (from {origin})"
     else:
         message = f"unknown parameter {name!r} (from {origin})"
-        close = difflib.get_close_matches(name.replace("-", "_"), [*known, *ALIASES], n=1)
+        close = nearest(name, [*known, *ALIASES])
         if close:
-            message += f"; did you mean {close[0]!r}?"
+            message += f"; did you mean {close!r}?"
     return ParameterError(message, name=name, hint=hint)
 
 
@@ -312,7 +312,7 @@ def _type_hint(parameter: Parameter, value: object) -> str | None:
     if isinstance(value, str) and parameter.unit and isinstance(plain_scalar(value), str):
         return EXAMPLES[parameter.unit]
     if parameter.words:
-        return None
+        return did_you_mean(str(value), parameter.words) or None
     if parameter.kind == "str" and isinstance(value, bool | int | float):
         return "YAML takes it for a number or a truth value; put it in quotes"
     if parameter.kind == "bool" and isinstance(value, int):
@@ -413,8 +413,8 @@ def preset_settings(consumer: str) -> list[Setting]:
         If there is no such preset.
     """
     if consumer not in PRESETS:
-        near = difflib.get_close_matches(consumer, PRESETS, n=1)
-        meant = f"; did you mean {near[0]}?" if near else ""
+        near = did_you_mean(consumer, PRESETS)
+        meant = f"; {near}" if near else ""
         raise ParameterError(
             f"there is no preset {shown(consumer)}{meant}", name="preset", hint=f"the presets are {', '.join(PRESETS)}"
         )

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, get_args
 
 from pc2scan.errors import ParameterError
+from pc2scan.files.nearby import missing_hint
 from pc2scan.files.source import opened_bytes
+from pc2scan.names import did_you_mean
 
 from .parameters import (
     ALIASES,
@@ -120,7 +122,8 @@ def _read_text(path: Path) -> str:
         with opened_bytes(path) as file:
             data = file.read(MAX_FILE_BYTES + 1)
     except FileNotFoundError as err:
-        raise ParameterError(f"{path}: there is no such file") from err
+        hint = missing_hint(path, (".yaml", ".yml"))
+        raise ParameterError(f"{path}: there is nothing of this name", hint=hint) from err
     except IsADirectoryError as err:
         raise ParameterError(f"{path}: this is a directory, not a parameter file") from err
     except OSError as err:
@@ -274,7 +277,10 @@ def _asked_for(sections: _Sections, node: str, file: Path) -> str:
             )
     if any(_matches(pattern, wanted) for pattern in sections):
         return wanted
-    raise ParameterError(f"{file}: no section is for the node {node!r} (from `node`); found {_listed(sections)}")
+    near = did_you_mean(node, sections) or None
+    raise ParameterError(
+        f"{file}: no section is for the node {node!r} (from `node`); found {_listed(sections)}", hint=near
+    )
 
 
 def _listed(sections: Iterable[str]) -> str:

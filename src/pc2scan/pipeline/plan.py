@@ -10,6 +10,7 @@ from pc2scan.bags.topics import find_topic, short_type
 from pc2scan.errors import TopicError, name_list
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
+from pc2scan.names import did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -146,12 +147,13 @@ def _refuse_collisions(routes: Sequence[Route], requests: dict[str, TopicRequest
 def _idle_patterns(connections: Sequence[Connection], options: ConvertOptions) -> list[str]:
     """A pattern that matches nothing is nearly always a typing error."""
     topics = {connection.topic for connection in connections}
-    return [
-        f"`{name}={pattern}` matches no topic"
-        for name, patterns in (("keep", options.keep), ("drop", options.drop))
-        for pattern in patterns
-        if not any(_matches(topic, (pattern,)) for topic in topics)
-    ]
+    idle = []
+    for name, patterns in (("keep", options.keep), ("drop", options.drop)):
+        for pattern in patterns:
+            if not any(_matches(topic, (pattern,)) for topic in topics):
+                near = did_you_mean(pattern, sorted(topics))
+                idle.append(f"`{name}={pattern}` matches no topic" + (f"; {near}" if near else ""))
+    return idle
 
 
 def _chosen(topic: str, keep: Sequence[str], drop: Sequence[str]) -> bool:

@@ -26,6 +26,7 @@ from pc2scan.bags.opening import open_recordings
 from pc2scan.errors import (
     DamageError,
     DestinationError,
+    MissingError,
     OutputError,
     ParameterError,
     RecordingError,
@@ -198,7 +199,7 @@ def _refuse_missing_destination(sources: Sequence[Path], destination: Path | Non
     *others, last = sources
     if not others or destination or output.folder or os.path.lexists(last) or not all(map(os.path.lexists, others)):
         return
-    raise RecordingError(
+    raise MissingError(
         "there is nothing of this name", path=last, hint=f"did you mean `destination={shlex.quote(str(last))}`?"
     )
 

@@ -1,10 +1,11 @@
-"""Errors of transform lookups: tf2's text, details, and what to do."""
+"""Why there is no transform between two frames at a stamp, and what to do about it."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import TransformError, name_list, stamp_text
+from pc2scan.names import did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -20,13 +21,16 @@ __all__ = ["empty_name", "extrapolation", "looping", "unconnected", "unknown_fra
 #: Frames that an error message names.
 MAX_NAMES = 20
 
+#: What the arguments of a lookup are called.
+_ROLES = {"target_frame": "target", "source_frame": "source"}
+
 _SEE_TF = "`pc2scan tf` shows the frames of a recording and their times"
 
 
 def empty_name(role: str, stamp_ns: int) -> TransformError:
     """One of the names is empty."""
     return TransformError(
-        f"Invalid argument passed to lookupTransform argument {role}: frame_ids cannot be empty",
+        f"the {_ROLES[role]} frame has no name",
         stamp_ns=stamp_ns,
         hint="`source_frame` names the frame of clouds whose frame_id is empty",
     )
@@ -37,18 +41,19 @@ def unknown_frame(
 ) -> TransformError:
     """No transform has this frame."""
     there_are = (
-        f"The {len(frames)} frames with transforms are {name_list(sorted(frames), MAX_NAMES)}"
+        f"the {len(frames)} frames with transforms are {name_list(sorted(frames), MAX_NAMES)}"
         if frames
-        else "There are no transforms"
+        else "there are no transforms at all"
     )
     rejected = next((entry for entry in rejections if name in (entry.child, entry.parent)), None)
     if rejected is not None:
         there_are += f"; [{rejected.child}] in [{rejected.parent}] was rejected: {rejected.reason}"
+    near = did_you_mean(name, sorted(frames))
+    advice = "`static` or `tf_from` adds a transform, `source_frame` corrects a wrong frame_id"
     return TransformError(
-        f'"{name}" passed to lookupTransform argument {role} does not exist. {there_are}',
+        f"no transform has the {_ROLES[role]} frame {name!r}; {there_are}",
         stamp_ns=stamp_ns,
-        hint="`static` adds a transform, `tf_from` takes them from another recording, "
-        "`source_frame` corrects a wrong frame_id",
+        hint=f"{near} {advice}".strip(),
     )
 
 
@@ -57,18 +62,10 @@ def extrapolation(query: Query, link: FrameHistory, frames: Sequence[str], time_
     time_ns = time_ns or 0
     gap_ns = link.gap_ns(time_ns)
     gap, time, first, last = (stamp_text(ns) for ns in (abs(gap_ns), time_ns, link.first_ns, link.last_ns))
-    if link.first_ns == link.last_ns:
-        text = f"Lookup would require extrapolation at time {time}, but only time {last} is in the buffer"
-    else:
-        way, end, known = ("past", "earliest", first) if gap_ns < 0 else ("future", "latest", last)
-        text = (
-            f"Lookup would require extrapolation {gap}s into the {way}. "
-            f"Requested time {time} but the {end} data is at time {known}"
-        )
     child, parent = frames[link.child], frames[link.parent_at(time_ns)]
     return TransformError(
-        f"{text}, when looking up transform from frame [{query.source}] to frame [{query.target}]: "
-        f"[{child}] in [{parent}] is known from {first} to {last}, "
+        f"the transform from [{query.source}] to [{query.target}] is not known at {time}: "
+        f"[{child}] in [{parent}] is known {f'only at {first}' if first == last else f'from {first} to {last}'}, "
         f"the time is {gap} s too {'early' if gap_ns < 0 else 'late'}, "
         f"the tolerance is {stamp_text(query.tolerance_ns)} s",
         stamp_ns=query.stamp_ns,
@@ -90,8 +87,7 @@ def unconnected(
         else f"at this time [{query.target}] leads up to [{target_top}], [{query.source}] to [{source_top}]"
     )
     return TransformError(
-        f"Could not find a connection between '{query.target}' and '{query.source}' because they are not "
-        f"part of the same tree. Tf has two or more unconnected trees: {where}",
+        f"no transforms connect [{query.source}] with [{query.target}]: {where}",
         stamp_ns=query.stamp_ns,
         hint=f"`static` or `tf_from` adds what connects them; {_SEE_TF}",
     )
@@ -102,8 +98,8 @@ def looping(query: Query, walk: Walk, loop: int, frames: Sequence[str]) -> Trans
     met = list(walk.links)
     names = [f"[{frames[frame]}]" for frame in met[met.index(loop) :][:MAX_NAMES]]
     return TransformError(
-        "The tf tree is invalid because it contains a loop, when looking up transform from frame "
-        f"[{query.source}] to frame [{query.target}]: {' in '.join([*names, names[0]])}",
+        f"the tree of frames contains a loop, on the way from [{query.source}] to [{query.target}]: "
+        f"{' in '.join([*names, names[0]])}",
         stamp_ns=query.stamp_ns,
         hint=_SEE_TF,
     )

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from pc2scan.errors import DecodeError, RecordingError, UsageError, name_list
 from pc2scan.messages.tfmessage import TF_TYPES, decode_transforms
+from pc2scan.names import did_you_mean
 
 from .options import FrameOptions
 
@@ -40,8 +41,10 @@ def tf_connections(connections: Sequence[Connection], topics: Sequence[str] = ()
     if topics:
         missing = [topic for topic in topics if topic.strip("/") not in names]
         if missing:
-            known = name_list([f"/{name}" for name in sorted(names)])
-            raise UsageError(f"no transforms on {missing[0]}", hint=f"topics with transforms: {known}")
+            known = [f"/{name}" for name in sorted(names)]
+            near = did_you_mean(missing[0], known)
+            hint = f"{near} topics with transforms: {name_list(known)}".strip()
+            raise UsageError(f"no transforms on {missing[0]}", hint=hint)
         wanted = {topic.strip("/") for topic in topics}
         return [c for c in candidates if c.topic.strip("/") in wanted]
     spaces: dict[str, list[Connection]] = {}

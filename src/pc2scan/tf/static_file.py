@@ -5,7 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.errors import Pc2ScanError, UsageError
+from pc2scan.files.nearby import missing_hint
 from pc2scan.files.source import opened_text
+from pc2scan.names import did_you_mean
 
 from .options import StaticTransform, number_in
 
@@ -40,6 +42,9 @@ def load_static_transforms(path: Path) -> tuple[StaticTransform, ...]:
             )
         with opened_text(path) as file:
             document = YAML(typ="safe", pure=True).load(file.read(_MAX_FILE_BYTES))
+    except FileNotFoundError as err:
+        hint = missing_hint(path, (".yaml", ".yml"))
+        raise UsageError("there is nothing of this name", path=path, hint=hint) from err
     except OSError as err:
         raise UsageError(f"cannot be read: {err.strerror}", path=path) from err
     except (YAMLError, UnicodeDecodeError, RecursionError) as err:
@@ -62,7 +67,9 @@ def _static_transform(entry: Any) -> StaticTransform:
         raise UsageError(f"{entry!r} is not a transform")
     known = {"parent", "frame_id", "child", "child_frame_id", "translation", "rotation", "rpy"}
     if unknown := entry.keys() - known:
-        raise UsageError(f"unknown key {min(map(str, unknown))!r}", hint=f"known: {', '.join(sorted(known))}")
+        key = min(map(str, unknown))
+        hint = f"{did_you_mean(key, sorted(known))} the keys are {', '.join(sorted(known))}".strip()
+        raise UsageError(f"unknown key {key!r}", hint=hint)
 
     def numbers(key: str, count: int) -> list[float]:
         values = entry.get(key, [0.0] * (count - 1) + [float(count == 4)])

@@ -1,0 +1,109 @@
+"""Errors as the command shows them, and the exit statuses that they end with."""
+
+from __future__ import annotations
+
+import errno
+import os
+import signal
+import sys
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from pc2scan.errors import DamageError, Pc2ScanError
+
+from .render import error_text, message
+from .spelling import as_typed
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+__all__ = ["VERDICTS", "StdoutError", "end_without_output", "guarded", "show_failure"]
+
+#: Commands whose status 1 is a verdict, so that whatever cannot be judged is 2.
+VERDICTS = frozenset({"check", "diff", "golden"})
+
+#: Commands that write a recording before they print anything.
+_WRITING = frozenset({"convert", "repair"})
+
+
+def show_failure(err: Pc2ScanError, words: Sequence[str]) -> int:
+    """Show an error on standard error, and with ``--json`` also as JSON on standard output; return the exit status.
+
+    Parameters
+    ----------
+    words
+        What was typed behind ``pc2scan``.
+    """
+    command = words[0] if words else ""
+    status = err.exit_status
+    if command in VERDICTS:
+        status = max(status, 2)
+        if isinstance(err, DamageError):
+            err.hint = "pc2scan repair makes a sound recording of what is left of it"
+    typer.echo(error_text(err), err=True)
+    if "--json" in (words[: words.index("--")] if "--" in words else words):
+        from .render import print_json
+
+        print_json({"error": _as_dict(err), "exit_status": status})
+    return status
+
+
+def _as_dict(err: Pc2ScanError) -> dict[str, Any]:
+    return {
+        "kind": type(err).__name__,
+        "message": as_typed(err.message),
+        "path": None if err.path is None else str(err.path),
+        "topic": err.topic,
+        "stamp_ns": err.stamp_ns,
+        "hint": None if err.hint is None else as_typed(err.hint),
+    }
+
+
+class StdoutError(Exception):
+    """Standard output cannot be written; ``args[0]`` is the operating system's error."""
+
+
+class _Guarded:
+    """A text stream whose failures are `StdoutError`, so that no other error is taken for one."""
+
+    def __init__(self, stream: Any) -> None:
+        self._stream = stream
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> Any:
+        try:
+            return self._stream.write(text)
+        except OSError as err:
+            raise StdoutError(err) from err
+
+    def flush(self) -> None:
+        try:
+            self._stream.flush()
+        except OSError as err:
+            raise StdoutError(err) from err
+
+
+def guarded(stream: Any) -> Any:
+    """The stream, with failures that can be told from those of other files; None stays None."""
+    return None if stream is None else _Guarded(stream)
+
+
+def end_without_output(err: OSError, words: Sequence[str]) -> int:
+    """Return the exit status where standard output cannot be written.
+
+    Whoever closed a pipe (``| head``) has read enough: then there is no message, and the status is that of a process
+    that SIGPIPE ended, as with other tools.
+    """
+    # What is still in the buffer would fail again when the interpreter ends.
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 1)
+    os.close(nowhere)
+    if err.errno == errno.EPIPE:
+        return 128 + signal.SIGPIPE
+    command = "" if {"-h", "--help"} & set(words) else "".join(words[:1])
+    note = "; the recording is written" if command in _WRITING else ""
+    sys.stderr.write(message(f"error: standard output cannot be written: {err.strerror}{note}") + "\n")
+    return 3 if command in _WRITING else 2 if command in VERDICTS else 1

@@ -1,0 +1,53 @@
+"""Names that nearly match: what was probably meant by a name that is not there."""
+
+from __future__ import annotations
+
+from itertools import islice
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+__all__ = ["did_you_mean", "nearest"]
+
+#: So many names are compared, of at most so many characters: names come from recordings, and may be any number.
+_MOST = 2_000
+_LONGEST = 255
+
+
+def nearest(asked: str, known: Iterable[str]) -> str | None:
+    """Return the name that is most like the one asked for, or None if there is none like it.
+
+    Case, slashes at the ends, and hyphens for underscores make no difference; it may be a part of a longer name.
+
+    >>> nearest("Base-Link", ["odom", "base_link"]), nearest("points", ["/lidar/points", "/imu"])
+    ('base_link', '/lidar/points')
+    >>> nearest("x", ["odom"])
+    """
+    import difflib  # noqa: PLC0415  # few commands are wrong, and all start quickly
+
+    names = {_plain(name): name for name in reversed(list(islice(known, _MOST))) if len(name) <= _LONGEST}
+    wanted = _plain(asked[:_LONGEST])
+    if not wanted:
+        return None
+    close = difflib.get_close_matches(wanted, names, n=1)
+    # Then what ends or begins with it, the shortest first; single letters are at the end of anything.
+    close += sorted((name for name in names if _is_part(wanted, name) or _is_part(name, wanted)), key=len)
+    if not close:
+        ends = {name.rpartition("/")[2]: name for name in names}
+        close = [ends[end] for end in difflib.get_close_matches(wanted.rpartition("/")[2], ends, n=1)]
+    return names[close[0]] if close else None
+
+
+def did_you_mean(asked: str, known: Iterable[str]) -> str:
+    """Return ``did you mean base_link?``, or the empty text where no name is like the one asked for."""
+    name = nearest(asked, known)
+    return f"did you mean {name}?" if name else ""
+
+
+def _plain(name: str) -> str:
+    return name.casefold().replace("-", "_").strip("/ ")
+
+
+def _is_part(short: str, long: str) -> bool:
+    return len(short) >= 3 and (long.endswith(f"/{short}") or long.startswith(f"{short}/") or f"/{short}/" in long)
