@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from .api import convert as convert
     from .api import diff as diff
     from .compare.result import Difference as Difference
+    from .core.counts import PointCounts as PointCounts
     from .core.params import ProjectionParams as ProjectionParams
-    from .core.project import PointCounts as PointCounts
     from .core.project import ProjectedScan as ProjectedScan
     from .core.project import project as project
     from .core.unproject import UnprojectParams as UnprojectParams
@@ -49,7 +49,7 @@ __all__ = [
 _HOMES = {
     "Difference": "compare.result",
     "FrameOptions": "tf.options",
-    "PointCounts": "core.project",
+    "PointCounts": "core.counts",
     "ProjectedScan": "core.project",
     "ProjectionParams": "core.params",
     "Report": "pipeline.report",

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from pc2scan.compare.result import Difference
     from pc2scan.core.unproject import UnprojectParams
     from pc2scan.pipeline.report import Report
+    from pc2scan.pipeline.stages.filters import Filter
 
 __all__ = ["convert", "diff"]
 
@@ -35,6 +36,7 @@ def convert(
     reverse: bool = False,
     channels: UnprojectParams | None = None,
     deskew: bool = False,
+    filters: Iterable[Filter] = (),
     frames: FrameOptions | None = None,
     topics: Iterable[str] = (),
     keep_clouds: bool = False,
@@ -71,6 +73,8 @@ def convert(
     reverse, channels, deskew
         The way back: LaserScan to PointCloud2, the fields of the clouds, and whether each beam is transformed by the
         pose at its own time.
+    filters
+        What selects points of clouds before they are projected, in order; see `pc2scan.pipeline.stages.filters.Filter`.
     frames
         Where transforms come from, for a ``target_frame``; None means the sources' ``/tf`` and ``/tf_static``.
     topics
@@ -116,6 +120,7 @@ def convert(
         reverse=reverse,
         channels=channels,
         deskew=deskew,
+        filters=tuple(filters),
         frames=frames or FrameOptions(),
         topics=topics,
         keep_clouds=keep_clouds,

@@ -84,7 +84,7 @@ def test_the_command_and_the_library_take_the_same() -> None:
     frames = {p.name for p in shared.Frames.parameters()}
     projection = {p.name for p in shared.Projection.parameters()}
     only_here = {"range_cutoff", "no_verify", "report", "quiet", "verbose", "each"}
-    only_there = {"params", "frames", "verify", "progress"}
+    only_there = {"params", "frames", "filters", "verify", "progress"}
     assert command - frames - projection - only_here == library - only_there
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pc2scan.core.project import PointCounts
+from pc2scan.core.counts import PointCounts
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -87,4 +87,6 @@ def reference_scan(
         elif reach < ranges[index]:
             ranges[index] = reach
     used = total - nan - height - too_far - outside - past_end
-    return np.array(ranges, np.float32), PointCounts(total, used, nan, height, too_far, outside, past_end)
+    return np.array(ranges, np.float32), PointCounts(
+        total, used, nan=nan, height=height, range=too_far, angle=outside, past_end=past_end
+    )

@@ -269,7 +269,7 @@ def test_arrays_that_do_not_fit_together_are_refused() -> None:
     cube, small, long = np.zeros((1, 1, 1), np.float32), np.zeros(1, np.float16), np.zeros(1, np.int64)
     fixed = ranges.copy()
     fixed.setflags(write=False)
-    slots, numbers = np.zeros(1, np.int32), np.zeros(1, np.int64)
+    bins, numbers = np.zeros(1, np.int32), np.zeros(1, np.int64)
     triples: list[tuple[Any, Any, Any]] = [
         (one, one, two),
         (one, one, one[None]),
@@ -281,12 +281,12 @@ def test_arrays_that_do_not_fit_together_are_refused() -> None:
         with pytest.raises(ValueError, match="coordinates"):
             kernel.project(*xyz, rule, None, ranges, 1.0, 1.0)
         with pytest.raises(ValueError, match="coordinates"):
-            kernel.gather(*xyz, rule, None, 1, slots, one, numbers)
+            kernel.gather(*xyz, rule, None, 1, bins, one, numbers)
     triples = [(rule[:12], None, ranges), (rule, move[:11], ranges), (rule, rule, ranges), (rule, None, rule)]
     for others in triples:
         with pytest.raises(ValueError, match="length or item size"):
             kernel.project(one, one, one, *others, 1.0, 1.0)
-    triples = [(slots[:0], one, numbers), (slots, two, numbers), (slots, one, slots)]
+    triples = [(bins[:0], one, numbers), (bins, two, numbers), (bins, one, bins)]
     for outputs in triples:
         with pytest.raises(ValueError, match="length or item size"):
             kernel.gather(one, one, one, rule, None, 1, *outputs)

@@ -41,7 +41,7 @@ def assert_as_reference(points: NDArray[Any], params: ProjectionParams) -> None:
 
 
 def room(points: int, seed: int = 0) -> NDArray[np.float32]:
-    """A cloud with walls, floor, and points of every fate, column-major: 16 rings to a column."""
+    """A cloud with walls, floor, and points of every kind, column-major: 16 rings to a column."""
     rng = np.random.default_rng(seed)
     azimuth = np.repeat(np.linspace(-math.pi, math.pi, math.ceil(points / 16)), 16)[:points]
     elevation = np.deg2rad(np.tile(np.linspace(-25, 15, 16), math.ceil(points / 16))[:points])
@@ -55,11 +55,11 @@ def room(points: int, seed: int = 0) -> NDArray[np.float32]:
     return cloud.astype(np.float32)
 
 
-# Single points, each with the fate that upstream's source gives it.
+# Single points, each with what upstream's source makes of it.
 
 
 @pytest.mark.parametrize(
-    ("point", "fate"),
+    ("point", "what"),
     [
         ((1, 0, 1), "used"),
         ((0, 0, 1), "used"),
@@ -84,10 +84,10 @@ def room(points: int, seed: int = 0) -> NDArray[np.float32]:
         ((-0.0, 0.0, 1), "past_end"),
     ],
 )
-def test_the_fate_of_a_point_with_upstreams_defaults(point: tuple[float, float, float], fate: str) -> None:
+def test_what_upstreams_defaults_make_of_a_point(point: tuple[float, float, float], what: str) -> None:
     scan = project([point])
-    assert scan.counts == replace(PointCounts(total=1), **{fate: 1})
-    assert (np.isfinite(scan.ranges).sum() == 1) == (fate == "used")
+    assert scan.counts == PointCounts(**{"total": 1, what: 1})
+    assert (np.isfinite(scan.ranges).sum() == 1) == (what == "used")
 
 
 def test_a_beam_keeps_the_closest_point() -> None:

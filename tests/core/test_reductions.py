@@ -49,30 +49,30 @@ def reference(
     points: Iterable[Sequence[float]], params: ProjectionParams
 ) -> tuple[list[float], list[float], PointCounts]:
     """Ranges, intensities and counts of points with a fourth value, given as Python floats."""
-    fates = dict.fromkeys(("nan", "height", "range", "angle", "past_end"), 0)
+    rejected = dict.fromkeys(("nan", "height", "range", "angle", "past_end"), 0)
     beams: list[list[tuple[float, int, float]]] = [[] for _ in range(params.length)]
     total = 0
     for number, (x, y, z, value) in enumerate(points):
         total += 1
         reach = float32(math.sqrt(x * x + y * y))
         if math.isnan(x) or math.isnan(y) or math.isnan(z):
-            fate: int | str = "nan"
+            beam: int | str = "nan"
         elif not params.min_height <= z <= params.max_height:
-            fate = "height"
+            beam = "height"
         elif not params.range_min <= reach <= params.range_max:
-            fate = "range"
+            beam = "range"
         else:
-            fate = beam_of(float32(math.atan2(y, x)), params)
-        if isinstance(fate, str):
-            fates[fate] += 1
+            beam = beam_of(float32(math.atan2(y, x)), params)
+        if isinstance(beam, str):
+            rejected[beam] += 1
         else:
-            beams[fate].append((reach, number, value))
+            beams[beam].append((reach, number, value))
     ranges, lit = [], []
-    for beam in beams:
-        length, intensity = reduced(beam, params)
+    for returns in beams:
+        length, intensity = reduced(returns, params)
         ranges.append(float32(length))
         lit.append(float32(intensity))
-    return ranges, lit, PointCounts(total, total - sum(fates.values()), **fates)
+    return ranges, lit, PointCounts(total, total - sum(rejected.values()), **rejected)
 
 
 def reduced(beam: list[tuple[float, int, float]], params: ProjectionParams) -> tuple[float, float]:
@@ -237,8 +237,8 @@ def test_nothing_is_half_a_beam_off() -> None:
     for geometry, bias in (("centered", 0.0), ("upstream", 0.5)):
         params = replace(CENTERED, geometry=geometry)
         layout = params.layout
-        slots = plain.slots_of(angles, rule_of(params), layout.count)
-        off = (angles.astype(np.float64) - layout.angle_min - slots * layout.angle_increment) / layout.angle_increment
+        bins = plain.bins_of(angles, rule_of(params), layout.count)
+        off = (angles.astype(np.float64) - layout.angle_min - bins * layout.angle_increment) / layout.angle_increment
         assert off.mean() == pytest.approx(bias, abs=1e-2)
 
 

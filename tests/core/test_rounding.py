@@ -88,8 +88,8 @@ def explained_one_by_one(pair: Readings, points: Cloud, params: ProjectionParams
             for side in (pair.a, pair.b))  # fmt: skip
     x, y, _ = points
     reach = np.sqrt(x.astype(np.float64) ** 2 + y.astype(np.float64) ** 2).astype(np.float32).tolist()
-    in_a = plain.slots_of(fdlibm.atan2f(y, x), rule, beams).tolist()
-    in_b = plain.slots_of(np.arctan2(y, x, dtype=np.float64).astype(np.float32), rule, beams).tolist()
+    in_a = plain.bins_of(fdlibm.atan2f(y, x), rule, beams).tolist()
+    in_b = plain.bins_of(np.arctan2(y, x, dtype=np.float64).astype(np.float32), rule, beams).tolist()
     found = np.zeros(beams, bool)
     for mine, theirs, one, other in ((a, b, in_a, in_b), (b, a, in_b, in_a)):
         held = {(beam, r) for beam, r in zip(other, reach, strict=True)}

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from pc2scan.core import kernel
 from pc2scan.core.layout import TURN, BeamLayout, centered_layout
-from pc2scan.core.plain import slots_of
+from pc2scan.core.plain import bins_of
 from pc2scan.core.rule import centered_beams
 
 if TYPE_CHECKING:
@@ -23,8 +23,8 @@ PI = math.pi
 EXACT = 4e-15
 
 
-def slots_of_angles(layout: BeamLayout, angles: NDArray[np.float32]) -> NDArray[np.intp]:
-    return slots_of(angles, np.array([0.0] * 4 + [*centered_beams(layout)]), layout.count)
+def bins_of_angles(layout: BeamLayout, angles: NDArray[np.float32]) -> NDArray[np.intp]:
+    return bins_of(angles, np.array([0.0] * 4 + [*centered_beams(layout)]), layout.count)
 
 
 def nearest(layout: BeamLayout, angle: float) -> tuple[set[int], float]:
@@ -70,15 +70,15 @@ def layouts_and_angles(draw: st.DrawFn) -> tuple[BeamLayout, NDArray[np.float32]
 @given(layouts_and_angles())
 def test_an_accepted_angle_belongs_to_the_nearest_beam(case: tuple[BeamLayout, NDArray[np.float32]]) -> None:
     layout, angles = case
-    slots = slots_of_angles(layout, angles)
-    for angle, slot in zip(angles.tolist(), slots.tolist(), strict=True):
+    bins = bins_of_angles(layout, angles)
+    for angle, index in zip(angles.tolist(), bins.tolist(), strict=True):
         beams, offset = nearest(layout, angle)
         half = layout.angle_increment / 2
-        if slot == layout.count + 1:
+        if index == layout.count + 1:
             assert not layout.full_circle
             assert offset >= half - EXACT
         else:
-            assert slot in beams
+            assert index in beams
             # Half an increment on either side; on a circle also half of what rounding has left of it.
             assert offset <= half + (4e-7 if layout.full_circle else EXACT)
 
@@ -92,13 +92,13 @@ def test_points_fall_where_their_angles_do(layout: BeamLayout, seed: int) -> Non
     angles = layout.angle_min + (beams + random.choice([0.5, 0.5, 0.0, 0.3], 400)) * layout.angle_increment
     radii = random.uniform(0.1, 50, 400)
     x, y = (radii * np.cos(angles)).astype(np.float32), (radii * np.sin(angles)).astype(np.float32)
-    expected = slots_of_angles(layout, np.arctan2(y, x, dtype=np.float64).astype(np.float32))
+    expected = bins_of_angles(layout, np.arctan2(y, x, dtype=np.float64).astype(np.float32))
     rule = np.array([-math.inf, math.inf, 0.0, math.inf, *centered_beams(layout), 0.0])
-    slots, ranges, numbers = np.empty(400, np.int32), np.empty(400, np.float32), np.empty(400, np.int64)
-    fates = kernel.gather(x, y, np.zeros_like(x), rule, None, layout.count, slots, ranges, numbers)
-    used = 400 - sum(fates)
+    bins, ranges, numbers = np.empty(400, np.int32), np.empty(400, np.float32), np.empty(400, np.int64)
+    rejected = kernel.gather(x, y, np.zeros_like(x), rule, None, layout.count, bins, ranges, numbers)
+    used = 400 - sum(rejected)
     np.testing.assert_array_equal(numbers[:used], np.flatnonzero(expected < layout.count))
-    np.testing.assert_array_equal(slots[:used], expected[expected < layout.count])
+    np.testing.assert_array_equal(bins[:used], expected[expected < layout.count])
 
 
 @pytest.mark.parametrize(("low", "high"), [(-PI, PI), (0.0, 2 * PI), (0.3, 0.3 + 2 * PI), (-7.0, -7.0 + 2 * PI)])
@@ -108,13 +108,13 @@ def test_a_circle_wraps_around(low: float, high: float, beams: int) -> None:
     middles = layout.angle_min + np.arange(beams) * layout.angle_increment
     for offset in (0.0, 0.49, -0.49):
         angles = np.remainder(middles + offset * layout.angle_increment + PI, TURN) - PI
-        np.testing.assert_array_equal(slots_of_angles(layout, angles.astype(np.float32)), np.arange(beams))
+        np.testing.assert_array_equal(bins_of_angles(layout, angles.astype(np.float32)), np.arange(beams))
 
 
 def test_the_directions_that_atan2_doubles_are_one_beam() -> None:
     layout = centered_layout(-PI, PI, PI / 180)
     x, y = np.array([-1, -1, -1, -1], np.float32), np.array([0.0, -0.0, 1e-30, -1e-30], np.float32)
-    assert slots_of_angles(layout, np.arctan2(y, x)).tolist() == [0, 0, 0, 0]
+    assert bins_of_angles(layout, np.arctan2(y, x)).tolist() == [0, 0, 0, 0]
 
 
 @pytest.mark.parametrize("start", [-PI / 2, np.nextafter(np.float32(-PI / 2), np.float32(0)), PI + PI / 2])
@@ -122,10 +122,10 @@ def test_pi_as_float32_beyond_an_edge_at_pi_belongs_to_the_next_beam(start: floa
     layout = centered_layout(float(start), float(start) + 2 * PI, PI)
     angle = np.float32(PI)
     beams, _ = nearest(layout, float(angle))
-    assert set(slots_of_angles(layout, np.array([angle])).tolist()) == beams
+    assert set(bins_of_angles(layout, np.array([angle])).tolist()) == beams
 
 
 def test_beams_of_a_sector_end_half_an_increment_outside() -> None:
     layout = centered_layout(-0.5, 0.5, 0.25)
     angles = np.array([-0.63, -0.625, -0.62, -0.376, -0.374, 0.0, 0.374, 0.62, 0.625, 0.63, 3.1, -3.1], np.float32)
-    assert slots_of_angles(layout, angles).tolist() == [6, 0, 0, 0, 1, 2, 3, 4, 4, 6, 6, 6]
+    assert bins_of_angles(layout, angles).tolist() == [6, 0, 0, 0, 1, 2, 3, 4, 4, 6, 6, 6]

@@ -45,7 +45,7 @@ def recorded(stream: Stream, stamps: Sequence[int], points: NDArray[np.float32],
 
 
 def measured(
-    folder: Path, items: list[Item], params: ProjectionParams, frames: Frames | None = None, **cut: int
+    folder: Path, items: list[Item], params: ProjectionParams, frames: Frames | None = None, **cut: Any
 ) -> tuple[dict[str, Timing], list[str]]:
     streams = tuple(dict.fromkeys(entry.stream for entry in items))
     items = sorted(items, key=lambda entry: entry.log_time_ns)
@@ -78,7 +78,7 @@ def test_one_cloud_has_no_interval(tmp_path: Path) -> None:
 
 
 def test_only_the_first_clouds_within_the_cut_are_looked_at(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(measure_module, "CLOUDS", 5)
+    monkeypatch.setattr(measure_module, "FIRST_CLOUDS", 5)
     intervals = [3] * 4 + [1] * 4 + [2] * 8
     stamps = (T0 + np.cumsum([0, *intervals]) * SECOND // 10).tolist()
     items = recorded(FRONT, stamps, turning(columns=8), NAMES)

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
+from pc2scan.core.counts import PointCounts
 from pc2scan.core.params import ProjectionParams
-from pc2scan.core.project import PointCounts
 from pc2scan.pipeline.report import MAX_LISTED, Report, Skipped, TopicReport
 
 

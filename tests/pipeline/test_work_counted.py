@@ -18,7 +18,8 @@ from pc2scan.bags.mcap.writer import McapWriter
 from pc2scan.bags.rosbag1 import reader as rosbag1_reader
 from pc2scan.bags.rosbag1.reader import Rosbag1Reader
 from pc2scan.bags.rosbag1.writer import Rosbag1Writer
-from pc2scan.core.project import PointCounts, Projector
+from pc2scan.core.counts import PointCounts
+from pc2scan.core.project import Projector
 from pc2scan.errors import RecordingError
 from pc2scan.files import source as files
 from pc2scan.messages.definitions import definition

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from pc2scan.errors import TopicError, name_list
 from pc2scan.names import did_you_mean
 
-__all__ = ["find_topic", "short_type"]
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+__all__ = ["find_topic", "short_types"]
 
 
-def find_topic(asked: str, types: dict[str, set[str]], candidates: list[str], kind: str) -> str:
+def find_topic(asked: str, types: dict[str, set[str]], candidates: list[str], *kinds: str) -> str:
     """Return the topic of a type by its name, with or without the leading slash.
 
     Parameters
@@ -19,24 +24,24 @@ def find_topic(asked: str, types: dict[str, set[str]], candidates: list[str], ki
         The types that each topic of the recording has.
     candidates
         The topics of the type.
-    kind
-        The type, in ROS 2's spelling.
+    kinds
+        The type, in ROS 2's spelling, or several that are possible.
 
     Raises
     ------
     TopicError
         If there is no such topic, or it has another type.
     """
-    there = f"{short_type(kind)} topics: {name_list(candidates)}"
+    there = f"{short_types(kinds)} topics: {name_list(candidates)}"
     for name in (asked, f"/{asked}", asked.removeprefix("/")):
         if name in types:
-            if kind in types[name]:
+            if not types[name].isdisjoint(kinds):
                 return name
-            raise TopicError(f"topic {name} is {', '.join(sorted(types[name]))}, not {kind}", hint=there)
+            raise TopicError(f"topic {name} is {', '.join(sorted(types[name]))}, not {' or '.join(kinds)}", hint=there)
     near = did_you_mean(asked, candidates)
     raise TopicError(f"no topic {asked} in the recording", hint=f"{near} {there}".strip())
 
 
-def short_type(kind: str) -> str:
-    """Return a type without its package."""
-    return kind.rsplit("/", 1)[-1]
+def short_types(kinds: Iterable[str]) -> str:
+    """Return types without their packages, for a message."""
+    return " or ".join(kind.rsplit("/", 1)[-1] for kind in kinds)

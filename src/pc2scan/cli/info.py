@@ -87,8 +87,11 @@ def _show_cloud(cloud: CloudInfo) -> None:
     points = f"{cloud.points_min:,}" + (f" to {cloud.points_max:,}" if cloud.points_max > cloud.points_min else "")
     height, width = cloud.shape
     typer.echo(printable(f"  frame   {', '.join(repr(frame) for frame in cloud.frames)}"))
-    typer.echo(f"  points  {points} a cloud ({height} x {width}), {cloud.point_step} bytes each")
-    typer.echo(printable("  fields  " + ", ".join(f"{name} {kind} @{offset}" for name, kind, offset in cloud.fields)))
+    is_laid_out = cloud.point_step > 0
+    each = f", {cloud.point_step} bytes each" if is_laid_out else ""
+    typer.echo(f"  points  {points} a cloud ({height} x {width}){each}")
+    fields = [f"{name} {kind}" + (f" @{offset}" if is_laid_out else "") for name, kind, offset in cloud.fields]
+    typer.echo(printable(f"  fields  {', '.join(fields)}"))
     typer.echo(f"  NaN {cloud.nan_share:.1%}, (0, 0, 0) {cloud.zero_share:.1%}, z > 0 {cloud.above_zero_share:.1%}")
     spreads = [(name, spread) for name in ("x", "y", "z", "range") if (spread := getattr(cloud, name)) is not None]
     if spreads:

@@ -49,18 +49,15 @@ def show(report: Report, *, verbose: bool = False) -> None:
     converted = [topic for topic in report.topics if topic.action == "converted"]
     if converted:
         typer.echo()
+        rejections = report.rejections.values()
         table(
-            ("on", "points", "used", "NaN", "height", "range", "angle", "past end", "empty"),
+            ("on", "points", "used", *(each.heading for each in rejections), "empty"),
             [
                 (
                     topic.target or "-",
                     count(topic.points.total),
                     count(topic.points.used),
-                    count(topic.points.nan),
-                    count(topic.points.height),
-                    count(topic.points.range),
-                    count(topic.points.angle),
-                    count(topic.points.past_end),
+                    *(count(topic.points.rejected.get(each.name, 0)) for each in rejections),
                     count(topic.empty_scans),
                 )
                 for topic in converted

@@ -1,8 +1,8 @@
-/* The projection's inner loop. The rules are told in project.py and rule.py; what is here is how to keep them fast.
+/* The projection's inner loop. project.py and rule.py describe the rules; this file makes them fast.
 
    Points are taken a block at a time, small enough for the first-level cache: load and drop by height, one loop, or
-   eight at a time; then squares, angles and slots, loops without branches that compilers turn into vector
-   instructions; then the minimum of each slot. Points are transformed in float32, every product and every sum rounded,
+   eight at a time; then squares, angles and bins, loops without branches that compilers turn into vector
+   instructions; then the minimum of each bin. Points are transformed in float32, every product and every sum rounded,
    from left to right, as tf2_sensor_msgs does it. Compiled with -ffp-contract=off: a fused multiply-add rounds
    otherwise than upstream does. */
 
@@ -128,17 +128,17 @@ typedef struct {
     double glibc;
 } Rule;
 
-/* Slots behind the beams: the fates of points that are in none. */
-enum { PAST_END, OUTSIDE, TOO_FAR, FATES };
+/* Bins behind those of the beams, for points that are rejected: one for each reason that is found this late. */
+enum { PAST_END, OUTSIDE, TOO_FAR, REASONS };
 
 typedef struct {
     Rule rule;
     int32_t beams;
-    int64_t nan, height, fates[FATES];
-    /* Either the smallest square of each slot, */
+    int64_t nan, height, rejected[REASONS];
+    /* Either the smallest square of each bin, */
     double *smallest;
-    /* or the slot, range and number of each return. */
-    int32_t *slots;
+    /* or the bin index, range and number of each return. */
+    int32_t *bins;
     float *ranges;
     int64_t *numbers, gathered;
     float x[BLOCK], y[BLOCK], z[BLOCK];
@@ -154,7 +154,7 @@ INLINED void project_with(Scan *scan, const int glibc) {
     const float first = (float)rule.first, last = (float)rule.last;
     double squares[BLOCK];
     float angle[BLOCK];
-    int32_t slot[BLOCK], lost[FATES] = {0, 0, 0};
+    int32_t bin[BLOCK], lost[REASONS] = {0, 0, 0};
     /* float64 holds the squares of float32 exactly, and libm's hypotf adds them in float64. */
     for (int i = 0; i < count; i++) squares[i] = (double)scan->x[i] * scan->x[i] + (double)scan->y[i] * scan->y[i];
     if (glibc) glibc_angles_of(scan->x, scan->y, angle, count);
@@ -169,28 +169,28 @@ INLINED void project_with(Scan *scan, const int glibc) {
         int32_t outside = (angle[i] < first) | (angle[i] > last) | (turned > rule.end);
         int32_t index = (int32_t)(outside ? 0.0 : quotient);
         index = index < beams ? index : behind;
-        slot[i] = outside ? beams + OUTSIDE : index;
+        bin[i] = outside ? beams + OUTSIDE : index;
     }
     for (int i = 0; i < count; i++) {
         int32_t away = !((squares[i] >= rule.least) & (squares[i] <= rule.most));
-        slot[i] = away ? beams + TOO_FAR : slot[i];
+        bin[i] = away ? beams + TOO_FAR : bin[i];
     }
     for (int i = 0; i < count; i++) {
-        lost[PAST_END] += slot[i] == beams + PAST_END;
-        lost[OUTSIDE] += slot[i] == beams + OUTSIDE;
-        lost[TOO_FAR] += slot[i] == beams + TOO_FAR;
+        lost[PAST_END] += bin[i] == beams + PAST_END;
+        lost[OUTSIDE] += bin[i] == beams + OUTSIDE;
+        lost[TOO_FAR] += bin[i] == beams + TOO_FAR;
     }
-    for (int fate = 0; fate < FATES; fate++) scan->fates[fate] += lost[fate];
+    for (int reason = 0; reason < REASONS; reason++) scan->rejected[reason] += lost[reason];
     scan->filled = 0;
     if (scan->smallest) {
         for (int i = 0; i < count; i++)
-            if (squares[i] < scan->smallest[slot[i]]) scan->smallest[slot[i]] = squares[i];
+            if (squares[i] < scan->smallest[bin[i]]) scan->smallest[bin[i]] = squares[i];
         return;
     }
     int64_t to = scan->gathered;
     for (int i = 0; i < count; i++) {
-        if (slot[i] >= beams) continue;
-        scan->slots[to] = slot[i];
+        if (bin[i] >= beams) continue;
+        scan->bins[to] = bin[i];
         scan->ranges[to] = (float)sqrt(squares[i]);
         scan->numbers[to++] = scan->number[i];
     }
@@ -304,9 +304,9 @@ __attribute__((target("avx2,popcnt"))) static inline __m256 turn_eight(__m256 x,
 
 /* Take points of one row, eight at a time, as long as what is read of them stays in front of the last one: x, y and z
    are float32 that follow each other, with four bytes behind them. Returns how many were taken. Inlined, so that
-   compilers know of each call whether it has to move the points. */
+   compilers know of each call whether it has to transform the points. */
 __attribute__((target("avx2,popcnt"), always_inline)) static inline Py_ssize_t load_eight(
-    Scan *scan, const char *from, Py_ssize_t step, Py_ssize_t count, const float *move) {
+    Scan *scan, const char *from, Py_ssize_t step, Py_ssize_t count, const float *transform) {
     const __m256 lowest = _mm256_set1_ps((float)scan->rule.lowest), highest = _mm256_set1_ps((float)scan->rule.highest);
     Py_ssize_t taken = 0;
     int64_t nans = 0, kept = 0;
@@ -323,11 +323,11 @@ __attribute__((target("avx2,popcnt"), always_inline)) static inline Py_ssize_t l
         const __m256 xy = _mm256_unpacklo_ps(pair[0], pair[1]), yx = _mm256_unpacklo_ps(pair[2], pair[3]);
         __m256 x = _mm256_shuffle_ps(xy, yx, 0x44), y = _mm256_shuffle_ps(xy, yx, 0xee);
         __m256 z = _mm256_shuffle_ps(_mm256_unpackhi_ps(pair[0], pair[1]), _mm256_unpackhi_ps(pair[2], pair[3]), 0x44);
-        if (move) {
+        if (transform) {
             const __m256 sx = x, sy = y, sz = z;
-            x = turn_eight(sx, sy, sz, move, move + 9);
-            y = turn_eight(sx, sy, sz, move + 3, move + 10);
-            z = turn_eight(sx, sy, sz, move + 6, move + 11);
+            x = turn_eight(sx, sy, sz, transform, transform + 9);
+            y = turn_eight(sx, sy, sz, transform + 3, transform + 10);
+            z = turn_eight(sx, sy, sz, transform + 6, transform + 11);
         }
         const __m256 nan = _mm256_or_ps(_mm256_cmp_ps(x, y, _CMP_UNORD_Q), _mm256_cmp_ps(z, z, _CMP_UNORD_Q));
         const __m256 inside = _mm256_and_ps(_mm256_cmp_ps(z, lowest, _CMP_GE_OQ), _mm256_cmp_ps(z, highest, _CMP_LE_OQ));
@@ -347,20 +347,21 @@ __attribute__((target("avx2,popcnt"), always_inline)) static inline Py_ssize_t l
     return taken;
 }
 
-__attribute__((target("avx2,popcnt"))) static Py_ssize_t load_eight_still(Scan *scan, const char *from, Py_ssize_t step,
-                                                                          Py_ssize_t count) {
+__attribute__((target("avx2,popcnt"))) static Py_ssize_t load_eight_untransformed(Scan *scan, const char *from,
+                                                                                  Py_ssize_t step, Py_ssize_t count) {
     return load_eight(scan, from, step, count, NULL);
 }
 
-__attribute__((target("avx2,popcnt"))) static Py_ssize_t load_eight_moved(Scan *scan, const char *from, Py_ssize_t step,
-                                                                          Py_ssize_t count, const float *move) {
-    return load_eight(scan, from, step, count, move);
+__attribute__((target("avx2,popcnt"))) static Py_ssize_t load_eight_transformed(Scan *scan, const char *from,
+                                                                                Py_ssize_t step, Py_ssize_t count,
+                                                                                const float *transform) {
+    return load_eight(scan, from, step, count, transform);
 }
 #endif
 
-/* Take points of one row. Inlined, so that compilers know of each call what it reads and whether it has to move. */
+/* Take points of one row. Inlined, so that compilers know of each call what it reads and whether it transforms. */
 static inline void load(Scan *scan, const char *x, const char *y, const char *z, const Axis axis[3], int64_t number,
-                        Py_ssize_t count, const int common, const float *move) {
+                        Py_ssize_t count, const int common, const float *transform) {
     const Py_ssize_t dx = axis[0].step, dy = axis[1].step, dz = axis[2].step;
     while (count > 0) {
         const int filled = scan->filled;
@@ -370,9 +371,9 @@ static inline void load(Scan *scan, const char *x, const char *y, const char *z,
             PREFETCH(x);
             const float sx = (float)read_as(x, &axis[0], common), sy = (float)read_as(y, &axis[1], common);
             const float sz = (float)read_as(z, &axis[2], common);
-            to_x[i] = move ? sx * move[0] + sy * move[1] + sz * move[2] + move[9] : sx;
-            to_y[i] = move ? sx * move[3] + sy * move[4] + sz * move[5] + move[10] : sy;
-            to_z[i] = move ? sx * move[6] + sy * move[7] + sz * move[8] + move[11] : sz;
+            to_x[i] = transform ? sx * transform[0] + sy * transform[1] + sz * transform[2] + transform[9] : sx;
+            to_y[i] = transform ? sx * transform[3] + sy * transform[4] + sz * transform[5] + transform[10] : sy;
+            to_z[i] = transform ? sx * transform[6] + sy * transform[7] + sz * transform[8] + transform[11] : sz;
             x += dx, y += dy, z += dz;
         }
         if (!scan->smallest)
@@ -393,7 +394,7 @@ static int in_common(const Axis axis[3]) {
     return floats ? FLOATS : doubles ? DOUBLES : MIXED;
 }
 
-static void load_rows(Scan *scan, const Axis axis[3], Py_ssize_t rows, Py_ssize_t columns, const float *move) {
+static void load_rows(Scan *scan, const Axis axis[3], Py_ssize_t rows, Py_ssize_t columns, const float *transform) {
     const int common = in_common(axis);
     for (Py_ssize_t row = 0; row < rows; row++) {
         const char *x = axis[0].data + row * axis[0].row_step;
@@ -405,17 +406,17 @@ static void load_rows(Scan *scan, const Axis axis[3], Py_ssize_t rows, Py_ssize_
         /* Points of twelve bytes have the next one behind them. */
         if (eight_at_once && common == FLOATS && scan->smallest && y - x == 4 && z - x == 8 && axis[0].step >= 12 &&
             axis[1].step == axis[0].step && axis[2].step == axis[0].step)
-            taken = move ? load_eight_moved(scan, x, axis[0].step, columns, move)
-                         : load_eight_still(scan, x, axis[0].step, columns);
+            taken = transform ? load_eight_transformed(scan, x, axis[0].step, columns, transform)
+                         : load_eight_untransformed(scan, x, axis[0].step, columns);
         x += taken * axis[0].step, y += taken * axis[1].step, z += taken * axis[2].step;
         number += taken;
 #endif
         const Py_ssize_t left = columns - taken;
-        if (common == FLOATS && move) load(scan, x, y, z, axis, number, left, FLOATS, move);
+        if (common == FLOATS && transform) load(scan, x, y, z, axis, number, left, FLOATS, transform);
         else if (common == FLOATS) load(scan, x, y, z, axis, number, left, FLOATS, NULL);
-        else if (common == DOUBLES && move) load(scan, x, y, z, axis, number, left, DOUBLES, move);
+        else if (common == DOUBLES && transform) load(scan, x, y, z, axis, number, left, DOUBLES, transform);
         else if (common == DOUBLES) load(scan, x, y, z, axis, number, left, DOUBLES, NULL);
-        else load(scan, x, y, z, axis, number, left, MIXED, move);
+        else load(scan, x, y, z, axis, number, left, MIXED, transform);
     }
     if (scan->filled) project_block(scan);
 }
@@ -431,16 +432,16 @@ static int contiguous(PyObject *object, Py_buffer *view, int flags, Py_ssize_t i
 
 /* A cloud from Python, with the rule and the transform. */
 typedef struct {
-    Py_buffer coordinates[3], rule, move;
+    Py_buffer coordinates[3], rule, transform;
     Axis axis[3];
     Py_ssize_t rows, columns;
-    int held, moves;
+    int held, has_transform;
 } Cloud;
 
 static void release(Cloud *cloud) {
     while (cloud->held > 0) PyBuffer_Release(&cloud->coordinates[--cloud->held]);
     if (cloud->rule.obj) PyBuffer_Release(&cloud->rule);
-    if (cloud->moves) PyBuffer_Release(&cloud->move);
+    if (cloud->has_transform) PyBuffer_Release(&cloud->transform);
 }
 
 /* The type of an array's values, from its dtype. */
@@ -463,7 +464,7 @@ static int find_type(PyObject *array, Axis *axis, Py_ssize_t item) {
     return known ? 0 : -1;
 }
 
-static int take(Cloud *cloud, PyObject *xyz[3], PyObject *rule, PyObject *move) {
+static int take(Cloud *cloud, PyObject *xyz[3], PyObject *rule, PyObject *transform) {
     memset(cloud, 0, sizeof *cloud);
     const Py_buffer *like = &cloud->coordinates[0];
     for (; cloud->held < 3; cloud->held++) {
@@ -491,9 +492,9 @@ static int take(Cloud *cloud, PyObject *xyz[3], PyObject *rule, PyObject *move) 
         cloud->rule.obj = NULL;
         goto failed;
     }
-    if (move != Py_None) {
-        if (contiguous(move, &cloud->move, PyBUF_SIMPLE, 4, 12) < 0) goto failed;
-        cloud->moves = 1;
+    if (transform != Py_None) {
+        if (contiguous(transform, &cloud->transform, PyBUF_SIMPLE, 4, 12) < 0) goto failed;
+        cloud->has_transform = 1;
     }
     return 0;
 failed:
@@ -515,41 +516,41 @@ static Scan *new_scan(const Cloud *cloud, int32_t beams, size_t doubles) {
 }
 
 static void run(Scan *scan, const Cloud *cloud) {
-    load_rows(scan, cloud->axis, cloud->rows, cloud->columns, cloud->moves ? cloud->move.buf : NULL);
+    load_rows(scan, cloud->axis, cloud->rows, cloud->columns, cloud->has_transform ? cloud->transform.buf : NULL);
 }
 
 /* Let other threads have the interpreter, unless taking turns takes longer than this many points or beams do. */
 static PyThreadState *let_others(Py_ssize_t work) { return work > 16384 ? PyEval_SaveThread() : NULL; }
 
-static PyObject *fates(const Scan *scan) {
-    return Py_BuildValue("(LLLLL)", (long long)scan->nan, (long long)scan->height, (long long)scan->fates[TOO_FAR],
-                         (long long)scan->fates[OUTSIDE], (long long)scan->fates[PAST_END]);
+static PyObject *rejection_counts(const Scan *scan) {
+    return Py_BuildValue("(LLLLL)", (long long)scan->nan, (long long)scan->height, (long long)scan->rejected[TOO_FAR],
+                         (long long)scan->rejected[OUTSIDE], (long long)scan->rejected[PAST_END]);
 }
 
 static PyObject *project(PyObject *self, PyObject *args) {
     (void)self;
-    PyObject *xyz[3], *rule, *move, *ranges_of, *result = NULL;
+    PyObject *xyz[3], *rule, *transform, *ranges_of, *result = NULL;
     float limit, empty;
-    if (!PyArg_ParseTuple(args, "OOOOOOff", &xyz[0], &xyz[1], &xyz[2], &rule, &move, &ranges_of, &limit, &empty))
+    if (!PyArg_ParseTuple(args, "OOOOOOff", &xyz[0], &xyz[1], &xyz[2], &rule, &transform, &ranges_of, &limit, &empty))
         return NULL;
     Cloud cloud;
-    if (take(&cloud, xyz, rule, move) < 0) return NULL;
+    if (take(&cloud, xyz, rule, transform) < 0) return NULL;
     Py_buffer ranges;
     if (contiguous(ranges_of, &ranges, PyBUF_WRITABLE, 4, -1) == 0) {
         const int32_t beams = (int32_t)(ranges.len / 4);
-        Scan *scan = new_scan(&cloud, beams, (size_t)beams + FATES);
+        Scan *scan = new_scan(&cloud, beams, (size_t)beams + REASONS);
         if (scan) {
             scan->smallest = (double *)(scan + 1);
             float *range = ranges.buf;
             PyThreadState *state = let_others(cloud.rows * cloud.columns + beams);
-            for (int32_t i = 0; i < beams + FATES; i++) scan->smallest[i] = INFINITY;
+            for (int32_t i = 0; i < beams + REASONS; i++) scan->smallest[i] = INFINITY;
             run(scan, &cloud);
             for (int32_t i = 0; i < beams; i++) {
                 float root = (float)sqrt(scan->smallest[i]);
                 range[i] = root < limit ? root : empty;
             }
             if (state) PyEval_RestoreThread(state);
-            result = fates(scan);
+            result = rejection_counts(scan);
             PyMem_Free(scan);
         }
         PyBuffer_Release(&ranges);
@@ -560,34 +561,34 @@ static PyObject *project(PyObject *self, PyObject *args) {
 
 static PyObject *gather(PyObject *self, PyObject *args) {
     (void)self;
-    PyObject *xyz[3], *rule, *move, *slots_of, *ranges_of, *numbers_of, *result = NULL;
+    PyObject *xyz[3], *rule, *transform, *bins_of, *ranges_of, *numbers_of, *result = NULL;
     int beams;
-    if (!PyArg_ParseTuple(args, "OOOOOiOOO", &xyz[0], &xyz[1], &xyz[2], &rule, &move, &beams, &slots_of, &ranges_of,
+    if (!PyArg_ParseTuple(args, "OOOOOiOOO", &xyz[0], &xyz[1], &xyz[2], &rule, &transform, &beams, &bins_of, &ranges_of,
                           &numbers_of))
         return NULL;
     Cloud cloud;
-    if (take(&cloud, xyz, rule, move) < 0) return NULL;
+    if (take(&cloud, xyz, rule, transform) < 0) return NULL;
     const Py_ssize_t most = cloud.rows * cloud.columns;
-    Py_buffer slots, ranges, numbers;
-    if (contiguous(slots_of, &slots, PyBUF_WRITABLE, 4, most) < 0) goto release_cloud;
-    if (contiguous(ranges_of, &ranges, PyBUF_WRITABLE, 4, most) < 0) goto release_slots;
+    Py_buffer bins, ranges, numbers;
+    if (contiguous(bins_of, &bins, PyBUF_WRITABLE, 4, most) < 0) goto release_cloud;
+    if (contiguous(ranges_of, &ranges, PyBUF_WRITABLE, 4, most) < 0) goto release_bins;
     if (contiguous(numbers_of, &numbers, PyBUF_WRITABLE, 8, most) < 0) goto release_ranges;
     Scan *scan = new_scan(&cloud, beams, 0);
     if (scan) {
-        scan->slots = slots.buf;
+        scan->bins = bins.buf;
         scan->ranges = ranges.buf;
         scan->numbers = numbers.buf;
         PyThreadState *state = let_others(most);
         run(scan, &cloud);
         if (state) PyEval_RestoreThread(state);
-        result = fates(scan);
+        result = rejection_counts(scan);
         PyMem_Free(scan);
     }
     PyBuffer_Release(&numbers);
 release_ranges:
     PyBuffer_Release(&ranges);
-release_slots:
-    PyBuffer_Release(&slots);
+release_bins:
+    PyBuffer_Release(&bins);
 release_cloud:
     release(&cloud);
     return result;
@@ -626,9 +627,9 @@ release_x:
 
 static PyMethodDef methods[] = {
     {"project", project, METH_VARARGS,
-     "project(x, y, z, rule, moved, ranges, limit, empty) -> (nan, height, range, angle, past_end); see plain.py"},
+     "project(x, y, z, rule, transform, ranges, limit, empty) -> (nan, height, range, angle, past_end); see plain.py"},
     {"gather", gather, METH_VARARGS,
-     "gather(x, y, z, rule, moved, beams, slots, ranges, numbers) -> the same counts; see plain.py"},
+     "gather(x, y, z, rule, transform, beams, bins, ranges, numbers) -> the same counts; see plain.py"},
     {"angles", angles, METH_VARARGS, "angles(x, y, out, glibc=False): atan2(y, x) of contiguous float32; see plain.py"},
     {NULL, NULL, 0, NULL},
 };

@@ -7,22 +7,22 @@ def project(
     y: NDArray[Any],
     z: NDArray[Any],
     rule: NDArray[Any],
-    moved: NDArray[Any] | None,
+    transform: NDArray[Any] | None,
     ranges: NDArray[Any],
     limit: float,
     empty: float,
     /,
-) -> tuple[int, int, int, int, int]: ...
+) -> tuple[int, ...]: ...
 def gather(
     x: NDArray[Any],
     y: NDArray[Any],
     z: NDArray[Any],
     rule: NDArray[Any],
-    moved: NDArray[Any] | None,
+    transform: NDArray[Any] | None,
     beams: int,
-    slots: NDArray[Any],
+    bins: NDArray[Any],
     ranges: NDArray[Any],
     numbers: NDArray[Any],
     /,
-) -> tuple[int, int, int, int, int]: ...
+) -> tuple[int, ...]: ...
 def angles(x: NDArray[Any], y: NDArray[Any], out: NDArray[Any], glibc: bool = ..., /) -> None: ...

@@ -1,4 +1,4 @@
-"""The loops over points in NumPy: what runs where ``_kernel.c`` is not compiled, and what explains it.
+"""The loops over points in NumPy: they run where ``_kernel.c`` is not compiled, and explain it.
 
 Points are compared with the numbers of a rule; see `pc2scan.core.rule`.
 """
@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from . import fdlibm
+from .rule import REJECTIONS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from numpy.typing import NDArray
 
-__all__ = ["angles", "gather", "project", "slots_of"]
+__all__ = ["angles", "bins_of", "gather", "project", "transformed"]
 
 #: Points at a time: few enough for the cache, and enough to make the cost of calling NumPy small.
 BLOCK = 16384
@@ -27,11 +28,11 @@ def project(
     y: NDArray[Any],
     z: NDArray[Any],
     rule: NDArray[np.float64],
-    moved: NDArray[np.float32] | None,
+    transform: NDArray[np.float32] | None,
     ranges: NDArray[np.float32],
     limit: float,
     empty: float,
-) -> tuple[int, int, int, int, int]:
+) -> tuple[int, ...]:
     """The smallest range of each beam.
 
     Parameters
@@ -40,7 +41,7 @@ def project(
         Coordinates in metres, of one shape, (M,) or (H, W), of any of PointField's datatypes.
     rule
         (13,), of `rule_of`.
-    moved
+    transform
         (4, 3): a transform to apply first, in float32: the rows of the rotation, then the translation.
     ranges
         (N,), overwritten: the smallest range of each of N beams, metres.
@@ -50,17 +51,17 @@ def project(
     Returns
     -------
     tuple of int
-        How many points are NaN, at the wrong height, out of range, out of the sector, behind the last beam.
+        How many points are rejected for each reason, in the order of `REJECTIONS`.
     """
     smallest = np.full(ranges.size, np.inf)
-    fates = np.zeros(5, np.int64)
+    rejected = np.zeros(len(REJECTIONS), np.int64)
     with np.errstate(all="ignore"):
-        for slots, squares, _ in _returns(x, y, z, rule, moved, ranges.size, fates):
-            np.minimum.at(smallest, slots, squares)
+        for bins, squares, _ in _returns(x, y, z, rule, transform, ranges.size, rejected):
+            np.minimum.at(smallest, bins, squares)
         # The smallest square has the smallest root, and beams are mostly fewer than points.
         ranges[...] = np.sqrt(smallest)
     ranges[~(ranges < np.float32(limit))] = empty
-    return _five(fates)
+    return _counts(rejected)
 
 
 def gather(
@@ -68,21 +69,21 @@ def gather(
     y: NDArray[Any],
     z: NDArray[Any],
     rule: NDArray[np.float64],
-    moved: NDArray[np.float32] | None,
+    transform: NDArray[np.float32] | None,
     beams: int,
-    slots: NDArray[np.int32],
+    bins: NDArray[np.int32],
     ranges: NDArray[np.float32],
     numbers: NDArray[np.int64],
-) -> tuple[int, int, int, int, int]:
+) -> tuple[int, ...]:
     """All returns of the beams, in the order of the cloud.
 
     Parameters
     ----------
-    x, y, z, rule, moved
+    x, y, z, rule, transform
         As for `project`.
     beams
         N, how many there are.
-    slots, ranges, numbers
+    bins, ranges, numbers
         (points,), overwritten as far as there are returns: the beam that each falls into, its range in metres,
         and which point it is.
 
@@ -91,18 +92,18 @@ def gather(
     tuple of int
         As `project`; all other points are returns.
     """
-    fates = np.zeros(5, np.int64)
+    rejected = np.zeros(len(REJECTIONS), np.int64)
     begin = 0
     with np.errstate(all="ignore"):
-        for found, squares, points in _returns(x, y, z, rule, moved, beams, fates):
+        for found, squares, points in _returns(x, y, z, rule, transform, beams, rejected):
             end = begin + found.size
-            slots[begin:end], numbers[begin:end] = found, points
+            bins[begin:end], numbers[begin:end] = found, points
             ranges[begin:end] = np.sqrt(squares)
             begin = end
-    return _five(fates)
+    return _counts(rejected)
 
 
-def slots_of(angle: NDArray[np.float32], rule: NDArray[np.float64], beams: int) -> NDArray[np.intp]:
+def bins_of(angle: NDArray[np.float32], rule: NDArray[np.float64], beams: int) -> NDArray[np.intp]:
     """Which beam angles belong to.
 
     Parameters
@@ -124,10 +125,10 @@ def slots_of(angle: NDArray[np.float32], rule: NDArray[np.float64], beams: int) 
         np.subtract(turned, turn, out=turned, where=turned >= turn)
     outside = (angle < np.float32(first)) | (angle > np.float32(last)) | (turned > end)
     # Outside the sector, a quotient may be beyond the integers.
-    slots = np.where(outside, 0.0, (turned + skew) / increment).astype(np.intp)
-    np.minimum(slots, beams - 1 if closed else beams, out=slots)
-    slots[outside] = beams + 1
-    return slots
+    bins = np.where(outside, 0.0, (turned + skew) / increment).astype(np.intp)
+    np.minimum(bins, beams - 1 if closed else beams, out=bins)
+    bins[outside] = beams + 1
+    return bins
 
 
 def _returns(
@@ -135,18 +136,18 @@ def _returns(
     y: NDArray[Any],
     z: NDArray[Any],
     rule: NDArray[np.float64],
-    moved: NDArray[np.float32] | None,
+    transform: NDArray[np.float32] | None,
     beams: int,
-    fates: NDArray[np.int64],
+    rejected: NDArray[np.int64],
 ) -> Iterator[tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.intp]]]:
-    """Beams, squared ranges and numbers of the returns, part by part; the others are added to the fates."""
+    """Beams, squared ranges and numbers of the returns, part by part; the others are added to ``rejected``."""
     lowest, highest, least, most = rule[:4].tolist()
     x, y, z = (part.reshape(-1) for part in (x, y, z))
     for start in range(0, x.size, BLOCK):
         px, py, pz = (part[start : start + BLOCK] for part in (x, y, z))
         px, py, pz = (part.astype(np.float32, copy=False) for part in (px, py, pz))
-        if moved is not None:
-            px, py, pz = _move(px, py, pz, moved)
+        if transform is not None:
+            px, py, pz = transformed(px, py, pz, transform)
         known = ~(np.isnan(px) | np.isnan(py) | np.isnan(pz))
         level = np.flatnonzero(known & (pz >= np.float32(lowest)) & (pz <= np.float32(highest)))
         # float64 holds the squares of float32 exactly, and libm's hypotf adds them in float64.
@@ -155,17 +156,17 @@ def _returns(
         kept, squares = level[near], squares[near]
         angle = np.empty(kept.size, np.float32)
         angles(px[kept], py[kept], angle, bool(rule[12]))
-        slots = slots_of(angle, rule, beams)
-        past_end, outside = np.count_nonzero(slots == beams), np.count_nonzero(slots == beams + 1)
+        bins = bins_of(angle, rule, beams)
+        past_end, outside = np.count_nonzero(bins == beams), np.count_nonzero(bins == beams + 1)
         nan = px.size - np.count_nonzero(known)
-        fates += nan, px.size - nan - level.size, level.size - kept.size, outside, past_end
-        found = slots < beams
-        yield slots[found], squares[found], kept[found] + start
+        rejected += nan, px.size - nan - level.size, level.size - kept.size, outside, past_end
+        found = bins < beams
+        yield bins[found], squares[found], kept[found] + start
 
 
-def _five(fates: NDArray[np.int64]) -> tuple[int, int, int, int, int]:
-    nan, height, far, outside, past_end = fates.tolist()
-    return nan, height, far, outside, past_end
+def _counts(rejected: NDArray[np.int64]) -> tuple[int, ...]:
+    counts: list[int] = rejected.tolist()
+    return tuple(counts)
 
 
 def angles(x: NDArray[np.float32], y: NDArray[np.float32], out: NDArray[np.float32], glibc: bool = False, /) -> None:
@@ -188,11 +189,21 @@ def angles(x: NDArray[np.float32], y: NDArray[np.float32], out: NDArray[np.float
         out[...] = np.arctan2(y, x, dtype=np.float64)
 
 
-def _move(
-    x: NDArray[np.float32], y: NDArray[np.float32], z: NDArray[np.float32], moved: NDArray[np.float32]
-) -> tuple[NDArray[np.float32], ...]:
-    """Coordinates, transformed. Written out: a matrix product may sum in any order."""
-    *rotation, translation = moved
-    return tuple(
+def transformed(
+    x: NDArray[np.float32], y: NDArray[np.float32], z: NDArray[np.float32], transform: NDArray[np.float32]
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+    """Transform coordinates in float32: every product and every sum is rounded, from left to right.
+
+    Parameters
+    ----------
+    x, y, z
+        Coordinates in metres, of one shape.
+    transform
+        (4, 3): the rows of the rotation, then the translation.
+    """
+    # Written out: a matrix product may sum in any order.
+    *rotation, translation = transform
+    across, up, high = (
         x * row[0] + y * row[1] + z * row[2] + offset for row, offset in zip(rotation, translation, strict=True)
     )
+    return across, up, high

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from . import kernel
+from .counts import PointCounts
 from .params import ProjectionParams
 from .points import coordinates_of, values_of
 from .reduce import extremes, means, surfaces, winners
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["PointCounts", "ProjectedScan", "Projector", "project"]
+__all__ = ["ProjectedScan", "Projector", "Transform", "packed", "project"]
 
 #: Rotation (3, 3) and translation (3,), rounded to float32: ``target = rotation @ source + translation``.
 Transform: TypeAlias = "tuple[NDArray[np.floating[Any]], NDArray[np.floating[Any]]]"
@@ -41,48 +42,6 @@ Transform: TypeAlias = "tuple[NDArray[np.floating[Any]], NDArray[np.floating[Any
 _READ_AS_IS = {"i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8"}
 
 _FLOAT32 = np.dtype(np.float32)
-
-
-@dataclass(frozen=True, slots=True)
-class PointCounts:
-    """Where the points of a cloud went. Everything but ``total`` sums to ``total``.
-
-    Attributes
-    ----------
-    total
-        Points of the cloud.
-    used
-        Fell into a beam, whether or not another one was closer.
-    nan
-        x, y or z is NaN.
-    height
-        z is outside ``min_height`` to ``max_height``.
-    range
-        The range is outside ``range_min`` to ``range_max``.
-    angle
-        The angle is outside ``angle_min`` to ``angle_max``.
-    past_end
-        The angle is in the sector but behind its last beam.
-    """
-
-    total: int = 0
-    used: int = 0
-    nan: int = 0
-    height: int = 0
-    range: int = 0
-    angle: int = 0
-    past_end: int = 0
-
-    def __add__(self, other: PointCounts) -> PointCounts:
-        return PointCounts(
-            self.total + other.total,
-            self.used + other.used,
-            self.nan + other.nan,
-            self.height + other.height,
-            self.range + other.range,
-            self.angle + other.angle,
-            self.past_end + other.past_end,
-        )
 
 
 _NO_VALUES = np.empty(0, np.float32)
@@ -97,7 +56,7 @@ class ProjectedScan:
     ranges
         (N,) float32, metres: what each beam reads, ``params.empty_range`` where there is no return.
     counts
-        Where the points went.
+        How many points are used and rejected.
     intensities
         (N,) float32, 0 where there is no return; (0,) if none were asked for.
     """
@@ -167,55 +126,55 @@ class Projector:
         if not usual and not all(array.dtype.str[1:] in _READ_AS_IS for array in (x, y, z)):
             with np.errstate(over="ignore"):
                 x, y, z = (array.astype(np.float32) for array in (x, y, z))
-        moved = None
-        if target_from_source is not None:
-            moved = np.empty((4, 3), np.float32)
-            moved[:3], moved[3] = target_from_source
+        transform = None if target_from_source is None else packed(target_from_source)
         params = self.params
         beams = self._beams
         if params.reduce == "min" and params.min_points == 1 and intensities is None:
             ranges = np.empty(beams, np.float32)
-            fates = kernel.project(x, y, z, self._rule, moved, ranges, self._limit, self._empty)
-            return ProjectedScan(ranges, _counts(x.size, fates), _NO_VALUES)
-        slots, returns, numbers = np.empty(x.size, np.int32), np.empty(x.size, np.float32), np.empty(x.size, np.int64)
-        fates = kernel.gather(x, y, z, self._rule, moved, beams, slots, returns, numbers)
-        counts = _counts(x.size, fates)
+            rejected = kernel.project(x, y, z, self._rule, transform, ranges, self._limit, self._empty)
+            return ProjectedScan(ranges, PointCounts.of_projection(x.size, rejected), _NO_VALUES)
+        bins, returns, numbers = np.empty(x.size, np.int32), np.empty(x.size, np.float32), np.empty(x.size, np.int64)
+        rejected = kernel.gather(x, y, z, self._rule, transform, beams, bins, returns, numbers)
+        counts = PointCounts.of_projection(x.size, rejected)
         values = None if intensities is None else intensities.reshape(-1)[numbers[: counts.used]]
         with np.errstate(all="ignore"):
-            ranges, lit = self._reduced(slots[: counts.used], returns[: counts.used], values)
+            ranges, lit = self._reduced(bins[: counts.used], returns[: counts.used], values)
         return ProjectedScan(ranges, counts, lit)
 
     def _reduced(
-        self, slots: NDArray[np.int32], returns: NDArray[np.float32], values: NDArray[Any] | None
+        self, bins: NDArray[np.int32], returns: NDArray[np.float32], values: NDArray[Any] | None
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Ranges and intensities (none without ``values``) of the beams, by the returns in the order of the cloud."""
         params = self.params
-        counts = np.bincount(slots, minlength=self._beams)
+        counts = np.bincount(bins, minlength=self._beams)
         found = np.full(counts.size, self._empty, np.float32)
         lit = np.zeros(0 if values is None else counts.size, np.float32)
         seen = counts >= max(params.min_points, params.kth)
         if params.reduce == "mean":
-            found[seen] = means(slots, returns, counts)[seen]
+            found[seen] = means(bins, returns, counts)[seen]
             if values is not None:
-                lit[seen] = means(slots, values, counts)[seen]
+                lit[seen] = means(bins, values, counts)[seen]
         elif values is None and params.reduce in {"min", "max"}:
-            found[seen] = extremes(slots, returns, counts.size, largest=params.reduce == "max")[seen]
+            found[seen] = extremes(bins, returns, counts.size, largest=params.reduce == "max")[seen]
         elif params.reduce == "surface":
             slope = params.surface_slope * params.layout.angle_increment
-            winner = surfaces(slots, returns, counts.size, params.surface_depth, slope)[seen]
+            winner = surfaces(bins, returns, counts.size, params.surface_depth, slope)[seen]
             found[seen] = returns[winner]
             if values is not None:
                 lit[seen] = values[winner]
         else:
-            winner = winners(slots, returns, counts, params.reduce, params.kth)[seen]
+            winner = winners(bins, returns, counts, params.reduce, params.kth)[seen]
             found[seen] = returns[winner]
             if values is not None:
                 lit[seen] = values[winner]
         return found, lit
 
 
-def _counts(total: int, fates: tuple[int, int, int, int, int]) -> PointCounts:
-    return PointCounts(total, total - sum(fates), *fates)
+def packed(transform: Transform) -> NDArray[np.float32]:
+    """Return a transform as the loops over points take it, (4, 3): the rows of the rotation, then the translation."""
+    rows = np.empty((4, 3), np.float32)
+    rows[:3], rows[3] = transform
+    return rows
 
 
 def project(
@@ -241,7 +200,7 @@ def project(
     Returns
     -------
     ProjectedScan
-        What each beam reads, and where the points went.
+        What each beam reads, and how many points are used and rejected.
 
     Raises
     ------

@@ -183,17 +183,17 @@ class _Look:
     def add(self, angles: NDArray[np.float32], reach: NDArray[np.float32]) -> None:
         """Take points into account: their angles by rounding, (2, M), and their ranges."""
         beams = self._returns[0].size
-        slots = [plain.slots_of(angle, self._rule, beams) for angle in angles]
-        apart = slots[0] != slots[1]
+        bins = [plain.bins_of(angle, self._rule, beams) for angle in angles]
+        apart = bins[0] != bins[1]
         for side, reading in enumerate(self._returns):
-            for rounding, slot in enumerate(slots):
-                inside = slot < beams
+            for rounding, index in enumerate(bins):
+                inside = index < beams
                 hit = inside.copy()
-                hit[inside] = reading[slot[inside]] == reach[inside]
-                self.there[side, rounding, slot[hit]] = True
+                hit[inside] = reading[index[inside]] == reach[inside]
+                self.there[side, rounding, index[hit]] = True
                 # In the other scan the point is in another beam, which so reads its range or less.
-                moves = hit & apart & (self._nearest[1 - side][slots[1 - rounding]] <= reach)
-                self._moving[side, rounding, slot[moves]] = True
+                moves = hit & apart & (self._nearest[1 - side][bins[1 - rounding]] <= reach)
+                self._moving[side, rounding, index[moves]] = True
 
     def explained(self, roundings: tuple[int, int]) -> NDArray[np.bool_]:
         """Return the beams that are explained if each side has that rounding."""

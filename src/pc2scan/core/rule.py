@@ -1,4 +1,4 @@
-"""The numbers that points are compared with, made once from the parameters: the rule that the loops over points follow.
+"""The rule that the loops over points follow: the numbers that points are compared with, and why points are rejected.
 
 A rule is thirteen float64, in this order:
 
@@ -22,6 +22,7 @@ A rule is thirteen float64, in this order:
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -34,7 +35,57 @@ if TYPE_CHECKING:
     from .layout import BeamLayout
     from .params import ProjectionParams
 
-__all__ = ["centered_beams", "rule_of", "upstream_beams"]
+__all__ = ["REJECTIONS", "Rejection", "centered_beams", "rule_of", "upstream_beams"]
+
+
+@dataclass(frozen=True, slots=True)
+class Rejection:
+    """A reason why points are rejected.
+
+    Attributes
+    ----------
+    name
+        The name of its count.
+    explanation
+        What these points are, for a user whose scans are empty: completes "40% of all points were".
+    title
+        The name in a table's header; empty: the name itself.
+    by_default
+        A parameter whose default rejects more than users expect, and the explanation where it has its default.
+        Empty: there is none.
+    """
+
+    name: str
+    explanation: str
+    title: str = ""
+    by_default: tuple[str, str] = ("", "")
+
+    @property
+    def heading(self) -> str:
+        """The name in a table's header."""
+        return self.title or self.name.replace("_", " ")
+
+
+_DEFAULT_MIN_HEIGHT = (
+    "upstream's default min_height drops everything at z <= 0; set it to see below the sensor: `min_height=-0.5`"
+)
+_OUTSIDE = "outside angle_min and angle_max (is x forward in this frame?)"
+
+#: Why the loops over points reject points, in the order of the counts that they return.
+REJECTIONS = (
+    Rejection("nan", "NaN", title="NaN"),
+    Rejection(
+        "height",
+        "outside min_height and max_height (is z up in this frame? see target_frame)",
+        by_default=(
+            "min_height",
+            f"outside the heights: {_DEFAULT_MIN_HEIGHT}",
+        ),
+    ),
+    Rejection("range", "outside range_min and range_max"),
+    Rejection("angle", _OUTSIDE),
+    Rejection("past_end", _OUTSIDE),
+)
 
 
 def rule_of(params: ProjectionParams) -> NDArray[np.float64]:

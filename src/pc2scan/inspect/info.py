@@ -12,6 +12,7 @@ import numpy as np
 from pc2scan.bags.merged import as_one
 from pc2scan.bags.opening import open_recordings
 from pc2scan.errors import DecodeError
+from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.pointcloud2 import DATATYPES, POINTCLOUD2, decode_pointcloud2
 
 from .sampling import sampled
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.reader import Reader
-    from pc2scan.messages.pointcloud2 import PointCloud2
+    from pc2scan.core.points import Points
     from pc2scan.model import Connection, RawMessage, Summary
 
 __all__ = ["CloudInfo", "FileInfo", "Info", "Spread", "TopicInfo", "info"]
@@ -97,9 +98,11 @@ class CloudInfo:
     frames
         The ``frame_id`` that occur in them.
     fields
-        Name, datatype and offset, in the message's order.
+        Name, datatype and offset in bytes (0 where only PointCloud2 has one), in the message's order.
     shape
         Height and width of the first cloud.
+    point_step
+        Bytes of a point; 0 where only PointCloud2 says so.
     points_min, points_max
         Points a cloud.
     nan_share
@@ -247,11 +250,11 @@ def _clouds(
     reader: Reader, topics: Sequence[TopicInfo], samples: int, start_ns: int | None, end_ns: int | None
 ) -> tuple[CloudInfo, ...]:
     """Describe the clouds of every topic that has any."""
-    connections: dict[str, list[Connection]] = {t.topic: [] for t in topics if t.msgtype == POINTCLOUD2 and t.messages}
+    connections: dict[str, list[Connection]] = {t.topic: [] for t in topics if t.msgtype in CLOUDS and t.messages}
     if not connections or start_ns is None or end_ns is None:
         return ()
     for connection in reader.connections:
-        if connection.ros_type == POINTCLOUD2 and connection.topic in connections:
+        if connection.ros_type in CLOUDS and connection.topic in connections:
             connections[connection.topic].append(connection)
     # Points are held until all topics have been read.
     most = min(_MAX_POINTS, _MAX_POINTS_HELD // len(connections)) // samples + 1
@@ -276,17 +279,19 @@ class _Look:
         """Look at a cloud."""
         self._result.sampled += 1
         try:
-            cloud = decode_pointcloud2(message.data, message.connection.serialization)
-            step = -(-cloud.points // self._most) or 1
+            cloud = CLOUDS[message.connection.ros_type](message.connection.serialization)(message.data)
+            coordinates = cloud.xyz()
+            count = coordinates[0].size
+            step = -(-count // self._most) or 1
             with np.errstate(invalid="ignore"):  # a NaN may be one that signals
-                points = np.stack([_as_floats(_thinned(c, step)) for c in cloud.xyz()])
+                points = np.stack([_as_floats(_thinned(c, step)) for c in coordinates])
         except DecodeError as err:
             self._problems[err.message] = None
             return
         if not self._sizes:
-            _describe(self._result, cloud)
+            _describe(self._result, cloud, message)
         self._frames[cloud.frame_id] = None
-        self._sizes.append(cloud.points)
+        self._sizes.append(count)
         self._parts.append(points)
 
     def described(self) -> CloudInfo:
@@ -313,7 +318,13 @@ def _thinned(column: NDArray[Any], step: int) -> NDArray[Any]:
     return column[::step] if column.ndim == 1 else column[:, ::step].ravel()
 
 
-def _describe(result: CloudInfo, cloud: PointCloud2) -> None:
+def _describe(result: CloudInfo, points: Points, message: RawMessage) -> None:
+    if message.connection.ros_type != POINTCLOUD2:
+        shape = points.field("x").shape
+        result.shape = (shape[0] if len(shape) > 1 else 1, shape[-1])
+        result.fields = tuple((name, values.dtype.name, 0) for name, values in points.fields.items())
+        return
+    cloud = decode_pointcloud2(message.data, message.connection.serialization)
     result.shape = (cloud.height, cloud.width)
     result.point_step = cloud.point_step
     result.fields = tuple(

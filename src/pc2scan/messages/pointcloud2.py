@@ -24,8 +24,10 @@ __all__ = [
     "CloudDecoder",
     "PointCloud2",
     "PointField",
+    "StructuredCloud",
     "decode_pointcloud2",
     "encode_pointcloud2",
+    "encode_structured",
 ]
 
 #: The type in ROS 2's spelling.
@@ -41,6 +43,9 @@ MAX_FIELDS = 4096
 #: points. Real messages have some 100,000 points.
 MAX_SMALL_POINTS = 2_000_000
 _SMALL = 12
+
+#: NumPy's names to the constants.
+_DATATYPE_CODES = {name: code for code, name in DATATYPES.items()}
 
 #: By byte order and datatype.
 _DTYPES = {order: {code: np.dtype(order + name) for code, name in DATATYPES.items()} for order in "<>"}
@@ -179,14 +184,24 @@ class PointCloud2:
         Raises
         ------
         DecodeError
-            As `field` does, and if there are more than `MAX_SMALL_POINTS` tiny points.
+            As `field` and `check_size` do.
+        """
+        self.check_size()
+        return self.field("x"), self.field("y"), self.field("z")
+
+    def check_size(self) -> None:
+        """Refuse clouds of more than `MAX_SMALL_POINTS` tiny points.
+
+        Raises
+        ------
+        DecodeError
+            If there are more.
         """
         if self.point_step < _SMALL and self.points > MAX_SMALL_POINTS:
             raise self._error(
                 f"the cloud declares {self.points:,} points of {self.point_step} bytes, "
                 f"at most {MAX_SMALL_POINTS:,} of fewer than {_SMALL} bytes are allowed"
             )
-        return self.field("x"), self.field("y"), self.field("z")
 
     def _error(self, message: str) -> DecodeError:
         return DecodeError(message, stamp_ns=self.stamp_ns)
@@ -315,3 +330,45 @@ def encode_pointcloud2(
     packer.raw(data)
     packer.write("B", is_dense)
     return packer.finish()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StructuredCloud:
+    """A cloud to be written, of one row.
+
+    Attributes
+    ----------
+    sequence, stamp_ns, frame_id
+        The header's.
+    points
+        (M,), structured, little-endian: its fields become the cloud's.
+    """
+
+    sequence: int
+    stamp_ns: int
+    frame_id: str
+    points: NDArray[np.void]
+
+
+def encode_structured(cloud: StructuredCloud, serialization: str) -> bytes:
+    """Serialise a cloud.
+
+    Parameters
+    ----------
+    serialization
+        ``ros1`` or ``cdr``.
+    """
+    dtype = cloud.points.dtype
+    fields = []
+    for name in dtype.names or ():
+        kind, offset = dtype[name], dtype.fields[name][1]  # type: ignore[index]  # a type with names has fields
+        fields.append(PointField(name, offset, _DATATYPE_CODES[kind.str[1:]]))
+    return encode_pointcloud2(
+        serialization=serialization,
+        sequence=cloud.sequence,
+        stamp_ns=cloud.stamp_ns,
+        frame_id=cloud.frame_id,
+        fields=fields,
+        point_step=dtype.itemsize,
+        data=cloud.points.tobytes(),
+    )

@@ -1,32 +1,39 @@
-"""PointCloud2 to LaserScan, one message to one message: pure, and safe on several threads at once."""
+"""Clouds to scans, one message to one message: pure, and safe on several threads at once."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pc2scan.core.counts import PointCounts
 from pc2scan.core.project import Projector
-from pc2scan.messages.laserscan import LASERSCAN, LaserScan, encode_laserscan
-from pc2scan.messages.pointcloud2 import POINTCLOUD2, CloudDecoder
+from pc2scan.messages.clouds import CLOUDS
+from pc2scan.messages.laserscan import LASERSCAN, LaserScan
+from pc2scan.messages.outputs import OF_CLOUDS
+from pc2scan.messages.pointcloud2 import POINTCLOUD2
 
-from .conversion import Converted, Timing
+from .conversion import Conversion, Result, Timing
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
     from pc2scan.core.params import ProjectionParams
+    from pc2scan.core.points import Points
     from pc2scan.core.project import ProjectedScan
-    from pc2scan.messages.pointcloud2 import PointCloud2
+    from pc2scan.messages.clouds import Decode
     from pc2scan.model import Buffer
     from pc2scan.tf.placing import Frames, Placement
+
+    from .stages.filters import Filter
 
 __all__ = ["CloudToScan"]
 
 
-class CloudToScan:
-    """PointCloud2 to LaserScan, as upstream's pointcloud_to_laserscan_node.cpp does it, or as the parameters say.
+class CloudToScan(Conversion):
+    """Clouds to scans, as upstream's pointcloud_to_laserscan_node.cpp does it, or as the parameters say.
 
     Parameters
     ----------
@@ -35,14 +42,23 @@ class CloudToScan:
     frames
         The recording's transforms.
     timings
-        What was measured of each source topic. Elsewhere the parameters tell, and what they leave to be measured is 0.
+        What was measured of each source topic. Elsewhere the parameters count, and what they leave to be measured is 0.
+    filters
+        What selects points before they are projected, in order.
+    output_type
+        What the scans are encoded as: a key of `OF_CLOUDS`.
     """
 
-    source_type = POINTCLOUD2
-    target_type = LASERSCAN
-    target_name = "scan"
-
-    def __init__(self, params: ProjectionParams, frames: Frames, timings: Mapping[str, Timing] | None = None) -> None:
+    def __init__(
+        self,
+        params: ProjectionParams,
+        frames: Frames,
+        timings: Mapping[str, Timing] | None = None,
+        filters: Sequence[Filter] = (),
+        output_type: str = LASERSCAN,
+    ) -> None:
+        # A scan repeats the cloud's header; what else it has besides ranges and intensities takes less.
+        super().__init__(output_type, OF_CLOUDS[output_type], 1024 + 8 * params.length)
         self.params = params
         self._frames = frames
         self._timings = timings or {}
@@ -54,26 +70,30 @@ class CloudToScan:
         with np.errstate(over="ignore"):
             # Upstream's default is a float64's largest: once here, it need not be rounded for every scan.
             self._range_max = float(np.float32(params.range_max))
+        self._select = None
+        if filters:
+            from .stages.select import Select  # noqa: PLC0415  # only where something is selected
+
+            self._select = Select(filters, frames)
         self._project = Projector(params)
-        # A scan repeats the cloud's header; what else it has besides ranges and intensities takes less.
-        self.shrinks_from = 1024 + 8 * params.length
         self._no_returns = np.full(params.length, params.empty_range, np.float32).tobytes()
 
-    def for_topic(self, topic: str, source: str, target: str) -> Callable[[Buffer], Converted]:
-        """Return the conversion of one topic's messages, with its timing; see `Conversion`."""
-        return partial(self._convert, self._timings.get(topic, self._default), CloudDecoder(source), target)
+    def stages(self, topic: str, source: str, source_type: str = "") -> Callable[[Buffer], Result]:
+        """Return the stages of one topic's messages, with its timing; see `Conversion`."""
+        decode = CLOUDS[source_type or POINTCLOUD2](source)
+        return partial(self._scan, self._timings.get(topic, self._default), decode)
 
-    def _convert(self, timing: Timing, decode: CloudDecoder, target: str, data: Buffer) -> Converted:
-        cloud = decode(data)
-        place = self._frames.place(cloud.frame_id, cloud.stamp_ns)
-        scan = self._projected(cloud, place)
+    def _scan(self, timing: Timing, decode: Decode, data: Buffer) -> Result:
+        points = decode(data)
+        place = self._frames.place(points.frame_id, points.stamp_ns)
+        scan = self._projected(points, place)
         params, layout = self.params, self._layout
-        stamp_ns = cloud.stamp_ns
+        stamp_ns = points.stamp_ns
         if timing.first_beam_ns:
             # A simulation's time begins at 0, and ROS 1 has none before.
             stamp_ns = max(0, stamp_ns + timing.first_beam_ns)
         message = LaserScan(
-            cloud.sequence,
+            points.sequence,
             stamp_ns,
             place.frame_id,
             layout.angle_min,
@@ -86,10 +106,18 @@ class CloudToScan:
             scan.ranges,
             scan.intensities,
         )
-        return Converted(encode_laserscan(message, target), scan.counts, scan.ranges.tobytes() == self._no_returns)
+        return Result(message, scan.counts, scan.ranges.tobytes() == self._no_returns)
 
-    def _projected(self, cloud: PointCloud2, place: Placement) -> ProjectedScan:
-        moved = place.target_from_source
-        transform = None if moved is None else moved.as_float32()
+    def _projected(self, points: Points, place: Placement) -> ProjectedScan:
+        """Place, select and project; without filters, the loops over points transform and project at once."""
+        transform = place.target_from_source
+        rejected: dict[str, int] = {}
+        if self._select is not None:
+            points, transform, rejected = self._select(points, place)
+        rotation_and_translation = None if transform is None else transform.as_float32()
         name = self.params.intensity_field
-        return self._project(*cloud.xyz(), transform, cloud.field(name) if name else None)
+        scan = self._project(*points.xyz(), rotation_and_translation, points.field(name) if name else None)
+        if rejected:
+            filtered = PointCounts(sum(rejected.values()), **rejected)
+            return replace(scan, counts=scan.counts + filtered)
+        return scan

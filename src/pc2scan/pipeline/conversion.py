@@ -1,21 +1,35 @@
-"""What every direction of conversion has in common."""
+"""What every direction of conversion has in common: a decoder, stages between arrays, and an encoder."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from functools import partial
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from pc2scan.core.project import PointCounts
+    from pc2scan.core.counts import PointCounts
+    from pc2scan.messages.outputs import OutputType
     from pc2scan.model import Buffer
 
-__all__ = ["Conversion", "Converted", "Timing"]
+__all__ = ["Conversion", "Converted", "Result", "Timing"]
+
+
+class Result(NamedTuple):
+    """What the stages make of one message: the new message as arrays, which the output's type encodes.
+
+    ``empty`` is whether it has no return, or no point.
+    """
+
+    message: Any
+    counts: PointCounts
+    empty: bool
 
 
 class Converted(NamedTuple):
-    """A converted message, serialised, and what became of its points (or beams)."""
+    """A `Result` whose message is serialised."""
 
     data: bytes
     counts: PointCounts
@@ -39,34 +53,55 @@ class Timing:
     first_beam_ns: int = 0
 
 
-class Conversion(Protocol):
+class Conversion(ABC):
     """A direction of conversion.
 
-    Attributes
+    Parameters
     ----------
-    source_type, target_type
-        ROS types in ROS 2's spelling.
-    target_name
-        The last part of the default output topic.
+    output_type
+        What messages become: a ROS type in ROS 2's spelling.
+    output
+        Its entry in the table of `pc2scan.messages.outputs`.
     shrinks_from
         Messages of so many bytes and more become smaller ones.
     """
 
-    source_type: str
-    target_type: str
-    target_name: str
-    shrinks_from: int
+    def __init__(self, output_type: str, output: OutputType[Any], shrinks_from: int) -> None:
+        self.output_type = output_type
+        self.output = output
+        self.shrinks_from = shrinks_from
 
-    def for_topic(self, topic: str, source: str, target: str) -> Callable[[Buffer], Converted]:
-        """Return the conversion of one source topic's messages, each for itself and on any thread.
+    @abstractmethod
+    def stages(self, topic: str, source: str, source_type: str = "") -> Callable[[Buffer], Result]:
+        """Return what decodes the messages of one source topic and takes them through all stages but encoding.
 
         Parameters
         ----------
-        source, target
-            Serialisations: ``ros1`` or ``cdr``.
+        source
+            The serialisation of the messages: ``ros1`` or ``cdr``.
+        source_type
+            Their ROS type; empty means the direction's usual one.
 
         Notes
         -----
-        What is returned raises a `MessageError` if a message cannot be converted.
+        What is returned takes each message by itself, on any thread. It raises a `MessageError` if a message cannot be
+        converted.
         """
-        ...
+
+    def for_topic(self, topic: str, source: str, target: str, source_type: str = "") -> Callable[[Buffer], Converted]:
+        """Return the whole conversion of one source topic's messages, as `stages` does.
+
+        Parameters
+        ----------
+        target
+            The serialisation of what they become: ``ros1`` or ``cdr``.
+        """
+        return partial(_encoded, self.stages(topic, source, source_type), self.output.encode, target)
+
+
+def _encoded(
+    stages: Callable[[Buffer], Result], encode: Callable[[Any, str], bytes], target: str, data: Buffer
+) -> Converted:
+    # Stages that combine several messages belong here: they take results, in order, before these are encoded.
+    message, counts, empty = stages(data)
+    return Converted(encode(message, target), counts, empty)

@@ -14,26 +14,28 @@ import numpy as np
 from pc2scan.core.layout import TURN
 from pc2scan.core.timing import TIME_FIELDS, beam_times, fit_sweep, median_interval_ns, point_times
 from pc2scan.errors import MessageError, ParameterError, stamp_text
-from pc2scan.messages.pointcloud2 import decode_pointcloud2
+from pc2scan.messages.clouds import CLOUDS
 
 from .conversion import Timing
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
     from numpy.typing import NDArray
 
     from pc2scan.bags.reader import Reader
     from pc2scan.core.params import ProjectionParams
+    from pc2scan.core.points import Points
     from pc2scan.core.timing import Sweep
-    from pc2scan.messages.pointcloud2 import PointCloud2
     from pc2scan.model import Connection
     from pc2scan.tf.placing import Frames
+
+    from .stages.filters import Filter
 
 __all__ = ["measure"]
 
 #: Clouds whose stamps tell the scan time, and those of them whose points tell the time of a beam.
-CLOUDS = 51
+FIRST_CLOUDS = 51
 SWEEPS = 11
 
 
@@ -44,6 +46,7 @@ def measure(
     frames: Frames,
     start_ns: int | None = None,
     stop_ns: int | None = None,
+    filters: Sequence[Filter] = (),
 ) -> tuple[dict[str, Timing], list[str]]:
     """Look at the first clouds of each topic.
 
@@ -57,6 +60,8 @@ def measure(
         The scans' frame is the one that beams are measured in.
     start_ns, stop_ns
         The cut, by log time; None: no limit.
+    filters
+        What selects points; their fields have to be there.
 
     Returns
     -------
@@ -66,7 +71,7 @@ def measure(
     Raises
     ------
     ParameterError
-        If no cloud of a topic's first ones has the ``intensity_field``.
+        If no cloud of a topic's first ones has the ``intensity_field``, or a field that a filter needs.
     """
     timings: dict[str, Timing] = {}
     notes: list[str] = []
@@ -75,14 +80,15 @@ def measure(
         topics.setdefault(connection.topic, []).append(connection)
     for topic, sources in topics.items():
         first = _FirstClouds(params, frames)
-        wanted = CLOUDS if params.scan_time == "auto" else SWEEPS if params.time_increment == "auto" else 1
+        decoders = {c.id: CLOUDS[c.ros_type](c.serialization) for c in sources}
+        wanted = FIRST_CLOUDS if params.scan_time == "auto" else SWEEPS if params.time_increment == "auto" else 1
         for message in islice(reader.messages(sources, start_ns, stop_ns), wanted):
             try:
-                first.add(decode_pointcloud2(message.data, message.connection.serialization))
+                first.add(decoders[message.connection.id](message.data))
             except MessageError:
-                # What cannot be decoded or transformed is told when its turn to be converted comes.
+                # What cannot be decoded or transformed is reported when its turn to be converted comes.
                 continue
-        first.require_field(topic)
+        first.require_fields(topic, filters)
         timings[topic] = first.timing(topic, notes)
     return timings, notes
 
@@ -99,10 +105,10 @@ class _FirstClouds:
         self._sweeps: list[Sweep] = []
 
     @np.errstate(all="ignore")  # coordinates and times may be anything: NaNs that signal, the largest numbers
-    def add(self, cloud: PointCloud2) -> None:
+    def add(self, cloud: Points) -> None:
         """Take a cloud."""
         self._stamps.append(cloud.stamp_ns)
-        self._fields.update(dict.fromkeys(field.name for field in cloud.fields))
+        self._fields.update(dict.fromkeys(cloud.fields))
         if self._params.time_increment != "auto" or len(self._stamps) > SWEEPS:
             return
         name = next((name for name in TIME_FIELDS if name in self._fields), None)
@@ -113,26 +119,31 @@ class _FirstClouds:
         if sweep is not None:
             self._sweeps.append(sweep)
 
-    def _angles(self, cloud: PointCloud2) -> NDArray[np.float64]:
+    def _angles(self, cloud: Points) -> NDArray[np.float64]:
         """Where the points are seen, in the scan's frame; NaN for those without a direction."""
         points = np.stack([np.ravel(part).astype(np.float64) for part in cloud.xyz()], axis=1)
         nowhere = ~points.any(axis=1) | ~np.isfinite(points).all(axis=1)
-        moved = self._frames.place(cloud.frame_id, cloud.stamp_ns).target_from_source
-        if moved is not None:
-            points = moved.apply(points)
+        transform = self._frames.place(cloud.frame_id, cloud.stamp_ns).target_from_source
+        if transform is not None:
+            points = transform.apply(points)
         angles: NDArray[np.float64] = np.arctan2(points[:, 1], points[:, 0])
         angles[nowhere] = np.nan
         return angles
 
-    def require_field(self, topic: str) -> None:
-        """Refuse to begin without the field that was asked for."""
+    def require_fields(self, topic: str, filters: Sequence[Filter]) -> None:
+        """Refuse to begin without a field that was asked for."""
         name = self._params.intensity_field
-        if name and self._stamps and name not in self._fields:
-            raise ParameterError(
-                f"intensity_field is {name!r}, which the clouds on {topic} do not have",
-                name="intensity_field",
-                hint=f"their fields are: {', '.join(self._fields) or 'none'}",
-            )
+        asked = [("intensity_field", f"intensity_field is {name!r}", name)] if name else []
+        asked += [
+            (each.name, f"{each.name} needs the field {field!r}", field) for each in filters for field in each.fields
+        ]
+        for option, request, field in asked:
+            if self._stamps and field not in self._fields:
+                raise ParameterError(
+                    f"{request}, which the clouds on {topic} do not have",
+                    name=option,
+                    hint=f"their fields are: {', '.join(self._fields) or 'none'}",
+                )
 
     def timing(self, topic: str, notes: list[str]) -> Timing:
         """What to write into the scans."""
@@ -144,7 +155,7 @@ class _FirstClouds:
                 f"{topic}: scan_time is 0, for there are no two different stamps to measure it between"
                 if interval is None
                 else f"{topic}: scan_time is {scan_time:.6g} s, the median interval of "
-                f"{'its' if len(self._stamps) < CLOUDS else 'the first'} {len(self._stamps)} stamps"
+                f"{'its' if len(self._stamps) < FIRST_CLOUDS else 'the first'} {len(self._stamps)} stamps"
             )
         if time_increment == "auto":
             time_increment, first_beam_ns, found = self._beams()

@@ -9,16 +9,21 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pc2scan.core.counts import PointCounts
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import UsageError
+from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN
-from pc2scan.messages.pointcloud2 import POINTCLOUD2
+from pc2scan.messages.outputs import OF_CLOUDS, OF_SCANS
 from pc2scan.tf.options import FrameOptions
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping
 
     from pc2scan.core.unproject import UnprojectParams
+    from pc2scan.messages.outputs import OutputType
+
+    from .stages.filters import Filter
 
 __all__ = ["ConvertOptions", "TimeBound", "TopicRequest", "destination_and_folder"]
 
@@ -145,10 +150,15 @@ class ConvertOptions:
         Fields of the clouds that ``reverse`` makes, and the range cutoff; None means the defaults.
     deskew
         With ``reverse``: transform each beam by the pose at its own time.
+    filters
+        What selects points of clouds before they are projected, in order.
+    output_type
+        What messages become: a type in the tables of `pc2scan.messages.outputs`. Empty: the first one there,
+        LaserScan (PointCloud2 with ``reverse``).
     frames
         Where transforms come from.
     topics
-        What to convert; empty means every PointCloud2 topic (LaserScan with ``reverse``).
+        What to convert; empty means every topic of `source_types`.
     keep_clouds
         Write the converted messages too.
     only_scans
@@ -177,6 +187,8 @@ class ConvertOptions:
     reverse: bool = False
     channels: UnprojectParams | None = None
     deskew: bool = False
+    filters: tuple[Filter, ...] = ()
+    output_type: str = ""
     frames: FrameOptions = FrameOptions()
     topics: tuple[TopicRequest, ...] = ()
     keep_clouds: bool = False
@@ -201,11 +213,23 @@ class ConvertOptions:
             raise UsageError("`only_scans` leaves out what `keep` and `keep_clouds` ask for")
         if not self.reverse and (self.deskew or self.channels is not None):
             raise UsageError("`deskew`, `channels` and `range_cutoff` go with `reverse`")
+        self._check_stages()
         if self.deskew and not self.params.target_frame:
             raise UsageError(
                 "`deskew` needs a `target_frame` that does not move with the sensor",
                 hint="such as `target_frame=odom`",
             )
+
+    def _check_stages(self) -> None:
+        if self.reverse and self.filters:
+            raise UsageError("filters select points of clouds; `reverse` converts scans")
+        taken = PointCounts().as_dict()
+        for name in (each.name for each in self.filters):
+            if name in taken or not name.isidentifier():
+                raise UsageError(f"a filter is named {name!r}, which cannot be the name of its count")
+        outputs = self._outputs
+        if self.output_type and self.output_type not in outputs:
+            raise UsageError(f"output_type is {self.output_type!r}, it must be one of {', '.join(outputs)}")
 
     @classmethod
     def of(
@@ -235,6 +259,20 @@ class ConvertOptions:
         )
 
     @property
-    def source_type(self) -> str:
-        """The type that is converted."""
-        return LASERSCAN if self.reverse else POINTCLOUD2
+    def source_types(self) -> tuple[str, ...]:
+        """The types that are converted, in ROS 2's spelling."""
+        return (LASERSCAN,) if self.reverse else tuple(CLOUDS)
+
+    @property
+    def _outputs(self) -> Mapping[str, OutputType[Any]]:
+        return OF_SCANS if self.reverse else OF_CLOUDS
+
+    @property
+    def made_type(self) -> str:
+        """The type that messages become."""
+        return self.output_type or next(iter(self._outputs))
+
+    @property
+    def output(self) -> OutputType[Any]:
+        """The table's entry for the type that messages become."""
+        return self._outputs[self.made_type]

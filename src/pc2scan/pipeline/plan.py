@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING
 
-from pc2scan.bags.topics import find_topic, short_type
+from pc2scan.bags.topics import find_topic, short_types
 from pc2scan.errors import TopicError, name_list
+from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN
-from pc2scan.messages.pointcloud2 import POINTCLOUD2
 from pc2scan.names import did_you_mean
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ def make_plan(connections: Sequence[Connection], options: ConvertOptions) -> Pla
     routes = []
     for connection in connections:
         topic = connection.topic
-        converted = topic in targets and _kind(connection) == options.source_type
+        converted = topic in targets and _kind(connection) in options.source_types
         passes = not options.only_scans and (
             options.keep_clouds if converted else _chosen(topic, options.keep, options.drop)
         )
@@ -79,18 +79,18 @@ def make_plan(connections: Sequence[Connection], options: ConvertOptions) -> Pla
 def _targets(connections: Sequence[Connection], options: ConvertOptions) -> dict[str, tuple[str, ...]]:
     """The topics to convert and the topics that their scans go to."""
     types = _types_by_topic(connections)
-    kind = options.source_type
-    candidates = [topic for topic, kinds in types.items() if kind in kinds]
+    convertible = options.source_types
+    candidates = [topic for topic, kinds in types.items() if not kinds.isdisjoint(convertible)]
     if options.topics:
         requests: dict[str, list[str | None]] = {}
         for request in options.topics:
-            requests.setdefault(find_topic(request.source, types, candidates, kind), []).append(request.target)
+            requests.setdefault(find_topic(request.source, types, candidates, *convertible), []).append(request.target)
     else:
         requests = {topic: [None] for topic in candidates if not _matches(topic, options.drop)}
         if not requests:
-            raise TopicError(_nothing_to_convert(types, candidates, kind), hint=_other_direction(types, kind))
+            raise TopicError(_nothing_to_convert(types, candidates, convertible), hint=_other_direction(types, options))
     single = len(requests) == 1
-    name = "cloud" if kind == LASERSCAN else "scan"
+    name = options.output.name
 
     def named(topic: str, target: str | None) -> str:
         return target or (f"/{name}" if single else f"{topic.rstrip('/')}/{name}")
@@ -101,23 +101,23 @@ def _targets(connections: Sequence[Connection], options: ConvertOptions) -> dict
     }
 
 
-def _nothing_to_convert(types: dict[str, set[str]], candidates: list[str], kind: str) -> str:
+def _nothing_to_convert(types: dict[str, set[str]], candidates: list[str], convertible: Sequence[str]) -> str:
     if candidates:
-        return f"every {short_type(kind)} topic is dropped: {name_list(candidates)}"
+        return f"every {short_types(convertible)} topic is dropped: {name_list(candidates)}"
     if not types:
         return "the recording has no topics"
     described = [f"{topic} ({', '.join(sorted(kinds))})" for topic, kinds in sorted(types.items())]
-    return f"the recording has no {short_type(kind)} topic; its topics are: {name_list(described)}"
+    return f"the recording has no {short_types(convertible)} topic; its topics are: {name_list(described)}"
 
 
-def _other_direction(types: dict[str, set[str]], kind: str) -> str | None:
+def _other_direction(types: dict[str, set[str]], options: ConvertOptions) -> str | None:
     """What may have been meant where there is nothing to convert."""
-    other = POINTCLOUD2 if kind == LASERSCAN else LASERSCAN
-    if not any(other in kinds for kinds in types.values()):
-        return None
-    if kind == LASERSCAN:
-        return "it has PointCloud2 topics; without `reverse` they become scans"
-    return "it has LaserScan topics; `reverse=True` turns those into clouds"
+    there = {kind for kinds in types.values() for kind in kinds}
+    if options.reverse and (clouds := [kind for kind in CLOUDS if kind in there]):
+        return f"it has {short_types(clouds)} topics; without `reverse` they become scans"
+    if not options.reverse and LASERSCAN in there:
+        return "it has LaserScan topics; `reverse=True` turns those into clouds"
+    return None
 
 
 def _refuse_collisions(routes: Sequence[Route], requests: dict[str, TopicRequest]) -> None:

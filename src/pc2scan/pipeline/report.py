@@ -6,17 +6,21 @@ from collections import Counter
 from dataclasses import asdict, dataclass, field, fields
 from typing import TYPE_CHECKING, Any
 
+from pc2scan.core.counts import PointCounts
 from pc2scan.core.params import ProjectionParams
-from pc2scan.core.project import PointCounts
+from pc2scan.core.rule import REJECTIONS, Rejection
 from pc2scan.json_types import json_value
 from pc2scan.version import __version__
 
 from .parameters import from_preset
+from .stages.filters import as_dict, rejection_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from pc2scan.bags.damage import Damage
+
+    from .stages.filters import Filter
 
 __all__ = ["BEGINNING", "Report", "Skipped", "TopicReport"]
 
@@ -29,7 +33,7 @@ MAX_LISTED = 100
 #: Topics that are listed in the warning of skipped ones.
 _MAX_WARNED = 5
 
-#: A share of points lost to the default min_height that is worth a warning.
+#: A share of points that a default rejects that is worth a warning.
 _NOTABLE_SHARE = 0.25
 
 
@@ -76,7 +80,7 @@ class TopicReport:
         Messages in the source (within ``--start`` and ``--end``), written, and those that should have been written but
         are missing. Messages of a topic that the user dropped are not missing.
     points
-        Of all converted clouds: where every point went.
+        Of all converted clouds: how many points are used, and how many are rejected for which reason.
     empty_scans
         Scans without a single return.
     clouds_kept
@@ -117,6 +121,8 @@ class Report:
         The projection's parameters.
     origins
         Where each parameter's value came from, by name; ``default`` if from nowhere.
+    filters
+        What selected points before they were projected.
     topics
         One entry for each source topic and each topic that it goes to, in the source's order.
     skipped
@@ -140,6 +146,7 @@ class Report:
     destination: str
     params: ProjectionParams
     origins: dict[str, str] = field(default_factory=dict)
+    filters: tuple[Filter, ...] = ()
     topics: list[TopicReport] = field(default_factory=list)
     skipped: list[Skipped] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
@@ -195,7 +202,41 @@ class Report:
                 why = "could be converted" if topic.messages_in else "was there to convert (see `start` and `end`)"
                 self.warnings.append(f"no message of {topic.topic} {why}")
             elif topic.action == "converted":
-                self.warnings += _point_warnings(topic, self.params, self.origins)
+                self.warnings += self._point_warnings(topic)
+
+    @property
+    def rejections(self) -> dict[str, Rejection]:
+        """Why points may be rejected, by the name of the count."""
+        return {each.name: each for each in (*REJECTIONS, *map(rejection_of, self.filters))}
+
+    def _point_warnings(self, topic: TopicReport) -> list[str]:
+        """Name the parameter to blame for scans without returns, and for the default that surprises most."""
+        points = topic.points
+        if topic.empty_scans:
+            empty = f"{topic.empty_scans} of {topic.messages_out} scans on {topic.target} have no return at all"
+            return [f"{empty}: {self._blame(points)}"]
+        warnings = []
+        for each in self.rejections.values():
+            share = points.rejected.get(each.name, 0) / points.total if points.total else 0.0
+            if share >= _NOTABLE_SHARE and self._surprises(each):
+                warnings.append(f"{topic.target}: {share:.0%} of the points were {each.by_default[1]}")
+        return warnings
+
+    def _surprises(self, rejection: Rejection) -> bool:
+        """Whether a parameter that nobody gave has a default that rejects more than users expect."""
+        name, _ = rejection.by_default
+        if not name or self.origins.get(name, "default") != "default":
+            return False
+        return bool(getattr(self.params, name) == getattr(ProjectionParams(), name))
+
+    def _blame(self, points: PointCounts) -> str:
+        """The most frequent reason, and its parameters."""
+        explained = Counter[str]()
+        for name, rejection in self.rejections.items():
+            explanation = rejection.by_default[1] if self._surprises(rejection) else rejection.explanation
+            explained[explanation] += points.rejected.get(name, 0)
+        explanation, count = explained.most_common(1)[0]
+        return f"{count / points.total:.0%} of all points were {explanation}" if count else "the clouds have no points"
 
     def as_dict(self) -> dict[str, Any]:
         """Return the report as JSON's types; the keys are documented in the README."""
@@ -206,10 +247,11 @@ class Report:
             "destination": self.destination,
             "params": json_value(asdict(self.params)),
             "param_origins": self.origins,
+            "filters": [json_value(as_dict(each)) for each in self.filters],
             "topics": [
                 {
                     **{f.name: getattr(topic, f.name) for f in fields(topic) if f.name != "points"},
-                    "points": asdict(topic.points),
+                    "points": topic.points.as_dict(),
                 }
                 for topic in self.topics
             ],
@@ -241,46 +283,3 @@ def _loss_warning(topics: Sequence[TopicReport]) -> str:
         f"{count:,} message{'s' if count > 1 else ''} of {len(topics)} topic{'s' if len(topics) > 1 else ''} "
         f"{'are' if count > 1 else 'is'} skipped: {', '.join(listed)}{f' and {more} more' if more else ''}"
     )
-
-
-def _point_warnings(topic: TopicReport, params: ProjectionParams, origins: dict[str, str]) -> list[str]:
-    """Name the parameter to blame for scans without returns, and for the default that surprises most."""
-    points = topic.points
-    default_height = origins.get("min_height", "default") == "default" and (
-        params.min_height == ProjectionParams().min_height
-    )
-    lost = points.height / points.total if points.total else 0.0
-    advice = (
-        "upstream's default min_height drops everything at z <= 0; set it to see below the sensor: `min_height=-0.5`"
-    )
-    warnings = []
-    if topic.empty_scans:
-        share = f"{topic.empty_scans} of {topic.messages_out} scans on {topic.target} have no return at all"
-        warnings.append(f"{share}: {_blame(points, default_height, advice)}")
-    elif default_height and lost >= _NOTABLE_SHARE:
-        warnings.append(f"{topic.target}: {lost:.0%} of the points were outside the heights: {advice}")
-    return warnings
-
-
-def _blame(points: PointCounts, default_height: bool, advice: str) -> str:
-    """The most frequent reason, and its parameters."""
-    reasons = Counter(
-        {
-            "height": points.height,
-            "range": points.range,
-            "angle": points.angle + points.past_end,
-            "nan": points.nan,
-        }
-    )
-    reason, count = reasons.most_common(1)[0]
-    if not count:
-        return "the clouds have no points"
-    share = f"{count / points.total:.0%} of all points were"
-    return {
-        "height": f"{share} outside the heights: {advice}"
-        if default_height
-        else f"{share} outside min_height and max_height (is z up in this frame? see target_frame)",
-        "range": f"{share} outside range_min and range_max",
-        "angle": f"{share} outside angle_min and angle_max (is x forward in this frame?)",
-        "nan": f"{share} NaN",
-    }[reason]

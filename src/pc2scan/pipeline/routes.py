@@ -117,10 +117,11 @@ def open_routes(
         if not route.targets:
             made.reports.append(shared(passing or TopicReport(topic, msgtype, None, "left out")))
             continue
-        made.convert = conversion.for_topic(topic, connection.serialization, target.serialization)
+        source, written = connection.serialization, target.serialization
+        made.convert = conversion.for_topic(topic, source, written, msgtype)
         made.shrinks_from = conversion.shrinks_from
         for name in route.targets:
-            handle = declared.add(_converted_connection(connection, name, conversion.target_type, target))
+            handle = declared.add(_converted_connection(connection, name, conversion, target))
             entry = TopicReport(topic, msgtype, name, "converted", clouds_kept=made.passing_handle >= 0)
             if passing is not None and passing.lost:
                 entry.note, entry.lost = passing.note, True
@@ -223,14 +224,14 @@ def _holding_any() -> str:
     return " or ".join(entry.suffix for entry in FORMATS.values() if entry.holds_any)
 
 
-def _converted_connection(source: Connection, topic: str, msgtype: str, target: Destination) -> Connection:
+def _converted_connection(source: Connection, topic: str, conversion: Conversion, target: Destination) -> Connection:
     """The connection of converted messages: published as their source was."""
-    text, digest = definition(msgtype, target.ros_version)
+    text, digest = conversion.output.define(conversion.output_type, target.ros_version)
     same = source.ros_version == target.ros_version
     return Connection(
         id=NEW_ID,
         topic=topic,
-        msgtype=msgtype,
+        msgtype=conversion.output_type,
         serialization=target.serialization,
         definition=text,
         digest=digest,

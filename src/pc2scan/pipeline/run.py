@@ -7,6 +7,7 @@ import shlex
 import time
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 from pc2scan.bags.damage import RECOVER, Damage, count_details
@@ -144,16 +145,18 @@ def run(
         path = destination or default_destination(sources, summaries, mark, folder=output.folder, to=output.to)
         check_to(path, output.to)
         target = _target(path, destination is not None, reader, summaries, options, output)
-        report = Report([str(source) for source in sources], str(path), options.params, dict(origins or {}))
+        report = Report(
+            [str(source) for source in sources], str(path), options.params, dict(origins or {}), options.filters
+        )
         report.warnings += (*overlap_warnings(readers), *plan.warnings)
         _refuse_overlap(sources, options, also_read or {}, path, output)
         deliver = report_file(output, stack)
         if output.folder is not None:
             stack.enter_context(made_folder(output.folder))
-        with staged(path, overwrite=output.overwrite, beside_recording=beside_recording) as partial:
+        with staged(path, overwrite=output.overwrite, beside_recording=beside_recording) as unfinished:
             span = _span(reader, options)
             conversion, others = _conversion(reader, plan, options, span, stack, report)
-            writer = open_writer(target, partial, path.name)
+            writer = open_writer(target, unfinished, path.name)
             try:
                 copying = target.chunks == chunk_format(reader.summary) != ""
                 if copying:
@@ -176,7 +179,7 @@ def run(
                     writer.compress_ahead(pool)
                 rule = chunk_rule(routes, target, writer) if copying else None
                 stream(reader, routes, options, span, rule, pool, writer, report, progress)
-                if conversion.target_type == LASERSCAN:
+                if conversion.output_type == LASERSCAN:
                     report.warnings += [*ghosts(options.params), *_refusals(routes.values(), target.serialization)]
                 _refuse_changed(inputs, states)
                 report.damage += [damage for each in (reader, *others) for damage in each.damage]
@@ -185,7 +188,7 @@ def run(
             except BaseException:
                 writer.abort()
                 raise
-            report.bytes_written = _size(partial)
+            report.bytes_written = _size(unfinished)
         report.bytes_read = reader.summary.size_bytes
         report.conclude()
         report.seconds = time.monotonic() - began
@@ -329,7 +332,7 @@ def _conversion(
     params, asked = options.params, options.frames
     others: list[Reader] = []
     frames = Frames(source_frame=asked.source_frame)
-    if params.target_frame:
+    if params.target_frame or any(isinstance(each.frame, str) for each in options.filters):
         others = open_recordings(asked.tf_from, stack, verify=options.verify, strict=options.strict)
         buffer, warnings = read_transforms([reader, *others], asked)
         report.warnings += warnings
@@ -338,22 +341,25 @@ def _conversion(
     if options.reverse:
         from .scan_to_cloud import ScanToCloud  # noqa: PLC0415  # each direction loads its own arithmetic
 
-        return ScanToCloud(options.channels, frames, deskewed=options.deskew), others
+        made = options.made_type
+        return ScanToCloud(options.channels, frames, deskewed=options.deskew, output_type=made), others
     from .cloud_to_scan import CloudToScan  # noqa: PLC0415
 
-    if "auto" not in (params.scan_time, params.time_increment) and not params.intensity_field:
-        return CloudToScan(params, frames), others
+    make = partial(CloudToScan, params, frames, filters=options.filters, output_type=options.made_type)
+    needs_fields = params.intensity_field or any(each.fields for each in options.filters)
+    if "auto" not in (params.scan_time, params.time_increment) and not needs_fields:
+        return make(), others
     from .measure import measure  # noqa: PLC0415  # only where something is left to be measured
 
     converted = [route.connection for route in plan.routes if route.targets]
     try:
-        timings, notes = measure(reader, converted, params, frames, span.start_ns, span.stop_ns)
+        timings, notes = measure(reader, converted, params, frames, span.start_ns, span.stop_ns, options.filters)
     except ParameterError as err:
         if origin := report.origins.get(err.name):
             err.message += f" (from {origin})"
         raise
     report.notes += notes
-    return CloudToScan(params, frames, timings), others
+    return make(timings=timings), others
 
 
 def _ros_version(connections: Iterable[Connection]) -> int | None:

@@ -6,18 +6,17 @@ import sys
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.core.project import PointCounts
+from pc2scan.core.counts import PointCounts
 from pc2scan.core.unproject import UnprojectedScan, UnprojectParams, deskew, last_beam_ns, unproject
 from pc2scan.errors import DecodeError, stamp_text
-from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
-from pc2scan.messages.pointcloud2 import DATATYPES, POINTCLOUD2, PointField, encode_pointcloud2
+from pc2scan.messages.laserscan import LaserScan, decode_laserscan
+from pc2scan.messages.outputs import OF_SCANS
+from pc2scan.messages.pointcloud2 import POINTCLOUD2, StructuredCloud
 
-from .conversion import Converted
+from .conversion import Conversion, Result
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-
-    import numpy as np
 
     from pc2scan.core.rigid import Rigid
     from pc2scan.model import Buffer
@@ -25,11 +24,8 @@ if TYPE_CHECKING:
 
 __all__ = ["ScanToCloud"]
 
-#: NumPy's names to sensor_msgs/PointField's constants.
-_DATATYPE_CODES = {name: code for code, name in DATATYPES.items()}
 
-
-class ScanToCloud:
+class ScanToCloud(Conversion):
     """LaserScan to PointCloud2, as upstream's laserscan_to_pointcloud_node.cpp does it with laser_geometry.
 
     Parameters
@@ -40,23 +36,28 @@ class ScanToCloud:
         The recording's transforms.
     deskewed
         Whether every beam is transformed by the pose at its own time instead of the scan's stamp.
+    output_type
+        What the clouds are encoded as: a key of `OF_SCANS`.
     """
 
-    source_type = LASERSCAN
-    target_type = POINTCLOUD2
-    target_name = "cloud"
-    shrinks_from = sys.maxsize
-
-    def __init__(self, channels: UnprojectParams | None, frames: Frames, *, deskewed: bool = False) -> None:
+    def __init__(
+        self,
+        channels: UnprojectParams | None,
+        frames: Frames,
+        *,
+        deskewed: bool = False,
+        output_type: str = POINTCLOUD2,
+    ) -> None:
+        super().__init__(output_type, OF_SCANS[output_type], sys.maxsize)
         self.channels = channels
         self._frames = frames
         self._deskewed = deskewed
 
-    def for_topic(self, topic: str, source: str, target: str) -> Callable[[Buffer], Converted]:  # noqa: ARG002
-        """Return the conversion of a topic's messages, which is the same for all; see `Conversion`."""
-        return partial(self._convert, source, target)
+    def stages(self, topic: str, source: str, source_type: str = "") -> Callable[[Buffer], Result]:  # noqa: ARG002
+        """Return the stages of a topic's messages, which are the same for all; see `Conversion`."""
+        return partial(self._cloud, source)
 
-    def _convert(self, source: str, target: str, data: Buffer) -> Converted:
+    def _cloud(self, source: str, data: Buffer) -> Result:
         scan = decode_laserscan(data, source)
         try:
             points = unproject(
@@ -73,16 +74,7 @@ class ScanToCloud:
             err.stamp_ns = scan.stamp_ns
             raise
         header, points = self._placed(scan, points)
-        message = encode_pointcloud2(
-            serialization=target,
-            sequence=header.sequence,
-            stamp_ns=header.stamp_ns,
-            frame_id=header.frame_id,
-            fields=_fields(points.points.dtype),
-            point_step=points.points.dtype.itemsize,
-            data=points.points.tobytes(),
-            is_dense=False,
-        )
+        message = StructuredCloud(header.sequence, header.stamp_ns, header.frame_id, points.points)
         rejected = points.rejected
         counts = PointCounts(
             total=points.beam_count,
@@ -90,7 +82,7 @@ class ScanToCloud:
             nan=rejected.nan,
             range=rejected.infinite + rejected.below_min + rejected.beyond_max,
         )
-        return Converted(message, counts, empty=not len(points.points))
+        return Result(message, counts, empty=not len(points.points))
 
     def _placed(self, scan: LaserScan, points: UnprojectedScan) -> tuple[_Header, UnprojectedScan]:
         """The cloud's header, and the points in its frame."""
@@ -127,12 +119,3 @@ class _Header(NamedTuple):
     sequence: int
     stamp_ns: int
     frame_id: str
-
-
-def _fields(dtype: np.dtype[np.void]) -> list[PointField]:
-    """Describe a structured type as sensor_msgs/PointField does."""
-    fields = []
-    for name in dtype.names or ():
-        kind, offset = dtype[name], dtype.fields[name][1]  # type: ignore[index]  # a type with names has fields
-        fields.append(PointField(name, offset, _DATATYPE_CODES[kind.str[1:]]))
-    return fields

@@ -31,7 +31,7 @@ class Frames:
     source_frame
         See `FrameOptions`.
     buffer
-        None if there is no target frame.
+        None where nothing is transformed.
     tolerance_ns
         How far a stamp may be outside the known transforms.
     """
@@ -49,12 +49,24 @@ class Frames:
         TransformError
             If there is no transform to the target frame at the stamp.
         """
-        source = self.source_frame or frame_id
         target = self.target_frame
+        if not target:
+            return Placement(self.source_frame or frame_id, None)
+        return Placement(target, self.transform(target, frame_id, stamp_ns))
+
+    def transform(self, target: str, frame_id: str, stamp_ns: int) -> Rigid | None:
+        """The transform that takes a message of this frame and stamp to another frame; None where it is the same.
+
+        Raises
+        ------
+        TransformError
+            If there is no transform to that frame at the stamp.
+        """
+        source = self.source_frame or frame_id
         # Source of the rule: upstream transforms only if the names differ; tf2 strips one leading slash.
         if self.buffer is None or target.removeprefix("/") == source.removeprefix("/"):
-            return Placement(target or source, None)
-        return Placement(target, self.buffer.lookup(target, source, stamp_ns, self.tolerance_ns))
+            return None
+        return self.buffer.lookup(target, source, stamp_ns, self.tolerance_ns)
 
     def transform_stamp(self, frame_id: str, stamp_ns: int) -> int:
         """Return the stamp of the transform that `place` returns, in nanoseconds.

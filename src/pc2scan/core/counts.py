@@ -1,0 +1,85 @@
+"""How many points of a cloud are used, and how many are rejected for which reason."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from .rule import REJECTIONS
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+__all__ = ["PointCounts"]
+
+_NONE = {rejection.name: 0 for rejection in REJECTIONS}
+
+
+class PointCounts:
+    """How many points a cloud has, and what becomes of them. Everything but ``total`` sums to ``total``.
+
+    Each point is counted once, under the first reason that rejects it. Filters come first, then the reasons of the
+    projection itself, which are always there: ``nan``, ``height``, ``range``, ``angle`` and ``past_end`` (see
+    `pc2scan.core.rule.REJECTIONS`). Each reason is an attribute: ``counts.height``.
+
+    Attributes
+    ----------
+    total
+        Points of the cloud.
+    used
+        Points that fall into a beam, whether or not another one is closer.
+    rejected
+        The other points, by reason: those of the projection, then those of filters.
+
+    Examples
+    --------
+    >>> counts = PointCounts(5, 2, height=1, exclude_box=2)
+    >>> counts.exclude_box, counts.angle
+    (2, 0)
+    >>> counts + PointCounts(1, 0, nan=1)
+    PointCounts(total=6, used=2, nan=1, height=1, range=0, angle=0, past_end=0, exclude_box=2)
+    """
+
+    __slots__ = ("rejected", "total", "used")
+
+    total: int
+    used: int
+    rejected: Mapping[str, int]
+
+    def __init__(self, total: int = 0, used: int = 0, **rejected: int) -> None:
+        self.total = total
+        self.used = used
+        self.rejected = _NONE | rejected
+
+    @classmethod
+    def of_projection(cls, total: int, rejected: tuple[int, ...]) -> PointCounts:
+        """Return the counts of a cloud, given those of the loops over points, in the order of `REJECTIONS`."""
+        counts = cls.__new__(cls)
+        counts.total = total
+        counts.used = total - sum(rejected)
+        counts.rejected = dict(zip(_NONE, rejected))  # noqa: B905  # checking the length takes time for every cloud
+        return counts
+
+    def __getattr__(self, name: str) -> int:
+        # Only called for what is no attribute. An object that is being copied has no counts yet.
+        if name not in self.__slots__ and name in self.rejected:
+            return self.rejected[name]
+        raise AttributeError(f"there is no count {name!r}, only {', '.join(self.as_dict())}")
+
+    def __add__(self, other: PointCounts) -> PointCounts:
+        rejected = dict(self.rejected)
+        for name, count in other.rejected.items():
+            rejected[name] = rejected.get(name, 0) + count
+        return PointCounts(self.total + other.total, self.used + other.used, **rejected)
+
+    def __eq__(self, other: object) -> bool:
+        return self.as_dict() == other.as_dict() if isinstance(other, PointCounts) else NotImplemented
+
+    def __hash__(self) -> int:
+        return hash(frozenset(self.as_dict().items()))
+
+    def __repr__(self) -> str:
+        return f"PointCounts({', '.join(f'{name}={count}' for name, count in self.as_dict().items())})"
+
+    def as_dict(self) -> dict[str, int]:
+        """Return all counts by name, ``total`` and ``used`` first."""
+        return {"total": self.total, "used": self.used, **self.rejected}

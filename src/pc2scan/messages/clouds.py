@@ -1,0 +1,61 @@
+"""The message types that are clouds: one table of what decodes them to points.
+
+A new type is one entry: everything that asks which topics can be converted asks the table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+from pc2scan.core.points import Points
+from pc2scan.model import Buffer
+
+from .pointcloud2 import POINTCLOUD2, CloudDecoder
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from .pointcloud2 import PointCloud2
+
+__all__ = ["CLOUDS", "Decode"]
+
+#: From the bytes of a message to its points. Threads may share one. Raises a `DecodeError`.
+Decode: TypeAlias = Callable[[Buffer], Points]
+
+
+class _Fields(Mapping[str, "NDArray[Any]"]):
+    """The fields of a PointCloud2, which become arrays on request."""
+
+    __slots__ = ("_cloud",)
+
+    def __init__(self, cloud: PointCloud2) -> None:
+        self._cloud = cloud
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        if name == "x":
+            self._cloud.check_size()
+        return self._cloud.field(name)
+
+    def __contains__(self, name: object) -> bool:
+        return any(field.name == name for field in self._cloud.fields)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(dict.fromkeys(field.name for field in self._cloud.fields))
+
+    def __len__(self) -> int:
+        return len({field.name for field in self._cloud.fields})
+
+
+def _pointcloud2(serialization: str) -> Decode:
+    decode = CloudDecoder(serialization)
+
+    def points(data: Buffer) -> Points:
+        cloud = decode(data)
+        return Points(cloud.sequence, cloud.stamp_ns, cloud.frame_id, _Fields(cloud))
+
+    return points
+
+
+#: By ROS type, in ROS 2's spelling: makes the decoder of a serialisation (``ros1`` or ``cdr``), best one a topic.
+CLOUDS: dict[str, Callable[[str], Decode]] = {POINTCLOUD2: _pointcloud2}

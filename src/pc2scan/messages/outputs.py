@@ -1,0 +1,48 @@
+"""The message types that conversions make: what encodes them, and what they are called.
+
+A new type is one entry. What is encoded are arrays: encoding comes last.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Generic, TypeVar
+
+from .definitions import definition
+from .laserscan import LASERSCAN, LaserScan, encode_laserscan
+from .pointcloud2 import POINTCLOUD2, StructuredCloud, encode_structured
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from pc2scan.model import Definition
+
+__all__ = ["OF_CLOUDS", "OF_SCANS", "OutputType"]
+
+Message = TypeVar("Message")
+
+
+@dataclass(frozen=True, slots=True)
+class OutputType(Generic[Message]):
+    """A type of messages that conversions make.
+
+    Attributes
+    ----------
+    name
+        The last part of the default topic.
+    encode
+        Serialises a message; the second parameter is ``ros1`` or ``cdr``.
+    define
+        Its definition and ROS's digest of it, by type and ROS version (1 or 2).
+    """
+
+    name: str
+    encode: Callable[[Message, str], bytes]
+    define: Callable[[str, int], tuple[Definition, str]] = definition
+
+
+#: What clouds become, by ROS type in ROS 2's spelling; the first is the default.
+OF_CLOUDS: dict[str, OutputType[LaserScan]] = {LASERSCAN: OutputType("scan", encode_laserscan)}
+
+#: What scans become; likewise.
+OF_SCANS: dict[str, OutputType[StructuredCloud]] = {POINTCLOUD2: OutputType("cloud", encode_structured)}

@@ -1,0 +1,273 @@
+"""A toy message type, a toy filter and a toy output, none of which the package knows of."""
+
+from __future__ import annotations
+
+import json
+import struct
+from contextlib import closing
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import pc2scan
+from builders import T0
+from pc2scan.bags.mcap.writer import McapWriter
+from pc2scan.bags.opening import open_recording
+from pc2scan.cli.app import application
+from pc2scan.core.points import Points
+from pc2scan.errors import DecodeError, ParameterError, UsageError
+from pc2scan.messages.clouds import CLOUDS
+from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
+from pc2scan.messages.outputs import OF_CLOUDS, OutputType
+from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointField, encode_pointcloud2
+from pc2scan.model import Connection, Definition
+from pc2scan.pipeline.options import ConvertOptions
+from pc2scan.pipeline.run import OutputOptions, run
+from pc2scan.pipeline.stages.filters import Frame
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from pc2scan.messages.clouds import Decode
+    from pc2scan.model import Buffer
+    from pc2scan.pipeline.stages.filters import Filter
+
+TOY_CLOUD = "toy_msgs/msg/Polar"
+TOY_SCAN = "toy_msgs/msg/Nearest"
+BAND = pc2scan.ProjectionParams(min_height=-1.0, max_height=2.0)
+FORWARD = [[2.0, 0.01, 0.5, 7], [3.0, 0.01, 0.5, 1], [0.0, 4.0, 0.5, 1], [-5.0, -1.0, 0.5, 9], [1.0, 1.0, 9.0, 9]]
+
+
+def polar_decoder(serialization: str) -> Decode:
+    """Of messages with a stamp (ns), and pairs of float32: a range and an angle."""
+    assert serialization == "cdr"
+
+    def decode(data: Buffer) -> Points:
+        if len(data) % 8:
+            raise DecodeError("it ends in the middle of a point")
+        ranges, angles = np.frombuffer(data, "<f4", offset=8).reshape(-1, 2).T
+        x, y = ranges * np.cos(angles), ranges * np.sin(angles)
+        return Points(0, struct.unpack_from("<q", data)[0], "polar", {"x": x, "y": y, "z": np.zeros_like(x)})
+
+    return decode
+
+
+@dataclass(frozen=True)
+class EveryNth:
+    """Keeps one point of so many whose ring is not too high."""
+
+    n: int
+    highest: int = 100
+
+    name = "thinned"
+    explanation = "thinned out (see n)"
+    fields = ("ring",)
+    frame = Frame.SOURCE
+
+    def __call__(self, points: Points) -> NDArray[np.bool_]:
+        ring = points.field("ring").reshape(-1)
+        kept: NDArray[np.bool_] = (np.arange(ring.size) % self.n == 0) & (ring <= self.highest)
+        return kept
+
+
+@dataclass(frozen=True)
+class Beyond:
+    """Keeps what is beyond a plane of a frame."""
+
+    frame: Any
+    x: float
+
+    name = "this_side"
+    explanation = "on this side"
+    fields = ()
+
+    def __call__(self, points: Points) -> NDArray[np.bool_]:
+        kept: NDArray[np.bool_] = ~(points.field("x") <= self.x)
+        return kept
+
+
+def nearest(scan: LaserScan, serialization: str) -> bytes:
+    assert serialization == "cdr"
+    return struct.pack("<qf", scan.stamp_ns, scan.ranges.min())
+
+
+def recorded(path: Path, msgtype: str, messages: list[bytes]) -> Path:
+    writer = McapWriter(path, "none")
+    connection = Connection(0, "/points", msgtype, "cdr", Definition("ros2msg", b"# toy\n"))
+    handle = writer.add_connection(connection)
+    for number, data in enumerate(messages):
+        writer.write(handle, T0 + number, data, T0 + number)
+    writer.finish()
+    return path
+
+
+def cloud(points: Any = FORWARD) -> bytes:
+    fields = [PointField(name, 4 * place, 7) for place, name in enumerate(("x", "y", "z", "ring"))]
+    data = np.asarray(points, "<f4").tobytes()
+    return encode_pointcloud2(
+        serialization="cdr", sequence=0, stamp_ns=T0, frame_id="lidar", fields=fields, point_step=16, data=data
+    )
+
+
+def messages_of(path: Path, topic: str = "/scan") -> list[bytes]:
+    with closing(open_recording(path)) as reader:
+        return [bytes(message.data) for message in reader.messages() if message.connection.topic == topic]
+
+
+def scan_of(path: Path) -> LaserScan:
+    (data,) = messages_of(path)
+    return decode_laserscan(data, "cdr")
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_new_cloud_type_is_one_decoder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, jobs: int) -> None:
+    monkeypatch.setitem(CLOUDS, TOY_CLOUD, polar_decoder)
+    source = recorded(tmp_path / "a.mcap", TOY_CLOUD, [struct.pack("<q4f", T0, 2.0, 0.01, 3.0, 1.5), b"broken"])
+    report = pc2scan.convert(source, tmp_path / "b.mcap", params=BAND, jobs=jobs)
+    (topic,) = report.topics
+    assert (topic.msgtype, topic.target, topic.messages_out, topic.skipped) == (TOY_CLOUD, "/scan", 1, 1)
+    assert report.skipped[0].reason == "it ends in the middle of a point"
+    assert topic.points == pc2scan.PointCounts(total=2, used=2)
+    scan = scan_of(tmp_path / "b.mcap")
+    assert (scan.frame_id, scan.stamp_ns) == ("polar", T0)
+    assert scan.ranges[np.isfinite(scan.ranges)].tolist() == pytest.approx([2.0, 3.0])
+
+
+def test_a_new_cloud_type_is_in_what_is_listed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(CLOUDS, TOY_CLOUD, polar_decoder)
+    source = recorded(tmp_path / "a.mcap", TOY_CLOUD, [struct.pack("<q4f", T0, 2.0, 0.0, 3.0, 0.0)])
+    (described,) = pc2scan.info([source]).clouds
+    assert (described.shape, described.points_max, described.frames) == ((1, 2), 2, ("polar",))
+    assert [name for name, *_ in described.fields] == ["x", "y", "z"]
+    printed = CliRunner().invoke(application(), ["info", str(source)]).output
+    assert "2 a cloud (1 x 2)\n" in printed
+    assert "x float32, y float32, z float32" in printed
+    with pytest.raises(UsageError, match="the recording has no LaserScan topic") as caught:
+        pc2scan.convert(source, tmp_path / "b.mcap", reverse=True)
+    assert caught.value.hint == "it has Polar topics; without `reverse` they become scans"
+    with pytest.raises(ParameterError, match="intensity_field is 'ring', which the clouds on /points do not have"):
+        pc2scan.convert(source, tmp_path / "b.mcap", params=pc2scan.ProjectionParams(intensity_field="ring"))
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_new_filter_is_one_class(tmp_path: Path, jobs: int) -> None:
+    source = recorded(tmp_path / "a.mcap", POINTCLOUD2, [cloud(), cloud()])
+    report = pc2scan.convert(
+        source, tmp_path / "b.mcap", params=BAND, filters=[EveryNth(2, highest=8)], jobs=jobs, only_scans=True
+    )
+    (topic,) = report.topics
+    # The third and the first are kept; the fifth would be, but for its ring.
+    assert topic.points == pc2scan.PointCounts(total=10, used=4, thinned=6)
+    assert topic.points.thinned == 6
+    written = json.loads(report.as_json())
+    assert written["filters"] == [{"name": "thinned", "n": 2, "highest": 8}]
+    assert list(written["topics"][0]["points"]) == [*pc2scan.PointCounts().as_dict(), "thinned"]
+    for data in messages_of(tmp_path / "b.mcap"):
+        ranges = decode_laserscan(data, "cdr").ranges
+        assert ranges[np.isfinite(ranges)].tolist() == pytest.approx([2.0, 4.0], rel=1e-4)
+
+
+def test_filters_that_keep_everything_change_nothing(tmp_path: Path) -> None:
+    source = recorded(tmp_path / "a.mcap", POINTCLOUD2, [cloud()])
+    params = pc2scan.ProjectionParams(min_height=-1.0, max_height=2.0, intensity_field="ring")
+    for frame in (Frame.SOURCE, Frame.TARGET):
+        pc2scan.convert(source, tmp_path / "a_scan.mcap", params=params, overwrite=True)
+        pc2scan.convert(source, tmp_path / "b.mcap", params=params, filters=[Beyond(frame, -99.0)], overwrite=True)
+        assert (tmp_path / "b.mcap").read_bytes() == (tmp_path / "a_scan.mcap").read_bytes()
+
+
+def test_a_new_filter_is_blamed_for_empty_scans(tmp_path: Path) -> None:
+    source = recorded(tmp_path / "a.mcap", POINTCLOUD2, [cloud()])
+    report = pc2scan.convert(source, tmp_path / "b.mcap", params=BAND, filters=[EveryNth(1, highest=0)])
+    (warning,) = report.warnings
+    assert warning == "1 of 1 scans on /scan have no return at all: 100% of all points were thinned out (see n)"
+
+
+def test_a_field_that_a_filter_needs_is_looked_for_before_anything_is_written(tmp_path: Path) -> None:
+    source = recorded(tmp_path / "a.mcap", POINTCLOUD2, [cloud()])
+
+    @dataclass(frozen=True)
+    class Reflective(EveryNth):
+        fields = ("reflectivity",)
+
+    with pytest.raises(ParameterError, match="thinned needs the field 'reflectivity', which the clouds on /points do"):
+        pc2scan.convert(source, tmp_path / "b.mcap", params=BAND, filters=[Reflective(2)])
+    assert not (tmp_path / "b.mcap").exists()
+
+
+@pytest.mark.parametrize("frame", [Frame.SOURCE, Frame.TARGET, "base"])
+def test_filters_work_in_the_frame_that_they_name(tmp_path: Path, frame: Any) -> None:
+    source = recorded(tmp_path / "a.mcap", POINTCLOUD2, [cloud()])
+    static = [pc2scan.StaticTransform.parse("map lidar 0 0 0 0 0 1 0")]
+    static.append(pc2scan.StaticTransform.parse("base lidar 10 0 0 0 0 0 1"))
+    static.pop(1 if frame != "base" else 0)
+    params = pc2scan.ProjectionParams(
+        min_height=-1.0, max_height=2.0, target_frame="map" if frame is Frame.TARGET else ""
+    )
+    frames = pc2scan.FrameOptions(static=tuple(static))
+    limit = {Frame.SOURCE: 1.5, Frame.TARGET: 0.0, "base": 11.5}[frame]
+    options: dict[str, Any] = {"params": params, "frames": frames, "filters": [Beyond(frame, limit)]}
+    points = pc2scan.convert(source, tmp_path / "b.mcap", **options).topics[0].points
+    # Turned by half a turn, the fourth is in front; the third is at -4e-16 or so.
+    expected = {"used": 1, "this_side": 4} if frame is Frame.TARGET else {"used": 2, "this_side": 3}
+    assert points.total == 5
+    assert {name: getattr(points, name) for name in expected} == expected
+
+
+def test_filters_see_what_those_before_them_kept(tmp_path: Path) -> None:
+    source = recorded(tmp_path / "a.mcap", POINTCLOUD2, [cloud()])
+    filters: list[Filter] = [Beyond(Frame.SOURCE, 1.5), EveryNth(2)]
+    points = pc2scan.convert(source, tmp_path / "b.mcap", params=BAND, filters=filters).topics[0].points
+    assert points == pc2scan.PointCounts(total=5, used=1, this_side=3, thinned=1)
+
+
+@pytest.mark.parametrize("name", ["height", "total", "not a name", ""])
+def test_a_filter_needs_a_name_of_its_own(name: str) -> None:
+    @dataclass(frozen=True)
+    class Named(EveryNth):
+        pass
+
+    Named.name = name
+    with pytest.raises(UsageError, match="cannot be the name of its count"):
+        ConvertOptions(filters=(Named(2),))
+
+
+def test_filters_are_for_clouds() -> None:
+    with pytest.raises(UsageError, match="`reverse` converts scans"):
+        ConvertOptions(filters=(EveryNth(2),), reverse=True)
+
+
+def test_a_filter_returns_bools(tmp_path: Path) -> None:
+    class Wrong(EveryNth):
+        def __call__(self, points: Points) -> Any:
+            return np.arange(points.field("x").size)
+
+    source = recorded(tmp_path / "a.mcap", POINTCLOUD2, [cloud()])
+    with pytest.raises(TypeError, match="thinned returned int64"):
+        pc2scan.convert(source, tmp_path / "b.mcap", params=BAND, filters=[Wrong(1)])
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_new_output_is_one_encoder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, jobs: int) -> None:
+    text = Definition("ros2msg", b"int64 stamp\nfloat32 range\n")
+    monkeypatch.setitem(OF_CLOUDS, TOY_SCAN, OutputType("nearest", nearest, lambda *_: (text, "RIHS01_toy")))
+    source = recorded(tmp_path / "a.mcap", POINTCLOUD2, [cloud()])
+    options = ConvertOptions(params=BAND, output_type=TOY_SCAN, jobs=jobs)
+    report = run([source], tmp_path / "b.mcap", options, OutputOptions())
+    assert [topic.target for topic in report.topics] == ["/nearest"]
+    (data,) = messages_of(tmp_path / "b.mcap", "/nearest")
+    assert struct.unpack("<qf", data) == (T0, pytest.approx(2.0, rel=1e-4))
+    with closing(open_recording(tmp_path / "b.mcap")) as reader:
+        (connection,) = reader.connections
+    assert (connection.ros_type, connection.definition.data) == (TOY_SCAN, text.data)
+
+
+def test_an_output_type_that_is_not_in_the_table_is_an_error() -> None:
+    with pytest.raises(UsageError, match=f"output_type is '{TOY_SCAN}', it must be one of {LASERSCAN}"):
+        ConvertOptions(output_type=TOY_SCAN)
+    assert ConvertOptions(output_type=POINTCLOUD2, reverse=True).output.name == "cloud"
