@@ -1,12 +1,27 @@
 """Converts recorded 3D lidar to 2D laser scans, bit for bit what ROS's pointcloud_to_laserscan returns.
 
-`convert` converts recordings, `project` converts points to a scan, `check` checks which consumers accept a recording's
-scans, `info` describes a recording, `diff` compares two. Errors are those of `pc2scan.errors`.
-Importing this module is cheap: its functions and classes are loaded on first use.
+Recordings to recordings, in the words of the command line:
+
+- `convert`: clouds to laser scans, or back; everything else passes through
+- `repair`: a sound recording from a damaged one
+- `info`, `tf`, `check`: what is in a recording, its frames, and who would accept its scans
+- `diff`, `golden`: what differs between two recordings, and whether conversions still make what they once made
+
+Recordings to arrays:
+
+- `scans`, `clouds`: the messages of a recording, one after the other; `scans` also converts clouds on the way
+- `project`: points to a scan, without a recording
+
+A recording is a ROS 1 bag, a rosbag2 directory, a ``.db3`` or an ``.mcap`` file, as ``str`` or ``pathlib.Path``, or a
+list of several that are one. The parameters of the projection are `ProjectionParams`, or keywords of `convert` and
+`scans`. Errors are those of `pc2scan.errors`, and begin at `Pc2ScanError`. ``print`` shows a result as tables.
+
+Importing this module is cheap: what it offers is loaded on first use.
 """
 
 from __future__ import annotations
 
+import sys
 from importlib import import_module
 
 from .version import __version__ as __version__
@@ -16,58 +31,112 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any
 
+    from . import errors as errors
+    from .api import check as check
+    from .api import clouds as clouds
     from .api import convert as convert
     from .api import diff as diff
+    from .api import golden as golden
+    from .api import info as info
+    from .api import repair as repair
+    from .api import scans as scans
+    from .api import tf as tf
     from .compare.result import Difference as Difference
     from .core.counts import PointCounts as PointCounts
     from .core.params import ProjectionParams as ProjectionParams
     from .core.project import ProjectedScan as ProjectedScan
     from .core.project import project as project
     from .core.unproject import UnprojectParams as UnprojectParams
-    from .inspect.check import check as check
-    from .inspect.info import info as info
+    from .errors import Pc2ScanError as Pc2ScanError
+    from .errors import RecordingWarning as RecordingWarning
+    from .golden.result import GoldenReport as GoldenReport
+    from .inspect.check import Check as Check
+    from .inspect.info import Info as Info
+    from .inspect.tf import FrameTree as FrameTree
     from .pipeline.report import Report as Report
+    from .streams.clouds import Cloud as Cloud
+    from .streams.clouds import Clouds as Clouds
+    from .streams.scans import Scan as Scan
+    from .streams.scans import Scans as Scans
     from .tf.options import FrameOptions as FrameOptions
     from .tf.options import StaticTransform as StaticTransform
 
-__all__ = [
-    "Difference",
-    "FrameOptions",
-    "PointCounts",
-    "ProjectedScan",
-    "ProjectionParams",
-    "Report",
-    "StaticTransform",
-    "UnprojectParams",
-    "check",
-    "convert",
-    "diff",
-    "info",
-    "project",
-]
-
+#: Where each public name is defined.
 _HOMES = {
+    "Check": "inspect.check",
+    "Cloud": "streams.clouds",
+    "Clouds": "streams.clouds",
     "Difference": "compare.result",
     "FrameOptions": "tf.options",
+    "FrameTree": "inspect.tf",
+    "GoldenReport": "golden.result",
+    "Info": "inspect.info",
+    "Pc2ScanError": "errors",
     "PointCounts": "core.counts",
     "ProjectedScan": "core.project",
     "ProjectionParams": "core.params",
+    "RecordingWarning": "errors",
     "Report": "pipeline.report",
+    "Scan": "streams.scans",
+    "Scans": "streams.scans",
     "StaticTransform": "tf.options",
     "UnprojectParams": "core.unproject",
-    "check": "inspect.check",
+    "check": "api",
+    "clouds": "api",
     "convert": "api",
     "diff": "api",
-    "info": "inspect.info",
+    "errors": "errors",
+    # A package that is called like the function of its name.
+    "golden": "golden",
+    "info": "api",
     "project": "core.project",
+    "repair": "api",
+    "scans": "api",
+    "tf": "tf",
 }
+
+__all__ = [
+    "Check",
+    "Cloud",
+    "Clouds",
+    "Difference",
+    "FrameOptions",
+    "FrameTree",
+    "GoldenReport",
+    "Info",
+    "Pc2ScanError",
+    "PointCounts",
+    "ProjectedScan",
+    "ProjectionParams",
+    "RecordingWarning",
+    "Report",
+    "Scan",
+    "Scans",
+    "StaticTransform",
+    "UnprojectParams",
+    "check",
+    "clouds",
+    "convert",
+    "diff",
+    "errors",
+    "golden",
+    "info",
+    "project",
+    "repair",
+    "scans",
+    "tf",
+]
 
 
 def __getattr__(name: str) -> Any:
     home = _HOMES.get(name)
     if home is None:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(import_module(f".{home}", __name__), name)
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}", name=name, obj=sys.modules[__name__])
+    module = import_module(f".{home}", __name__)
+    value = module if home == name else getattr(module, name)
+    # Where it is to be imported from, as help and representations show it.
+    if home != name and value.__module__ == module.__name__:
+        value.__module__ = __name__
     globals()[name] = value
     return value
 

@@ -1,50 +1,90 @@
-"""The library's front door to a whole conversion."""
+"""The functions of ``pc2scan``: what the commands do, for Python, in the same words."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
-from os import PathLike
-from pathlib import Path
+from dataclasses import fields, replace
 from typing import TYPE_CHECKING
 
-from pc2scan.compare.diff import TopicPair
-from pc2scan.compare.diff import diff as compare
-from pc2scan.compare.rules import Rules
-from pc2scan.core.params import ProjectionParams
-from pc2scan.pipeline.options import ConvertOptions, destination_and_folder
-from pc2scan.pipeline.run import OutputOptions, Progress, run
-from pc2scan.tf.options import FrameOptions
-from pc2scan.tf.reading import recorded_transforms
+from .arguments import known_keywords, names_in, path_of, path_text, paths_in, refuse_unknown
+from .core.params import ProjectionParams
+from .errors import UsageError
+from .pipeline.options import ConvertOptions, destination_and_folder
+from .tf.options import FrameOptions, StaticTransform
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable
+    from pathlib import Path
+    from typing import Any
 
-    from pc2scan.compare.result import Difference
-    from pc2scan.core.unproject import UnprojectParams
-    from pc2scan.pipeline.report import Report
-    from pc2scan.pipeline.stages.filters import Filter
+    from .arguments import PathText
+    from .compare.result import Difference
+    from .core.unproject import UnprojectParams
+    from .golden.result import GoldenReport
+    from .inspect.check import Check
+    from .inspect.info import Info
+    from .inspect.tf import FrameTree
+    from .pipeline.options import Time
+    from .pipeline.param_sources import ResolvedSources
+    from .pipeline.report import Report
+    from .pipeline.run import Progress
+    from .pipeline.stages.filters import Filter
+    from .streams.clouds import Clouds
+    from .streams.scans import Scans
+    from .streams.stream import Selection
 
-__all__ = ["convert", "diff"]
+__all__ = ["check", "clouds", "convert", "diff", "golden", "info", "repair", "scans", "tf"]
+
+#: What the parameters of the projection are said to come from, in errors and reports.
+_HERE = "the call"
+
+#: Words of the command line, and of ROS, for what an argument is called.
+_SYNONYMS = {
+    "topic": "topics",
+    "source": "sources",
+    "output": "destination",
+    "dst": "destination",
+    "channel": "channels",
+    "tf_topic": "tf_topics",
+    "static": "static_tf",
+    "no_verify": "verify",
+    "frame": "target_frame",
+    "frame_id": "target_frame",
+}
 
 
+def _parameters() -> list[str]:
+    return [field.name for field in fields(ProjectionParams)]
+
+
+@known_keywords(further=_parameters, synonyms=_SYNONYMS)
 def convert(
-    sources: str | PathLike[str] | Sequence[str | PathLike[str]],
-    destination: str | PathLike[str] | None = None,
+    sources: PathText | Iterable[PathText],
+    destination: PathText | None = None,
     *,
     params: ProjectionParams | None = None,
-    reverse: bool = False,
-    channels: UnprojectParams | None = None,
-    deskew: bool = False,
-    filters: Iterable[Filter] = (),
-    frames: FrameOptions | None = None,
-    topics: Iterable[str] = (),
+    preset: str | None = None,
+    params_file: PathText | None = None,
+    node: str | None = None,
+    topics: str | Iterable[str] = (),
+    keep: str | Iterable[str] = (),
+    drop: str | Iterable[str] = (),
     keep_clouds: bool = False,
     only_scans: bool = False,
-    keep: Iterable[str] = (),
-    drop: Iterable[str] = (),
-    start: str | None = None,
-    end: str | None = None,
+    start: Time | None = None,
+    end: Time | None = None,
+    static_tf: str | StaticTransform | Iterable[str | StaticTransform] = (),
+    static_tf_file: PathText | None = None,
+    write_static_tf: bool = False,
+    tf_from: PathText | Iterable[PathText] = (),
+    tf_topics: str | Iterable[str] = (),
+    source_frame: str = "",
+    frames: FrameOptions | None = None,
+    filters: Iterable[Filter] = (),
+    reverse: bool = False,
+    deskew: bool = False,
+    channels: str | Iterable[str] | UnprojectParams | None = None,
+    range_cutoff: float | None = None,
     on_error: str = "skip",
     storage: str | None = None,
     compression: str | None = None,
@@ -53,10 +93,12 @@ def convert(
     ros_distro: str = "",
     to: str | None = None,
     overwrite: bool = False,
+    report: PathText | None = None,
     jobs: int = 0,
     verify: bool = True,
     strict: bool = False,
     progress: Progress | None = None,
+    **parameters: Any,
 ) -> Report:
     """Convert recorded PointCloud2 to LaserScan, or back, as ``pc2scan convert`` does.
 
@@ -66,32 +108,67 @@ def convert(
         A recording, or several that are one: ROS 1 bag, rosbag2 directory, ``.db3`` or ``.mcap``.
     destination
         ``*.bag``: a ROS 1 bag; ``*.mcap``: an MCAP file; text that ends with a slash: into that folder, named after
-        the first source; any other name: a rosbag2 directory. None: next to the first source, in its format, with
+        the first source; any other name: a rosbag2 directory. Default: next to the first source, in its format, with
         ``_scan`` in its name.
     params
-        The projection's parameters; None means upstream's defaults.
-    reverse, channels, deskew
-        The way back: LaserScan to PointCloud2, the fields of the clouds, and whether each beam is transformed by the
-        pose at its own time.
-    filters
-        What selects points of clouds before they are projected, in order; see `pc2scan.pipeline.stages.filters.Filter`.
-    frames
-        Where transforms come from, for a ``target_frame``; None means the sources' ``/tf`` and ``/tf_static``.
+        The parameters of the projection, instead of ``preset`` and ``params_file``. Default: upstream's defaults.
+    preset
+        A consumer of the scans: what suits it.
+    params_file, node
+        A ROS parameter file, and the node whose section of it counts. Beats ``preset``.
     topics
-        What to convert, as ``/points`` or ``/points:=/scan``; empty means every PointCloud2 topic.
-    keep_clouds, only_scans, keep, drop, on_error, ros_distro, jobs, verify, strict
-        See `pc2scan.pipeline.options.ConvertOptions`.
+        What to convert, as ``/points`` or ``/points:=/scan``. Default: every PointCloud2 topic.
+    keep, drop
+        Names or globs that choose among the topics that are not converted.
+    keep_clouds, only_scans
+        Whether the converted clouds are written too; whether nothing but the scans is.
     start, end
-        Times as `pc2scan.pipeline.options.TimeBound.parse` reads them.
-    storage, compression, profile, metadata_version, to, overwrite
-        See `pc2scan.pipeline.run.OutputOptions`.
+        The cut by log time, from ``start`` on and before ``end``. A number: seconds from the beginning, from
+        100,000,000 on seconds since 1970, whole numbers from 100,000,000,000 on nanoseconds since 1970. Or a
+        ``datetime`` with a time zone, a ``numpy.datetime64`` (UTC), a ``timedelta`` from the beginning, or text as
+        the command line takes it.
+    static_tf, static_tf_file, write_static_tf
+        Transforms that the recording lacks, as `StaticTransform` or as text, ``parent child x y z roll pitch yaw``; a
+        YAML file of such; whether they are written to ``/tf_static`` of the destination.
+    tf_from, tf_topics
+        Further recordings whose transforms count; where the transforms are, if not on ``/tf`` and ``/tf_static``.
+    source_frame
+        Frame of the messages to convert, where their own is wrong or empty.
+    frames
+        All of these in one object, instead of them.
+    filters
+        What selects points of clouds before they are projected, in order.
+    reverse, deskew
+        Whether LaserScan becomes PointCloud2; whether each beam is transformed by the pose at its own time.
+    channels, range_cutoff
+        Further fields of the clouds that ``reverse`` makes (``distances``, ``stamps``, ``viewpoint``), or all of them
+        as `UnprojectParams`; only returns nearer than ``range_cutoff`` are kept, metres.
+    on_error
+        ``skip`` counts and lists messages that cannot be converted, ``fail`` makes the first one an error.
+    storage, compression, profile, metadata_version, to
+        The form of the destination. Default: that of its format.
+    ros_distro
+        Whose definitions stand in for those that the recording lacks.
+    overwrite
+        Whether an existing destination is replaced, and whatever is in the report's place.
+    report
+        A file to write the report to, as JSON.
+    jobs
+        Threads; 0 means as many as there are cores. The output does not depend on it.
+    verify
+        Whether the CRCs that MCAP files carry are compared.
+    strict
+        Whether damage of a source is an error; otherwise everything readable is recovered.
     progress
         Called now and then with bytes read, bytes in all, and messages read.
+    **parameters
+        Parameters of the projection by name, as `ProjectionParams` has them: ``min_height=-0.3``. They beat
+        ``params_file``, ``preset`` and ``params``.
 
     Returns
     -------
     Report
-        What happened, message by message and point by point; ``damage`` lists what is damaged in the sources.
+        What happened, message by message and point by point; ``print`` shows it as a table.
 
     Raises
     ------
@@ -109,24 +186,27 @@ def convert(
     Examples
     --------
     >>> import pc2scan
-    >>> params = pc2scan.ProjectionParams(min_height=-0.5, max_height=1.0)
-    >>> report = pc2scan.convert("drive.bag", "scans.mcap", params=params)  # doctest: +SKIP
+    >>> report = pc2scan.convert(
+    ...     "drive.bag", "scans.mcap", preset="slam_toolbox", min_height=-0.5, max_height=1.0
+    ... )  # doctest: +SKIP
     >>> report.exit_status  # doctest: +SKIP
     0
     """
-    paths = [sources] if isinstance(sources, str | PathLike) else sources
+    from .pipeline.run import OutputOptions, run  # noqa: PLC0415
+
+    resolved = _resolved(params, preset, params_file, node, parameters, reverse=reverse)
     options = ConvertOptions.of(
-        params=params or ProjectionParams(),
-        reverse=reverse,
-        channels=channels,
+        params=resolved.params,
+        reverse=resolved.reverse,
+        channels=_channels(channels, range_cutoff),
         deskew=deskew,
         filters=tuple(filters),
-        frames=frames or FrameOptions(),
-        topics=topics,
+        frames=_frames(frames, static_tf, static_tf_file, write_static_tf, tf_from, tf_topics, source_frame),
+        topics=names_in("topics", topics),
+        keep=names_in("keep", keep),
+        drop=names_in("drop", drop),
         keep_clouds=keep_clouds,
         only_scans=only_scans,
-        keep=keep,
-        drop=drop,
         start=start,
         end=end,
         on_error=on_error,
@@ -135,7 +215,7 @@ def convert(
         verify=verify,
         strict=strict,
     )
-    path, folder = destination_and_folder(destination if destination is None else os.fspath(destination))
+    path, folder = _destination(destination)
     output = OutputOptions(
         storage=storage,
         compression=compression,
@@ -144,51 +224,283 @@ def convert(
         overwrite=overwrite,
         folder=folder,
         to=to,
+        report=None if report is None else path_of("report", report),
     )
-    return run(
-        [Path(path) for path in paths],
+    files = {"`params_file`": params_file, "`static_tf_file`": static_tf_file}
+    done = run(
+        paths_in("sources", sources),
         path,
         options,
+        output,
+        origins=resolved.origin,
+        also_read={name: path_of(name.strip("`"), file) for name, file in files.items() if file is not None},
+        progress=progress,
+    )
+    done.warnings += [f"not a parameter of the projection, ignored: {origin}" for origin in resolved.ignored]
+    return done
+
+
+@known_keywords(synonyms=_SYNONYMS)
+def repair(
+    source: PathText,
+    destination: PathText | None = None,
+    *,
+    storage: str | None = None,
+    compression: str | None = None,
+    overwrite: bool = False,
+    report: PathText | None = None,
+    verify: bool = True,
+    progress: Progress | None = None,
+) -> Report:
+    """Make a sound recording of a damaged one, as ``pc2scan repair`` does: all that can be recovered, byte for byte.
+
+    Parameters
+    ----------
+    source
+        A recording, damaged or not. It is never changed.
+    destination
+        As for `pc2scan.convert`. Default: next to the source, in its format, with ``_repaired`` in its name.
+    storage, compression
+        The form of the destination. Default: the source's.
+    overwrite, report, verify, progress
+        As for `pc2scan.convert`.
+
+    Returns
+    -------
+    Report
+        ``damage`` lists what is damaged; ``exit_status`` is 0 if nothing is, else 3.
+
+    Raises
+    ------
+    UsageError
+        If the destination cannot be.
+    RecordingError
+        If nothing of the source can be read.
+    OutputError
+        If the destination cannot be written.
+    """
+    from .pipeline.run import OutputOptions, run  # noqa: PLC0415
+
+    path, folder = _destination(destination)
+    output = OutputOptions(
+        storage=storage,
+        compression=compression,
+        overwrite=overwrite,
+        report=None if report is None else path_of("report", report),
+        folder=folder,
+    )
+    return run(
+        [path_of("source", source)],
+        path,
+        ConvertOptions(repair=True, verify=verify),
         output,
         progress=progress,
     )
 
 
-def diff(
-    a: str | PathLike[str],
-    b: str | PathLike[str] | None = None,
+@known_keywords(synonyms=_SYNONYMS)
+def info(sources: PathText | Iterable[PathText], *, samples: int = 10) -> Info:
+    """Look into a recording, as ``pc2scan info`` does: containers, topics, and what its clouds look like.
+
+    Parameters
+    ----------
+    sources
+        A recording, or several that are one.
+    samples
+        Clouds of each topic to look at, spread evenly over the recording.
+
+    Returns
+    -------
+    Info
+        What is in it; ``print`` shows it as tables.
+
+    Raises
+    ------
+    UsageError
+        If ``samples`` is not 1 or more.
+    RecordingError
+        If a source cannot be read.
+    """
+    from .inspect.info import info as look  # noqa: PLC0415
+
+    if isinstance(samples, bool) or not isinstance(samples, int):
+        raise TypeError(f"samples is {samples!r}, it must be a whole number")
+    if samples < 1:
+        raise UsageError(f"`samples` is {samples}, it must be 1 or more")
+    return look(paths_in("sources", sources), samples=samples)
+
+
+@known_keywords(synonyms={**_SYNONYMS, "for": "consumers", "consumer": "consumers"})
+def check(
+    sources: PathText | Iterable[PathText],
     *,
-    topics: Iterable[str] = (),
+    consumers: str | Iterable[str] = (),
+    topics: str | Iterable[str] = (),
+    odom_frame: str = "odom",
+    base_frame: str = "",
+    tf_from: PathText | Iterable[PathText] = (),
+    tf_topics: str | Iterable[str] = (),
+    frames: FrameOptions | None = None,
+) -> Check:
+    """Tell whether SLAM and navigation would accept the scans of a recording, as ``pc2scan check`` does.
+
+    Parameters
+    ----------
+    sources
+        A recording, or several that are one.
+    consumers
+        Whose verdicts count: ``slam_toolbox``, ``cartographer``, ``gmapping``, ``amcl``, ``nav2``, ``mrpt``. Default:
+        all, and defects count too. All are reported in any case.
+    topics
+        LaserScan topics to look at. Default: all.
+    odom_frame, base_frame
+        The frames that scans must be connected with; an empty ``base_frame`` means ``base_link``, or
+        ``base_footprint`` where that is not there.
+    tf_from, tf_topics
+        Further recordings whose transforms count; where the transforms are, if not on ``/tf`` and ``/tf_static``.
+    frames
+        Both of these in one object, instead of them.
+
+    Returns
+    -------
+    Check
+        ``exit_status`` is 0 if the scans are good; ``print`` shows why not.
+
+    Raises
+    ------
+    UsageError
+        If a consumer is unknown, there is no such topic, or several namespaces have transforms and none was named.
+    RecordingError
+        If a source cannot be read.
+    """
+    from .inspect.check import check as look  # noqa: PLC0415
+
+    return look(
+        paths_in("sources", sources),
+        consumers=names_in("consumers", consumers),
+        topics=names_in("topics", topics),
+        odom_frame=odom_frame,
+        base_frame=base_frame,
+        frames=_frames(frames, tf_from=tf_from, tf_topics=tf_topics),
+    )
+
+
+@known_keywords(synonyms=_SYNONYMS)
+def tf(
+    sources: PathText | Iterable[PathText],
+    *,
+    tf_topics: str | Iterable[str] = (),
+    static_tf: str | StaticTransform | Iterable[str | StaticTransform] = (),
+) -> FrameTree:
+    """Read the frames of a recording, as ``pc2scan tf`` does.
+
+    Parameters
+    ----------
+    sources
+        Recordings; their transforms count together.
+    tf_topics
+        Where the transforms are, if not on ``/tf`` and ``/tf_static``.
+    static_tf
+        Transforms to add, as `StaticTransform` or as text: ``parent child x y z roll pitch yaw``.
+
+    Returns
+    -------
+    FrameTree
+        The frames; its ``lookup`` returns the transform between two of them.
+
+    Raises
+    ------
+    RecordingError
+        If a source cannot be read.
+    UsageError
+        If several namespaces have transforms and none was named.
+    """
+    from .inspect.tf import frame_tree  # noqa: PLC0415
+
+    return frame_tree(paths_in("sources", sources), _frames(None, static_tf, tf_topics=tf_topics))
+
+
+@known_keywords(synonyms={**_SYNONYMS, "k": "pattern", "dir": "folder"})
+def golden(folder: PathText, pattern: str = "", *, update: bool = False) -> GoldenReport:
+    """Check conversions against what they are expected to make, as ``pc2scan golden`` does.
+
+    Parameters
+    ----------
+    folder
+        A folder of cases, or one case.
+    pattern
+        Only cases with this in their name; may be a glob.
+    update
+        Whether the expected output of cases that differ, or have none, is written anew.
+
+    Returns
+    -------
+    GoldenReport
+        What became of each case; ``exit_status`` is 0 if all are as expected.
+
+    Raises
+    ------
+    UsageError
+        If there is no such folder, or no case in it.
+
+    Notes
+    -----
+    While a case runs, what this process prints is held back, and SIGTERM ends the process in order.
+    """
+    from .cli.in_process import run_command  # noqa: PLC0415
+    from .golden.case import case_folders  # noqa: PLC0415
+    from .golden.check import check_case  # noqa: PLC0415
+    from .golden.result import GoldenReport  # noqa: PLC0415
+
+    path = path_of("folder", folder)
+    report = GoldenReport(str(path))
+    for name, case in case_folders(path, pattern):
+        report.cases.append(check_case(name, case, run_command, update=update))
+    return report
+
+
+@known_keywords(synonyms=_SYNONYMS)
+def diff(
+    a: PathText,
+    b: PathText | None = None,
+    *,
+    topics: str | Iterable[str] = (),
     all_topics: bool = False,
     atol: float | Mapping[str, float] = 0.0,
     rtol: float | Mapping[str, float] = 0.0,
     allow_beams: float = 0.0,
-    ignore: Iterable[str] = (),
+    ignore: str | Iterable[str] = (),
     explain: bool = False,
-    clouds: str | PathLike[str] | None = None,
+    clouds: PathText | None = None,
 ) -> Difference:
     """Compare the scans and clouds of two recordings, as ``pc2scan diff`` does.
 
     Parameters
     ----------
     a, b
-        ``a`` is the reference. ``b`` left out: ``a`` itself, for two topics of it.
+        ``a`` is the reference. Default of ``b``: ``a`` itself, for two topics of it.
     topics
-        What to compare, as ``/scan`` or ``/scan:=/scan2``; empty means every LaserScan and PointCloud2 topic.
+        What to compare, as ``/scan`` or ``/scan:=/scan2``. Default: every LaserScan and PointCloud2 topic.
     all_topics
         Whether the other topics are compared too: matched by log time, byte for byte.
-    atol, rtol, allow_beams, ignore
-        See `pc2scan.compare.rules.Rules`; a tolerance that is a number is for all values.
+    atol, rtol
+        Absolute tolerance, and tolerance relative to the value in ``a``; they add up. A number is for all values, a
+        mapping has one for ``ranges``, ``intensities`` or a field of the clouds.
+    allow_beams
+        Share of a topic's beams (clouds: points) that may be beyond the tolerance.
+    ignore
+        What is not compared: ``log_time``, ``seq``, ``frame_id``, ``order``, ``intensities``, ``ranges``, ``angle_min``
+        and the other numbers of a scan, ``shape``, ``layout``, ``padding``, ``is_dense``.
     explain
-        Whether to find out how many differing beams another libm explains: `Explanation` at each topic's ``libm``.
+        Whether to find out how many differing beams another libm explains; see ``libm`` of each topic.
     clouds
-        The recording with the clouds that the scans were made of; None: ``a``, or where it has none, ``b``. Given,
-        differing beams are explained.
+        The recording with the clouds that the scans were made of. Default: ``a``, or where it has none, ``b``. If it
+        is given, differing beams are explained.
 
     Returns
     -------
     Difference
-        ``same`` tells whether there is none; as text it is what the command prints.
+        ``same`` tells whether there is none; ``print`` shows what the command prints.
 
     Raises
     ------
@@ -203,19 +515,301 @@ def diff(
     >>> found = pc2scan.diff("expected.bag", "scans.mcap", rtol=1e-5)  # doctest: +SKIP
     >>> assert found.same, found  # doctest: +SKIP
     """
+    from .compare.diff import TopicPair  # noqa: PLC0415
+    from .compare.diff import diff as compare  # noqa: PLC0415
+    from .compare.rules import Rules  # noqa: PLC0415
+    from .tf.reading import recorded_transforms  # noqa: PLC0415
+
     rules = Rules(
         atol=atol if isinstance(atol, Mapping) else {"": atol},
         rtol=rtol if isinstance(rtol, Mapping) else {"": rtol},
         allow_beams=allow_beams,
-        ignore=frozenset(ignore),
+        ignore=frozenset(names_in("ignore", ignore)),
     )
-    pairs = [TopicPair.parse(topic) for topic in topics]
     return compare(
-        Path(a),
-        None if b is None else Path(b),
-        topics=pairs,
+        path_of("a", a),
+        None if b is None else path_of("b", b),
+        topics=[TopicPair.parse(topic) for topic in names_in("topics", topics)],
         all_topics=all_topics,
         rules=rules,
         transforms_of=recorded_transforms if explain or clouds is not None else None,
-        clouds=None if clouds is None else Path(clouds),
+        clouds=None if clouds is None else path_of("clouds", clouds),
+    )
+
+
+@known_keywords(further=_parameters, synonyms={**_SYNONYMS, "topics": "topic", "sources": "source"})
+def scans(
+    source: PathText | Iterable[PathText],
+    topic: str | Iterable[str] | None = None,
+    *,
+    start: Time | None = None,
+    end: Time | None = None,
+    params: ProjectionParams | None = None,
+    preset: str | None = None,
+    params_file: PathText | None = None,
+    node: str | None = None,
+    static_tf: str | StaticTransform | Iterable[str | StaticTransform] = (),
+    static_tf_file: PathText | None = None,
+    tf_from: PathText | Iterable[PathText] = (),
+    tf_topics: str | Iterable[str] = (),
+    source_frame: str = "",
+    frames: FrameOptions | None = None,
+    filters: Iterable[Filter] = (),
+    on_error: str = "skip",
+    verify: bool = True,
+    strict: bool = False,
+    **parameters: Any,
+) -> Scans:
+    """Iterate over the scans of a recording, or over scans that are made of its clouds on the way.
+
+    Scans are read as the loop goes on, in the order of log time, so that memory stays small. With ``params``,
+    ``preset``, ``params_file`` or any parameter of the projection the clouds are converted instead, without a file;
+    the scans are those that `pc2scan.convert` writes, to the bit.
+
+    Parameters
+    ----------
+    source
+        A recording, or several that are one: ROS 1 bag, rosbag2 directory, ``.db3`` or ``.mcap``.
+    topic
+        A topic, or several; of clouds also as ``/points:=/scan``. Default: the only one.
+    start, end, verify, strict
+        As for `pc2scan.convert`. Damage that is read around is a `pc2scan.errors.RecordingWarning`.
+    params, preset, params_file, node, **parameters
+        As for `pc2scan.convert`.
+    static_tf, static_tf_file, tf_from, tf_topics, source_frame, frames, filters
+        As for `pc2scan.convert`; for clouds with a ``target_frame``.
+    on_error
+        ``skip``: messages that cannot be used are counted and listed, and a warning says so. ``fail``: the first one is
+        an error.
+
+    Returns
+    -------
+    Scans
+        Iterate over it; each loop begins anew. ``to_xarray`` and ``to_dataframe`` make one table of all scans.
+
+    Raises
+    ------
+    UsageError
+        If the request contradicts itself or the recording, a topic is missing, or there are several and none was named.
+    RecordingError
+        If a source cannot be read.
+    DamageError
+        With ``strict``, if a source is damaged.
+    MessageError
+        If ``on_error`` is ``fail`` and a message cannot be used; in the loop.
+
+    Examples
+    --------
+    >>> import pc2scan
+    >>> for scan in pc2scan.scans("scans.mcap"):  # doctest: +SKIP
+    ...     print(scan.stamp, scan.ranges.min(), scan.xy().shape)
+    >>> for scan in pc2scan.scans("drive.bag", preset="slam_toolbox", min_height=-0.5):  # doctest: +SKIP
+    ...     print(scan)
+    """
+    from .streams.scans import Scans  # noqa: PLC0415
+
+    names = names_in("topic", topic)
+    framing = (static_tf, static_tf_file, False, tf_from, tf_topics, source_frame)
+    conversion = None
+    if parameters or params is not None or preset is not None or params_file is not None:
+        resolved = _resolved(params, preset, params_file, node, parameters)
+        if resolved.reverse:
+            raise UsageError("the parameter file is for laserscan_to_pointcloud, scans are made of clouds")
+        conversion = ConvertOptions.of(
+            params=resolved.params,
+            frames=_frames(frames, *framing),
+            filters=tuple(filters),
+            topics=names,
+            only_scans=True,
+            start=start,
+            end=end,
+            verify=verify,
+            strict=strict,
+        )
+    elif frames is not None or node is not None or any(framing) or filters:
+        raise UsageError(
+            "transforms, filters and `node` count only where clouds are converted",
+            hint="give parameters: `preset`, `params_file`, or any of them by name, `target_frame=base_link`",
+        )
+    return Scans(_selection(source, names, start, end, on_error, verify=verify, strict=strict), conversion)
+
+
+@known_keywords(synonyms={**_SYNONYMS, "topics": "topic", "sources": "source"})
+def clouds(
+    source: PathText | Iterable[PathText],
+    topic: str | Iterable[str] | None = None,
+    *,
+    start: Time | None = None,
+    end: Time | None = None,
+    on_error: str = "skip",
+    verify: bool = True,
+    strict: bool = False,
+) -> Clouds:
+    """Iterate over the clouds of a recording.
+
+    Clouds are read as the loop goes on, in the order of log time, so that memory stays small.
+
+    Parameters
+    ----------
+    source
+        A recording, or several that are one: ROS 1 bag, rosbag2 directory, ``.db3`` or ``.mcap``.
+    topic
+        A topic, or several. Default: the only one.
+    start, end, verify, strict
+        As for `pc2scan.convert`. Damage that is read around is a `pc2scan.errors.RecordingWarning`.
+    on_error
+        ``skip``: messages that cannot be read are counted and listed, and a warning says so. ``fail``: the first one is
+        an error.
+
+    Returns
+    -------
+    Clouds
+        Iterate over it; each loop begins anew. ``to_dataframe`` makes one table of all clouds.
+
+    Raises
+    ------
+    UsageError
+        If a topic is missing, or there are several and none was named.
+    RecordingError
+        If a source cannot be read.
+    DamageError
+        With ``strict``, if a source is damaged.
+    MessageError
+        If ``on_error`` is ``fail`` and a message cannot be read; in the loop.
+
+    Examples
+    --------
+    >>> import pc2scan
+    >>> for cloud in pc2scan.clouds("drive.bag", topic="/points"):  # doctest: +SKIP
+    ...     print(cloud.stamp, cloud.xyz().shape, cloud["intensity"].max())
+    """
+    from .streams.clouds import Clouds  # noqa: PLC0415
+
+    names = names_in("topic", topic)
+    return Clouds(_selection(source, names, start, end, on_error, verify=verify, strict=strict))
+
+
+def _resolved(
+    params: ProjectionParams | None,
+    preset: str | None,
+    params_file: PathText | None,
+    node: str | None,
+    parameters: Mapping[str, Any],
+    *,
+    reverse: bool = False,
+) -> ResolvedSources:
+    """Find the parameters of the projection, and where each comes from."""
+    from .pipeline.param_sources import ResolvedSources, resolve_sources  # noqa: PLC0415
+    from .pipeline.parameters import PARAMETERS, Setting  # noqa: PLC0415
+
+    if params is None:
+        settings = [Setting(name, _plain(value), _HERE) for name, value in parameters.items()]
+        file = None if params_file is None else path_of("params_file", params_file)
+        return resolve_sources(settings, file=file, node=node, preset=preset, reverse=reverse)
+    if not isinstance(params, ProjectionParams):
+        raise TypeError(f"params is {type(params).__name__}, it must be ProjectionParams")
+    others = {"preset": preset, "params_file": params_file, "node": node}
+    if given := [f"`{name}`" for name, value in others.items() if value is not None]:
+        raise UsageError(
+            f"params has all parameters, {' and '.join(given)} cannot count",
+            hint="ProjectionParams.preset() and ProjectionParams.from_file() take changes by name",
+        )
+    origins = {name: _HERE if getattr(params, name) != row.default else "default" for name, row in PARAMETERS.items()}
+    return ResolvedSources(replace(params, **parameters), origins | dict.fromkeys(parameters, _HERE), reverse)
+
+
+def params_from_file(path: PathText, node: str | None, changes: Mapping[str, Any]) -> ProjectionParams:
+    """See `pc2scan.ProjectionParams.from_file`."""
+    refuse_unknown("ProjectionParams.from_file", changes, _parameters())
+    resolved = _resolved(None, None, path, node, changes)
+    if resolved.reverse:
+        raise UsageError("its parameters are for laserscan_to_pointcloud", path=path)
+    return resolved.params
+
+
+def _plain(value: object) -> object:
+    """Return NumPy's scalars as Python's."""
+    return value.item() if hasattr(value, "item") and getattr(value, "ndim", None) == 0 else value
+
+
+def _frames(
+    frames: FrameOptions | None,
+    static_tf: str | StaticTransform | Iterable[str | StaticTransform] = (),
+    static_tf_file: PathText | None = None,
+    write_static_tf: bool = False,
+    tf_from: PathText | Iterable[PathText] = (),
+    tf_topics: str | Iterable[str] = (),
+    source_frame: str = "",
+) -> FrameOptions:
+    """Gather what is asked for about frames."""
+    if frames is not None:
+        if static_tf or static_tf_file or write_static_tf or tf_from or tf_topics or source_frame:
+            raise UsageError("frames has all that is asked for about frames; give that, or the arguments one by one")
+        if not isinstance(frames, FrameOptions):
+            raise TypeError(f"frames is {type(frames).__name__}, it must be FrameOptions")
+        return frames
+    static: list[StaticTransform] = []
+    if static_tf_file is not None:
+        from .tf.static_file import load_static_transforms  # noqa: PLC0415
+
+        static += load_static_transforms(path_of("static_tf_file", static_tf_file))
+    for transform in [static_tf] if isinstance(static_tf, str | StaticTransform) else static_tf:
+        static.append(StaticTransform.parse(transform) if isinstance(transform, str) else transform)
+        if not isinstance(static[-1], StaticTransform):
+            raise TypeError(f"static_tf has {transform!r}, it must be a str or a StaticTransform")
+    return FrameOptions(
+        tf_topics=names_in("tf_topics", tf_topics),
+        tf_from=tuple(paths_in("tf_from", tf_from)) if tf_from else (),
+        static=tuple(static),
+        source_frame=source_frame,
+        write_static=write_static_tf,
+    )
+
+
+def _destination(destination: PathText | None) -> tuple[Path | None, Path | None]:
+    """Return where to write to, or into which folder."""
+    # As text: a path that is an object has lost its slash.
+    return destination_and_folder(None if destination is None else path_text("destination", destination))
+
+
+def _channels(
+    channels: str | Iterable[str] | UnprojectParams | None, range_cutoff: float | None
+) -> UnprojectParams | None:
+    """Gather which fields clouds are to have."""
+    if channels is None and range_cutoff is None:
+        return None
+    from .core.unproject import UnprojectParams  # noqa: PLC0415
+
+    if isinstance(channels, UnprojectParams):
+        return channels if range_cutoff is None else replace(channels, range_cutoff=range_cutoff)
+    names = names_in("channels", channels)
+    known = ("distances", "stamps", "viewpoint")
+    for name in names:
+        if name not in known:
+            raise UsageError(f"`channels` has {name!r}, it must be of {', '.join(known)}")
+    wanted = {name: name in names for name in known}
+    return UnprojectParams(**wanted, range_cutoff=-1.0 if range_cutoff is None else range_cutoff)
+
+
+def _selection(
+    source: PathText | Iterable[PathText],
+    topics: tuple[str, ...],
+    start: Time | None,
+    end: Time | None,
+    on_error: str,
+    *,
+    verify: bool,
+    strict: bool,
+) -> Selection:
+    from .streams.stream import Selection  # noqa: PLC0415
+
+    cut = ConvertOptions.of(start=start, end=end)
+    return Selection(
+        paths=tuple(paths_in("source", source)),
+        topics=topics,
+        start=cut.start,
+        end=cut.end,
+        on_error=on_error,
+        verify=verify,
+        strict=strict,
     )

@@ -16,6 +16,8 @@
         ├── TransformError         no transform for its frame and stamp
         └── UnwritableError        the destination's format cannot hold its log time or its size
 
+`RecordingWarning` is the category of Python's warnings about recordings that are read all the same.
+
 Any other exception is a bug and keeps its traceback. This module imports nothing of pc2scan.
 """
 
@@ -37,6 +39,7 @@ __all__ = [
     "ParameterError",
     "Pc2ScanError",
     "RecordingError",
+    "RecordingWarning",
     "TopicError",
     "TransformError",
     "UnwritableError",
@@ -44,6 +47,10 @@ __all__ = [
     "name_list",
     "stamp_text",
 ]
+
+
+#: How a hint begins where a traceback shows it.
+_HINT = "hint: "
 
 
 def stamp_text(stamp_ns: int) -> str:
@@ -76,8 +83,8 @@ class Pc2ScanError(Exception):
     path, topic, stamp_ns
         Where, as far as known. ``stamp_ns`` is the header's stamp in nanoseconds.
     hint
-        What the user can do. Message and hint name options as Python does, in backticks: ```overwrite=True` replaces
-        it``.
+        What the user can do; tracebacks show it too. Message and hint name options as Python does, in backticks:
+        ```overwrite=True` replaces it``.
     """
 
     exit_status: ClassVar[int] = 1
@@ -97,6 +104,17 @@ class Pc2ScanError(Exception):
         self.topic = topic
         self.stamp_ns = stamp_ns
         self.hint = hint
+
+    @property
+    def hint(self) -> str | None:
+        """What the user can do about it; None where nothing is known."""
+        return self._hint
+
+    @hint.setter
+    def hint(self, text: str | None) -> None:
+        notes = [note for note in getattr(self, "__notes__", ()) if not note.startswith(_HINT)]
+        self.__notes__ = [*notes, f"{_HINT}{text}"] if text else notes
+        self._hint = text
 
     @property
     def where(self) -> str:
@@ -188,3 +206,7 @@ class TransformError(MessageError):
 
 class UnwritableError(MessageError):
     """The destination's format cannot hold a message's log time or size."""
+
+
+class RecordingWarning(UserWarning):
+    """A recording is damaged, or a message of it cannot be used; everything else is read all the same."""

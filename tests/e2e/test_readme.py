@@ -163,10 +163,11 @@ def test_the_example_for_the_library_runs(tmp_path: Path) -> None:
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    first, second = done.stdout.splitlines()
+    first, *scans, last = done.stdout.splitlines()
     assert first.startswith("0 [")
-    assert "('/points', 5)" in first
-    assert second.split() == ["1.0", "2.0", "2"]
+    assert "('/points', 4)" in first
+    assert [line.split()[:2] for line in scans] == [[f"2023-11-14T22:13:20.{i}00000000", "lidar"] for i in (1, 2, 3, 4)]
+    assert last.split() == ["1.0", "2.0", "2"]
     assert (tmp_path / "hall_scans.mcap").exists()
 
 

@@ -45,10 +45,10 @@ def test_units_of_a_static_transform() -> None:
 @pytest.mark.parametrize(
     ("text", "words", "cure"),
     [
-        ("b l 0 0 1 0 45 0", "pitch is 45 rad", "`static='b l 0 0 1 0 45deg 0'`, which is 0 0.785398 0 rad"),
-        ("b l 0 0 1 0 3 2 0", "length 3.606", "`static='b l 0 0 1 0 0.83205 0.5547 0'`"),
-        ("1 2 3 0.1 0.2 0.3 b l 100", "behind the numbers", "`static='b l 1 2 3 0.3 0.2 0.1'` (roll pitch yaw)"),
-        ("1 2 3 0 0 0 1 b l", "behind the numbers", "`static='b l 1 2 3 0 0 0 1'`"),
+        ("b l 0 0 1 0 45 0", "pitch is 45 rad", "`static_tf='b l 0 0 1 0 45deg 0'`, which is 0 0.785398 0 rad"),
+        ("b l 0 0 1 0 3 2 0", "length 3.606", "`static_tf='b l 0 0 1 0 0.83205 0.5547 0'`"),
+        ("1 2 3 0.1 0.2 0.3 b l 100", "behind the numbers", "`static_tf='b l 1 2 3 0.3 0.2 0.1'` (roll pitch yaw)"),
+        ("1 2 3 0 0 0 1 b l", "behind the numbers", "`static_tf='b l 1 2 3 0 0 0 1'`"),
     ],
 )
 def test_what_is_asked_about(text: str, words: str, cure: str) -> None:

@@ -6,8 +6,10 @@ import math
 import numbers
 from contextlib import suppress
 from dataclasses import dataclass, fields
-from typing import Any, Literal
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Literal, Self
 
+from pc2scan.arguments import refuse_unknown
 from pc2scan.errors import ParameterError
 
 from .layout import (
@@ -20,6 +22,9 @@ from .layout import (
     upstream_layout,
 )
 from .presets import PRESETS
+
+if TYPE_CHECKING:
+    from os import PathLike
 
 __all__ = ["CHOICES", "MAX_BEAMS", "MEASURED", "ProjectionParams", "beam_count", "float32", "range_max_minus"]
 
@@ -162,8 +167,8 @@ class ProjectionParams:
     angle_rounding: str = "correct"
 
     @classmethod
-    def preset(cls, consumer: str, **changes: float | str) -> ProjectionParams:
-        """Return what suits a consumer of the scans; see `pc2scan.core.presets`.
+    def preset(cls, consumer: str, **changes: Any) -> ProjectionParams:
+        """Return what suits a consumer of the scans.
 
         Parameters
         ----------
@@ -179,8 +184,41 @@ class ProjectionParams:
         """
         if consumer not in PRESETS:
             raise ParameterError(f"there is no preset {consumer!r}, only {', '.join(PRESETS)}", name="preset")
+        refuse_unknown(f"{cls.__name__}.preset", changes, (field.name for field in fields(cls)))
         values: dict[str, object] = {**PRESETS[consumer], **changes}
         return cls(**values)  # type: ignore[arg-type]
+
+    @classmethod
+    def from_file(cls, path: str | PathLike[str], *, node: str | None = None, **changes: Any) -> ProjectionParams:
+        """Return the parameters of a ROS parameter file, the one that ran the robot.
+
+        Parameters
+        ----------
+        path
+            A ROS 2 parameter file or a ROS 1 YAML.
+        node
+            Whose section of the file counts. Default: the only one.
+        **changes
+            Parameters by name that win over those of the file.
+
+        Raises
+        ------
+        UsageError
+            If the file cannot be read, or a parameter is unknown or has a value that cannot be.
+
+        Examples
+        --------
+        >>> ProjectionParams.from_file("params.yaml", min_height=-0.5)  # doctest: +SKIP
+        """
+        # What reads files is above this layer, and imports it.
+        read = import_module("pc2scan.api").params_from_file
+        params: ProjectionParams = read(path, node, changes)
+        return params
+
+    def __new__(cls, **values: object) -> Self:
+        """Refuse names that are no parameter, with the one that is meant."""
+        refuse_unknown(cls.__name__, values, (field.name for field in fields(cls)))
+        return object.__new__(cls)
 
     def __post_init__(self) -> None:
         for field in fields(self):

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pc2scan.bags.damage import Damage
+    from pc2scan.core.rigid import Rigid
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.summary import FrameInfo, Tree
 
@@ -44,6 +45,28 @@ class FrameTree:
     warnings: tuple[str, ...]
     buffer: TransformBuffer
     damage: tuple[Damage, ...] = ()
+
+    def lookup(self, target: str, source: str, stamp_ns: int = 0) -> Rigid:
+        """Return the transform that takes points in the frame ``source`` to the frame ``target``.
+
+        Parameters
+        ----------
+        target, source
+            Frame names.
+        stamp_ns
+            When, in nanoseconds since 1970. Default: the latest time that all frames on the way have.
+
+        Returns
+        -------
+        Rigid
+            Its ``translation`` (metres), ``quaternion`` (x, y, z, w), ``rpy`` (radians), and ``apply`` for points.
+
+        Raises
+        ------
+        TransformError
+            If a frame is unknown, the two are not connected, or the stamp is outside of what is recorded.
+        """
+        return self.buffer.lookup(target, source, stamp_ns)
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON's types."""

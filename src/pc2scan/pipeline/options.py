@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
+from numbers import Integral, Real
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 from pc2scan.core.counts import PointCounts
 from pc2scan.core.params import ProjectionParams
@@ -20,10 +22,15 @@ from pc2scan.tf.options import FrameOptions
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
+    import numpy as np
+
     from pc2scan.core.unproject import UnprojectParams
     from pc2scan.messages.outputs import OutputType
 
     from .stages.filters import Filter
+
+    #: What a time may be given as; see `TimeBound.of`.
+    Time: TypeAlias = str | float | datetime | timedelta | np.datetime64 | np.timedelta64 | np.number[Any]
 
 __all__ = ["ConvertOptions", "TimeBound", "TopicRequest", "destination_and_folder"]
 
@@ -33,6 +40,7 @@ _ABSOLUTE_SECONDS = 100_000_000
 _ABSOLUTE_NANOSECONDS = 100_000_000_000
 
 _SECONDS = re.compile(r"@?(\d+\.?\d*|\.\d+) ?(s|ms)?")
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,20 +91,103 @@ class TimeBound:
                 "or a date and time (2020-11-04T18:39:50.25Z)",
             ) from err
         moment = moment if moment.tzinfo else moment.replace(tzinfo=UTC)
-        since = moment - datetime(1970, 1, 1, tzinfo=UTC)
-        return cls((since.days * 86400 + since.seconds) * 1_000_000_000 + since.microseconds * 1000, absolute=True)
+        return cls(_nanoseconds(moment - _EPOCH), absolute=True)
+
+    @classmethod
+    def of(cls, value: Time) -> TimeBound:
+        """Take a time as Python users have it.
+
+        Parameters
+        ----------
+        value
+            Text as `parse` reads it, and numbers likewise: seconds from the beginning, from 100,000,000 on seconds
+            since 1970, whole numbers from 100,000,000,000 on nanoseconds since 1970. A `datetime` with a time zone, or
+            a `numpy.datetime64` (UTC), is a point in time; a `timedelta` or `numpy.timedelta64` counts from the
+            beginning.
+
+        Raises
+        ------
+        UsageError
+            If it is none of these, negative, not finite, a `datetime` without a time zone, or nanoseconds as a float,
+            which cannot hold them.
+        """
+        if isinstance(value, str):
+            return cls.parse(value)
+        if isinstance(value, datetime):
+            if value.utcoffset() is None:
+                raise UsageError(
+                    f"{value!r} has no time zone",
+                    hint="give it one: `.replace(tzinfo=datetime.UTC)`, or `.astimezone()` for local time",
+                )
+            return cls(_nanoseconds(value - _EPOCH), absolute=True)
+        if isinstance(value, timedelta):
+            return cls(_not_negative(value, _nanoseconds(value)))
+        if type(value).__name__ in {"datetime64", "timedelta64"}:
+            return cls._of_numpy(value)
+        if isinstance(value, Real) and not isinstance(value, bool):
+            return cls._of_number(value)
+        raise UsageError(
+            f"{value!r} is not a time",
+            hint="give seconds from the beginning (12.5), seconds or nanoseconds since 1970 (1604515190.25), a "
+            "datetime with a time zone, a numpy.datetime64, or text as the command line takes it",
+        )
+
+    @classmethod
+    def _of_numpy(cls, value: Any) -> TimeBound:
+        """Take NumPy's times without importing NumPy."""
+        kind = type(value).__name__
+        nanoseconds = value.astype(f"{kind}[ns]")
+        # Beyond 64 bits NumPy's nanoseconds wrap around without an error.
+        if str(value) == "NaT" or nanoseconds.astype(value.dtype) != value:
+            raise UsageError(f"{value!r} is not a time that nanoseconds of 64 bits can hold")
+        whole = int(nanoseconds.astype("int64"))
+        return cls(whole, absolute=True) if kind == "datetime64" else cls(_not_negative(value, whole))
+
+    @classmethod
+    def _of_number(cls, value: Real) -> TimeBound:
+        if isinstance(value, Integral):
+            whole = _not_negative(value, int(value))
+            if whole >= _ABSOLUTE_NANOSECONDS:
+                return cls(whole, absolute=True)
+            return cls(whole * 1_000_000_000, absolute=whole >= _ABSOLUTE_SECONDS)
+        seconds = float(value)
+        if not math.isfinite(seconds):
+            raise UsageError(f"{value!r} is not a time")
+        if seconds >= _ABSOLUTE_NANOSECONDS:
+            raise UsageError(
+                f"{value!r} looks like nanoseconds since 1970, which a float cannot hold exactly",
+                hint=f"give a whole number, {int(seconds)}, or seconds, {seconds / 1e9}",
+            )
+        # As it is written: 0.1 is a tenth, and not the float next to it.
+        text = repr(_not_negative(value, seconds))
+        return cls.parse(f"{seconds:.9f}" if "e" in text else text)
 
     def resolve(self, beginning_ns: int) -> int:
         """Return the log time in nanoseconds, given that of the recording's beginning."""
         return self.nanoseconds if self.absolute else beginning_ns + self.nanoseconds
 
 
-def _bound(name: str, text: str | None) -> TimeBound | None:
+_Number = TypeVar("_Number", int, float)
+
+
+def _not_negative(value: object, number: _Number) -> _Number:
+    """Return a number that counts from the beginning of a recording, which nothing is before."""
+    if number < 0:
+        raise UsageError(f"{value!r} is negative", hint="times count from the beginning of the recording")
+    return number
+
+
+def _nanoseconds(since: timedelta) -> int:
+    return (since.days * 86400 + since.seconds) * 1_000_000_000 + since.microseconds * 1000
+
+
+def _bound(name: str, time: Time | None) -> TimeBound | None:
     """Read one end of a cut; an error says which."""
     try:
-        return None if text is None else TimeBound.parse(text)
+        return None if time is None else TimeBound.of(time)
     except UsageError as err:
-        raise UsageError(f"`{name}`: {err.message}", hint=err.hint) from err
+        err.message = f"`{name}`: {err.message}"
+        raise
 
 
 def destination_and_folder(text: str | None) -> tuple[Path | None, Path | None]:
@@ -238,11 +329,11 @@ class ConvertOptions:
         topics: Iterable[str] = (),
         keep: Iterable[str] = (),
         drop: Iterable[str] = (),
-        start: str | None = None,
-        end: str | None = None,
+        start: Time | None = None,
+        end: Time | None = None,
         **others: Any,
     ) -> ConvertOptions:
-        """Read what a user writes as text; ``others`` are attributes as they are.
+        """Read what a user writes; ``others`` are attributes as they are.
 
         Raises
         ------

@@ -298,4 +298,4 @@ def write_static(
     rows = [transform.row(log_time_ns) for transform in frames.static]
     writer.write(handle, log_time_ns, encode_transforms(rows, target.serialization), log_time_ns)
     msgtype = "tf2_msgs/msg/TFMessage"
-    report.topics.append(TopicReport("/tf_static", msgtype, "/tf_static", "added", "from `static`", messages_out=1))
+    report.topics.append(TopicReport("/tf_static", msgtype, "/tf_static", "added", "from `static_tf`", messages_out=1))

@@ -72,7 +72,7 @@ if TYPE_CHECKING:
     from .options import ConvertOptions
     from .plan import Plan
 
-__all__ = ["OutputOptions", "Progress", "report_file", "run"]
+__all__ = ["OutputOptions", "Progress", "prepared", "report_file", "run", "span_of"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -154,8 +154,8 @@ def run(
         if output.folder is not None:
             stack.enter_context(made_folder(output.folder))
         with staged(path, overwrite=output.overwrite, beside_recording=beside_recording) as unfinished:
-            span = _span(reader, options)
-            conversion, others = _conversion(reader, plan, options, span, stack, report)
+            span = span_of(reader, options)
+            conversion, others = prepared(reader, plan, options, span, stack, report)
             writer = open_writer(target, unfinished, path.name)
             try:
                 copying = target.chunks == chunk_format(reader.summary) != ""
@@ -322,7 +322,7 @@ def _compare_counts(reader: Reader, routes: Mapping[int, OpenRoute], options: Co
     report.damage.append(Damage(missing, reader.path, messages_lost=max(0, lost)))
 
 
-def _conversion(
+def prepared(
     reader: Reader, plan: Plan, options: ConvertOptions, span: Span, stack: ExitStack, report: Report
 ) -> tuple[Conversion, Sequence[Reader]]:
     """The direction asked for, with all that has to be known before the first message is converted.
@@ -373,7 +373,7 @@ def _threads(options: ConvertOptions, stack: ExitStack) -> Threads | None:
     return stack.enter_context(Threads(jobs)) if jobs > 1 else None
 
 
-def _span(reader: Reader, options: ConvertOptions) -> Span:
+def span_of(reader: Reader, options: ConvertOptions) -> Span:
     """Resolve the cut against the recording's beginning."""
     beginning = reader.summary.start_ns
     if beginning is None:

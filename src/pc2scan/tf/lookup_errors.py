@@ -49,7 +49,7 @@ def unknown_frame(
     if rejected is not None:
         there_are += f"; [{rejected.child}] in [{rejected.parent}] was rejected: {rejected.reason}"
     near = did_you_mean(name, sorted(frames))
-    advice = "`static` or `tf_from` adds a transform, `source_frame` corrects a wrong frame_id"
+    advice = "`static_tf` or `tf_from` adds a transform, `source_frame` corrects a wrong frame_id"
     return TransformError(
         f"no transform has the {_ROLES[role]} frame {name!r}; {there_are}",
         stamp_ns=stamp_ns,
@@ -89,7 +89,7 @@ def unconnected(
     return TransformError(
         f"no transforms connect [{query.source}] with [{query.target}]: {where}",
         stamp_ns=query.stamp_ns,
-        hint=f"`static` or `tf_from` adds what connects them; {_SEE_TF}",
+        hint=f"`static_tf` or `tf_from` adds what connects them; {_SEE_TF}",
     )
 
 

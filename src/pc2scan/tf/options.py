@@ -111,7 +111,7 @@ def _refuse_ros1_order(words: Sequence[str]) -> None:
     turned = [*numbers[:3], *reversed(numbers[3:])] if count == 6 else numbers
     raise UsageError(
         f"{' '.join(words)!r} has the frames behind the numbers, as ROS 1's static_transform_publisher",
-        hint=f"write `static='{' '.join([*frames, *turned])}'`" + (" (roll pitch yaw)" if count == 6 else ""),
+        hint=f"write `static_tf='{' '.join([*frames, *turned])}'`" + (" (roll pitch yaw)" if count == 6 else ""),
     )
 
 
@@ -131,7 +131,7 @@ def _refuse_degrees(parent: str, child: str, translation: Sequence[float], rotat
         numbers = [f"{angle:g}deg" if angle else "0" for angle in rotation]
         raise UsageError(
             f"{where}: {found}, more than a full turn (2 pi is 6.28319 rad)",
-            hint=f"for degrees write `static='{parent} {child} {_joined(translation)} {' '.join(numbers)}'`, "
+            hint=f"for degrees write `static_tf='{parent} {child} {_joined(translation)} {' '.join(numbers)}'`, "
             f"which is {_joined(map(math.radians, rotation))} rad",
         )
     length = math.hypot(*rotation)
@@ -139,7 +139,7 @@ def _refuse_degrees(parent: str, child: str, translation: Sequence[float], rotat
         raise UsageError(
             f"{where}: the quaternion {_joined(rotation)} has the length {length:.4g}, and must have 1",
             hint="for roll, pitch and yaw give three numbers, not four; a quaternion of unit length is "
-            f"`static='{parent} {child} {_joined(translation)} {_joined(number / length for number in rotation)}'`",
+            f"`static_tf='{parent} {child} {_joined(translation)} {_joined(number / length for number in rotation)}'`",
         )
 
 
@@ -162,7 +162,7 @@ class FrameOptions:
     source_frame
         Replaces the ``frame_id`` of the messages to convert, if that is wrong or empty.
     write_static
-        Whether to write ``static`` to the destination's ``/tf_static``.
+        Whether to write ``static_tf`` to the destination's ``/tf_static``.
     """
 
     tf_topics: tuple[str, ...] = ()
@@ -173,4 +173,4 @@ class FrameOptions:
 
     def __post_init__(self) -> None:
         if self.write_static and not self.static:
-            raise UsageError("there is no added transform to write", hint="give one with `static`")
+            raise UsageError("there is no added transform to write", hint="give one with `static_tf`")

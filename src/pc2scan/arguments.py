@@ -1,0 +1,149 @@
+"""Arguments as Python users give them: paths, names and times in any of their usual forms, and misspelt keywords."""
+
+from __future__ import annotations
+
+import inspect
+import os
+from collections.abc import Iterable
+from functools import wraps
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, ParamSpec, TypeVar
+
+from .errors import UsageError
+from .names import nearest
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+    from typing import TypeAlias
+
+    PathText: TypeAlias = str | PathLike[str]
+
+__all__ = ["known_keywords", "names_in", "path_of", "path_text", "paths_in", "refuse_unknown"]
+
+_Arguments = ParamSpec("_Arguments")
+_Result = TypeVar("_Result")
+
+#: A value in an error message is cut behind so many characters.
+_LONGEST = 80
+
+
+def shown(value: object) -> str:
+    """A value and its type, for an error message."""
+    text = repr(value)
+    return f"{text if len(text) <= _LONGEST else f'{text[:_LONGEST]}...'} ({type(value).__name__})"
+
+
+def path_of(name: str, value: PathText) -> Path:
+    """Return a path that was given as text or as an object; see `path_text`."""
+    return Path(path_text(name, value))
+
+
+def path_text(name: str, value: PathText) -> str:
+    """Return a path that was given as text or as an object, as text.
+
+    A leading ``~`` is the home folder, as a shell would have it, unless there is a file with that name.
+
+    Parameters
+    ----------
+    name
+        What the argument is called.
+    value
+        The argument.
+
+    Raises
+    ------
+    TypeError
+        If it is not a path.
+    UsageError
+        If it is empty.
+    """
+    text: object = os.fspath(value) if isinstance(value, str | PathLike) else value  # type: ignore[redundant-expr]
+    if not isinstance(text, str):
+        raise TypeError(f"{name} is {shown(value)}, it must be a path: str or pathlib.Path")
+    if not text:
+        raise UsageError(f"{name} is an empty path")
+    if text.startswith("~") and not os.path.lexists(text):
+        return os.path.expanduser(text)  # noqa: PTH111  # Path.expanduser fails where there is no such user
+    return text
+
+
+def paths_in(name: str, values: PathText | Iterable[PathText]) -> list[Path]:
+    """Return the paths of an argument that takes one path or several.
+
+    Raises
+    ------
+    TypeError
+        If one of them is not a path.
+    UsageError
+        If there is none.
+    """
+    if isinstance(values, str | PathLike) or not isinstance(values, Iterable):
+        return [path_of(name, values)]
+    paths = [path_of(name, value) for value in values]
+    if not paths:
+        raise UsageError(f"{name} is empty: no recording was given")
+    return paths
+
+
+def names_in(name: str, values: str | Iterable[str] | None) -> tuple[str, ...]:
+    """Return the names of an argument that takes one name or several; none for None.
+
+    Raises
+    ------
+    TypeError
+        If one of them is not text.
+    """
+    if values is None:
+        return ()
+    if isinstance(values, str):
+        return (values,)
+    if not isinstance(values, Iterable):
+        raise TypeError(f"{name} is {shown(values)}, it must be a str or several")
+    found = tuple(values)
+    for value in found:
+        if not isinstance(value, str):
+            raise TypeError(f"{name} has {shown(value)}, it must be a str or several")
+    return found
+
+
+def refuse_unknown(
+    function: str, names: Iterable[str], known: Iterable[str], synonyms: Mapping[str, str] | None = None
+) -> None:
+    """Raise a TypeError for the first name that is not known, with the known name that is meant or nearest to it."""
+    candidates = sorted(known)
+    for name in names:
+        if name in candidates:
+            continue
+        word = name.lower().strip("_")
+        synonym = (synonyms or {}).get(word)
+        meant = synonym if synonym in candidates else nearest(word, candidates)
+        raise TypeError(f"{function}() has no argument {name!r}{f'; did you mean {meant!r}?' if meant else ''}")
+
+
+def known_keywords(
+    *, further: Callable[[], Iterable[str]] = tuple, synonyms: Mapping[str, str] | None = None
+) -> Callable[[Callable[_Arguments, _Result]], Callable[_Arguments, _Result]]:
+    """Decorate a function so that a misspelt keyword is a TypeError that names the right one.
+
+    Parameters
+    ----------
+    further
+        Returns the keywords that the function takes as ``**keywords``.
+    synonyms
+        Words that are no argument, and the argument that they mean.
+    """
+
+    def decorated(function: Callable[_Arguments, _Result]) -> Callable[_Arguments, _Result]:
+        parameters = inspect.signature(function).parameters.values()
+        named = {p.name for p in parameters if p.kind not in (p.VAR_KEYWORD, p.VAR_POSITIONAL)}
+
+        @wraps(function)
+        def checked(*args: _Arguments.args, **kwargs: _Arguments.kwargs) -> _Result:
+            if not kwargs.keys() <= named:
+                refuse_unknown(function.__name__, kwargs, {*named, *further()}, synonyms)
+            return function(*args, **kwargs)
+
+        return checked
+
+    return decorated

@@ -1,0 +1,1 @@
+"""Scans and clouds of recordings, message by message, for Python."""

@@ -1,0 +1,255 @@
+"""PointCloud2 messages as objects with arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import chain
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pc2scan.errors import MessageError, stamp_text
+from pc2scan.messages.laserscan import LASERSCAN
+from pc2scan.messages.pointcloud2 import DATATYPES, POINTCLOUD2, CloudDecoder
+from pc2scan.pipeline.options import ConvertOptions
+from pc2scan.pipeline.run import span_of
+
+from . import packages
+from .stream import Read, Source, Stream
+from .times import datetime64
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+    from contextlib import ExitStack
+
+    from numpy.typing import NDArray
+
+    from pc2scan.bags.reader import Reader
+    from pc2scan.messages.pointcloud2 import PointCloud2
+    from pc2scan.model import Buffer, RawMessage
+
+__all__ = ["Cloud", "Clouds"]
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Cloud:
+    """A PointCloud2 message. ``cloud["intensity"]`` is a field of all points.
+
+    Attributes
+    ----------
+    topic
+        Where it was published.
+    log_time_ns
+        When it was recorded, nanoseconds since 1970.
+    """
+
+    topic: str
+    log_time_ns: int
+    _message: PointCloud2
+
+    @property
+    def stamp_ns(self) -> int:
+        """``header.stamp``, nanoseconds since 1970."""
+        return self._message.stamp_ns
+
+    @property
+    def stamp(self) -> np.datetime64:
+        """``header.stamp`` as ``numpy.datetime64`` in nanoseconds."""
+        return datetime64(self.stamp_ns)
+
+    @property
+    def log_time(self) -> np.datetime64:
+        """When it was recorded, as ``numpy.datetime64`` in nanoseconds; ``NaT`` where that cannot hold it."""
+        return datetime64(self.log_time_ns)
+
+    @property
+    def frame(self) -> str:
+        """``header.frame_id``."""
+        return self._message.frame_id
+
+    @property
+    def sequence(self) -> int:
+        """``header.seq``; 0 from ROS 2."""
+        return self._message.sequence
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width; the height of a cloud that is not organised is 1."""
+        return self._message.height, self._message.width
+
+    @property
+    def is_dense(self) -> bool:
+        """Whether the publisher says that no point is NaN."""
+        return self._message.is_dense
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """The names of the fields, in the message's order."""
+        return tuple(field.name for field in self._message.fields)
+
+    def __len__(self) -> int:
+        """Return how many points there are, NaN and (0, 0, 0) included."""
+        return self._message.points
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        """Return a field of all points.
+
+        Parameters
+        ----------
+        name
+            One of `fields`.
+
+        Returns
+        -------
+        numpy.ndarray
+            Shape (points,), in the recorded type; read-only. Of a field with several elements the first.
+
+        Raises
+        ------
+        KeyError
+            If there is no such field.
+        DecodeError
+            If the message contradicts itself: a field outside the points, or fewer bytes than declared.
+        """
+        if name not in self.fields:
+            raise KeyError(f"{name!r}: the cloud's fields are {', '.join(self.fields) or 'none'}")
+        return self._message.field(name).ravel()
+
+    def xyz(self) -> NDArray[np.floating[Any]]:
+        """The coordinates of all points.
+
+        Returns
+        -------
+        numpy.ndarray
+            Shape (points, 3), metres in `frame`: float32, or float64 where a coordinate needs it. A copy, in the order
+            of the fields; NaN is kept.
+
+        Raises
+        ------
+        DecodeError
+            If the cloud has no x, y or z, or contradicts itself.
+        """
+        columns = self._message.xyz()
+        dtype = np.result_type(np.float32, *(column.dtype for column in columns))
+        points = np.empty((len(self), 3), dtype)
+        with np.errstate(invalid="ignore"):  # a NaN may be one that signals
+            for index, column in enumerate(columns):
+                points[:, index] = column.ravel()
+        return points
+
+    def to_dataframe(self) -> Any:
+        """Return a ``pandas.DataFrame`` with a row for each point and a column for each field.
+
+        Raises
+        ------
+        ImportError
+            If pandas is not installed.
+        """
+        pandas = packages.pandas()
+        return pandas.DataFrame(self._columns(), pandas.RangeIndex(len(self), name="point"))
+
+    def to_xarray(self) -> Any:
+        """Return an ``xarray.Dataset`` with a variable for each field, along the dimension ``point``.
+
+        Attributes: ``topic``, ``frame``, ``stamp_ns`` and ``log_time_ns``.
+
+        Raises
+        ------
+        ImportError
+            If xarray is not installed.
+        """
+        xarray = packages.xarray()
+        data = {name: ("point", values) for name, values in self._columns().items()}
+        names = ("topic", "frame", "stamp_ns", "log_time_ns")
+        return xarray.Dataset(data, attrs={name: getattr(self, name) for name in names})
+
+    def _columns(self) -> dict[str, NDArray[Any]]:
+        """Copies of the fields that can be read, in the machine's byte order."""
+        columns = {}
+        for field in self._message.fields:
+            if field.datatype in DATATYPES:
+                values = self[field.name]
+                columns[field.name] = values.astype(values.dtype.newbyteorder("="))
+        return columns
+
+    def __repr__(self) -> str:
+        return (
+            f"<Cloud on {self.topic} at {stamp_text(self.stamp_ns)} in {self.frame!r}: "
+            f"{len(self):,} points of {', '.join(self.fields)}>"
+        )
+
+
+class Clouds(Stream[Cloud]):
+    """The clouds of a recording, read as they are iterated over; `pc2scan.clouds` makes it.
+
+    The recording is opened at once, so that what is wrong with the request is an error here and not in the loop.
+    Each loop reads from the beginning. The files are closed when the loop ends or is left, or with `close` or a
+    ``with`` statement.
+
+    Attributes
+    ----------
+    topics
+        The topics of the clouds.
+    damage
+        What is damaged in the recording, as far as the last loop read it.
+    skipped, skipped_count
+        Messages that the last loop could not use: the first hundred, and how many.
+    """
+
+    def _source(self, stack: ExitStack, reader: Reader) -> Source:
+        asked = self._selection
+        chosen = asked.chosen(reader, (POINTCLOUD2,), _scans_instead)
+        span = span_of(reader, ConvertOptions(start=asked.start, end=asked.end))
+        connections = list(chain.from_iterable(chosen.values()))
+        decoders = {connection.id: CloudDecoder(connection.serialization) for connection in connections}
+
+        def read(message: RawMessage) -> Read:
+            topic = message.connection.topic
+            try:
+                decoded = decoders[message.connection.id](_kept(message.data))
+            except MessageError as err:
+                return Read(message.log_time_ns, 0, topic, error=err)
+            return Read(message.log_time_ns, message.size, topic, (Cloud(topic, message.log_time_ns, decoded),))
+
+        return Source(stack, [reader], tuple(chosen), connections, span.start_ns, span.stop_ns, read)
+
+    def to_dataframe(self) -> Any:
+        """Return a ``pandas.DataFrame`` with a row for each point of each cloud. Reads all clouds into memory.
+
+        Columns: ``stamp``, the fields that all clouds have, and ``topic`` if there are several.
+
+        Raises
+        ------
+        ImportError
+            If pandas is not installed.
+        """
+        pandas = packages.pandas()
+        clouds = list(self)
+        names = [name for name in (clouds[0].fields if clouds else ()) if all(name in c.fields for c in clouds)]
+        parts = [cloud._columns() for cloud in clouds]  # noqa: SLF001  # they make one table
+        sizes = [len(cloud) for cloud in clouds]
+        stamps = np.array([cloud.stamp for cloud in clouds], "datetime64[ns]")
+        table: dict[str, Any] = {"stamp": np.repeat(stamps, sizes)}
+        table.update({name: np.concatenate([part[name] for part in parts]) for name in _common(names, parts)})
+        if len(self.topics) > 1:
+            table["topic"] = pandas.Categorical(np.repeat([cloud.topic for cloud in clouds], sizes))
+        return pandas.DataFrame(table)
+
+
+def _common(names: Iterable[str], parts: Sequence[dict[str, NDArray[Any]]]) -> list[str]:
+    """The names that every part has."""
+    return [name for name in names if all(name in part for part in parts)]
+
+
+def _kept(data: Buffer) -> Buffer:
+    """The data, copied if a view of them would keep something larger in memory, or is borrowed."""
+    if isinstance(data, memoryview) and isinstance(data.obj, bytes) and 2 * len(data) >= len(data.obj):
+        return data
+    return data if isinstance(data, bytes) else bytes(data)
+
+
+def _scans_instead(reader: Reader) -> str | None:
+    """What to do about a recording that has scans, but no clouds."""
+    if not any(connection.ros_type == LASERSCAN for connection in reader.connections):
+        return None
+    return "it has LaserScan topics: pc2scan.scans() reads these"

@@ -1,0 +1,366 @@
+"""LaserScan messages as objects with arrays, read from a recording or made of its clouds on the way."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import chain
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pc2scan.core.unproject import UnprojectParams, unproject
+from pc2scan.errors import MessageError, UsageError, stamp_text
+from pc2scan.messages.clouds import CLOUDS
+from pc2scan.messages.laserscan import LASERSCAN, decode_laserscan
+from pc2scan.pipeline.options import ConvertOptions
+from pc2scan.pipeline.plan import make_plan
+from pc2scan.pipeline.report import Report
+from pc2scan.pipeline.run import prepared, span_of
+
+from . import packages
+from .stream import Read, Source, Stream
+from .times import datetime64
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from contextlib import ExitStack
+
+    from numpy.typing import NDArray
+
+    from pc2scan.bags.reader import Reader
+    from pc2scan.model import Buffer, RawMessage
+    from pc2scan.pipeline.conversion import Converted
+
+    from .stream import Selection
+
+__all__ = ["Scan", "Scans"]
+
+#: What all scans of one table have to agree in: its beams.
+_GEOMETRY = ("angle_min", "angle_max", "angle_increment")
+_LIMITS = ("range_min", "range_max", "time_increment", "scan_time")
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Scan:
+    """A LaserScan message.
+
+    Attributes
+    ----------
+    topic
+        Where it was published.
+    log_time_ns
+        When it was recorded, nanoseconds since 1970.
+    stamp_ns
+        ``header.stamp``, nanoseconds since 1970.
+    frame
+        ``header.frame_id``.
+    sequence
+        ``header.seq``; 0 from ROS 2.
+    angle_min, angle_max, angle_increment
+        Radians.
+    time_increment, scan_time
+        Seconds from one beam to the next, and from one scan to the next.
+    range_min, range_max
+        Metres.
+    ranges
+        float32, shape (beams,), metres.
+    intensities
+        float32, shape (beams,), or (0,) for a scan without any.
+    """
+
+    topic: str
+    log_time_ns: int
+    stamp_ns: int
+    frame: str
+    sequence: int
+    angle_min: float
+    angle_max: float
+    angle_increment: float
+    time_increment: float
+    scan_time: float
+    range_min: float
+    range_max: float
+    ranges: NDArray[np.float32]
+    intensities: NDArray[np.float32]
+
+    @property
+    def stamp(self) -> np.datetime64:
+        """``header.stamp`` as ``numpy.datetime64`` in nanoseconds."""
+        return datetime64(self.stamp_ns)
+
+    @property
+    def log_time(self) -> np.datetime64:
+        """When it was recorded, as ``numpy.datetime64`` in nanoseconds; ``NaT`` where that cannot hold it."""
+        return datetime64(self.log_time_ns)
+
+    @property
+    def angles(self) -> NDArray[np.float64]:
+        """Where each beam looks, shape (beams,), radians: ``angle_min + i * angle_increment``."""
+        angles: NDArray[np.float64] = self.angle_min + np.arange(len(self.ranges)) * np.float64(self.angle_increment)
+        return angles
+
+    @property
+    def valid(self) -> NDArray[np.bool_]:
+        """Which beams have a return, shape (beams,): ``range_min <= range < range_max``, which NaN and inf are not."""
+        with np.errstate(invalid="ignore"):  # a NaN may be one that signals
+            valid: NDArray[np.bool_] = (self.ranges >= np.float64(self.range_min)) & (
+                self.ranges < np.float64(self.range_max)
+            )
+        return valid & np.isfinite(self.ranges)
+
+    def xy(self) -> NDArray[np.float32]:
+        """The points of the beams that have a return, as laser_geometry computes them.
+
+        Returns
+        -------
+        numpy.ndarray
+            float32, shape (returns, 2), metres in `frame`, in the order of the beams: those of `valid`.
+
+        Raises
+        ------
+        DecodeError
+            If the angles are not finite.
+        """
+        points = unproject(
+            self.ranges,
+            np.empty(0, np.float32),
+            angle_min=self.angle_min,
+            angle_increment=self.angle_increment,
+            range_min=self.range_min,
+            range_max=self.range_max,
+            params=UnprojectParams(index=False),
+        )
+        return points.xyz[np.isfinite(self.ranges[points.beams]), :2].copy()
+
+    def to_dataframe(self) -> Any:
+        """Return a ``pandas.DataFrame`` with a row for each beam.
+
+        Columns: ``angle``, ``range`` and, if the scan has them, ``intensity``; the index is ``beam``.
+
+        Raises
+        ------
+        ImportError
+            If pandas is not installed.
+        """
+        pandas = packages.pandas()
+        index = pandas.RangeIndex(len(self.ranges), name="beam")
+        return pandas.DataFrame(self._columns(), index)
+
+    def _columns(self) -> dict[str, NDArray[Any]]:
+        columns: dict[str, NDArray[Any]] = {"angle": self.angles, "range": self.ranges}
+        if len(self.intensities) == len(self.ranges) and len(self.ranges):
+            columns["intensity"] = self.intensities
+        return columns
+
+    def to_xarray(self) -> Any:
+        """Return an ``xarray.Dataset`` of this scan; see `Scans.to_xarray`.
+
+        Raises
+        ------
+        ImportError
+            If xarray is not installed.
+        """
+        return _dataset([self]).squeeze("time")
+
+    def __repr__(self) -> str:
+        returns = np.count_nonzero(self.valid)
+        return (
+            f"<Scan on {self.topic} at {stamp_text(self.stamp_ns)} in {self.frame!r}: "
+            f"{len(self.ranges)} beams, {returns} with a return>"
+        )
+
+
+class Scans(Stream[Scan]):
+    """The scans of a recording, read as they are iterated over; `pc2scan.scans` makes it.
+
+    The recording is opened at once, so that what is wrong with the request is an error here and not in the loop.
+    Each loop reads from the beginning. The files are closed when the loop ends or is left, or with `close` or a
+    ``with`` statement.
+
+    Attributes
+    ----------
+    topics
+        The topics of the scans.
+    notes
+        What was measured for scans that are made of clouds, or chosen without being asked for.
+    damage
+        What is damaged in the recording, as far as the last loop read it.
+    skipped, skipped_count
+        Messages that the last loop could not use: the first hundred, and how many.
+    """
+
+    def __init__(self, selection: Selection, conversion: ConvertOptions | None = None) -> None:
+        self._conversion = conversion
+        self.notes: tuple[str, ...] = ()
+        super().__init__(selection)
+
+    def _source(self, stack: ExitStack, reader: Reader) -> Source:
+        asked = self._selection
+        if self._conversion is not None:
+            return self._converting(stack, reader, self._conversion)
+        chosen = asked.chosen(reader, (LASERSCAN,), _clouds_instead)
+        span = span_of(reader, ConvertOptions(start=asked.start, end=asked.end))
+        connections = list(chain.from_iterable(chosen.values()))
+        return Source(stack, [reader], tuple(chosen), connections, span.start_ns, span.stop_ns, _read)
+
+    def _converting(self, stack: ExitStack, reader: Reader, options: ConvertOptions) -> Source:
+        """Convert clouds as `pc2scan.convert` does."""
+        if not options.topics:
+            # The only one, or an error.
+            self._selection.chosen(reader, options.source_types, _scans_instead)
+        plan = make_plan(reader.connections, options)
+        span = span_of(reader, options)
+        report = Report([str(path) for path in self._selection.paths], "", options.params)
+        conversion, others = prepared(reader, plan, options, span, stack, report)
+        self.notes = tuple(report.notes)
+        routes = {}
+        for route in plan.routes:
+            connection = route.connection
+            if route.targets:
+                convert = conversion.for_topic(
+                    connection.topic, connection.serialization, connection.serialization, connection.ros_type
+                )
+                routes[connection.id] = (convert, route.targets)
+
+        def read(message: RawMessage) -> Read:
+            return _converted(*routes[message.connection.id], message)
+
+        connections = [route.connection for route in plan.routes if route.targets]
+        topics = tuple(dict.fromkeys(target for route in plan.routes for target in route.targets))
+        latched = [connection for connection in connections if connection.latching]
+        return Source(stack, [reader, *others], topics, connections, span.start_ns, span.stop_ns, read, latched)
+
+    def to_dataframe(self) -> Any:
+        """Return a ``pandas.DataFrame`` with a row for each beam of each scan. Reads all scans into memory.
+
+        Columns: ``stamp``, ``beam``, ``angle``, ``range``, ``intensity`` if all scans have it, and ``topic`` if
+        there are several.
+
+        Raises
+        ------
+        ImportError
+            If pandas is not installed.
+        """
+        pandas = packages.pandas()
+        parts = [(scan, scan._columns()) for scan in self]  # noqa: SLF001  # they make one table
+        names = ["angle", "range", "intensity"]
+        if not all("intensity" in columns for scan, columns in parts if len(scan.ranges)):
+            names.remove("intensity")
+        lengths = [len(scan.ranges) for scan, _ in parts]
+        table: dict[str, Any] = {
+            "stamp": np.repeat(np.array([scan.stamp for scan, _ in parts], "datetime64[ns]"), lengths),
+            "beam": np.concatenate([np.arange(length) for length in [*lengths, 0]]),
+        }
+        for name in names:
+            kind = np.float64 if name == "angle" else np.float32
+            table[name] = np.concatenate([*(c.get(name, np.empty(0)) for _, c in parts), np.empty(0)], dtype=kind)
+        if len(self.topics) > 1:
+            table["topic"] = pandas.Categorical(np.repeat([scan.topic for scan, _ in parts], lengths))
+        return pandas.DataFrame(table)
+
+    def to_xarray(self) -> Any:
+        """Return an ``xarray.Dataset`` of all scans. Reads them into memory.
+
+        Variables: ``ranges`` and, if all scans have them, ``intensities``, with the dimensions ``time`` and ``beam``.
+        Coordinates: ``time`` (the stamps), ``log_time``, ``angle`` (of each beam), and ``topic`` if there are several.
+        Attributes: ``frame``, ``angle_min`` and the other numbers of the messages, as far as all scans agree in them.
+
+        Raises
+        ------
+        ImportError
+            If xarray is not installed.
+        UsageError
+            If there is no scan, or the beams of the scans are not the same. `to_dataframe` takes any.
+        """
+        packages.xarray()
+        return _dataset(list(self))
+
+
+def _dataset(scans: Sequence[Scan]) -> Any:
+    xarray = packages.xarray()
+    if not scans:
+        raise UsageError("there is no scan to make a Dataset of", hint="see topic, `start` and `end`")
+    first = scans[0]
+    for scan in scans:
+        if len(scan.ranges) != len(first.ranges) or any(getattr(scan, n) != getattr(first, n) for n in _GEOMETRY):
+            raise UsageError(
+                f"the scans do not have the same beams: {_described(first)}, but {_described(scan)}",
+                hint="to_dataframe() takes any scans; or choose one with topic=",
+            )
+    data = {"ranges": (("time", "beam"), np.stack([scan.ranges for scan in scans]), {"units": "m"})}
+    if all(len(scan.intensities) == len(first.ranges) for scan in scans):
+        data["intensities"] = (("time", "beam"), np.stack([scan.intensities for scan in scans]), {})
+    coordinates: dict[str, Any] = {
+        "time": ("time", np.array([scan.stamp for scan in scans], "datetime64[ns]")),
+        "log_time": ("time", np.array([scan.log_time for scan in scans], "datetime64[ns]")),
+        "angle": ("beam", first.angles, {"units": "rad"}),
+    }
+    if len({scan.topic for scan in scans}) > 1:
+        coordinates["topic"] = ("time", np.array([scan.topic for scan in scans], object))
+    common = {
+        name: getattr(first, name)
+        for name in ("topic", "frame", *_GEOMETRY, *_LIMITS)
+        if len({getattr(scan, name) for scan in scans}) == 1
+    }
+    return xarray.Dataset(data, coordinates, common)
+
+
+def _described(scan: Scan) -> str:
+    return (
+        f"{len(scan.ranges)} from {scan.angle_min:.6g} to {scan.angle_max:.6g} rad on {scan.topic} "
+        f"at {stamp_text(scan.stamp_ns)}"
+    )
+
+
+def _scan(message: RawMessage, topic: str, data: Buffer) -> Scan:
+    decoded = decode_laserscan(data, message.connection.serialization)
+    return Scan(
+        topic,
+        message.log_time_ns,
+        decoded.stamp_ns,
+        decoded.frame_id,
+        decoded.sequence,
+        decoded.angle_min,
+        decoded.angle_max,
+        decoded.angle_increment,
+        decoded.time_increment,
+        decoded.scan_time,
+        decoded.range_min,
+        decoded.range_max,
+        # Copies: a view would keep the whole chunk in memory that the message was in.
+        decoded.ranges.astype(np.float32),
+        decoded.intensities.astype(np.float32),
+    )
+
+
+def _read(message: RawMessage) -> Read:
+    topic = message.connection.topic
+    try:
+        scan = _scan(message, topic, message.data)
+    except MessageError as err:
+        return Read(message.log_time_ns, 0, topic, error=err)
+    return Read(message.log_time_ns, message.size, topic, (scan,))
+
+
+def _converted(convert: Callable[[Buffer], Converted], targets: Sequence[str], message: RawMessage) -> Read:
+    topic = message.connection.topic
+    try:
+        data = convert(message.data).data
+    except MessageError as err:
+        return Read(message.log_time_ns, 0, topic, error=err)
+    first = _scan(message, targets[0], data)
+    scans = (first, *(replace(first, topic=target) for target in targets[1:]))
+    return Read(message.log_time_ns, len(data), topic, scans)
+
+
+def _clouds_instead(reader: Reader) -> str | None:
+    """What to do about a recording that has clouds, but no scans."""
+    if not any(connection.ros_type in CLOUDS for connection in reader.connections):
+        return None
+    return "its clouds become scans with parameters: `preset`, `params_file`, or any of them by name, `min_height=-0.3`"
+
+
+def _scans_instead(reader: Reader) -> str | None:
+    if not any(connection.ros_type == LASERSCAN for connection in reader.connections):
+        return None
+    return "it has LaserScan topics, which are read as they are without any parameters"

@@ -1,0 +1,290 @@
+"""The messages of a recording, one after the other: opened, cut, and closed again."""
+
+from __future__ import annotations
+
+import warnings
+from abc import ABC, abstractmethod
+from contextlib import ExitStack, closing
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
+from weakref import WeakSet, finalize
+
+from pc2scan.bags.merged import as_one
+from pc2scan.bags.opening import open_recordings
+from pc2scan.bags.topics import find_topic, short_types
+from pc2scan.bags.units import in_time_order
+from pc2scan.errors import MessageError, RecordingWarning, TopicError, UsageError, name_list
+from pc2scan.pipeline.report import MAX_LISTED, Skipped
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Generator, Iterator, Sequence
+    from pathlib import Path
+    from types import TracebackType
+    from typing import Self
+
+    from pc2scan.bags.damage import Damage
+    from pc2scan.bags.reader import Reader
+    from pc2scan.model import Connection, RawMessage
+    from pc2scan.pipeline.options import TimeBound
+
+__all__ = ["Read", "Selection", "Source", "Stream"]
+
+Item = TypeVar("Item")
+
+#: Topics that a representation names.
+_SHOWN = 3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Selection:
+    """What is read.
+
+    Attributes
+    ----------
+    paths
+        Recordings; several are one.
+    topics
+        As they were asked for; empty means the only one of its type.
+    start, end
+        The cut, by log time.
+    on_error
+        ``skip`` or ``fail``: what a message that cannot be used does.
+    verify, strict
+        As for `pc2scan.bags.opening.open_recording`.
+    """
+
+    paths: tuple[Path, ...]
+    topics: tuple[str, ...] = ()
+    start: TimeBound | None = None
+    end: TimeBound | None = None
+    on_error: str = "skip"
+    verify: bool = True
+    strict: bool = False
+
+    def __post_init__(self) -> None:
+        if self.on_error not in ("skip", "fail"):
+            raise UsageError(f"on_error is {self.on_error!r}, it must be skip or fail")
+
+    def chosen(
+        self, reader: Reader, kinds: Collection[str], hint: Callable[[Reader], str | None]
+    ) -> dict[str, list[Connection]]:
+        """Return the connections of the topics to read, by topic.
+
+        Parameters
+        ----------
+        reader
+            The recording.
+        kinds
+            The types of the topics, in ROS 2's spelling.
+        hint
+            What to do about a recording without any.
+
+        Raises
+        ------
+        TopicError
+            If a topic is missing or has another type, or none was asked for and there is not exactly one.
+        """
+        types: dict[str, set[str]] = {}
+        found: dict[str, list[Connection]] = {}
+        for connection in reader.connections:
+            types.setdefault(connection.topic, set()).add(connection.ros_type)
+            if connection.ros_type in kinds and connection.ros_version is not None:
+                found.setdefault(connection.topic, []).append(connection)
+        if not found:
+            topics = [f"{topic} ({', '.join(sorted(kinds))})" for topic, kinds in sorted(types.items())]
+            others = f"its topics are: {name_list(topics)}" if topics else "it has no topics"
+            raise TopicError(
+                f"the recording has no {short_types(kinds)} topic; {others}", path=reader.path, hint=hint(reader)
+            )
+        if not self.topics and len(found) > 1:
+            raise TopicError(
+                f"the recording has {len(found)} {short_types(kinds)} topics: {name_list(sorted(found))}",
+                path=reader.path,
+                hint=f'choose: topic="{min(found)}", or a list of several',
+            )
+        try:
+            names = [find_topic(topic, types, sorted(found), *kinds) for topic in self.topics] or list(found)
+        except TopicError as err:
+            err.path = reader.path
+            if names_a_type := hint(reader):
+                err.hint = names_a_type
+            raise
+        return {name: found[name] for name in dict.fromkeys(names)}
+
+
+class Read(NamedTuple):
+    """What became of a message: its items, or why there are none."""
+
+    log_time_ns: int
+    size: int
+    topic: str
+    items: tuple[object, ...] = ()
+    error: MessageError | None = None
+
+
+class Source(NamedTuple):
+    """An open recording, ready to be read.
+
+    Attributes
+    ----------
+    readers
+        The recording, and others that were opened for it; all are closed with ``stack``.
+    topics
+        Those that the items have.
+    connections
+        What is read.
+    start_ns, stop_ns
+        The cut: ``start_ns <= log_time_ns < stop_ns``.
+    read
+        Makes the items of a message.
+    latched
+        Connections whose messages from before the cut are read too.
+    """
+
+    stack: ExitStack
+    readers: Sequence[Reader]
+    topics: tuple[str, ...]
+    connections: Collection[Connection]
+    start_ns: int | None
+    stop_ns: int | None
+    read: Callable[[RawMessage], Read]
+    latched: Collection[Connection] = ()
+
+    @property
+    def damage(self) -> tuple[Damage, ...]:
+        """What is damaged, as far as the recordings were read."""
+        return tuple(damage for reader in self.readers for damage in reader.damage)
+
+    def messages(self) -> Iterator[Read]:
+        """What became of the messages, by log time."""
+        reader = self.readers[0]
+        parts = [reader.units(self.connections, self.start_ns, self.stop_ns)]
+        if self.latched and self.start_ns is not None:
+            parts.insert(0, reader.units(self.latched, None, self.start_ns))
+        for units in parts:
+            with closing(in_time_order(units, self.read, path=reader.path)) as found:
+                # Whole chunks come only where a rule allows them.
+                yield from found  # type: ignore[misc]
+
+
+class Stream(ABC, Generic[Item]):
+    """The messages of a recording, read as they are iterated over.
+
+    The recording is opened at once, so that what is wrong with the request is an error here and not in the loop.
+    Each loop reads it from the beginning. Its files are closed when the loop ends, is left and forgotten, or with
+    `close` or a ``with`` statement.
+
+    Attributes
+    ----------
+    topics
+        The topics that are read.
+    damage
+        What is damaged in the recording, as far as the last loop read it.
+    skipped
+        The first hundred messages that the last loop could not use.
+    skipped_count
+        How many these were.
+    """
+
+    def __init__(self, selection: Selection) -> None:
+        self._selection = selection
+        self._live: WeakSet[Generator[Item]] = WeakSet()
+        self.skipped: list[Skipped] = []
+        self.skipped_count = 0
+        source = self._open()
+        self._prepared: Source | None = source
+        #: Closes what is open if nobody iterates.
+        self._release = finalize(self, source.stack.close)
+        self._release.atexit = False
+        self.topics = source.topics
+        self.damage: tuple[Damage, ...] = source.damage
+
+    @abstractmethod
+    def _source(self, stack: ExitStack, reader: Reader) -> Source:
+        """Find out what is read of an open recording."""
+
+    def _open(self) -> Source:
+        asked = self._selection
+        with ExitStack() as stack:
+            readers = open_recordings(asked.paths, stack, verify=asked.verify, strict=asked.strict)
+            source = self._source(stack, as_one(readers))
+            # All is well: what is open stays so.
+            return source._replace(stack=stack.pop_all())
+
+    def __iter__(self) -> Generator[Item]:
+        source, self._prepared = self._prepared, None
+        if source is None:
+            source = self._open()
+        else:
+            self._release.detach()
+        items = self._items(source)
+        self._live.add(items)
+        # From here on the generator closes the files, whatever becomes of it.
+        next(items)
+        return items
+
+    def _items(self, source: Source) -> Generator[Item]:
+        """Yield nothing of interest, and then the items."""
+        with source.stack:
+            yield None  # type: ignore[misc]
+            self.skipped, self.skipped_count = [], 0
+            self.damage = source.damage
+            warned = _warn_of_damage(self.damage, 0)
+            with closing(source.messages()) as messages:  # type: ignore[type-var]
+                for message in messages:
+                    if message.error is None:
+                        yield from message.items  # type: ignore[misc]
+                    else:
+                        self._skip(message)
+                    del message
+            self.damage = source.damage
+            _warn_of_damage(self.damage, warned)
+
+    def _skip(self, message: Read) -> None:
+        """Account for a message that cannot be used; the first one is warned of, the others are listed."""
+        error = message.error
+        assert error is not None
+        error.topic = message.topic
+        if self._selection.on_error == "fail":
+            raise error
+        if not self.skipped_count:
+            hint = f" ({error.hint})" if error.hint else ""
+            text = f"skipped: {error}{hint}; see .skipped for all such messages; on_error='fail' makes them errors"
+            warnings.warn(text, RecordingWarning, stacklevel=3)
+        self.skipped_count += 1
+        if len(self.skipped) < MAX_LISTED:
+            found = Skipped(message.topic, message.log_time_ns, error.stamp_ns, error.message, error.hint or "")
+            self.skipped.append(found)
+
+    def close(self) -> None:
+        """Close the files, and end the loops that are not finished. A new loop opens them again."""
+        for items in tuple(self._live):
+            items.close()
+        self._prepared = None
+        self._release()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        paths = ", ".join(repr(str(path)) for path in self._selection.paths)
+        more = ", ..." if len(self.topics) > _SHOWN else ""
+        return f"<{type(self).__name__} on {', '.join(self.topics[:_SHOWN])}{more} of {paths}>"
+
+
+def _warn_of_damage(damage: tuple[Damage, ...], warned: int) -> int:
+    """Warn of damage that was not warned of yet; returns how many places there are now."""
+    if len(damage) > warned:
+        first = damage[0]
+        place = f"{first.path}" + ("" if first.offset is None else f", byte {first.offset}")
+        more = f" and {len(damage) - 1} more places" if len(damage) > 1 else ""
+        text = (
+            f"damaged: {place}: {first.what}{more}; see .damage. The rest is read; strict=True refuses such recordings"
+        )
+        warnings.warn(text, RecordingWarning, stacklevel=3)
+    return len(damage)

@@ -1,0 +1,410 @@
+"""Scans and clouds as Python objects, read or made on the way."""
+
+from __future__ import annotations
+
+import gc
+import shutil
+import subprocess
+import sys
+import tracemalloc
+import warnings
+from contextlib import closing, suppress
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pc2scan
+from benchmarks.clouds import FORMS, write_recording
+from builders import SCAN, Item, Recording, Stream, write_mcap
+from pc2scan.errors import DamageError, DecodeError, MessageError, RecordingError, TopicError, UsageError
+from pc2scan.messages.laserscan import encode_laserscan
+from scan_recordings import START, STEP, scans
+from support import ROOT
+
+FIXTURES = ROOT / "fixtures"
+CONTAINERS = ("hall.bag", "hall.mcap", "hall")
+
+#: The first log time of the fixtures.
+FIRST_NS = 1_700_000_000_005_000_000
+
+
+def open_files(path: Path) -> int:
+    """How many descriptors of this process are of files under a path."""
+    found = 0
+    for link in Path("/proc/self/fd").iterdir():
+        with suppress(OSError):
+            found += str(link.readlink()).startswith(str(path))
+    return found
+
+
+needs_proc = pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="open files are counted in /proc")
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    """A recording with scans and clouds."""
+    path = tmp_path / "both.mcap"
+    pc2scan.convert(FIXTURES / "hall.mcap", path, keep_clouds=True, min_height=-0.3, intensity_field="intensity")
+    return path
+
+
+@pytest.mark.parametrize("container", CONTAINERS)
+def test_clouds_come_from_every_container(container: str) -> None:
+    clouds = list(pc2scan.clouds(FIXTURES / container, topic="/points"))
+    assert [cloud.stamp_ns for cloud in clouds] == [1_700_000_000_000_000_000 + i * 10**8 for i in range(5)]
+    assert [cloud.log_time_ns for cloud in clouds] == [FIRST_NS + i * 10**8 for i in range(5)]
+    first = clouds[0]
+    assert (first.topic, first.frame, len(first), first.is_dense) == ("/points", "lidar", 3840, False)
+    assert first.fields == ("x", "y", "z", "intensity", "ring", "time")
+    assert first.stamp == np.datetime64(first.stamp_ns, "ns")
+    assert first.log_time == np.datetime64(first.log_time_ns, "ns")
+    xyz = first.xyz()
+    assert xyz.shape == (3840, 3)
+    assert xyz.dtype == np.float32
+    for index, name in enumerate("xyz"):
+        assert np.array_equal(xyz[:, index], first[name], equal_nan=True)
+    assert first["intensity"].shape == (3840,)
+    with pytest.raises(KeyError, match="x, y, z, intensity, ring, time"):
+        first["reflectivity"]
+
+
+@pytest.mark.parametrize("suffix", [".bag", ".mcap", ""])
+def test_scans_are_those_of_the_messages(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"scans{suffix}"
+    pc2scan.convert(FIXTURES / "hall.bag", path, min_height=-0.3, intensity_field="intensity", only_scans=True)
+    stream = pc2scan.scans(str(path))
+    assert stream.topics == ("/scan",)
+    scans = list(stream)
+    assert [scan.log_time_ns for scan in scans] == [FIRST_NS + i * 10**8 for i in range(5)]
+    scan = scans[0]
+    assert (scan.topic, scan.frame, len(scan.ranges)) == ("/scan", "lidar", 360)
+    assert scan.ranges.dtype == scan.intensities.dtype == np.float32
+    assert scan.stamp == np.datetime64("2023-11-14T22:13:20", "ns")
+    assert scan.angles[0] == np.float32(-np.pi)
+    assert scan.angles[1] - scan.angles[0] == pytest.approx(np.pi / 180)
+    xy = scan.xy()
+    assert xy.shape == (np.count_nonzero(np.isfinite(scan.ranges)), 2)
+    assert np.allclose(np.hypot(*xy.T), scan.ranges[scan.valid])
+    looks = np.stack([np.cos(scan.angles[scan.valid]), np.sin(scan.angles[scan.valid])], axis=1)
+    assert np.allclose(xy, scan.ranges[scan.valid, np.newaxis] * looks, atol=1e-6)
+    # They are the user's own.
+    scan.ranges[0] = 1.0
+    assert "360 beams" in repr(scan)
+
+
+@pytest.mark.parametrize(
+    "how",
+    [
+        {"min_height": -0.3},
+        {"preset": "slam_toolbox", "min_height": -0.3},
+        {"min_height": 0.1, "target_frame": "base_link", "scan_time": "auto", "time_increment": "auto"},
+        {"min_height": 0.1, "target_frame": "odom", "start": 0.1, "end": 0.35, "beams": 90, "reduce": "median"},
+        {"params": pc2scan.ProjectionParams(min_height=-0.3, intensity_field="intensity"), "range_max": 4.0},
+        {"preset": "gmapping", "topics": "/points:=/front", "min_height": -0.3},
+        {"target_frame": "map", "static_tf": "map lidar 0 0 2 0 0 0.1", "min_height": 0.5, "max_height": 3},
+    ],
+    ids=" ".join,
+)
+@pytest.mark.parametrize("container", CONTAINERS)
+def test_clouds_that_are_converted_on_the_way_are_those_that_convert_writes(
+    container: str, how: dict[str, object], tmp_path: Path
+) -> None:
+    pc2scan.convert(FIXTURES / container, tmp_path / "scans.mcap", only_scans=True, **how)  # type: ignore[arg-type]
+    topic = how.pop("topics", None)
+    made = pc2scan.scans(FIXTURES / container, topic, **how)  # type: ignore[arg-type]
+    written = list(pc2scan.scans(tmp_path / "scans.mcap"))
+    found = list(made)
+    assert len(found) == len(written) >= 2
+    for one, other in zip(found, written, strict=True):
+        for name in one.__slots__:
+            a, b = getattr(one, name), getattr(other, name)
+            if name == "sequence":
+                continue  # ROS 2 has none
+            assert a.tobytes() == b.tobytes() if isinstance(a, np.ndarray) else a == b, name
+
+
+def test_a_cloud_of_one_topic_may_become_several(tmp_path: Path) -> None:
+    topics = ["/points:=/a", "/points:=/b"]
+    pc2scan.convert(FIXTURES / "hall.bag", tmp_path / "scans.mcap", topics=topics, only_scans=True)
+    written = sorted((s.log_time_ns, s.topic) for s in pc2scan.scans(tmp_path / "scans.mcap", ["/a", "b"]))
+    assert [(s.log_time_ns, s.topic) for s in pc2scan.scans(FIXTURES / "hall.bag", topics, use_inf=True)] == written
+
+
+def test_each_loop_begins_anew() -> None:
+    stream = pc2scan.clouds(FIXTURES / "hall.bag")
+    first = [cloud.stamp_ns for cloud in stream]
+    assert [cloud.stamp_ns for cloud in stream] == first
+    assert len(first) == 5
+    together = zip(stream, stream, strict=True)
+    assert all(a.stamp_ns == b.stamp_ns for a, b in together)
+
+
+@needs_proc
+def test_files_are_closed_whatever_becomes_of_the_loop(recording: Path) -> None:
+    stream = pc2scan.scans(recording)
+    list(stream)
+    assert open_files(recording) == 0
+    # Left.
+    for _ in stream:
+        assert open_files(recording)
+        break
+    assert open_files(recording) == 0
+    # Closed.
+    items = iter(stream)
+    next(items)
+    items.close()
+    assert open_files(recording) == 0
+    items = iter(stream)
+    stream.close()
+    assert open_files(recording) == 0
+    assert list(items) == []
+    with stream:
+        items = iter(stream)
+        next(items)
+        assert open_files(recording)
+    assert open_files(recording) == 0
+    # Forgotten.
+    items = iter(stream)
+    next(items)
+    del items
+    gc.collect()
+    assert open_files(recording) == 0
+    stream = pc2scan.scans(recording)
+    assert open_files(recording)
+    del stream
+    gc.collect()
+    assert open_files(recording) == 0
+    # Never wanted, because of an error.
+    with pytest.raises(TopicError):
+        pc2scan.clouds(recording, topic="/none")
+    assert open_files(recording) == 0
+
+
+@needs_proc
+def test_files_are_closed_when_a_loop_fails(tmp_path: Path) -> None:
+    path = broken(tmp_path)
+    with pytest.raises(DecodeError):
+        list(pc2scan.scans(path, on_error="fail"))
+    assert open_files(path) == 0
+
+
+def broken(folder: Path) -> Path:
+    """A recording whose third scan ends too early."""
+    path = folder / "broken.mcap"
+    stream = Stream("/scan", SCAN)
+    items = [Item(stream, scan.stamp_ns, {2: encode_laserscan(scan, "cdr")}) for scan in scans(5)]
+    items[2] = Item(stream, items[2].log_time_ns, {2: items[2].data[2][:30]})
+    write_mcap(path, Recording((stream,), tuple(items)))
+    return path
+
+
+def test_what_cannot_be_used_is_skipped_with_a_warning_or_an_error(tmp_path: Path) -> None:
+    path = broken(tmp_path)
+    stream = pc2scan.scans(path)
+    with pytest.warns(pc2scan.RecordingWarning, match="skipped: /scan.*on_error='fail'") as warned:
+        found = list(stream)
+    assert [w.filename for w in warned] == [__file__]
+    assert [(scan.stamp_ns - START) // STEP for scan in found] == [0, 1, 3, 4]
+    assert stream.skipped_count == 1
+    assert [(s.topic, s.log_time_ns) for s in stream.skipped] == [("/scan", START + 2 * STEP)]
+    with pytest.raises(MessageError, match="/scan"):
+        list(pc2scan.scans(path, on_error="fail"))
+    with pytest.raises(UsageError, match="skip or fail"):
+        pc2scan.scans(path, on_error="ignore")
+
+
+def test_clouds_without_a_transform_are_skipped_with_the_hint() -> None:
+    stream = pc2scan.scans(FIXTURES / "hall.bag", target_frame="map")
+    with pytest.warns(pc2scan.RecordingWarning, match="map"):
+        assert list(stream) == []
+    assert stream.skipped_count == 5
+
+
+@pytest.mark.parametrize("container", ["hall.bag", "hall.mcap"])
+def test_what_is_left_of_a_damaged_recording_is_read_with_a_warning(container: str, tmp_path: Path) -> None:
+    path = tmp_path / container
+    data = (FIXTURES / container).read_bytes()
+    path.write_bytes(data[: len(data) * 4 // 5])
+    report = pc2scan.repair(path, tmp_path / f"sound_{container}")
+    assert report.exit_status == 3
+    stream = pc2scan.clouds(path)
+    with pytest.warns(pc2scan.RecordingWarning, match="damaged: .*strict=True"):
+        found = [cloud.stamp_ns for cloud in stream]
+    assert stream.damage
+    assert found == [cloud.stamp_ns for cloud in pc2scan.clouds(tmp_path / f"sound_{container}")]
+    with pytest.raises(DamageError):
+        list(pc2scan.clouds(path, strict=True))
+
+
+def test_a_sound_recording_is_read_without_a_warning() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        stream = pc2scan.clouds(FIXTURES / "hall.bag", start=0)
+        assert len(list(stream)) == 5
+    assert stream.damage == ()
+
+
+def test_the_only_topic_is_taken_and_several_are_named(tmp_path: Path) -> None:
+    path = tmp_path / "two.mcap"
+    pc2scan.convert(FIXTURES / "hall.bag", path, topics=["/points:=/front", "/points:=/back"], only_scans=True)
+    with pytest.raises(TopicError, match=r"2 LaserScan topics: /back, /front") as raised:
+        pc2scan.scans(path)
+    assert 'topic="/back"' in str(raised.value.hint)
+    assert {scan.topic for scan in pc2scan.scans(path, "/front")} == {"/front"}
+    assert {scan.topic for scan in pc2scan.scans(path, topic=["back", "/front"])} == {"/front", "/back"}
+    with pytest.raises(TopicError, match="no topic /frnt") as raised:
+        pc2scan.scans(path, "/frnt")
+    assert "did you mean /front?" in str(raised.value.hint)
+
+
+def test_the_other_kind_of_topic_is_pointed_out(recording: Path) -> None:
+    with pytest.raises(TopicError, match="no LaserScan topic") as raised:
+        pc2scan.scans(FIXTURES / "hall.bag")
+    assert "min_height" in str(raised.value.hint)
+    only_scans = recording.with_name("scans.mcap")
+    pc2scan.convert(recording, only_scans, topics="/points:=/again", only_scans=True)
+    with pytest.raises(TopicError, match="no PointCloud2 topic") as raised:
+        pc2scan.clouds(only_scans)
+    assert "pc2scan.scans()" in str(raised.value.hint)
+    with pytest.raises(TopicError) as raised:
+        pc2scan.scans(only_scans, min_height=0.1)
+    assert "LaserScan" in str(raised.value.hint)
+
+
+@pytest.mark.parametrize(
+    ("start", "end", "expected"),
+    [
+        (0.1, 0.3, [1, 2]),
+        (np.datetime64(FIRST_NS + 10**8, "ns"), None, [1, 2, 3, 4]),
+        (FIRST_NS + 10**8, FIRST_NS + 2 * 10**8, [1]),
+        ("0.3", None, [3, 4]),
+    ],
+)
+def test_a_cut_is_that_of_the_command(start: object, end: object, expected: list[int]) -> None:
+    clouds = pc2scan.clouds(FIXTURES / "hall.bag", start=start, end=end)  # type: ignore[arg-type]
+    assert [(cloud.log_time_ns - FIRST_NS) // 10**8 for cloud in clouds] == expected
+
+
+def test_several_recordings_are_one(tmp_path: Path) -> None:
+    pc2scan.convert(FIXTURES / "hall.bag", tmp_path / "a.mcap", end=0.25, min_height=-0.3)
+    pc2scan.convert(FIXTURES / "hall.bag", tmp_path / "b.mcap", start=0.25, min_height=-0.3)
+    both = [scan.log_time_ns for scan in pc2scan.scans([tmp_path / "b.mcap", str(tmp_path / "a.mcap")])]
+    assert both == [FIRST_NS + i * 10**8 for i in range(5)]
+
+
+def test_nothing_there_is_an_error_at_once(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="nothing of this name"):
+        pc2scan.scans(tmp_path / "none.bag")
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_memory_stays_bounded(form: str, tmp_path: Path) -> None:
+    source = write_recording(tmp_path, FORMS[form], 60_000_000)
+    tracemalloc.start()
+    try:
+        for cloud in pc2scan.clouds(source, "/points"):
+            size = cloud.xyz().nbytes
+        clouds = tracemalloc.get_traced_memory()[1]
+        tracemalloc.reset_peak()
+        kept = list(pc2scan.scans(source, "/points", max_height=10.0))
+        scans = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert len(kept) * size * 2 > 30_000_000
+    assert clouds < 30_000_000
+    # Scans that are kept do not keep what they were made of.
+    assert scans < 30_000_000
+
+
+def test_tables(recording: Path) -> None:
+    pytest.importorskip("pandas")
+    pytest.importorskip("xarray")
+    stream = pc2scan.scans(recording)
+    scans = list(stream)
+    dataset = stream.to_xarray()
+    assert dataset.sizes == {"time": 5, "beam": 360}
+    assert np.array_equal(dataset["ranges"], [scan.ranges for scan in scans])
+    assert np.array_equal(dataset["intensities"], [scan.intensities for scan in scans])
+    assert list(dataset["time"].to_numpy()) == [scan.stamp for scan in scans]
+    assert dataset.attrs["frame"] == "lidar"
+    # Labels select.
+    assert dataset.sel(time="2023-11-14T22:13:20.1")["ranges"].shape[-1] == 360
+    table = stream.to_dataframe()
+    assert list(table.columns) == ["stamp", "beam", "angle", "range", "intensity"]
+    assert len(table) == 5 * 360
+    assert table["range"].dtype == np.float32
+    assert np.array_equal(table["range"].to_numpy()[:360], scans[0].ranges)
+    assert scans[0].to_dataframe()["angle"].to_list() == scans[0].angles.tolist()
+    assert scans[1].to_xarray()["ranges"].shape == (360,)
+    clouds = pc2scan.clouds(recording)
+    cloud = next(iter(clouds))
+    assert list(cloud.to_dataframe().columns) == list(cloud.fields)
+    assert cloud.to_xarray()["ring"].dtype == cloud["ring"].dtype
+    points = clouds.to_dataframe()
+    assert len(points) == 5 * 3840
+    assert list(points.columns) == ["stamp", *cloud.fields]
+    assert points["stamp"].nunique() == 5
+
+
+def test_scans_that_differ_make_no_dataset_but_a_table(tmp_path: Path) -> None:
+    pytest.importorskip("pandas")
+    pytest.importorskip("xarray")
+    pc2scan.convert(FIXTURES / "hall.bag", tmp_path / "a.mcap", topics="/points:=/a", only_scans=True)
+    pc2scan.convert(FIXTURES / "hall.bag", tmp_path / "b.mcap", topics="/points:=/b", only_scans=True, beams=90)
+    stream = pc2scan.scans([tmp_path / "a.mcap", tmp_path / "b.mcap"], topic=["/a", "/b"])
+    with pytest.raises(UsageError, match=r"360 from .* on /a .* but 90 from .* on /b") as raised:
+        stream.to_xarray()
+    assert "to_dataframe" in str(raised.value.hint)
+    table = stream.to_dataframe()
+    assert table["topic"].value_counts().to_dict() == {"/a": 1800, "/b": 450}
+    empty = pc2scan.scans(tmp_path / "a.mcap", start=0.31, end=0.35)
+    assert len(empty.to_dataframe()) == 0
+    with pytest.raises(UsageError, match="no scan"):
+        empty.to_xarray()
+
+
+def test_a_package_that_is_not_installed_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    stream = pc2scan.scans(FIXTURES / "hall.bag", min_height=-0.3)
+    for name, table in (("pandas", stream.to_dataframe), ("xarray", stream.to_xarray)):
+        # Python's way to say that a module is not there.
+        monkeypatch.setitem(sys.modules, name, None)
+        with pytest.raises(ImportError, match=f"needs the package {name}: pip install {name}"):
+            table()
+
+
+def test_numbers_that_contradict_each_other_are_errors_of_the_scan(tmp_path: Path) -> None:
+    stream = Stream("/scan", SCAN)
+    scan = replace(scans(1)[0], angle_min=float("nan"))
+    path = write_mcap(
+        tmp_path / "odd.mcap", Recording((stream,), (Item(stream, 2**64 - 1, {2: encode_laserscan(scan, "cdr")}),))
+    )
+    (found,) = pc2scan.scans(path)
+    assert np.isnat(found.log_time)
+    with pytest.raises(DecodeError, match="angle_min"):
+        found.xy()
+
+
+def test_a_process_may_end_in_the_middle_of_a_loop() -> None:
+    code = "import pc2scan, sys\nitems = iter(pc2scan.scans(sys.argv[1], min_height=-0.3))\nprint(next(items))"
+    done = subprocess.run(
+        [sys.executable, "-X", "dev", "-W", "error", "-c", code, str(FIXTURES / "hall.bag")],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith("<Scan on /scan at 1700000000.000000000")
+
+
+def test_a_change_of_the_files_is_seen_by_the_next_loop(tmp_path: Path) -> None:
+    path = tmp_path / "a.bag"
+    shutil.copy(FIXTURES / "hall.bag", path)
+    stream = pc2scan.clouds(path)
+    with closing(iter(stream)) as items:
+        next(items)
+    path.unlink()
+    with pytest.raises(RecordingError, match="nothing of this name"):
+        iter(stream)
