@@ -18,8 +18,8 @@ class PointCounts:
     """How many points a cloud has, and what becomes of them. Everything but ``total`` sums to ``total``.
 
     Each point is counted once, under the first reason that rejects it. Filters come first, then the reasons of the
-    projection itself, which are always there: ``nan``, ``height``, ``range``, ``angle`` and ``past_end`` (see
-    `pc2scan.core.rule.REJECTIONS`). Each reason is an attribute: ``counts.height``.
+    projection itself, which are always there: ``nan`` (x, y or z is), ``height``, ``range`` and ``angle`` (outside the
+    limits), and ``past_end`` (in the sector, but behind its last beam). Each is an attribute: ``counts.height``.
 
     Attributes
     ----------

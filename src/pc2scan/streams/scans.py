@@ -217,9 +217,8 @@ class Scans(Stream[Scan]):
         for route in plan.routes:
             connection = route.connection
             if route.targets:
-                convert = conversion.for_topic(
-                    connection.topic, connection.serialization, connection.serialization, connection.ros_type
-                )
+                serial = connection.serialization
+                convert = conversion.for_topic(connection.topic, serial, serial, connection.ros_type)
                 routes[connection.id] = (convert, route.targets)
 
         def read(message: RawMessage) -> Read:
