@@ -10,6 +10,7 @@ import typer
 from pc2scan.errors import stamp_text
 
 from .damage import show_damage
+from .info_scans import show_scans
 from .options import Json
 from .render import count, print_json, printable, size, table
 
@@ -27,14 +28,15 @@ def info(
         typer.Argument(metavar="SRC...", help="Recordings; several are one, merged in time order."),
     ],
     samples: Annotated[
-        int, typer.Option(min=1, help="Clouds of each topic to look at, spread over the recording.")
+        int, typer.Option(min=1, help="Clouds and scans of each topic to look at, spread over the recording.")
     ] = 10,
     as_json: Json = False,
 ) -> None:
-    """Show what is in a recording and its clouds.
+    """Show what is in a recording, its clouds and its scans.
 
     For each PointCloud2 topic: fields, points, frame, NaN, the spread of x, y, z and range, and a histogram
-    of heights, since heights are what conversions get wrong.
+    of heights, since heights are what conversions get wrong. For each LaserScan topic: beams, sector and increment,
+    limits, the share of returns, and which consumers would take them.
     """
     from pc2scan.inspect.info import info as look
 
@@ -76,6 +78,9 @@ def _show(result: Info) -> None:
     for cloud in result.clouds:
         typer.echo()
         _show_cloud(cloud)
+    for scan in result.scans:
+        typer.echo()
+        show_scans(scan)
 
 
 def _show_cloud(cloud: CloudInfo) -> None:

@@ -1,4 +1,4 @@
-"""What is in a recording: containers, topics, and what its clouds look like."""
+"""What is in a recording: containers, topics, and what its clouds and scans look like."""
 
 from __future__ import annotations
 
@@ -12,10 +12,14 @@ import numpy as np
 from pc2scan.bags.merged import as_one
 from pc2scan.bags.opening import open_recordings
 from pc2scan.errors import DecodeError
+from pc2scan.json_types import json_value
 from pc2scan.messages.clouds import CLOUDS
+from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.messages.pointcloud2 import DATATYPES, POINTCLOUD2, decode_pointcloud2
 
 from .sampling import sampled
+from .scan_info import ScanInfo, ScanLook
+from .spread import Spread, finite, spread_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -28,16 +32,13 @@ if TYPE_CHECKING:
     from pc2scan.core.points import Points
     from pc2scan.model import Connection, RawMessage, Summary
 
-__all__ = ["CloudInfo", "FileInfo", "Info", "Spread", "TopicInfo", "info"]
+__all__ = ["CloudInfo", "FileInfo", "Info", "ScanInfo", "Spread", "TopicInfo", "info"]
 
 #: Bars of the histogram of heights.
 _BINS = 12
 
 #: ... and of all topics together.
 _MAX_POINTS_HELD = 4_000_000
-
-#: Coordinates of float64 beyond this count as infinite.
-_LARGEST = 1e300
 
 #: Points that are looked at in all clouds of a topic together; of larger clouds every second, third, ... is.
 _MAX_POINTS = 2_000_000
@@ -74,17 +75,6 @@ class TopicInfo:
     rate_hz: float | None
     connections: int
     latched: bool
-
-
-@dataclass(frozen=True, slots=True)
-class Spread:
-    """The distribution of a quantity over the sampled points, metres; finite values only."""
-
-    min: float
-    p5: float
-    median: float
-    p95: float
-    max: float
 
 
 @dataclass(slots=True)
@@ -149,6 +139,7 @@ class Info:
     messages: int
     topics: tuple[TopicInfo, ...]
     clouds: tuple[CloudInfo, ...] = field(default=())
+    scans: tuple[ScanInfo, ...] = field(default=())
     #: What is damaged, as far as it was read. If opening shows any, everything is read, and counted.
     damage: tuple[Damage, ...] = field(default=())
 
@@ -161,6 +152,7 @@ class Info:
         """Return JSON's types."""
         return {
             **asdict(self),
+            "scans": [json_value({**asdict(scan), "consumers": dict(scan.consumers)}) for scan in self.scans],
             "duration_ns": self.duration_ns,
             "damage": [damage.as_dict() for damage in self.damage],
         }
@@ -174,7 +166,7 @@ def info(sources: Sequence[Path], *, samples: int = 10) -> Info:
     sources
         Several are one recording.
     samples
-        Clouds of each topic to look at, spread evenly over its time.
+        Clouds and scans of each topic to look at, spread evenly over its time.
 
     Raises
     ------
@@ -186,7 +178,7 @@ def info(sources: Sequence[Path], *, samples: int = 10) -> Info:
         reader = as_one(readers)
         counts, start_ns, end_ns = _counts(reader)
         topics = _topics(reader.connections, counts, start_ns, end_ns)
-        clouds = _clouds(reader, topics, samples, start_ns, end_ns)
+        clouds, scans = _samples(reader, topics, samples, start_ns, end_ns)
         return Info(
             tuple(_file_info(r.path, r.summary) for r in readers),
             start_ns,
@@ -194,6 +186,7 @@ def info(sources: Sequence[Path], *, samples: int = 10) -> Info:
             sum(counts.values()),
             tuple(topics),
             clouds,
+            scans,
             tuple(reader.damage),
         )
 
@@ -246,22 +239,30 @@ def _topics(
     return topics
 
 
-def _clouds(
+def _samples(
     reader: Reader, topics: Sequence[TopicInfo], samples: int, start_ns: int | None, end_ns: int | None
-) -> tuple[CloudInfo, ...]:
-    """Describe the clouds of every topic that has any."""
-    connections: dict[str, list[Connection]] = {t.topic: [] for t in topics if t.msgtype in CLOUDS and t.messages}
+) -> tuple[tuple[CloudInfo, ...], tuple[ScanInfo, ...]]:
+    """Describe the clouds and the scans of every topic that has any; a topic of both is one of clouds."""
+    clouds = {topic.topic for topic in topics if topic.msgtype in CLOUDS and topic.messages}
+    scans = {topic.topic for topic in topics if topic.msgtype == LASERSCAN and topic.messages} - clouds
+    connections: dict[str, list[Connection]] = {t.topic: [] for t in topics if t.topic in clouds | scans}
     if not connections or start_ns is None or end_ns is None:
-        return ()
+        return (), ()
     for connection in reader.connections:
-        if connection.ros_type in CLOUDS and connection.topic in connections:
+        wanted = clouds if connection.ros_type in CLOUDS else scans if connection.ros_type == LASERSCAN else ()
+        if connection.topic in wanted:
             connections[connection.topic].append(connection)
     # Points are held until all topics have been read.
     most = min(_MAX_POINTS, _MAX_POINTS_HELD // len(connections)) // samples + 1
-    looks = {name: _Look(name, most) for name in connections}
+    cloud_looks = {name: _Look(name, most) for name in connections if name in clouds}
+    scan_looks = {name: ScanLook(name, samples) for name in connections if name in scans}
+    looks: dict[str, _Look | ScanLook] = {**cloud_looks, **scan_looks}
     for message in sampled(reader, connections, samples, start_ns, end_ns):
         looks[message.connection.topic].add(message)
-    return tuple(look.described() for look in looks.values())
+    return (
+        tuple(look.described() for look in cloud_looks.values()),
+        tuple(look.described() for look in scan_looks.values()),
+    )
 
 
 class _Look:
@@ -349,10 +350,10 @@ def _measure(result: CloudInfo, points: NDArray[np.float64]) -> None:
     # A non-return at the origin says nothing about where the returns are.
     valid = ~(invalid | zero)
     result.above_zero_share = float((z[valid] > 0).mean()) if valid.any() else 0.0
-    result.x, result.y, result.z = (_spread(axis[valid]) for axis in (x, y, z))
+    result.x, result.y, result.z = (spread_of(axis[valid]) for axis in (x, y, z))
     with np.errstate(over="ignore"):
-        result.range = _spread(np.hypot(x[valid], y[valid]))
-    heights = _plain(z[valid])
+        result.range = spread_of(np.hypot(x[valid], y[valid]))
+    heights = finite(z[valid])
     if heights.size:
         low, high = np.percentile(heights, [0.5, 99.5])
         # So wide that the edges of the bars are different numbers.
@@ -362,15 +363,3 @@ def _measure(result: CloudInfo, points: NDArray[np.float64]) -> None:
         counts, edges = np.histogram(np.clip(heights, low, high), _BINS, (low, high))
         result.height_edges = tuple(float(edge) for edge in edges)
         result.height_counts = tuple(int(count) for count in counts)
-
-
-def _plain(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Values that can be computed with: finite, and so far from the largest number that their differences are too."""
-    return values[np.abs(values) < _LARGEST]
-
-
-def _spread(values: NDArray[np.float64]) -> Spread | None:
-    finite = _plain(values)
-    if not finite.size:
-        return None
-    return Spread(*(float(value) for value in np.percentile(finite, [0, 5, 50, 95, 100])))

@@ -1,0 +1,151 @@
+"""What the LaserScans of a topic look like, from a few of them spread over the recording."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pc2scan.core.consumers import CONSUMERS, OUTCOMES, Outcome, judge
+from pc2scan.errors import DecodeError
+from pc2scan.messages.consumed import consumed_scan
+from pc2scan.messages.laserscan import decode_laserscan
+
+from .spread import Spread, spread_of
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from pc2scan.core.consumers import Scan
+    from pc2scan.model import RawMessage
+
+__all__ = ["ScanInfo", "ScanLook"]
+
+#: Ranges that are kept of a topic's scans; of longer scans every second, third, ... is.
+_MAX_RANGES = 500_000
+
+
+@dataclass(frozen=True, slots=True)
+class ScanInfo:
+    """What the scans of one topic look like, from a few of them spread over the recording.
+
+    Attributes
+    ----------
+    sampled
+        Scans looked at.
+    frames
+        The ``frame_id`` that occur in them.
+    beams_min, beams_max
+        Lengths of ``ranges``.
+    angle_min, angle_max, angle_increment, range_min, range_max, scan_time, time_increment
+        Of the first of them, as in the message: radians, metres and seconds. None without any.
+    intensities
+        Whether the first has any.
+    return_share, infinite_share, nan_share, short_share, long_share
+        Shares of the ranges that are within the limits, +inf, NaN, below ``range_min``, and finite above ``range_max``.
+    range
+        Spread of the ranges that are within the limits.
+    empty
+        Scans without any return.
+    consumers
+        What each consumer does with them, the worst of all, whatever the transforms: see `pc2scan.core.consumers`.
+    problems
+        Why sampled scans cannot be decoded, each reason once.
+    """
+
+    topic: str
+    sampled: int = 0
+    frames: tuple[str, ...] = ()
+    beams_min: int = 0
+    beams_max: int = 0
+    angle_min: float | None = None
+    angle_max: float | None = None
+    angle_increment: float | None = None
+    range_min: float | None = None
+    range_max: float | None = None
+    scan_time: float | None = None
+    time_increment: float | None = None
+    intensities: bool = False
+    return_share: float = 0.0
+    infinite_share: float = 0.0
+    nan_share: float = 0.0
+    short_share: float = 0.0
+    long_share: float = 0.0
+    range: Spread | None = None
+    empty: int = 0
+    consumers: tuple[tuple[str, Outcome], ...] = ()
+    problems: tuple[str, ...] = ()
+
+
+class ScanLook:
+    """What the sampled scans of a topic have shown.
+
+    Parameters
+    ----------
+    topic
+        Its name.
+    samples
+        How many scans there are at most.
+    """
+
+    def __init__(self, topic: str, samples: int) -> None:
+        self._topic = topic
+        self._most = max(1, _MAX_RANGES // samples)
+        self._sampled = 0
+        self._scans: list[Scan] = []
+        self._first_of: dict[str, Scan] = {}
+        self._worst: dict[str, Outcome] = {}
+        self._returns: list[NDArray[np.float32]] = []
+        self._problems: dict[str, None] = {}
+
+    def add(self, message: RawMessage) -> None:
+        """Look at a scan."""
+        self._sampled += 1
+        try:
+            decoded = decode_laserscan(message.data, message.connection.serialization)
+        except DecodeError as err:
+            self._problems[err.message] = None
+            return
+        scan = consumed_scan(decoded)
+        self._scans.append(scan)
+        first = self._first_of.setdefault(decoded.frame_id, scan)
+        for consumer in CONSUMERS:
+            outcome = judge(consumer, scan, None if scan is first else first).outcome
+            self._worst[consumer] = max(outcome, self._worst.get(consumer, outcome), key=OUTCOMES.index)
+        ranges = decoded.ranges[:: -(-len(decoded.ranges) // self._most) or 1]
+        low, high = np.float32(scan.range_min), np.float32(scan.range_max)
+        self._returns.append(ranges[(ranges >= low) & (ranges <= high) & (ranges < np.inf)].copy())
+
+    def described(self) -> ScanInfo:
+        """Return the description."""
+        problems = tuple(self._problems)
+        if not self._scans:
+            return ScanInfo(self._topic, self._sampled, problems=problems)
+        first = self._scans[0]
+        beams = [scan.beams for scan in self._scans]
+        total = max(1, sum(beams))
+        return ScanInfo(
+            self._topic,
+            sampled=self._sampled,
+            frames=tuple(self._first_of),
+            beams_min=min(beams),
+            beams_max=max(beams),
+            angle_min=first.angle_min,
+            angle_max=first.angle_max,
+            angle_increment=first.angle_increment,
+            range_min=first.range_min,
+            range_max=first.range_max,
+            scan_time=first.scan_time,
+            time_increment=first.time_increment,
+            intensities=first.intensities > 0,
+            return_share=sum(scan.returns for scan in self._scans) / total,
+            infinite_share=sum(scan.infinite for scan in self._scans) / total,
+            nan_share=sum(scan.nan for scan in self._scans) / total,
+            short_share=sum(scan.short for scan in self._scans) / total,
+            long_share=sum(scan.long for scan in self._scans) / total,
+            range=spread_of(np.concatenate(self._returns, dtype=np.float64)),
+            empty=sum(not scan.returns for scan in self._scans),
+            consumers=tuple(self._worst.items()),
+            problems=problems,
+        )

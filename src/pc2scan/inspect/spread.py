@@ -1,0 +1,41 @@
+"""The distribution of a quantity: its percentiles."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = ["Spread", "finite", "spread_of"]
+
+#: Numbers of float64 beyond this count as infinite.
+_LARGEST = 1e300
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """The distribution of a quantity over the sampled points, metres; finite values only."""
+
+    min: float
+    p5: float
+    median: float
+    p95: float
+    max: float
+
+
+def finite(values: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
+    """Values that can be computed with: finite, and so far from the largest number that their differences are too."""
+    known: NDArray[np.floating[Any]] = values[np.abs(values) < _LARGEST]
+    return known
+
+
+def spread_of(values: NDArray[np.floating[Any]]) -> Spread | None:
+    """Return the spread of the finite ones among some values; None if there are none."""
+    known = finite(values)
+    if not known.size:
+        return None
+    return Spread(*(float(value) for value in np.percentile(known, [0, 5, 50, 95, 100])))
