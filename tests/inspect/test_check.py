@@ -271,8 +271,9 @@ def test_what_cannot_be_checked(tmp_path: Path) -> None:
         check(write_mcap(tmp_path / "a.mcap", content))
 
 
-def test_the_front_door() -> None:
-    assert pc2scan.check is check
+def test_the_front_door(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.mcap", *scans(3))
+    assert pc2scan.check(path, consumers="gmapping").as_dict() == check(path, consumers=["gmapping"]).as_dict()
 
 
 @pytest.mark.parametrize("name", ["jarvis_two_lasers.bag", "guardian_pallet.bag", "luminar_highway.bag"])
