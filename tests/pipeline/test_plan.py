@@ -74,9 +74,20 @@ def test_a_dropped_cloud_is_not_converted_unless_named() -> None:
 
 
 def test_a_pattern_that_matches_nothing_is_worth_a_warning() -> None:
-    assert plan({"/points": CLOUD}, drop=("/camera/*",), keep=("/p*",)).warnings == (
+    assert plan({"/points": CLOUD, "/pose": IMU}, drop=("/camera/*",), keep=("/p*",)).warnings == (
         "`drop=/camera/*` matches no topic",
     )
+    assert plan({"/points": CLOUD, "/tf": IMU}, drop=("/TF",), keep=("/tff",)).warnings == (
+        "`keep=/tff` matches no topic; did you mean /tf?",
+        "`drop=/TF` matches no topic; did you mean /tf?",
+    )
+
+
+def test_keep_is_about_what_is_not_converted() -> None:
+    topics = {"/points": CLOUD, "/imu": IMU}
+    (warning,) = plan(topics, keep=("/points",)).warnings
+    assert warning.startswith("`keep=/points` matches only topics that are converted, and has no effect on them; ")
+    assert plan(topics, keep=("/points",), keep_clouds=True).warnings == ()
 
 
 def test_two_publishers_of_a_cloud_share_its_scan_topic() -> None:

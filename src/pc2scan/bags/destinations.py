@@ -179,6 +179,8 @@ def plan_destination(
         profile = _one_of("profile", profile or default, entry.profiles, path)
     if metadata_version not in _METADATA_VERSIONS:
         raise DestinationError(f"metadata version {metadata_version} cannot be written, only 8 and 9", path=path)
+    if metadata_version != _METADATA_VERSIONS[0] and not entry.storages:
+        raise DestinationError("`metadata_version` is for rosbag2 directories", path=path, hint="leave it out")
     files = FORMATS[storage] if storage else entry
     return Destination(
         path=path,

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from pc2scan.errors import UsageError
+
 from .options import Json
 from .render import message, print_json, printable
 
@@ -53,6 +55,8 @@ def golden(
 
     from .in_process import run_command
 
+    if overwrite and junit is None:
+        raise UsageError("--overwrite has no effect without --junit", hint="--update replaces expected outputs")
     report = GoldenReport(str(folder))
     cases = case_folders(folder, pattern)
     with junit_file(junit, [case for _, case in cases], overwrite=overwrite) as write_junit:

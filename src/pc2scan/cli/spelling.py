@@ -30,6 +30,7 @@ OPTIONS = {
     "ignore": "--ignore",
     "keep": "--keep",
     "keep_clouds": "--keep-clouds",
+    "metadata_version": "--metadata-version",
     "node": "--node",
     "odom_frame": "--odom-frame",
     "only_scans": "--only-scans",

@@ -69,6 +69,10 @@ def resolve_sources(
     UsageError
         If a parameter, the file or the preset is not as it must be, or the file is for the other direction.
     """
+    if node is not None and file is None:
+        raise UsageError(
+            "`node` chooses a section of a parameter file, and none is given", hint=f"`params_file=FILE` `node={node}`"
+        )
     # Only what is given is loaded: a process that converts a small recording spends most of its time on loading.
     found = list(settings)
     ignored: tuple[str, ...] = ()

@@ -35,6 +35,7 @@ __all__ = [
     "ResolvedParams",
     "Setting",
     "expected_message",
+    "from_option",
     "from_preset",
     "names_of",
     "preset_settings",
@@ -424,6 +425,11 @@ def preset_settings(consumer: str) -> list[Setting]:
 def from_preset(origin: str) -> bool:
     """Whether a parameter with this origin was chosen by a preset."""
     return origin.startswith("--preset ")
+
+
+def from_option(origin: str) -> bool:
+    """Whether a parameter with this origin was given by itself: as an option or ``--param``, not in a file."""
+    return origin.startswith("--") and not from_preset(origin)
 
 
 def _contradiction(setting: Setting, rival: Setting) -> ParameterError:

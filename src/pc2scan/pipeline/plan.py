@@ -14,6 +14,7 @@ from pc2scan.names import did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from collections.abc import Set as AbstractSet
 
     from pc2scan.model import Connection
 
@@ -73,7 +74,7 @@ def make_plan(connections: Sequence[Connection], options: ConvertOptions) -> Pla
         )
         routes.append(Route(connection, targets[topic] if converted else (), passes))
     _refuse_collisions(routes, {request.source: request for request in options.topics})
-    return Plan(tuple(routes), tuple(_idle_patterns(connections, options)))
+    return Plan(tuple(routes), tuple(_idle_patterns(connections, options, targets.keys())))
 
 
 def _targets(connections: Sequence[Connection], options: ConvertOptions) -> dict[str, tuple[str, ...]]:
@@ -144,15 +145,23 @@ def _refuse_collisions(routes: Sequence[Route], requests: dict[str, TopicRequest
             )
 
 
-def _idle_patterns(connections: Sequence[Connection], options: ConvertOptions) -> list[str]:
+def _idle_patterns(
+    connections: Sequence[Connection], options: ConvertOptions, converted: AbstractSet[str]
+) -> list[str]:
     """A pattern that matches nothing is nearly always a typing error."""
     topics = {connection.topic for connection in connections}
     idle = []
     for name, patterns in (("keep", options.keep), ("drop", options.drop)):
         for pattern in patterns:
-            if not any(_matches(topic, (pattern,)) for topic in topics):
+            matched = {topic for topic in topics if _matches(topic, (pattern,))}
+            if not matched:
                 near = did_you_mean(pattern, sorted(topics))
                 idle.append(f"`{name}={pattern}` matches no topic" + (f"; {near}" if near else ""))
+            elif name == "keep" and matched <= converted and not options.keep_clouds:
+                idle.append(
+                    f"`keep={pattern}` matches only topics that are converted, and has no effect on them; "
+                    "`keep_clouds=True` writes them too"
+                )
     return idle
 
 

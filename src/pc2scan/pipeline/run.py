@@ -45,6 +45,7 @@ from pc2scan.threads import Threads
 
 from .acceptance import ghosts, refusal
 from .declarations import Declarations
+from .idle import doubts, refuse_unusable
 from .plan import make_plan
 from .report import BEGINNING, Report
 from .routes import (
@@ -137,6 +138,7 @@ def run(
         inputs = (*sources, *options.frames.tf_from)
         states = [state_of(path) for path in inputs]
         _refuse_missing_destination(sources, destination, output)
+        refuse_unusable(options)
         readers = open_recordings(sources, stack, verify=options.verify, strict=options.strict)
         reader = as_one(readers)
         plan = _plan(reader, options)
@@ -148,7 +150,7 @@ def run(
         report = Report(
             [str(source) for source in sources], str(path), options.params, dict(origins or {}), options.filters
         )
-        report.warnings += (*overlap_warnings(readers), *plan.warnings)
+        report.warnings += (*overlap_warnings(readers), *plan.warnings, *doubts(options, report.origins))
         _refuse_overlap(sources, options, also_read or {}, path, output)
         deliver = report_file(output, stack)
         if output.folder is not None:

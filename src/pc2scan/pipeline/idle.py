@@ -1,0 +1,123 @@
+"""Options that are given and have no effect, and values that are probably not what was meant."""
+
+from __future__ import annotations
+
+import math
+import os
+from typing import TYPE_CHECKING
+
+from pc2scan.core.quantities import FULL_TURN
+from pc2scan.errors import MissingError, UsageError
+from pc2scan.files.nearby import missing_hint
+from pc2scan.names import did_you_mean
+
+from .parameters import from_option
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from .options import ConvertOptions
+
+__all__ = ["doubts", "refuse_unusable"]
+
+#: Increments from here on, in radians: beams of more than 11 degrees. They are nearly always degrees.
+_COARSE = 0.2
+
+
+def refuse_unusable(options: ConvertOptions) -> None:
+    """Raise for what is wrong with an option although it may have no effect.
+
+    Raises
+    ------
+    MissingError
+        If a recording of ``tf_from`` is not there.
+    UsageError
+        If ``ros_distro`` is no distribution that is known.
+    """
+    for path in options.frames.tf_from:
+        if not os.path.lexists(path):
+            raise MissingError("there is nothing of this name (from `tf_from`)", path=path, hint=missing_hint(path))
+    if options.ros_distro:
+        from pc2scan.messages.transcode import DISTROS  # noqa: PLC0415  # few conversions name one
+
+        if options.ros_distro not in DISTROS:
+            near = did_you_mean(options.ros_distro, DISTROS)
+            raise UsageError(
+                f"`ros_distro` is {options.ros_distro!r}, which is not known",
+                hint=f"{near} the distributions are {', '.join(DISTROS)}".strip(),
+            )
+
+
+def doubts(options: ConvertOptions, origins: Mapping[str, str]) -> list[str]:
+    """Return a warning for each option without an effect, and each value that looks like degrees.
+
+    Parameters
+    ----------
+    options
+        The conversion.
+    origins
+        Where each parameter comes from. Only those given as options are looked at: a parameter file that lists all
+        parameters is normal.
+    """
+    given = {name for name, origin in origins.items() if from_option(origin)}
+    return [*_frames(options, given), *_returns(options, given), *_angles(options, origins)]
+
+
+def _frames(options: ConvertOptions, given: set[str]) -> list[str]:
+    params, frames = options.params, options.frames
+    found = []
+    if params.target_frame or any(isinstance(each.frame, str) for each in options.filters):
+        source = frames.source_frame.removeprefix("/")
+        if source and source == params.target_frame.removeprefix("/"):
+            found.append(f"`source_frame` and `target_frame` are both {source}: nothing is transformed")
+        return found
+    idle = [
+        name
+        for name, is_given in (
+            ("static_tf", frames.static and not frames.write_static),
+            ("tf_from", frames.tf_from),
+            ("tf_topics", frames.tf_topics),
+            ("transform_tolerance", "transform_tolerance" in given),
+        )
+        if is_given
+    ]
+    if idle:
+        names = ", ".join(f"`{name}`" for name in idle)
+        found.append(
+            f"{names} {'have' if idle[1:] else 'has'} no effect without `target_frame`: "
+            "every message stays in its own frame"
+        )
+    return found
+
+
+def _returns(options: ConvertOptions, given: set[str]) -> list[str]:
+    params = options.params
+    if options.reverse:
+        return []
+    found = []
+    is_sum = (params.no_return or ("inf" if params.use_inf else "range-max-plus")) == "range-max-plus"
+    if "inf_epsilon" in given and not is_sum:
+        found.append("`inf_epsilon` has no effect: it counts only with `no_return=range-max-plus`, or use_inf off")
+    elif is_sum and {"use_inf", "inf_epsilon"} & given and math.isinf(params.empty_range):
+        found.append("beams without a return read inf all the same: range_max is infinite; give a `range_max`")
+    return found
+
+
+def _angles(options: ConvertOptions, origins: Mapping[str, str]) -> list[str]:
+    params = options.params
+    if options.reverse:
+        return []
+    found = []
+    increment = params.angle_increment
+    if increment >= _COARSE and origins.get("angle_increment", "default") != "default" and not params.beams:
+        found.append(
+            f"angle_increment is {increment:g} rad, which is {math.degrees(increment):.3g} degrees a beam: "
+            f"{params.length} beams; for {increment:g} degrees write `angle_increment={increment:g}deg`"
+        )
+    span = params.angle_max - params.angle_min
+    if span > FULL_TURN:
+        found.append(
+            f"angle_min {params.angle_min:g} to angle_max {params.angle_max:g} rad is a sector of "
+            f"{math.degrees(span):.0f} degrees: beams beyond pi stay empty; degrees are written `angle_max=90deg`"
+        )
+    return found

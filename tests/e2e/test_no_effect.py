@@ -1,0 +1,110 @@
+"""Options without an effect are refused, or draw a warning."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING
+
+import pytest
+
+from e2e.command import run
+from support import ROOT
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+HALL = ROOT / "fixtures" / "hall.bag"
+MOUNT = "base_link lidar 0 0 0.5 0 0 0"
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "hint"),
+    [
+        (
+            ["--node", "front"],
+            "--node chooses a section of a parameter file, and none is given",
+            "--params-file FILE --node front",
+        ),
+        (["--tf-from", "none.bag"], "none.bag: there is nothing of this name (from --tf-from)", ""),
+        (["--ros-distro", "jazzi"], "--ros-distro is 'jazzi', which is not known", "did you mean jazzy?"),
+        (["--metadata-version", "9"], "--metadata-version is for rosbag2 directories", "leave it out"),
+        (["--storage", "mcap"], "--storage is for rosbag2 directories", "leave it out"),
+        (["--profile", "ros1"], "--profile is for .mcap files", "leave it out"),
+        (["--compression", "zstd"], "--compression zstd is not possible here", ""),
+        (["--kth", "2"], "kth is 2, which goes with reduce kth", ""),
+        (["--intensity-field", "reflectivity"], "intensity_field is 'reflectivity', which the clouds", "their fields"),
+        (["--write-static-tf"], "there is no added transform to write", ""),
+        (["--range-cutoff", "3"], "go with --reverse", ""),
+        (["--only-scans", "--keep", "/tf"], "--only-scans leaves out", ""),
+    ],
+    ids=lambda value: value[0] if isinstance(value, list) else "",
+)
+def test_refused(options: list[str], error: str, hint: str, tmp_path: Path) -> None:
+    done = run("convert", HALL, "-o", "scan.bag", "--min-height=-1", *options, cwd=tmp_path)
+    assert done.status == 2
+    assert error in done.stderr
+    assert hint in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("options", "warning"),
+    [
+        (
+            ["--static-tf", MOUNT],
+            "--static-tf has no effect without --target-frame: every message stays in its own frame",
+        ),
+        (
+            ["--tf-from", str(HALL), "--tf-topic", "/tf"],
+            "--tf-from, --tf-topic have no effect without --target-frame: every message stays in its own frame",
+        ),
+        (["--transform-tolerance", "10ms"], "--transform-tolerance has no effect without --target-frame"),
+        (
+            ["--source-frame", "base_link", "--target-frame", "base_link"],
+            "--source-frame and --target-frame are both base_link: nothing is transformed",
+        ),
+        (["--inf-epsilon", "2"], "--inf-epsilon has no effect: it counts only with --no-return range-max-plus"),
+        (["--no-use-inf"], "beams without a return read inf all the same: range_max is infinite"),
+        (
+            ["--keep", "/points", "--keep", "/tf*"],
+            "--keep /points matches only topics that are converted, and has no effect on them; --keep-clouds writes",
+        ),
+        (["--drop", "/imu"], "--drop /imu matches no topic"),
+        (["--angle-increment", "0.5"], "28.6 degrees a beam: 13 beams; for 0.5 degrees write --angle-increment 0.5deg"),
+        (["--angle-min=-5", "--angle-max=5"], "is a sector of 573 degrees: beams beyond pi stay empty"),
+    ],
+    ids=lambda value: value[0] if isinstance(value, list) else "",
+)
+def test_warned_of(options: list[str], warning: str, tmp_path: Path) -> None:
+    done = run("convert", HALL, "-o", "scan.bag", "--report", "r.json", "--min-height=-1", *options, cwd=tmp_path)
+    assert done.status == 0
+    assert f"{warning}" in done.stderr
+    assert any(line.startswith("warning: ") and warning in line for line in done.stderr.splitlines())
+    assert json.loads((tmp_path / "r.json").read_text())["warnings"]
+
+
+def test_what_has_an_effect_draws_no_warning(tmp_path: Path) -> None:
+    params = tmp_path / "params.yaml"
+    params.write_text(
+        "pointcloud_to_laserscan:\n  ros__parameters:\n    inf_epsilon: 1.0\n    transform_tolerance: 0.01\n"
+    )
+    options = [
+        "--static-tf",
+        MOUNT,
+        "--write-static-tf",
+        "--params-file",
+        str(params),
+        "--preset",
+        "nav2",
+        "--min-height=-1",
+    ]
+    assert run("convert", HALL, "-o", tmp_path / "a.bag", *options).stderr == ""
+    options = ["--static-tf", MOUNT, "--target-frame", "base_link", "--preset", "gmapping", "--inf-epsilon=2"]
+    done = run("convert", HALL, "-o", tmp_path / "b.bag", *options, "--min-height=0.1", "--transform-tolerance=1")
+    assert done.stderr == ""
+
+
+def test_overwrite_of_golden(tmp_path: Path) -> None:
+    done = run("golden", ROOT / "fixtures" / "golden", "--overwrite", cwd=tmp_path)
+    assert done.status == 2
+    assert "--overwrite has no effect without --junit" in done.stderr
