@@ -12,7 +12,7 @@ from hypothesis.extra.numpy import arrays
 from builders import CLOUD, STRING, T0, cloud, deserialized, points_of, scan, serialized, string, typestore
 from pc2scan.compare.diff import open_source
 from pc2scan.compare.rules import GEOMETRY
-from pc2scan.compare.scan_text import is_scan_text, open_scan_text, render
+from pc2scan.compare.scan_text import is_scan_text, open_scan_text, render_messages
 from pc2scan.errors import RecordingError, UsageError
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, encode_laserscan
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointField, encode_pointcloud2
@@ -30,7 +30,7 @@ def message(data: bytes, msgtype: str = LASERSCAN, ros_version: int = 2, topic: 
 
 def reread(tmp_path: Path, *messages: RawMessage) -> list[RawMessage]:
     path = tmp_path / "expected.txt"
-    path.write_text(render(messages))
+    path.write_text(render_messages(messages))
     return list(open_scan_text(path).messages())
 
 
@@ -97,7 +97,7 @@ def test_one_changed_beam_is_one_changed_line() -> None:
     ranges = np.linspace(1, 9, 400, dtype=np.float32)
     changed = ranges.copy()
     changed[123] += 1
-    before, after = (render([message(scan(values, 2))]).splitlines() for values in (ranges, changed))
+    before, after = (render_messages([message(scan(values, 2))]).splitlines() for values in (ranges, changed))
     differing = [(x, y) for x, y in zip(before, after, strict=True) if x != y]
     assert len(differing) == 1
     assert differing[0][0].split(":")[0].strip() == "120"
@@ -105,7 +105,7 @@ def test_one_changed_beam_is_one_changed_line() -> None:
 
 
 def test_a_reader_sees_what_is_in_a_scan() -> None:
-    text = render([message(scan(np.array([0.5, np.inf, 12.25], np.float32), 2))])
+    text = render_messages([message(scan(np.array([0.5, np.inf, 12.25], np.float32), 2))])
     assert "2 returns, 0.500 to 12.250 m" in text
     assert "0: 0.5 inf 12.25" in text
     assert f"stamp {T0 // 10**9}.{T0 % 10**9:09d}" in text
@@ -117,9 +117,9 @@ def test_what_text_cannot_hold_is_refused() -> None:
     data[:, :12] = padded.data.reshape(4, 12)
     wide = replace(padded, point_step=16, row_step=64, data=data.ravel())
     with pytest.raises(UsageError, match="padding would be lost"):
-        render([message(serialized(typestore(2), wide, CLOUD, 2), POINTCLOUD2)])
+        render_messages([message(serialized(typestore(2), wide, CLOUD, 2), POINTCLOUD2)])
     with pytest.raises(UsageError, match="cannot be written as text"):
-        render([message(string("hello", 2), STRING)])
+        render_messages([message(string("hello", 2), STRING)])
 
 
 def test_only_its_own_text_is_taken_for_it(tmp_path: Path) -> None:
@@ -143,11 +143,11 @@ def test_only_its_own_text_is_taken_for_it(tmp_path: Path) -> None:
 )
 def test_damage_is_named_with_its_line(old: str, new: str, blamed: str, tmp_path: Path) -> None:
     path = tmp_path / "expected.txt"
-    text = render([message(scan(np.array([1, 2, 3], np.float32), 2))])
+    text = render_messages([message(scan(np.array([1, 2, 3], np.float32), 2))])
     assert old in text
     path.write_text(text.replace(old, new, 1))
     (line,) = [n for n, line in enumerate(path.read_text().splitlines(), 1) if blamed in line]
-    with pytest.raises(RecordingError, match=rf"line {line} is not what was written") as caught:
+    with pytest.raises(RecordingError, match=rf"line {line} has been changed") as caught:
         open_scan_text(path)
     assert "--update" in (caught.value.hint or "")
 
@@ -173,17 +173,17 @@ def test_damage_is_named_with_its_line(old: str, new: str, blamed: str, tmp_path
 def test_numbers_and_names_that_cannot_be(old: str, new: str, tmp_path: Path) -> None:
     path = tmp_path / "expected.txt"
     points = np.full((2, 3), 2.5, np.float32)
-    text = render([message(cloud(points, 2), POINTCLOUD2)])
+    text = render_messages([message(cloud(points, 2), POINTCLOUD2)])
     assert old in text
     path.write_text(text.replace(old, new, 1))
-    with pytest.raises(RecordingError, match=r"line \d+ is not what was written"):
+    with pytest.raises(RecordingError, match=r"line \d+ has been changed"):
         open_scan_text(path)
 
 
 def test_points_without_fields_are_refused() -> None:
     bare = replace(deserialized(cloud(points_of(1, 4), 2), CLOUD, 2), fields=[])
     with pytest.raises(UsageError, match="points would be lost"):
-        render([message(serialized(typestore(2), bare, CLOUD, 2), POINTCLOUD2)])
+        render_messages([message(serialized(typestore(2), bare, CLOUD, 2), POINTCLOUD2)])
 
 
 def test_a_field_of_no_points_may_have_any_number_of_elements(tmp_path: Path) -> None:
@@ -203,7 +203,9 @@ def test_a_field_of_no_points_may_have_any_number_of_elements(tmp_path: Path) ->
 
 def test_a_cut_is_by_log_time(tmp_path: Path) -> None:
     path = tmp_path / "expected.txt"
-    path.write_text(render([message(scan(np.array([1], np.float32), 2))._replace(log_time_ns=t) for t in (5, 6, 7)]))
+    path.write_text(
+        render_messages([message(scan(np.array([1], np.float32), 2))._replace(log_time_ns=t) for t in (5, 6, 7)])
+    )
     source = open_scan_text(path)
     assert [m.log_time_ns for m in source.messages(source.connections, 6, 7)] == [6]
     assert list(source.messages([])) == []

@@ -130,4 +130,4 @@ def test_why_scans_are_not_compared_with_clouds(tmp_path: Path) -> None:
     assert libm["reasons"][reason] == 2
     done = run("diff", a, b, "--clouds", a)
     assert (done.status, done.stdout) == (2, "")
-    assert "a.mcap: there are no clouds: it has no PointCloud2 topic" in done.stderr
+    assert "a.mcap: has no clouds: there is no PointCloud2 topic" in done.stderr

@@ -17,7 +17,7 @@ from e2e.command import run
 from e2e.outputs import opened
 from pc2scan.cli.in_process import run_command
 from pc2scan.compare.rules import Rules
-from pc2scan.compare.scan_text import render
+from pc2scan.compare.scan_text import render_messages
 from pc2scan.core import kernel, plain
 from pc2scan.golden.case import load_case
 from pc2scan.golden.check import check_case
@@ -172,7 +172,7 @@ def with_expected(name: str, folder: Path, change: Callable[[Any], None]) -> Pat
         data = serialized(typestore(1), message, msgtype, 1)
         messages.append(RawMessage(Connection(0, topic, connection, "ros1"), found.log_time_ns, data, 0))
     (case / "expected.bag").unlink()
-    (case / "expected.txt").write_text(render(messages))
+    (case / "expected.txt").write_text(render_messages(messages))
     return case
 
 

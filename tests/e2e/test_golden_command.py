@@ -50,7 +50,7 @@ def change(folder: Path, height: str = "0.5") -> None:
 def test_from_the_first_case_to_a_reviewed_change(folder: Path) -> None:
     done = golden(folder)
     assert done.status == 1
-    assert "there is no expected output: --update makes expected.txt" in done.stdout
+    assert "there is no expected output: --update writes expected.txt" in done.stdout
     assert not (folder / "hall" / "expected.txt").exists()
 
     done = run("golden", folder, "--update")
@@ -120,7 +120,7 @@ def test_an_unreadable_expected_output(folder: Path) -> None:
     done = golden(folder)
     assert done.status == 2
     assert "error   hall" in done.stdout
-    assert "is not what was written" in done.stdout
+    assert "has been changed" in done.stdout
     assert outcomes(folder, "--update") == {"hall": "updated"}
     assert outcomes(folder) == {"hall": "passed"}
 

@@ -257,9 +257,9 @@ def _pages(data: bytes) -> None:
 
 
 def _scan_text(data: bytes) -> None:
-    from pc2scan.compare.scan_text import open_scan_text, render
+    from pc2scan.compare.scan_text import open_scan_text, render_messages
 
-    _file("a.txt", data, lambda path: _ignored(render(open_scan_text(path).messages())))
+    _file("a.txt", data, lambda path: _ignored(render_messages(open_scan_text(path).messages())))
 
 
 def _rows(data: bytes) -> None:

@@ -37,7 +37,7 @@ from fuzz.decoders import CORPUS
 from pc2scan import ProjectionParams
 from pc2scan.bags.mcap.reader import McapReader
 from pc2scan.bags.mcap.records import MAGIC
-from pc2scan.compare.scan_text import render
+from pc2scan.compare.scan_text import render_messages
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.model import Connection, RawMessage
 from pc2scan.pipeline.params_file import render_params_file
@@ -149,7 +149,7 @@ def _scan_text() -> str:
     for number, (kind, data) in enumerate(((LASERSCAN, scan(points[:, 0], 1)), (CLOUD, cloud(points, 2)))):
         connection = Connection(number, f"/t{number}", kind, ("ros1", "cdr")[number])
         messages.append(RawMessage(connection, T0, data, T0))
-    return render(messages)
+    return render_messages(messages)
 
 
 def main() -> None:

@@ -56,7 +56,7 @@ class TestFinding:
     def test_nothing_to_find(self, tmp_path: Path) -> None:
         with pytest.raises(UsageError, match="there is nothing of this name"):
             case_folders(tmp_path / "nowhere")
-        with pytest.raises(UsageError, match="no cases in it"):
+        with pytest.raises(UsageError, match="has no cases"):
             case_folders(tmp_path)
         case(tmp_path / "a", "input.bag")
         with pytest.raises(UsageError, match="none of its 1 cases has 'b'"):
@@ -109,8 +109,8 @@ ignore: [seq, log_time]
             ("a: [", "not valid YAML"),
             ("input: 5", "path or a list"),
             ("input: []", "path or a list"),
-            ("input: ../gone.bag", "names ../gone.bag, which is not there"),
-            ("params: gone.yaml", "names gone.yaml, which is not there"),
+            ("input: ../gone.bag", "names ../gone.bag, which does not exist"),
+            ("params: gone.yaml", "names gone.yaml, which does not exist"),
             ("params: [a]", "must be a path"),
             ("arguments: --topic /points", "must be a list"),
             ("arguments: [[a]]", "must be a list"),

@@ -3,17 +3,17 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 
 from pc2scan.golden.junit import junit_xml
-from pc2scan.golden.result import CaseResult, GoldenReport, Outcome
+from pc2scan.golden.result import CaseOutcome, CaseResult, GoldenReport
 
 
 def test_every_outcome_has_its_element() -> None:
     report = GoldenReport(
         "golden",
         [
-            CaseResult("a", Outcome.passed, seconds=0.25),
-            CaseResult("b", Outcome.failed, ("/scan: <different> & \x1b[2J", "  more"), seconds=0.5),
-            CaseResult("c", Outcome.error, ("has no input",)),
-            CaseResult("d", Outcome.updated, ("new: expected.txt",)),
+            CaseResult("a", CaseOutcome.passed, seconds=0.25),
+            CaseResult("b", CaseOutcome.failed, ("/scan: <different> & \x1b[2J", "  more"), seconds=0.5),
+            CaseResult("c", CaseOutcome.error, ("has no input",)),
+            CaseResult("d", CaseOutcome.updated, ("new: expected.txt",)),
         ],
     )
     (suite,) = ET.fromstring(junit_xml(report))
@@ -33,6 +33,6 @@ def test_every_outcome_has_its_element() -> None:
 
 
 def test_the_worst_decides() -> None:
-    failed, passed = CaseResult("a", Outcome.failed), CaseResult("b", Outcome.updated)
+    failed, passed = CaseResult("a", CaseOutcome.failed), CaseResult("b", CaseOutcome.updated)
     assert GoldenReport("x", [passed]).exit_status == 0
     assert GoldenReport("x", [passed, failed]).exit_status == 1

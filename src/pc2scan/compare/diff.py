@@ -1,4 +1,4 @@
-"""Two recordings compared, topic by topic."""
+"""Compares two recordings, topic by topic."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from .others import compare_others
 from .result import Difference
 from .rules import Rules
 from .scan_text import ScanText, is_scan_text, open_scan_text
-from .topic_difference import Place, TopicDifference
+from .topic_difference import MessageTimes, TopicDifference
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -33,20 +33,20 @@ if TYPE_CHECKING:
 
 __all__ = ["TopicPair", "diff", "diff_sources", "open_source"]
 
-#: More topics of scans or clouds than a robot has: reading each by itself would take too long.
+#: More topics of scans or clouds are read together: one after the other would take too long.
 _MANY_TOPICS = 16
 
 
 @dataclass(frozen=True, slots=True)
 class TopicPair:
-    """A topic of A, and the one of B that it is compared with."""
+    """A topic of A, and the topic of B to compare it with."""
 
     a: str
     b: str
 
     @classmethod
     def parse(cls, text: str) -> TopicPair:
-        """Read ``/scan``, or ``/scan:=/scan2`` where the topic has another name in B.
+        """Read ``/scan``, or ``/scan:=/scan2`` if the topic has another name in B.
 
         Raises
         ------
@@ -74,15 +74,15 @@ def diff(
     Parameters
     ----------
     transforms_of
-        Reads a recording's transforms. Given, differing beams are explained; see `pc2scan.compare.libm`.
+        Reads a recording's transforms. If given, differing beams are explained; see `pc2scan.compare.libm`.
     clouds
-        Where the clouds of the scans are; None: in ``a``, or where it has none, in ``b``.
+        A recording of the scans' clouds; None: ``a``, or if it has none, ``b``.
     """
     if b is None and not (topics and all(pair.a != pair.b for pair in topics)):
         raise UsageError(
-            "one recording is compared with itself only by two topics of it",
+            "comparing a recording with itself needs two topics",
             path=a,
-            hint="name a second recording, or two topics: `topics=/scan:=/scan2`",
+            hint="give a second recording, or two topics: `topics=/scan:=/scan2`",
         )
     with ExitStack() as stack:
         sources = []
@@ -98,7 +98,7 @@ def diff(
                 stack.callback(holders[0].close)
             holders = [source for source in holders if any(c.ros_type == POINTCLOUD2 for c in source.connections)]
             if clouds is not None and not holders:
-                raise TopicError("there are no clouds: it has no PointCloud2 topic", path=clouds)
+                raise TopicError("has no clouds: there is no PointCloud2 topic", path=clouds)
             found = Clouds(holders, transforms_of)
         return diff_sources(sources[0], sources[1], topics=topics, all_topics=all_topics, rules=rules, clouds=found)
 
@@ -109,7 +109,7 @@ def open_source(path: Path) -> Source:
     Raises
     ------
     RecordingError
-        If it cannot be read. While messages are read too: what is left of a damaged one is not compared.
+        If it cannot be read, also while messages are read: damaged recordings are not compared.
     """
     return open_scan_text(path) if is_scan_text(path) else open_recording(path, strict=True)
 
@@ -123,18 +123,18 @@ def diff_sources(
     rules: Rules | None = None,
     clouds: Clouds | None = None,
 ) -> Difference:
-    """Compare what is open already; with ``clouds`` differing beams are explained.
+    """Compare open recordings; with ``clouds``, differing beams are explained.
 
     Raises
     ------
     TopicError
-        If a topic is not there, or there is nothing to compare.
+        If a topic does not exist, or there is nothing to compare.
     RecordingError
         If one cannot be read to its end.
     """
     rules = rules or Rules()
     result = Difference(str(a.path), str(b.path))
-    asked = _named(a, b, topics) if topics else _sides(a, b, decoded=True)
+    asked = _asked_streams(a, b, topics) if topics else _sides(a, b, decoded=True)
     others = [] if topics and not all_topics else _sides(a, b, decoded=False, without=topics)
     for pair in _held(asked) if len(asked) > _MANY_TOPICS else asked:
         _compare([pair], rules, result, clouds)
@@ -152,7 +152,7 @@ def diff_sources(
 
 
 def _held(pairs: Sequence[tuple[Stream, Stream]]) -> list[tuple[Stream, Stream]]:
-    """The same streams, out of memory where their messages are few enough."""
+    """Return the same streams, from memory if their messages are few enough."""
     sides = []
     for streams in zip(*pairs, strict=True):
         source = held(streams[0].source, [connection for stream in streams for connection in stream.connections])
@@ -167,8 +167,8 @@ def _by_topic(source: Source) -> dict[str, tuple[Connection, ...]]:
     return topics
 
 
-def _named(a: Source, b: Source, pairs: Sequence[TopicPair]) -> list[tuple[Stream, Stream]]:
-    """The streams of topics asked for by name."""
+def _asked_streams(a: Source, b: Source, pairs: Sequence[TopicPair]) -> list[tuple[Stream, Stream]]:
+    """Return the streams of the given topics."""
     streams = []
     for pair in pairs:
         sides = []
@@ -188,7 +188,7 @@ def _named(a: Source, b: Source, pairs: Sequence[TopicPair]) -> list[tuple[Strea
 
 
 def _sides(a: Source, b: Source, *, decoded: bool, without: Sequence[TopicPair] = ()) -> list[tuple[Stream, Stream]]:
-    """Every topic of either side that has scans or clouds (or: that has none), with that of its name on the other."""
+    """Return every topic that has scans or clouds (or: none) on either side, with the other side's of its name."""
     of_a, of_b = _by_topic(a), _by_topic(b)
     taken = {name for pair in without for name in (pair.a, pair.b)}
     pairs = []
@@ -202,14 +202,14 @@ def _sides(a: Source, b: Source, *, decoded: bool, without: Sequence[TopicPair] 
 def _compare(
     pairs: Sequence[tuple[Stream, Stream]], rules: Rules, result: Difference, clouds: Clouds | None = None
 ) -> None:
-    """Compare topics: scans and clouds one after the other, all others in one pass."""
+    """Compare topics: scans and clouds topic by topic, all others in one pass."""
     others = []
     for one, other in pairs:
         entry = _entry(one, other, rules)
         result.topics.append(entry)
         kinds = [sorted({canonical(c.msgtype) for c in stream.connections}) for stream in (one, other)]
         if all(kinds) and (kinds[0] != kinds[1] or len(kinds[0]) > 1):
-            entry.change("type", Place(None, 0), ", ".join(kinds[0]), ", ".join(kinds[1]))
+            entry.change("type", MessageTimes(None, 0), ", ".join(kinds[0]), ", ".join(kinds[1]))
         elif entry.msgtype in DECODED:
             explainer = Explainer(clouds, rules) if clouds is not None and entry.msgtype == LASERSCAN else None
             _compare_decoded(one, other, entry, rules, explainer)
@@ -235,15 +235,15 @@ def _compare_decoded(
         entry.messages_a += pair.a is not None
         entry.messages_b += pair.b is not None
         if pair.a is not None and pair.b is not None:
-            place = _place(pair.a)
+            times = _times_of(pair.a)
             if pair.moved and "order" not in rules.ignore:
-                entry.moved.add(place)
-            entry.count_pair(place, compare_messages(pair.a, pair.b, rules, explainer))
+                entry.moved.add(times)
+            entry.count_pair(times, compare_messages(pair.a, pair.b, rules, explainer))
         elif pair.a is not None:
-            entry.missing.add(_place(pair.a))
+            entry.missing.add(_times_of(pair.a))
         elif pair.b is not None:
-            entry.extra.add(_place(pair.b))
+            entry.extra.add(_times_of(pair.b))
 
 
-def _place(message: RawMessage) -> Place:
-    return Place(header_stamp_ns(message), message.log_time_ns)
+def _times_of(message: RawMessage) -> MessageTimes:
+    return MessageTimes(header_stamp_ns(message), message.log_time_ns)

@@ -1,4 +1,4 @@
-"""What differs between two messages."""
+"""The differences between two messages."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["Change", "MessageDifference", "ValueChange"]
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """Something that is one thing in a message and another in its partner; both as text."""
+    """A difference between two messages that is not one of values; both sides as text."""
 
     name: str
     a: str
@@ -22,9 +22,9 @@ class Change:
 
 @dataclass(frozen=True, slots=True)
 class ValueChange:
-    """Values that differ: of ``ranges``, ``intensities`` or a field of a cloud.
+    """Differing values of ``ranges``, ``intensities`` or a field of a cloud.
 
-    ``beams`` (angle_min and angle_increment, rad) says where a scan's values are; None for a cloud.
+    ``beams`` are angle_min and angle_increment of a scan, rad; None for a cloud.
     """
 
     name: str
@@ -34,14 +34,14 @@ class ValueChange:
 
 @dataclass(frozen=True, slots=True)
 class MessageDifference:
-    """What differs between two messages.
+    """The differences between two messages.
 
     Attributes
     ----------
     elements
-        Beams or points of the first.
+        Beams or points of the first message.
     changes, values
-        What differs, tolerances applied; empty for messages that are the same.
+        The differences after tolerances; empty for equal messages.
     """
 
     elements: int = 0

@@ -1,4 +1,4 @@
-"""A recording whose messages are held in memory, where many topics are compared one after the other."""
+"""Holds a recording's messages in memory, if many topics are compared one after the other."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 __all__ = ["held"]
 
-#: More bytes of messages are not held; each one takes some 300 more.
+#: Limit of the bytes held; each message takes some 300 more than its data.
 _MAX_BYTES = 32 << 20
 _MESSAGE_BYTES = 300
 
@@ -29,7 +29,7 @@ class _Held:
     ) -> None:
         self.path = path
         self.connections = connections
-        #: By connection, each with its place in the order of the recording.
+        #: By connection, each message with its number in the recording.
         self._messages = messages
 
     def messages(
@@ -48,13 +48,13 @@ class _Held:
                 yield message
 
     def close(self) -> None:
-        """Leave the recording to whoever opened it."""
+        """Do nothing: the caller closes the recording."""
 
 
 def held(source: Source, connections: Sequence[Connection]) -> Source:
-    """Return the recording with the messages of these connections in memory, or as it is if they take too much.
+    """Return the recording with the messages of these connections in memory, or unchanged if they take too much.
 
-    Reading a topic reads every chunk that has a message of it, so ten thousand topics would read ten thousand times.
+    Reading a topic reads every chunk with a message of it, so ten thousand topics would read the file as often.
     """
     found: dict[int, list[tuple[int, RawMessage]]] = {}
     size = 0
@@ -62,7 +62,7 @@ def held(source: Source, connections: Sequence[Connection]) -> Source:
         size += len(message.data) + _MESSAGE_BYTES
         if size > _MAX_BYTES:
             return source
-        # A view would keep the chunk that it is in.
+        # A view would keep the whole chunk in memory.
         own = message._replace(data=bytes(message.data))
         found.setdefault(message.connection.id, []).append((place, own))
     return _Held(source.path, connections, found)

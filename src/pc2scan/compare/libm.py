@@ -1,4 +1,4 @@
-"""How many differing beams another libm explains: exactly, by the scans' clouds; or at most, by the scans alone."""
+"""Counts the differing beams that another libm explains: exactly from the clouds, or an upper limit from the scans."""
 
 from __future__ import annotations
 
@@ -33,42 +33,42 @@ if TYPE_CHECKING:
 
 __all__ = ["Clouds", "Explainer", "Explanation", "Lookup"]
 
-#: Points at a time, so that memory is bounded whatever the cloud.
+#: Points at a time, so that memory is bounded.
 _BLOCK = 65_536
-#: What both messages must have in common to have the same beams.
+#: Fields that are equal in both messages if their beams are the same.
 _ANGLES = ("angle_min", "angle_max", "angle_increment")
 
 
 class Lookup(Protocol):
-    """Where frames are."""
+    """Looks up transforms."""
 
     def __call__(self, target: str, source: str, stamp_ns: int, /) -> Rigid:
-        """What takes points of ``source`` to ``target``; raise TransformError if there is no transform."""
+        """Return the transform of points from ``source`` to ``target``; raise TransformError if there is none."""
         ...
 
 
 @dataclass(slots=True, eq=False)
 class Explanation:
-    """What another libm explains of the ranges of a topic that differ.
+    """The differing ranges of a topic that another libm explains.
 
     Attributes
     ----------
     cloud_topics, scans, beams
-        The clouds that were found; the scans that differ and have one, and their differing beams.
+        Topics of the clouds; differing scans with a cloud, and their differing beams.
     a_glibc, b_glibc
-        Beams of these that are explained if A has the angles of glibc 2.31 to 2.40 and B correct ones; and if it is the
-        other way round.
+        Beams of these that are explained if A has the angles of glibc 2.31 to 2.40 and B correct ones; and if B has
+        those of glibc.
     returns, fitting
-        Sums of those of `pc2scan.core.rounding.Proof`: returns of A and B, and how many of them are points of the
-        clouds where one rounding of angles or the other puts them.
+        Sums of the attributes of `pc2scan.core.rounding.Proof`: returns of A and B, and how many of them are points of
+        the clouds with either rounding of angles.
     scans_alone, beams_alone
-        The scans that differ and have no cloud, and their differing beams.
+        Differing scans without a cloud, and their differing beams.
     in_neighbour, hidden
         Beams of these as in `pc2scan.core.rounding.Marks`.
     beams_not_judged
-        Differing beams of scans whose beams look elsewhere.
+        Differing beams of scans with other angles.
     reasons
-        Why scans were not compared with clouds: how many for each reason.
+        Why scans were not compared with clouds, with the number of scans.
     """
 
     cloud_topics: set[str] = field(default_factory=set)
@@ -87,10 +87,9 @@ class Explanation:
 
     @property
     def glibc(self) -> str:
-        """The side that has the angles of glibc 2.31 to 2.40, ``a`` or ``b``; empty if both have the same angles.
+        """The side with the angles of glibc 2.31 to 2.40, ``a`` or ``b``; empty if both have the same angles.
 
-        All returns decide about that, not only those that differ: each scan fits the points with the angles that it
-        was made with.
+        All returns decide, not only differing ones: each scan fits the points best with its own angles.
         """
         # Positive if the side fits glibc's angles better.
         a, b = (self.fitting[:, GLIBC] - self.fitting[:, CORRECT]).tolist()
@@ -129,59 +128,59 @@ class Explanation:
 
 
 class Clouds:
-    """The clouds of recordings, found by their stamps.
+    """Finds the clouds of recordings by their stamps.
 
     Parameters
     ----------
     sources
         Open recordings.
     transforms_of
-        Reads the transforms of one of them, by its path; called when the first cloud in another frame is found.
+        Reads the transforms of a recording, by its path; called for the first cloud in another frame.
     """
 
     def __init__(self, sources: Sequence[Source], transforms_of: Callable[[Path], Lookup]) -> None:
-        self._streams: list[_Clouds] = []
+        self._topics: list[_CloudTopic] = []
         for source in sources:
             topics = {c.topic for c in source.connections if c.ros_type == POINTCLOUD2}
             for topic in sorted(topics):
                 connections = tuple(c for c in source.connections if c.topic == topic and c.ros_type == POINTCLOUD2)
-                self._streams.append(_Clouds(Stream(source, connections)))
+                self._topics.append(_CloudTopic(Stream(source, connections)))
         self._transforms_of = transforms_of
         self._transforms: dict[Path, Lookup] = {}
-        self._places: dict[int, list[tuple[_Clouds, _Place]]] | None = None
+        self._by_stamp: dict[int, list[tuple[_CloudTopic, _StreamPosition]]] | None = None
 
     def __bool__(self) -> bool:
-        return bool(self._streams)
+        return bool(self._topics)
 
     def of(self, scan: LaserScan) -> Iterator[tuple[str, Iterator[tuple[NDArray[np.float32], NDArray[np.float32]]]]]:
-        """Clouds with the scan's stamp: the topic, and x and y in the scan's frame, part by part.
+        """Yield clouds with the scan's stamp: the topic, and x and y in the scan's frame, part by part.
 
         Raises
         ------
         MessageError
             If one cannot be decoded, or there is no transform.
         UsageError
-            If the transforms are those of several robots.
+            If several robots have transforms.
         """
-        if self._places is None:
-            self._places = self._found()
-        for clouds, place in self._places.get(scan.stamp_ns, ()):
-            message = clouds.at(place)
+        if self._by_stamp is None:
+            self._by_stamp = self._find()
+        for topic, position in self._by_stamp.get(scan.stamp_ns, ()):
+            message = topic.at(position)
             cloud = decode_pointcloud2(message.data, message.connection.serialization)
-            yield message.connection.topic, _points(cloud, self._transform(clouds.stream.source, cloud, scan))
+            yield message.connection.topic, _points(cloud, self._transform(topic.stream.source, cloud, scan))
 
-    def _found(self) -> dict[int, list[tuple[_Clouds, _Place]]]:
-        places: dict[int, list[tuple[_Clouds, _Place]]] = {}
-        for clouds in self._streams:
-            for stamp_ns, place in clouds.places():
-                known = places.setdefault(stamp_ns, [])
-                # Of one drive in two recordings, the first one's clouds do.
-                if not known or known[0][0].stream.source is clouds.stream.source:
-                    known.append((clouds, place))
-        return places
+    def _find(self) -> dict[int, list[tuple[_CloudTopic, _StreamPosition]]]:
+        by_stamp: dict[int, list[tuple[_CloudTopic, _StreamPosition]]] = {}
+        for topic in self._topics:
+            for stamp_ns, position in topic.positions():
+                known = by_stamp.setdefault(stamp_ns, [])
+                # If both recordings have the clouds, the first recording's are used.
+                if not known or known[0][0].stream.source is topic.stream.source:
+                    known.append((topic, position))
+        return by_stamp
 
     def _transform(self, source: Source, cloud: PointCloud2, scan: LaserScan) -> Rigid | None:
-        # As upstream: transformed only if the names differ.
+        # As in upstream, clouds are transformed only if the names differ.
         if cloud.frame_id.removeprefix("/") == scan.frame_id.removeprefix("/"):
             return None
         lookup = self._transforms.get(source.path)
@@ -190,64 +189,64 @@ class Clouds:
         return lookup(scan.frame_id, cloud.frame_id, cloud.stamp_ns)
 
 
-class _Place(NamedTuple):
-    """Where a message is: its number in the stream, and among those of its log time."""
+class _StreamPosition(NamedTuple):
+    """The position of a message in a stream: its number, and its number among those of its log time."""
 
     number: int
     log_time_ns: int
-    position: int
+    repeat: int
 
 
-class _Clouds:
-    """The clouds of one topic, taken one after the other where they are asked for in order."""
+class _CloudTopic:
+    """The clouds of one topic, read once if they are asked for in order."""
 
     def __init__(self, stream: Stream) -> None:
         self.stream = stream
         self._following: Iterator[tuple[int, RawMessage]] = iter(())
         self._next = -1
 
-    def places(self) -> Iterator[tuple[int, _Place]]:
-        """Every cloud's stamp, and where it is."""
-        last_ns, position = -1, 0
+    def positions(self) -> Iterator[tuple[int, _StreamPosition]]:
+        """Yield every cloud's stamp and position."""
+        last_ns, repeat = -1, 0
         for number, message in enumerate(self.stream.messages()):
-            position = position + 1 if message.log_time_ns == last_ns else 0
+            repeat = repeat + 1 if message.log_time_ns == last_ns else 0
             last_ns = message.log_time_ns
             stamp_ns = header_stamp_ns(message)
             if stamp_ns is not None:
-                yield stamp_ns, _Place(number, last_ns, position)
+                yield stamp_ns, _StreamPosition(number, last_ns, repeat)
 
-    def at(self, place: _Place) -> RawMessage:
+    def at(self, position: _StreamPosition) -> RawMessage:
         """Return a cloud."""
         if self._next < 0:
             self._following, self._next = enumerate(self.stream.messages()), 0
-        # To seek one by one would decompress a chunk for each cloud in it.
-        if place.number >= self._next:
+        # Reading on is faster than seeking, which would decompress a chunk for each cloud in it.
+        if position.number >= self._next:
             for number, message in self._following:
-                if number == place.number:
+                if number == position.number:
                     self._next = number + 1
                     return message
-        return self.stream.at(place.log_time_ns, place.position)
+        return self.stream.at(position.log_time_ns, position.repeat)
 
 
-def _points(cloud: PointCloud2, moved: Rigid | None) -> Iterator[tuple[NDArray[np.float32], NDArray[np.float32]]]:
+def _points(cloud: PointCloud2, transform: Rigid | None) -> Iterator[tuple[NDArray[np.float32], NDArray[np.float32]]]:
     columns = [column.reshape(-1) for column in cloud.xyz()]
     for start in range(0, columns[0].size, _BLOCK):
         with np.errstate(all="ignore"):
             part = np.stack([column[start : start + _BLOCK].astype(np.float32) for column in columns], axis=1)
-            if moved is not None:
-                part = moved.apply(part)
+            if transform is not None:
+                part = transform.apply(part)
         yield part[:, 0], part[:, 1]
 
 
 class Explainer:
-    """Explains pairs of scans of one topic, one after the other, and sums up.
+    """Explains pairs of scans of one topic, and sums up.
 
     Parameters
     ----------
     clouds
-        Where the clouds are.
+        The clouds.
     rules
-        What counts as differing.
+        The tolerance of ranges.
     """
 
     def __init__(self, clouds: Clouds, rules: Rules) -> None:
@@ -256,7 +255,7 @@ class Explainer:
         self.found = Explanation()
 
     def add(self, a: LaserScan, b: LaserScan) -> None:
-        """Take a pair of scans into account, as many beams on both sides."""
+        """Add a pair of scans with as many beams on both sides."""
         apart = differing(a.ranges, b.ranges, self._tolerance)
         beams = int(apart.sum())
         if not beams:
@@ -266,7 +265,7 @@ class Explainer:
             found.beams_not_judged += beams
             found.reasons[f"{elsewhere[0]} differs"] += 1
             return
-        # Copies: reading the cloud may end what lent the scans' bytes.
+        # Copies, because the scans' bytes may be borrowed from a buffer that reading the cloud overwrites.
         sides = a.ranges.astype(np.float32), b.ranges.astype(np.float32)
         readings = Readings(a.angle_min, a.angle_max, a.angle_increment, a.range_min, a.range_max, *sides, apart)
         proof, topic, reason = self._proof(a, readings)
@@ -287,13 +286,13 @@ class Explainer:
         found.fitting += proof.fitting
 
     def _proof(self, scan: LaserScan, readings: Readings) -> tuple[Proof | None, str, str]:
-        """The proof by the cloud that fits best, and its topic; or why there is none."""
+        """Return the proof by the cloud that fits best, and its topic; or why there is none."""
         best: tuple[Proof | None, str] = (None, "")
         reason = "there is no cloud with its stamp" if self._clouds else "there are no clouds (`clouds` names some)"
         try:
             for topic, points in self._clouds.of(scan):
                 proof = prove(readings, points)
-                reason = "its beams are numbered in no way that is known"
+                reason = "its beams are in no known order"
                 if proof is not None and (best[0] is None or proof.fitting.sum() > best[0].fitting.sum()):
                     best = (proof, topic)
         except (MessageError, UsageError) as err:

@@ -1,7 +1,7 @@
-"""Which message of one topic belongs to which of another, one pair in memory at a time.
+"""Matches the messages of two topics, with one pair in memory at a time.
 
-Messages are matched by their header's stamp, which survives every container and every re-recording. Repeated stamps are
-matched in order: the first with the first. Messages whose stamp is 0 or cannot be read are matched by their log time.
+Messages are matched by their header's stamp, which is the same in every container and every re-recording. Repeated
+stamps are matched in order. Messages whose stamp is 0 or cannot be read are matched by their log time.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ __all__ = ["Match", "Source", "Stream", "header_stamp_ns", "matched", "moved_ind
 
 
 class Source(Protocol):
-    """What is needed of an open recording; `pc2scan.bags.reader.Reader` has it."""
+    """The part of an open recording that comparing needs; `pc2scan.bags.reader.Reader` has it."""
 
     @property
     def path(self) -> Path:
-        """Where it was opened."""
+        """The path of the recording."""
         ...
 
     @property
     def connections(self) -> Sequence[Connection]:
-        """Every connection."""
+        """All connections."""
         ...
 
     def messages(
@@ -61,7 +61,7 @@ class Stream(NamedTuple):
         return self.source.messages(self.connections) if self.connections else iter(())
 
     def at(self, log_time_ns: int, position: int) -> RawMessage:
-        """One of the messages of a log time, found through the recording's index."""
+        """Return one of the messages of a log time, found through the recording's index."""
         found = self.source.messages(self.connections, log_time_ns, log_time_ns + 1)
         message = next(islice(found, position, None), None)
         if message is None:
@@ -70,9 +70,9 @@ class Stream(NamedTuple):
 
 
 class Match(NamedTuple):
-    """A message of each side that belong together; None where one side has none.
+    """A message of each side that belong together; None if a side has none.
 
-    ``moved`` tells that the two stand at different places in the order of their recordings.
+    ``moved`` is true if the two are at different places in the order of their recordings.
     """
 
     a: RawMessage | None
@@ -81,7 +81,7 @@ class Match(NamedTuple):
 
 
 def header_stamp_ns(message: RawMessage) -> int | None:
-    """Nanoseconds of the header that the message begins with; None where it cannot be read."""
+    """Return the stamp of the message's header, nanoseconds; None if it cannot be read."""
     try:
         return Cursor(message.data, message.connection.serialization).header()[1]
     except DecodeError:
@@ -94,19 +94,19 @@ def matched(a: Stream, b: Stream) -> Iterator[Match]:
     Yields
     ------
     Match
-        Every message of either side once: those of ``a`` in its order, each of ``b`` without a partner where it stands
-        between those that have kept their order.
+        Every message of either side once: those of ``a`` in its order, and each of ``b`` without a partner at its place
+        between those that are in the same order.
 
     Notes
     -----
-    As long as both sides carry the same stamps in the same order, they are read once. From the first difference on, the
-    stamps of both are read ahead (some 300 bytes of memory a message), so that gaps of any length and messages moved
-    over any distance are told from one another, however little of the recordings fits into memory.
+    As long as both sides have the same stamps in the same order, they are read once. From the first difference on, the
+    stamps of both are read ahead (some 300 bytes of memory a message), so that gaps of any length are distinguished
+    from messages moved over any distance.
     """
     left, right = a.messages(), b.messages()
     common = 0
     x, y = next(left, None), next(right, None)
-    while x is not None and y is not None and _key(x) == _key(y):
+    while x is not None and y is not None and _match_key(x) == _match_key(y):
         yield Match(x, y)
         common += 1
         x, y = next(left, None), next(right, None)
@@ -121,7 +121,7 @@ def matched(a: Stream, b: Stream) -> Iterator[Match]:
 
 
 def moved_indices(mates: Sequence[int]) -> set[int]:
-    """Positions outside the longest run in order: what has moved, if the others have stayed.
+    """Return the elements that have moved between two sequences: all outside the longest run in order.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ def moved_indices(mates: Sequence[int]) -> set[int]:
     Returns
     -------
     set of int
-        Indices into ``mates``, as few as there can be.
+        Indices into ``mates``, as few as possible.
 
     Notes
     -----
@@ -158,15 +158,15 @@ def moved_indices(mates: Sequence[int]) -> set[int]:
     return set(range(len(mates))) - stayed
 
 
-def _key(message: RawMessage) -> int:
-    """What messages are matched by; even numbers come from stamps, odd ones from log times."""
+def _match_key(message: RawMessage) -> int:
+    """Return the number by which messages are matched: even ones are from stamps, odd ones from log times."""
     stamp_ns = header_stamp_ns(message)
     return 2 * stamp_ns if stamp_ns else 2 * message.log_time_ns + 1
 
 
 def _realigned(a: Stream, b: Stream, common: int) -> Iterator[Match]:
-    """Pair what follows the first ``common`` messages, by the stamps of all of it."""
-    times, mates = _planned(a, b, common)
+    """Pair the messages after the first ``common`` ones by all their stamps."""
+    times, mates = _find_mates(a, b, common)
     having = [index for index, mate in enumerate(mates) if mate >= 0]
     moved = {having[index] for index in moved_indices([mates[index] for index in having])}
     paired = bytearray(len(times))
@@ -189,13 +189,13 @@ def _realigned(a: Stream, b: Stream, common: int) -> Iterator[Match]:
     yield from (Match(None, y) for place, y in following if not paired[place])
 
 
-def _planned(a: Stream, b: Stream, common: int) -> tuple[Sequence[int], Sequence[int]]:
-    """The log time of every message of ``b``, and for each of ``a`` its partner's place there, or -1."""
+def _find_mates(a: Stream, b: Stream, common: int) -> tuple[Sequence[int], Sequence[int]]:
+    """Return the log time of every message of ``b``, and for each of ``a`` its partner's place there, or -1."""
     times: list[int] = []
     keys: list[int] = []
     for message in b.messages():
         times.append(message.log_time_ns)
-        keys.append(_key(message))
+        keys.append(_match_key(message))
     # The first place of each stamp, and for a place the next one of its stamp.
     first: dict[int, int] = {}
     again: dict[int, int] = {}
@@ -206,7 +206,7 @@ def _planned(a: Stream, b: Stream, common: int) -> tuple[Sequence[int], Sequence
         first[key] = place
     mates = array("q")
     for message in islice(a.messages(), common, None):
-        key = _key(message)
+        key = _match_key(message)
         place = first.pop(key, -1)
         mates.append(place)
         if place in again:

@@ -1,4 +1,4 @@
-"""One message against another, in whichever wire formats they are."""
+"""Compares two messages, each in any wire format."""
 
 from __future__ import annotations
 
@@ -34,15 +34,15 @@ def compare_messages(
     Parameters
     ----------
     a, b
-        ``a`` is the reference of relative tolerances. The stamps are equal already: messages are matched by them.
+        ``a`` is the reference of relative tolerances. The stamps are equal, because messages are matched by them.
     rules
-        What counts as the same.
+        Tolerances and exceptions.
     explainer
-        Takes pairs of scans whose ranges differ into account.
+        Gets pairs of scans whose ranges differ.
 
     Notes
     -----
-    Messages that cannot be decoded are the same if their bytes are.
+    Messages that cannot be decoded are the same if their bytes are the same.
     """
     times = [Change("log_time", str(a.log_time_ns), str(b.log_time_ns))] if a.log_time_ns != b.log_time_ns else []
     try:
@@ -70,7 +70,7 @@ def _decoded(a: RawMessage, b: RawMessage, rules: Rules, explainer: Explainer | 
 
 
 def _header_changes(a: LaserScan | PointCloud2, b: LaserScan | PointCloud2, *, numbered: bool) -> Iterator[Change]:
-    # ROS 2 has no sequence number; one that is not there does not differ.
+    # Only ROS 1 has sequence numbers.
     if numbered and a.sequence != b.sequence:
         yield Change("seq", str(a.sequence), str(b.sequence))
     if a.frame_id != b.frame_id:

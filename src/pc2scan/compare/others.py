@@ -1,7 +1,7 @@
-"""Topics that are neither scans nor clouds: matched by log time, compared by their bytes.
+"""Compares topics that are neither scans nor clouds: messages are matched by log time and compared by their bytes.
 
-Where the bytes differ because the wire formats do (ROS 1 against ROS 2, the byte order and the padding of CDR), both
-messages are re-encoded and compared again: what is compared is content, not its spelling.
+If the wire formats differ (ROS 1 and ROS 2, byte order and padding of CDR), both messages are re-encoded and compared
+again, so that only their content matters.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pc2scan.messages.transcode import transcoder
 
 from .difference import Change, MessageDifference
 from .match import Stream
-from .topic_difference import Place
+from .topic_difference import MessageTimes
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -36,30 +36,30 @@ def compare_others(pairs: Sequence[tuple[Stream, Stream]], entries: Sequence[Top
     Parameters
     ----------
     pairs
-        The topics of A and of B, all of one A and one B.
+        Topics of one A and one B.
     entries
-        Where the result of each goes.
+        The result of each pair; changed here.
     rules
-        ``ignore`` may name ``seq``; tolerances do not apply.
+        ``ignore`` may have ``seq``; tolerances are not used.
     """
     content = _Content(numbered="seq" not in rules.ignore)
     for log_time_ns, groups in _joined(*(_groups([pair[side] for pair in pairs]) for side in (0, 1))):
-        place = Place(None, log_time_ns)
+        times = MessageTimes(None, log_time_ns)
         for number in sorted({*groups[0], *groups[1]}):
             entry = entries[number]
             ours, theirs = (group.get(number, ()) for group in groups)
             entry.messages_a += len(ours)
             entry.messages_b += len(theirs)
             for a, b in zip(ours, theirs, strict=False):
-                entry.count_pair(place, content.compare(a, b))
+                entry.count_pair(times, content.compare(a, b))
             for _ in ours[len(theirs) :]:
-                entry.missing.add(place)
+                entry.missing.add(times)
             for _ in theirs[len(ours) :]:
-                entry.extra.add(place)
+                entry.extra.add(times)
 
 
 def _groups(streams: Sequence[Stream]) -> Iterator[tuple[int, _Group]]:
-    """The messages of several topics of one recording, those of one log time together."""
+    """Yield the messages of several topics of one recording, grouped by log time."""
     numbers = {connection.id: n for n, stream in enumerate(streams) for connection in stream.connections}
     connections = tuple(connection for stream in streams for connection in stream.connections)
     messages = Stream(streams[0].source, connections).messages()
@@ -73,7 +73,7 @@ def _groups(streams: Sequence[Stream]) -> Iterator[tuple[int, _Group]]:
 def _joined(
     a: Iterator[tuple[int, _Group]], b: Iterator[tuple[int, _Group]]
 ) -> Iterator[tuple[int, tuple[_Group, _Group]]]:
-    """Both sides' groups, by log time; an empty one where a side has none."""
+    """Yield both sides' groups by log time; an empty one if a side has none."""
     x, y = next(a, None), next(b, None)
     while x is not None or y is not None:
         if y is None or (x is not None and x[0] < y[0]):
@@ -95,13 +95,13 @@ class _Content:
         self._numbered = numbered
 
     def compare(self, a: RawMessage, b: RawMessage) -> MessageDifference:
-        """Compare two messages; what cannot be re-encoded is told by its bytes alone."""
+        """Compare two messages; those that cannot be re-encoded, by their bytes alone."""
         alike = a.connection.serialization == b.connection.serialization
         if alike and bytes(a.data) == bytes(b.data):
             return MessageDifference()
         note = ""
         ros_versions = (a.connection.ros_version, b.connection.ros_version)
-        # In ROS 1's format all bytes count: it has no padding and one byte order.
+        # ROS 1's format has no padding and one byte order, so equal messages have equal bytes.
         if None not in ros_versions and not (self._numbered and ros_versions == (1, 1)):
             try:
                 if self._plain(a) == self._plain(b):
@@ -111,7 +111,7 @@ class _Content:
         return MessageDifference(0, (Change("bytes", f"{len(a.data)} bytes", f"{len(b.data)} bytes{note}"),))
 
     def _plain(self, message: RawMessage) -> Buffer:
-        """The message in ROS 1's format, its headers without sequence numbers."""
+        """Return the message in ROS 1's format, its headers without sequence numbers."""
         connection, data = message.connection, message.data
         for ros_version in (1,) if connection.ros_version == 2 else (2, 1):
             coding = transcoder(connection, ros_version)

@@ -1,4 +1,4 @@
-"""What differs between two recordings: one structure that text, JSON, JUnit XML and the exit status all read."""
+"""The differences between two recordings: text, JSON, JUnit XML and the exit status are made from it."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ __all__ = ["Difference"]
 
 @dataclass(slots=True)
 class Difference:
-    """What differs between two recordings.
+    """The differences between two recordings.
 
     Attributes
     ----------
     a, b
         Their paths.
     topics
-        What was compared.
+        The compared topics.
     left_aside
-        Topics that were not, because they are neither scans nor clouds.
+        Topics that were not compared, because they are neither scans nor clouds.
     """
 
     a: str
@@ -43,7 +43,7 @@ class Difference:
         return 0 if self.same else 1
 
     def as_dict(self) -> dict[str, Any]:
-        """Return JSON's types; what is not finite is text."""
+        """Return JSON's types; infinities and NaNs are text."""
         return {
             "same": self.same,
             "exit_status": self.exit_status,
@@ -54,7 +54,7 @@ class Difference:
         }
 
     def text(self, names: tuple[str, str] = ("A", "B")) -> str:
-        """Tell what differs in a few lines; ``names`` is what the two sides are called."""
+        """Summarize the differences in a few lines; ``names`` are the names of the two sides."""
         return "\n".join(summary(self.topics, self.left_aside, names))
 
     def __str__(self) -> str:

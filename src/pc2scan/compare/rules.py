@@ -1,4 +1,4 @@
-"""What counts as the same: tolerances, the allowed share, and what is left aside."""
+"""The rules of a comparison: tolerances, the allowed share, and names to ignore."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ if TYPE_CHECKING:
 
 __all__ = ["GEOMETRY", "IGNORABLE", "Rules", "parse_tolerance"]
 
-#: The single numbers of a LaserScan, which are always compared bit for bit.
+#: The single numbers of a LaserScan; they are compared bit for bit.
 GEOMETRY = ("angle_min", "angle_max", "angle_increment", "time_increment", "scan_time", "range_min", "range_max")
 
-#: What `Rules.ignore` may name, and what each means.
+#: The names that `Rules.ignore` may have, and their meaning.
 IGNORABLE: Mapping[str, str] = {
     "log_time": "when a message was recorded",
     "seq": "ROS 1's header.seq",
@@ -36,13 +36,13 @@ IGNORABLE: Mapping[str, str] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rules:
-    """What counts as the same. The default is everything, to the bit.
+    """The rules of a comparison. By default all bits must be equal.
 
     Attributes
     ----------
     atol, rtol
-        Tolerances by name: ``ranges``, ``intensities``, or a field of a cloud; the empty name stands for all of
-        them that are not named. See `pc2scan.core.compare.Tolerance`; A is the reference.
+        Tolerances by name: ``ranges``, ``intensities``, or a field of a cloud; the empty name is for all others.
+        See `pc2scan.core.compare.Tolerance`; A is the reference.
     allow_beams
         The share of a topic's beams (of a cloud: points), over all its messages, that may be beyond the tolerance.
     ignore
@@ -69,7 +69,7 @@ class Rules:
             )
         if unknown := sorted(self.ignore - IGNORABLE.keys()):
             near = did_you_mean(unknown[0], IGNORABLE)
-            hint = f"{near} what can be ignored: {', '.join(IGNORABLE)}".strip()
+            hint = f"{near} these can be ignored: {', '.join(IGNORABLE)}".strip()
             raise UsageError(f"{unknown[0]!r} cannot be ignored", hint=hint)
 
     def tolerance(self, name: str) -> Tolerance:

@@ -1,7 +1,7 @@
-"""Scans and clouds as text: a small recording that people can review and version control can diff, exact to the bit.
+"""Writes and reads scans and clouds as text: a small, bit-exact recording for reviews and version control.
 
-A number is written with the fewest digits that mean it and no other; one that text cannot mean (a NaN with a payload)
-as its bits. `open_scan_text` reads what `render` writes; it then is a recording like any other.
+A number is written with the fewest digits that read back as the same bits; a NaN with a payload is written as its bits.
+`open_scan_text` reads the text of `render_messages` as a recording.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
     from pc2scan.messages.pointcloud2 import PointCloud2
 
-__all__ = ["ScanText", "is_scan_text", "open_scan_text", "render"]
+__all__ = ["ScanText", "is_scan_text", "open_scan_text", "render_messages"]
 
 _FIRST_LINE = "# pc2scan scan text 1"
 _EXPLAINED = (
@@ -41,14 +41,14 @@ _EXPLAINED = (
 )
 _VALUES_A_LINE = 10
 _NAMES = {number: np.dtype(kind).name for number, kind in DATATYPES.items()}
-#: What values that `render` does not write end as.
+#: The errors of reading values that `render_messages` does not write.
 _WRONG = (ValueError, LookupError, ArithmeticError, TypeError, RecursionError, struct.error, DecodeError)
 _NUMBERS = {name: number for number, name in _NAMES.items()}
 
 
 @dataclass(frozen=True, slots=True)
 class ScanText:
-    """Messages read from text; has what `pc2scan.compare.match.Source` asks for."""
+    """Messages read from text; a `pc2scan.compare.match.Source`."""
 
     path: Path
     connections: list[Connection] = field(default_factory=list)
@@ -69,23 +69,23 @@ class ScanText:
                 yield message
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Do nothing: the file is closed."""
 
 
 def is_scan_text(path: Path) -> bool:
-    """Whether a file is one that `render` wrote."""
+    """Whether a file begins like the text of `render_messages`."""
     try:
         with opened_bytes(path) as file:
             return file.read(len(_FIRST_LINE)) == _FIRST_LINE.encode()
     except OSError:
-        # What is wrong with it is told by those who open recordings.
+        # Opening it as a recording reports the error.
         return False
 
 
 # --- writing ---
 
 
-def render(messages: Iterable[RawMessage]) -> str:
+def render_messages(messages: Iterable[RawMessage]) -> str:
     """Write LaserScans and PointCloud2s as text.
 
     Parameters
@@ -96,7 +96,7 @@ def render(messages: Iterable[RawMessage]) -> str:
     Raises
     ------
     UsageError
-        If a message holds what the text cannot: another type, padding between fields, trailing bytes.
+        If the text cannot hold a message: another type, padding between fields, trailing bytes.
     DecodeError
         If a message cannot be decoded.
     """
@@ -138,9 +138,9 @@ def _scan_lines(scan: LaserScan) -> Iterator[str]:
     for name, text in zip(GEOMETRY, _texts(geometry), strict=True):
         yield f"  {name} {text}"
     returns = scan.ranges[np.isfinite(scan.ranges) & (scan.ranges >= scan.range_min) & (scan.ranges <= scan.range_max)]
-    told = f"{len(returns)} returns" + (f", {returns.min():.3f} to {returns.max():.3f} m" if len(returns) else "")
+    comment = f"{len(returns)} returns" + (f", {returns.min():.3f} to {returns.max():.3f} m" if len(returns) else "")
     for name, values in (("ranges", scan.ranges), ("intensities", scan.intensities)):
-        yield f"  {name} {len(values)}" + (f"  # {told}" if name == "ranges" else "")
+        yield f"  {name} {len(values)}" + (f"  # {comment}" if name == "ranges" else "")
         texts = _texts(values)
         for start in range(0, len(texts), _VALUES_A_LINE):
             yield f"  {start:6}: {' '.join(texts[start : start + _VALUES_A_LINE])}"
@@ -157,7 +157,7 @@ def _cloud_lines(cloud: PointCloud2) -> Iterator[str]:
         name = json.dumps(point_field.name)
         yield f"  field {point_field.offset} {_NAMES[point_field.datatype]} {point_field.count} {name}"
         elements = field_elements(cloud, point_field)
-        # Of no points, a field may have any number of elements.
+        # Without points, a field may declare any number of elements.
         columns += [_texts(column) for column in elements.T] if cloud.points else []
     yield f"  points {cloud.points}"
     for number, row in enumerate(zip(*columns, strict=True)):
@@ -165,7 +165,7 @@ def _cloud_lines(cloud: PointCloud2) -> Iterator[str]:
 
 
 def _texts(values: NDArray[Any]) -> list[str]:
-    """Numbers as text that means the same bits."""
+    """Return numbers as texts that read back as the same bits."""
     native = np.ascontiguousarray(values, values.dtype.newbyteorder("="))
     texts: list[str] = native.astype(str).tolist()
     if native.dtype.kind != "f":
@@ -178,7 +178,7 @@ def _texts(values: NDArray[Any]) -> list[str]:
 
 
 def _numbers(texts: Sequence[str], dtype: np.dtype[Any]) -> NDArray[Any]:
-    """Invert `_texts`."""
+    """Read the texts of `_texts`."""
     if dtype.kind != "f":
         return np.array([int(text) for text in texts], dtype)
     with np.errstate(over="raise"):
@@ -192,7 +192,7 @@ def _numbers(texts: Sequence[str], dtype: np.dtype[Any]) -> NDArray[Any]:
 
 
 def _check(message: RawMessage, lines: Sequence[str]) -> None:
-    """See that the text means the message: nothing may be lost on the way to a reference."""
+    """Raise if the text does not read back as the same message."""
     connection = message.connection
     try:
         again = _parse_message(iter(lines[1:]), connection, len(message.data))
@@ -213,12 +213,12 @@ def _check(message: RawMessage, lines: Sequence[str]) -> None:
 
 
 def open_scan_text(path: Path) -> ScanText:
-    """Read text that `render` wrote; it is small, and held in memory.
+    """Read the text of `render_messages` into memory.
 
     Raises
     ------
     RecordingError
-        If it cannot be read, or is not what `render` writes; the message names the line.
+        If it cannot be read, or `render_messages` does not write such text; the message names the line.
     """
     try:
         with opened_text(path) as file:
@@ -249,15 +249,15 @@ def open_scan_text(path: Path) -> ScanText:
                 raise ValueError(f"{word!r}")
     except _WRONG as err:
         raise RecordingError(
-            f"line {reading.number} is not what was written: {str(err) or type(err).__name__}",
+            f"line {reading.number} has been changed: {str(err) or type(err).__name__}",
             path=path,
-            hint="restore it from version control, or write it anew: pc2scan golden --update",
+            hint="restore it from version control, or write it again: pc2scan golden --update",
         ) from err
     return result
 
 
 class _Lines:
-    """Lines without comments, blank lines and indentation; knows the number of the last one."""
+    """Lines without comments, blank lines and indentation, with the number of the last one."""
 
     def __init__(self, text: str) -> None:
         self.number = 0
@@ -276,7 +276,7 @@ class _Lines:
 
 
 def _parse_message(lines: Iterator[str], connection: Connection, most: int) -> RawMessage:
-    """Read a message whose points may take so many bytes."""
+    """Read a message; its points may take at most ``most`` bytes."""
     log_time_ns, stamp_ns = (_nanoseconds(_value(lines, name)) for name in ("log_time", "stamp"))
     sequence = int(_value(lines, "seq")) if connection.serialization == "ros1" else 0
     frame_id = _string(json.loads(_value(lines, "frame_id")))
@@ -290,7 +290,7 @@ def _parse_message(lines: Iterator[str], connection: Connection, most: int) -> R
         height, is_dense, step = (int(_value(lines, name)) for name in ("height", "is_dense", "point_step"))
         fields, points = _parse_fields(lines, step)
         if points * step > most:
-            raise ValueError(f"{points} points of {step} bytes are more than the text is for")
+            raise ValueError(f"{points} points of {step} bytes are more than the text can hold")
         data = encode_pointcloud2(
             serialization=connection.serialization,
             sequence=sequence,

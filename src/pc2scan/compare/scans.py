@@ -1,4 +1,4 @@
-"""One LaserScan against another."""
+"""Compares two LaserScan messages."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ __all__ = ["scan_changes", "scan_values"]
 
 
 def scan_changes(a: LaserScan, b: LaserScan) -> Iterator[Change]:
-    """What differs in geometry, bit for bit."""
+    """Yield differences in geometry, bit for bit."""
     for name in GEOMETRY:
         left, right = getattr(a, name), getattr(b, name)
-        # NaN is itself, and -0.0 is not 0.0.
+        # By bits: NaN equals NaN, and -0.0 differs from 0.0.
         if struct.pack("<d", left) != struct.pack("<d", right):
             yield Change(name, str(np.float32(left)), str(np.float32(right)))
     if len(a.ranges) != len(b.ranges):
@@ -36,12 +36,12 @@ def scan_changes(a: LaserScan, b: LaserScan) -> Iterator[Change]:
 
 
 def scan_values(a: LaserScan, b: LaserScan, rules: Rules) -> Iterator[ValueChange]:
-    """Ranges and intensities that differ, where there are as many of them."""
+    """Yield differing ranges and intensities, if both scans have as many."""
     for name in ("ranges", "intensities"):
         left, right = getattr(a, name), getattr(b, name)
         if name in rules.ignore or len(left) != len(right):
             continue
-        # What lies outside the scan's own limits stands for no return.
+        # Values outside the scan's own limits mean no return.
         limits = (a.range_min, a.range_max) if name == "ranges" else None
         found = compare_arrays(left, right, rules.tolerance(name), limits=limits)
         if found.differing:

@@ -1,4 +1,4 @@
-"""What differs, in a few lines for people; plain text, safe for a terminal only after escaping."""
+"""Summarizes differences as plain text; it may have control characters that a terminal must not get."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from .libm import Explanation
-    from .topic_difference import Place, TopicDifference, Unpaired, ValuesFound
+    from .topic_difference import MessageTimes, TopicDifference, Unpaired, ValuesFound
 
 __all__ = ["summary"]
 
 #: Stamps of unpaired messages that are shown.
 _SHOWN = 3
-#: A longer value of a changed field is cut.
+#: Longer values of changed fields are shortened.
 _LONGEST = 100
-#: What the elements of a message are called, and the message itself.
+#: The words for an element of a message, and for the message.
 _WORDS = {LASERSCAN: ("beam", "scan"), POINTCLOUD2: ("point", "cloud")}
 
 
@@ -33,11 +33,11 @@ def summary(topics: Sequence[TopicDifference], left_aside: int, names: tuple[str
     Parameters
     ----------
     topics
-        What was compared.
+        The compared topics.
     left_aside
-        How many topics were not.
+        Number of topics that were not compared.
     names
-        What the two sides are called.
+        The names of the two sides.
     """
     for topic in topics:
         yield f"{topic.name} ({topic.msgtype}): {'same' if topic.same else 'different'}"
@@ -66,23 +66,23 @@ def _lines(topic: TopicDifference, names: tuple[str, str]) -> Iterator[tuple[str
     yield "messages", f"{topic.messages_a:,} in {names[0]}, {topic.messages_b:,} in {names[1]}: {total} equal{elements}"
     for label, unpaired in ((f"only in {names[0]}", topic.missing), (f"only in {names[1]}", topic.extra)):
         if unpaired.count:
-            yield label, f"{_count(unpaired.count, message)}: {_listed(unpaired)}"
+            yield label, f"{_count(unpaired.count, message)}: {_unpaired_text(unpaired)}"
     if topic.moved.count:
-        yield "order", f"{_count(topic.moved.count, message)} elsewhere among the others: {_listed(topic.moved)}"
+        yield "order", f"{_count(topic.moved.count, message)} in another order: {_unpaired_text(topic.moved)}"
     for change in topic.changes.values():
-        first = f", first {_where(change.place)}" if change.messages > 1 else f", {_where(change.place)}"
+        first = f", first {_times_text(change.times)}" if change.messages > 1 else f", {_times_text(change.times)}"
         there = "" if change.name == "type" else f"in {_count(change.messages, message)}{first}: "
-        sides = f"{_cut(change.a)} in {names[0]}, {_cut(change.b)} in {names[1]}" if change.a else change.b
+        sides = f"{_shortened(change.a)} in {names[0]}, {_shortened(change.b)} in {names[1]}" if change.a else change.b
         yield change.name, f"{there}{sides}"
     for found in topic.values.values():
         yield found.name, _values(found, topic, element, message)
         if found.worst is not None:
-            yield "", f"worst {_worst(found, element, names)}"
+            yield "", f"worst {_worst_text(found, element, names)}"
     if topic.libm is not None:
         yield from (("" if number else "libm", text) for number, text in enumerate(_libm(topic.libm, names)))
     if topic.worst is not None and topic.differing > 1:
-        place, differing = topic.worst
-        yield f"worst {message}", f"{_where(place)}: {_count(differing, element)}"
+        times, differing = topic.worst
+        yield f"worst {message}", f"{_times_text(times)}: {_count(differing, element)}"
 
 
 def _values(found: ValuesFound, topic: TopicDifference, element: str, message: str) -> str:
@@ -101,7 +101,7 @@ def _values(found: ValuesFound, topic: TopicDifference, element: str, message: s
     return text
 
 
-def _worst(found: ValuesFound, element: str, names: tuple[str, str]) -> str:
+def _worst_text(found: ValuesFound, element: str, names: tuple[str, str]) -> str:
     worst = found.worst
     assert worst is not None
     angle = "" if worst.angle is None else f" ({math.degrees(worst.angle):.2f} deg)"
@@ -110,11 +110,11 @@ def _worst(found: ValuesFound, element: str, names: tuple[str, str]) -> str:
         values += ": other bits of one value"
     elif math.isfinite(worst.difference):
         values += f": {worst.difference:.3g} apart"
-    return f"{element} {worst.index}{angle}, {_where(worst.place)}: {values}"
+    return f"{element} {worst.index}{angle}, {_times_text(worst.times)}: {values}"
 
 
 def _libm(found: Explanation, names: tuple[str, str]) -> Iterator[str]:
-    """How many differing beams another libm explains, and how that was found out."""
+    """Say how many differing beams another libm explains, and by which evidence."""
     if found.scans:
         text = (
             f"{found.explained:,} of {_count(found.beams, 'differing beam')} explained by the clouds on "
@@ -140,13 +140,13 @@ def _libm(found: Explanation, names: tuple[str, str]) -> Iterator[str]:
             + (f"; {rest:,} differ for another reason" if rest else "")
         )
     if found.beams_not_judged:
-        yield f"{_count(found.beams_not_judged, 'differing beam')} not judged: the beams look elsewhere"
+        yield f"{_count(found.beams_not_judged, 'differing beam')} not judged: the beams have other angles"
     for reason, scans in found.reasons.most_common(_SHOWN):
         yield f"{_count(scans, 'scan')} not compared with clouds: {reason}"
 
 
 def _advice(topics: Sequence[TopicDifference], names: tuple[str, str]) -> Iterator[str]:
-    """What the user may have meant."""
+    """Yield hints."""
     topic_a, topic_b = attrgetter("topic_a"), attrgetter("topic_b")
     alone = [
         [topic for topic in topics if there(topic) is not None and other(topic) is None]
@@ -167,20 +167,20 @@ def _advice(topics: Sequence[TopicDifference], names: tuple[str, str]) -> Iterat
         yield f"hint: nothing else differs between {names[0]} and {names[1]}: {ignored}"
 
 
-def _listed(unpaired: Unpaired) -> str:
-    shown = ", ".join(_where(place) for place in unpaired.first[:_SHOWN])
+def _unpaired_text(unpaired: Unpaired) -> str:
+    shown = ", ".join(_times_text(times) for times in unpaired.first[:_SHOWN])
     return shown + (f" and {unpaired.count - _SHOWN:,} more" if unpaired.count > _SHOWN else "")
 
 
-def _where(place: Place) -> str:
-    if place.stamp_ns is None:
-        return f"log time {stamp_text(place.log_time_ns)}"
-    return f"stamp {stamp_text(place.stamp_ns)}"
+def _times_text(times: MessageTimes) -> str:
+    if times.stamp_ns is None:
+        return f"log time {stamp_text(times.log_time_ns)}"
+    return f"stamp {stamp_text(times.stamp_ns)}"
 
 
 def _count(number: int, word: str) -> str:
     return f"{number:,} {word}{'' if number == 1 else 's'}"
 
 
-def _cut(text: str) -> str:
+def _shortened(text: str) -> str:
     return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 3]}..."

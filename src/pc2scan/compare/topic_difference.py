@@ -1,8 +1,8 @@
-"""What differs between a topic of A and one of B, counted pair by pair."""
+"""The differences between a topic of A and one of B, counted pair by pair."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.json_types import json_value
@@ -11,15 +11,15 @@ if TYPE_CHECKING:
     from .difference import MessageDifference
     from .libm import Explanation
 
-__all__ = ["ChangeFound", "Place", "TopicDifference", "Unpaired", "ValuesFound", "WorstValue"]
+__all__ = ["ChangeFound", "MessageTimes", "TopicDifference", "Unpaired", "ValuesFound", "WorstValue"]
 
 #: Messages are listed one by one up to here; all of them are counted.
 MAX_LISTED = 100
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
-    """A message: its header's stamp (None where it has none) and its log time in A, or in B if A lacks it."""
+class MessageTimes:
+    """A message's header stamp (None if it has none), and its log time in A, or in B if A lacks it."""
 
     stamp_ns: int | None
     log_time_ns: int
@@ -27,32 +27,32 @@ class Place:
 
 @dataclass(slots=True)
 class Unpaired:
-    """Messages that have no partner, or stand at another place in the order: all counted, the first listed."""
+    """Messages that have no partner, or are in another order: all are counted, the first ones listed."""
 
     count: int = 0
-    first: list[Place] = field(default_factory=list)
+    first: list[MessageTimes] = field(default_factory=list)
 
-    def add(self, place: Place) -> None:
+    def add(self, times: MessageTimes) -> None:
         """Count a message."""
         self.count += 1
         if len(self.first) < MAX_LISTED:
-            self.first.append(place)
+            self.first.append(times)
 
 
 @dataclass(slots=True)
 class ChangeFound:
-    """One kind of change: in how many messages, and the first of them."""
+    """One kind of change: the number of messages, and the first of them."""
 
     name: str
     messages: int
-    place: Place
+    times: MessageTimes
     a: str
     b: str
 
 
 @dataclass(frozen=True, slots=True)
 class WorstValue:
-    """The value that differs most: where, and what it is in A and in B.
+    """The value that differs most, with its place and the values in A and B.
 
     Attributes
     ----------
@@ -61,10 +61,10 @@ class WorstValue:
     angle
         Of the beam, rad; None for clouds.
     difference
-        Absolute; infinity where only one of the two is finite, 0 where only the bits differ.
+        Absolute; infinity if only one of the two is finite, 0 if only the bits differ.
     """
 
-    place: Place
+    times: MessageTimes
     index: int
     angle: float | None
     a: float
@@ -74,14 +74,14 @@ class WorstValue:
 
 @dataclass(slots=True)
 class ValuesFound:
-    """Values of one name that differ, over all messages of a topic.
+    """Differing values of one name, in all messages of a topic.
 
     Attributes
     ----------
     changed, shifted
         Beams or points, as in `pc2scan.core.compare.ArrayDifference`.
     whole_shifts
-        Messages that are the other side's, one beam over.
+        Messages that are equal to the other side's if shifted by one beam.
     """
 
     name: str
@@ -99,28 +99,28 @@ class ValuesFound:
 
 @dataclass(slots=True)
 class TopicDifference:
-    """What differs between a topic of A and one of B.
+    """The differences between a topic of A and one of B.
 
     Attributes
     ----------
     topic_a, topic_b
-        None where one side has no such topic.
+        None if a side has no such topic.
     msgtype
         In ROS 2's spelling.
     allow_beams
         The share of ``elements`` that may differ.
     messages_a, messages_b, matched, differing
-        Messages: of either side, pairs, and pairs that are not the same.
+        Numbers of messages: of either side, pairs, and pairs that are not the same.
     elements
         Beams or points of the pairs.
     missing, extra, moved
-        Only in A; only in B; in both, but not at the same place in the order.
+        Messages only in A; only in B; in both, but in another order.
     changes, values
-        What differs within pairs, by name.
+        Differences within pairs, by name.
     worst
-        The pair with the most differing beams or points, and how many.
+        The pair with the most differing beams or points, and their number.
     libm
-        What another libm explains of ranges that differ; None if that was not asked.
+        The differing ranges that another libm explains; None if that was not asked for.
     """
 
     topic_a: str | None
@@ -137,13 +137,13 @@ class TopicDifference:
     moved: Unpaired = field(default_factory=Unpaired)
     changes: dict[str, ChangeFound] = field(default_factory=dict)
     values: dict[str, ValuesFound] = field(default_factory=dict)
-    worst: tuple[Place, int] | None = None
+    worst: tuple[MessageTimes, int] | None = None
     libm: Explanation | None = None
     _worst_rank: tuple[int, float] = (0, 0.0)
 
     @property
     def name(self) -> str:
-        """The topic, or both."""
+        """The topic, or both topics."""
         if self.topic_a and self.topic_b and self.topic_a != self.topic_b:
             return f"{self.topic_a} and {self.topic_b}"
         return self.topic_a or self.topic_b or ""
@@ -156,19 +156,19 @@ class TopicDifference:
     def same(self) -> bool:
         """Whether nothing differs but what is allowed."""
         unpaired = self.missing.count or self.extra.count or self.moved.count
-        # A topic without messages says nothing, wherever it is declared.
+        # A topic without messages is no difference.
         present = (self.topic_a is not None and self.topic_b is not None) or not (self.messages_a or self.messages_b)
         return present and not unpaired and not self.changes and all(map(self.allows, self.values.values()))
 
-    def count_pair(self, place: Place, difference: MessageDifference) -> None:
-        """Take a pair of messages into account."""
+    def count_pair(self, times: MessageTimes, difference: MessageDifference) -> None:
+        """Count a pair of messages."""
         self.matched += 1
         self.elements += difference.elements
         if difference.same:
             return
         self.differing += 1
         for change in difference.changes:
-            self.change(change.name, place, change.a, change.b)
+            self.change(change.name, times, change.a, change.b)
         rank = (0, 0.0)
         for values in difference.values:
             array = values.difference
@@ -180,17 +180,17 @@ class TopicDifference:
             worst = array.worst
             if worst is not None and (found.worst is None or worst.difference > found.worst.difference):
                 angle = None if values.beams is None else values.beams[0] + worst.index * values.beams[1]
-                found.worst = WorstValue(place, worst.index, angle, worst.reference, worst.value, worst.difference)
+                found.worst = WorstValue(times, worst.index, angle, worst.reference, worst.value, worst.difference)
             rank = max(rank, (array.differing, worst.difference if worst else 0.0))
         if rank > self._worst_rank:
             self._worst_rank = rank
-            self.worst = (place, rank[0])
+            self.worst = (times, rank[0])
 
-    def change(self, name: str, place: Place, a: str, b: str) -> None:
+    def change(self, name: str, times: MessageTimes, a: str, b: str) -> None:
         """Count a change; the first of its name is kept as the example."""
         found = self.changes.get(name)
         if found is None:
-            self.changes[name] = ChangeFound(name, 1, place, a, b)
+            self.changes[name] = ChangeFound(name, 1, times, a, b)
         else:
             found.messages += 1
 
@@ -207,11 +207,11 @@ class TopicDifference:
             "differing": self.differing,
             "elements": self.elements,
             **{
-                name: {"count": unpaired.count, "first": [_place(place) for place in unpaired.first]}
+                name: {"count": unpaired.count, "first": [asdict(times) for times in unpaired.first]}
                 for name, unpaired in (("missing", self.missing), ("extra", self.extra), ("moved", self.moved))
             },
             "changes": [
-                {"name": c.name, "messages": c.messages, **_place(c.place), "a": c.a, "b": c.b}
+                {"name": c.name, "messages": c.messages, **asdict(c.times), "a": c.a, "b": c.b}
                 for c in self.changes.values()
             ],
             "values": [
@@ -222,22 +222,18 @@ class TopicDifference:
                     "shifted": v.shifted,
                     "whole_shifts": v.whole_shifts,
                     "allowed": self.allows(v),
-                    "worst": None if v.worst is None else _worst(v.worst),
+                    "worst": None if v.worst is None else _worst_dict(v.worst),
                 }
                 for v in self.values.values()
             ],
-            "worst": None if self.worst is None else {**_place(self.worst[0]), "differing": self.worst[1]},
+            "worst": None if self.worst is None else {**asdict(self.worst[0]), "differing": self.worst[1]},
             "libm": None if self.libm is None else self.libm.as_dict(),
         }
 
 
-def _place(place: Place) -> dict[str, int | None]:
-    return {"stamp_ns": place.stamp_ns, "log_time_ns": place.log_time_ns}
-
-
-def _worst(worst: WorstValue) -> dict[str, Any]:
+def _worst_dict(worst: WorstValue) -> dict[str, Any]:
     return {
-        **_place(worst.place),
+        **asdict(worst.times),
         "index": worst.index,
         "angle": None if worst.angle is None else json_value(worst.angle),
         "a": json_value(worst.a),

@@ -1,4 +1,4 @@
-"""A golden case: a folder, what is in it, and what its ``case.yaml`` says."""
+"""Reads a golden case: a folder with a conversion's input, options and expected output."""
 
 from __future__ import annotations
 
@@ -26,32 +26,32 @@ _EXPECTED = (EXPECTED_TEXT, "expected.bag", "expected.mcap", "expected")
 _INPUTS = ("input.bag", "input.mcap", "input.db3", "input")
 SETTINGS = "case.yaml"
 _PARAMS = "params.yaml"
-#: What ``case.yaml`` may say.
+#: The keys of ``case.yaml``.
 KEYS = ("input", "params", "arguments", "exit_status", "all_topics", "atol", "rtol", "allow_beams", "ignore")
 
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """A conversion, and what it is expected to make.
+    """A conversion and its expected output.
 
     Attributes
     ----------
     folder
-        Where the case is.
+        The case's folder.
     inputs
-        Recordings; several are one.
+        Recordings; several are merged into one.
     params
         The parameter file; None for upstream's defaults.
     expected
-        ``expected.txt`` (see `pc2scan.compare.scan_text`) or a recording; None where there is none yet.
+        ``expected.txt`` (see `pc2scan.compare.scan_text`) or a recording; None if there is none yet.
     arguments
-        Further options of ``pc2scan convert``, not yet checked; ``{case}`` in them has become the folder.
+        Further options of ``pc2scan convert``, not yet checked; ``{case}`` in them is replaced by the folder.
     exit_status
-        What the conversion is expected to end with.
+        The expected exit status of the conversion.
     all_topics
-        Whether all that is written is expected, and not only what is converted.
+        Whether all topics are compared, and not only converted ones.
     rules
-        What counts as the same.
+        The rules of the comparison.
     """
 
     folder: Path
@@ -64,13 +64,13 @@ class Case:
     rules: Rules
 
     def new_expected(self) -> Path:
-        """Where the expected output is to be written: in the form that it has, or as text where text can hold it."""
+        """Return where to write the expected output: in its present form, or as text if text can hold it."""
         return self.expected or self.folder / ("expected.mcap" if self.all_topics else EXPECTED_TEXT)
 
     def read_files(self) -> list[Input]:
-        """Return what its conversion reads: its recordings, parameters and settings, and files that arguments name."""
+        """Return the files that its conversion reads: recordings, parameters, settings, and those in arguments."""
         values = [part.partition("=")[2] if part.startswith("-") else part for part in self.arguments]
-        # Any of them may be a file; most are none, or no name at all.
+        # Any of them may be a file; most are not.
         named = [Path(value) for value in values if os.path.lexists(value)]
         paths = [*self.inputs, *filter(None, (self.params,)), self.folder / SETTINGS, *named]
         return [Input(path, "file of a case") for path in paths]
@@ -87,23 +87,23 @@ def case_folders(folder: Path, pattern: str = "") -> list[tuple[str, Path]]:
     Parameters
     ----------
     pattern
-        A part of the name, or a glob over all of it; empty for every case.
+        A part of the name, or a glob for the whole name; empty for every case.
 
     Returns
     -------
     list of (name, folder)
-        Sorted; a name is the path below the folder.
+        Sorted; a name is the path relative to the folder.
 
     Raises
     ------
     UsageError
-        If there is no folder, or no case in it, or none with such a name.
+        If there is no such folder, or no case with such a name in it.
     """
     try:
         if not os.path.lexists(folder):
             raise UsageError("there is nothing of this name", path=folder, hint=missing_hint(folder))
         if not folder.is_dir():
-            raise UsageError("is not a folder", path=folder, hint="name the folder that holds the cases")
+            raise UsageError("is not a folder", path=folder, hint="give the folder with the cases")
         if is_case(folder):
             found = [(folder.resolve().name, folder)]
         else:
@@ -112,7 +112,7 @@ def case_folders(folder: Path, pattern: str = "") -> list[tuple[str, Path]]:
         raise UsageError(f"cannot be read: {err.strerror}", path=err.filename or folder) from err
     if not found:
         raise UsageError(
-            "no cases in it", path=folder, hint="a case is a folder with input.bag (or .mcap, ...) and params.yaml"
+            "has no cases", path=folder, hint="a case is a folder with input.bag (or .mcap, ...) and params.yaml"
         )
     chosen = [(name, case) for name, case in found if pattern in name or fnmatchcase(name, pattern)]
     if not chosen:
@@ -131,28 +131,28 @@ def _below(folder: Path) -> Iterator[Path]:
 
 
 def load_case(folder: Path) -> Case:
-    """Read what a case's folder says.
+    """Read a case from its folder.
 
     Raises
     ------
     UsageError
-        If something is missing, there twice, or its ``case.yaml`` says what cannot be.
+        If a file is missing or exists twice, or ``case.yaml`` has a wrong value.
     """
     try:
-        return _loaded(folder, _settings(folder / SETTINGS))
+        return _case_of(folder, _settings(folder / SETTINGS))
     except OSError as err:
         raise UsageError(f"cannot be read: {err.strerror}", path=err.filename or folder) from err
 
 
-def _loaded(folder: Path, settings: dict[str, Any]) -> Case:
+def _case_of(folder: Path, settings: dict[str, Any]) -> Case:
     return Case(
         folder=folder,
         inputs=_inputs(folder, settings.get("input")),
         params=_params(folder, settings.get("params")),
         expected=_only(folder, _EXPECTED),
         arguments=_arguments(folder, settings.get("arguments", [])),
-        exit_status=_checked(folder, settings, "exit_status", int, 0),
-        all_topics=_checked(folder, settings, "all_topics", bool, False),
+        exit_status=_setting(folder, settings, "exit_status", int, 0),
+        all_topics=_setting(folder, settings, "all_topics", bool, False),
         rules=_rules(folder, settings),
     )
 
@@ -164,7 +164,7 @@ def _error(folder: Path, message: str, hint: str | None = None) -> UsageError:
 def _settings(path: Path) -> dict[str, Any]:
     try:
         with opened_text(path) as file:
-            # One more than allowed: what is too long is refused, not read.
+            # One more than allowed, so that longer text is refused.
             text = file.read(MAX_CHARACTERS + 1)
     except FileNotFoundError:
         return {}
@@ -185,7 +185,7 @@ def _settings(path: Path) -> dict[str, Any]:
     return settings
 
 
-def _checked(folder: Path, settings: dict[str, Any], key: str, kind: type, default: Any) -> Any:
+def _setting(folder: Path, settings: dict[str, Any], key: str, kind: type, default: Any) -> Any:
     value = settings.get(key, default)
     if type(value) is not kind:
         raise _error(folder, f"{key} is {value!r}, it must be {'true or false' if kind is bool else 'a whole number'}")
@@ -213,15 +213,15 @@ def _params(folder: Path, named: Any) -> Path | None:
 
 
 def _existing(folder: Path, name: str) -> Path:
-    """A file that the settings name; that it is missing must not pass for a conversion that fails as expected."""
+    """Return a file of the settings; if it is missing, that is an error and not an expected failure."""
     path = folder / name
     if not path.exists():
-        raise _error(folder, f"names {name}, which is not there", "paths are relative to the case's folder")
+        raise _error(folder, f"names {name}, which does not exist", "paths are relative to the case's folder")
     return path
 
 
 def _only(folder: Path, names: tuple[str, ...]) -> Path | None:
-    """The one of several names that exists."""
+    """Return the one of several names that exists."""
     found = [folder / name for name in names if (folder / name).exists()]
     if len(found) > 1:
         raise UsageError(f"has {' and '.join(path.name for path in found)}", path=folder, hint="remove all but one")

@@ -1,4 +1,4 @@
-"""Golden cases as JUnit XML, which CI systems show beside the results of other tests."""
+"""Writes the results of golden cases as JUnit XML, which CI systems show with the results of other tests."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pc2scan.files.overlap import Output
 from pc2scan.files.text_output import text_output
 
 from .check import refuse_output_over_cases
-from .result import Outcome
+from .result import CaseOutcome
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -21,10 +21,10 @@ if TYPE_CHECKING:
 
 __all__ = ["junit_file", "junit_xml"]
 
-#: What every such file begins with: it may be replaced by another one.
+#: The first bytes of such a file; a file with these may be replaced.
 _BEGINNING = b'<?xml version="1.0" encoding="utf-8"?>\n<testsuites>\n  <testsuite name="pc2scan golden"'
 
-#: What XML 1.0 cannot hold, however it is escaped.
+#: Characters that XML 1.0 cannot hold, even escaped.
 _UNPRINTABLE = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
@@ -32,16 +32,16 @@ _UNPRINTABLE = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff
 def junit_file(
     path: Path | None, cases: Sequence[Path], *, overwrite: bool
 ) -> Iterator[Callable[[GoldenReport], None]]:
-    """Make sure that the file can be written before the first case is checked, and give the function that writes it.
+    """Check that the file can be written before the first case runs, and yield the function that writes it.
 
     Parameters
     ----------
     path
-        The file; with None nothing is written.
+        The file; None: no file is written.
     cases
-        The folders of the cases: no file of theirs is written over.
+        The folders of the cases: their files are never overwritten.
     overwrite
-        Whether a file that is no JUnit XML of pc2scan may be replaced.
+        Whether a file that is not JUnit XML of pc2scan may be replaced.
 
     Raises
     ------
@@ -57,13 +57,13 @@ def junit_file(
 
 
 def junit_xml(report: GoldenReport) -> str:
-    """Write one test suite, with a test case a golden case; an updated case has passed."""
+    """Write one test suite, with a test case for each golden case; updated cases pass."""
     suite = ET.Element(
         "testsuite",
         name="pc2scan golden",
         tests=str(len(report.cases)),
-        failures=str(report.counts[Outcome.failed]),
-        errors=str(report.counts[Outcome.error]),
+        failures=str(report.counts[CaseOutcome.failed]),
+        errors=str(report.counts[CaseOutcome.error]),
         skipped="0",
         time=f"{report.seconds:.3f}",
     )
@@ -72,10 +72,9 @@ def junit_xml(report: GoldenReport) -> str:
             suite, "testcase", classname="pc2scan.golden", name=_clean(case.name), time=f"{case.seconds:.3f}"
         )
         text = _clean("\n".join(case.lines))
-        if case.outcome in (Outcome.failed, Outcome.error):
-            kind = "failure" if case.outcome is Outcome.failed else "error"
-            told = ET.SubElement(element, kind, message=text.partition("\n")[0])
-            told.text = text
+        if case.outcome in (CaseOutcome.failed, CaseOutcome.error):
+            kind = "failure" if case.outcome is CaseOutcome.failed else "error"
+            ET.SubElement(element, kind, message=text.partition("\n")[0]).text = text
         elif text:
             ET.SubElement(element, "system-out").text = text
     root = ET.Element("testsuites")

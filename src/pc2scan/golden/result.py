@@ -1,4 +1,4 @@
-"""What became of golden cases: one structure that text, JSON, JUnit XML, pytest and the exit status all read."""
+"""The results of golden cases: text, JSON, JUnit XML, pytest's results and the exit status are made from them."""
 
 from __future__ import annotations
 
@@ -10,33 +10,33 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from pc2scan.compare.result import Difference
 
-__all__ = ["CaseResult", "GoldenReport", "Outcome"]
+__all__ = ["CaseOutcome", "CaseResult", "GoldenReport"]
 
 
-class Outcome(StrEnum):
-    """What became of a case."""
+class CaseOutcome(StrEnum):
+    """The outcome of a case."""
 
     passed = "passed"
     failed = "failed"
     updated = "updated"
-    #: It could not be checked.
+    #: The case could not be checked.
     error = "error"
 
 
 @dataclass(frozen=True, slots=True)
 class CaseResult:
-    """What became of a case.
+    """The result of a case.
 
     Attributes
     ----------
     lines
-        What to tell: what differs (for an updated case: what differed), or what went wrong. Empty if it passed.
+        The differences (for an updated case: the old ones), or the error. Empty if it passed.
     difference
-        None where it did not come to a comparison.
+        None if nothing was compared.
     """
 
     name: str
-    outcome: Outcome
+    outcome: CaseOutcome
     lines: tuple[str, ...] = ()
     difference: Difference | None = None
     seconds: float = 0.0
@@ -54,26 +54,26 @@ class CaseResult:
 
 @dataclass(slots=True)
 class GoldenReport:
-    """What became of a folder of cases."""
+    """The results of a folder of cases."""
 
     folder: str
     cases: list[CaseResult] = field(default_factory=list)
 
     @property
-    def counts(self) -> dict[Outcome, int]:
+    def counts(self) -> dict[CaseOutcome, int]:
         """Cases by outcome."""
         counted = Counter(case.outcome for case in self.cases)
-        return {outcome: counted[outcome] for outcome in Outcome}
+        return {outcome: counted[outcome] for outcome in CaseOutcome}
 
     @property
     def seconds(self) -> float:
-        """All cases together."""
+        """The time of all cases."""
         return sum(case.seconds for case in self.cases)
 
     @property
     def exit_status(self) -> int:
-        """0 all as expected (or made so), 1 some differ, 2 some could not be checked."""
-        return 2 if self.counts[Outcome.error] else 1 if self.counts[Outcome.failed] else 0
+        """0: all as expected or updated; 1: some differ; 2: some could not be checked."""
+        return 2 if self.counts[CaseOutcome.error] else 1 if self.counts[CaseOutcome.failed] else 0
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON's types."""

@@ -78,11 +78,11 @@ class TopicCheck:
     interval_ns
         Median of the intervals between stamps, to one percent; None for fewer than two scans.
     first
-        What the first scan advertises; None without any.
+        The first scan; None without any.
     consumers
         What each consumer does, in the order of `pc2scan.core.consumers.CONSUMERS`; empty without scans.
     findings
-        What is wrong whoever reads the scans, the defects first.
+        Problems for all consumers, the defects first.
     """
 
     topic: str
@@ -104,13 +104,13 @@ class Check:
     sources
         Paths as they were given.
     asked
-        Consumers that were asked for; empty means all.
+        The given consumers; empty means all.
     topics
         One entry a topic, by name.
     warnings
         Transforms that cannot be used, and why.
     damage
-        What is damaged in the recordings; a defect.
+        The damage of the recordings; a defect.
     """
 
     sources: tuple[str, ...]
@@ -222,16 +222,16 @@ def check(
     with ExitStack() as stack:
         readers = open_recordings(map(Path, paths), stack)
         reader = as_one(readers)
-        chosen = _chosen(reader.connections, tuple(topics))
+        chosen = _scan_connections(reader.connections, tuple(topics))
         others = open_recordings(options.tf_from, stack)
         buffer, warnings = read_transforms([*readers, *others], options)
-        found = _read(reader, chosen, buffer, odom_frame, base_frame)
+        found = _check_topics(reader, chosen, buffer, odom_frame, base_frame)
         damage = tuple(place for each in (reader, *others) for place in each.damage)
     return Check(tuple(map(str, paths)), asked, tuple(found), tuple(warnings), damage)
 
 
-def _chosen(connections: Sequence[Connection], topics: tuple[str, ...]) -> dict[str, list[Connection]]:
-    """The connections of the topics to look at, by topic."""
+def _scan_connections(connections: Sequence[Connection], topics: tuple[str, ...]) -> dict[str, list[Connection]]:
+    """Return the connections of the topics to check, by topic."""
     types: dict[str, set[str]] = {}
     scans: dict[str, list[Connection]] = {}
     for connection in connections:
@@ -244,10 +244,10 @@ def _chosen(connections: Sequence[Connection], topics: tuple[str, ...]) -> dict[
     return {name: scans[name] for name in sorted(names)}
 
 
-def _read(
+def _check_topics(
     reader: Reader, chosen: dict[str, list[Connection]], buffer: TransformBuffer, odom_frame: str, base_frame: str
 ) -> list[TopicCheck]:
-    """Read the scans, once."""
+    """Read the scans once, and check them."""
     topics = {name: (ScanTopic(), ScanFrames(buffer, odom_frame, base_frame)) for name in chosen}
     for message in reader.messages([c for group in chosen.values() for c in group]):
         scans, places = topics[message.connection.topic]

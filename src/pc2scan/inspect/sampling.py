@@ -1,4 +1,4 @@
-"""A few messages of each of many topics, spread over a recording, found without reading it once for each topic."""
+"""Takes a few messages of each topic, spread over a recording, without reading it once for each topic."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ if TYPE_CHECKING:
 
 __all__ = ["sampled"]
 
-#: So many times a sample, a stream is opened for those topics alone that lack it.
+#: How often, for each sample, a stream may be opened for those topics only that lack it.
 _NARROWED = 4
 
 
 def sampled(
     reader: Reader, topics: Mapping[str, Sequence[Connection]], samples: int, start_ns: int, end_ns: int
 ) -> Iterator[RawMessage]:
-    """Take samples of every topic: the first message at or behind each of some times.
+    """Yield samples of every topic: the first message at or after each of some times.
 
     Parameters
     ----------
@@ -29,22 +29,22 @@ def sampled(
     topics
         The connections of each topic.
     samples
-        How many times there are, evenly spread from ``start_ns`` on. No message is taken twice.
+        Number of these times, evenly spread from ``start_ns`` on. No message is yielded twice.
     start_ns, end_ns
         Log times of the first and the last message.
 
     Yields
     ------
     RawMessage
-        By log time. Those of one topic are the same whichever others there are.
+        By log time. Those of one topic do not depend on the other topics.
 
     Notes
     -----
-    The messages of all topics are read in one stream. When every topic has the sample of a time, the stream is opened
-    anew at the next one, and where some lack theirs, for these alone: what has none of them is not read. A stream that
-    is opened anew reads what is there again, so this happens a few times only, or after something new was read.
+    The messages of all topics are read in one stream. When every topic has its sample of a time, a new stream is opened
+    at the next time; if some topics still lack theirs, a new stream is opened for these only, so that chunks without
+    them are not read. A new stream reads some data again, so the number of streams is bounded.
     """
-    plan = _Plan(topics, [start_ns + (end_ns - start_ns) * step // samples for step in range(samples)])
+    plan = _SamplingPlan(topics, [start_ns + (end_ns - start_ns) * step // samples for step in range(samples)])
     budget = reader.summary.size_bytes
     narrowed = 0
     position = start_ns
@@ -74,7 +74,7 @@ def sampled(
                 break
         else:
             if stop is None:
-                # Those that were asked for have no further messages.
+                # These topics have no further messages.
                 plan.end(group)
             else:
                 position = stop
@@ -82,17 +82,17 @@ def sampled(
         budget -= read
 
 
-class _Plan:
-    """Which topic takes its next sample from when on.
+class _SamplingPlan:
+    """The time from which on each topic takes its next sample.
 
     Attributes
     ----------
     unfinished
         The next time of each topic that has one.
     awake
-        Topics that take the next message there is.
+        Topics that take their next message.
     waiting
-        Those that do so from a later time on, by that time.
+        Topics that do so from a later time on, by that time.
     """
 
     def __init__(self, names: Mapping[str, object], times: Sequence[int]) -> None:
@@ -103,17 +103,17 @@ class _Plan:
         self.waiting: list[tuple[int, str]] = []
 
     def next_due(self) -> int:
-        """The first time at which a topic that waits is due."""
+        """Return the first time at which a waiting topic is due."""
         return self.waiting[0][0]
 
     def wake(self, time_ns: int) -> None:
-        """Let topics that waited for this time take part."""
+        """Wake the topics that waited for this time."""
         while self.waiting and self.waiting[0][0] <= time_ns:
             self.awake.add(heapq.heappop(self.waiting)[1])
 
     def due_from(self, time_ns: int) -> tuple[set[str], int | None]:
-        """The topics that take part from a time on, and when further ones do (None: never)."""
-        # Those that took a message of this very time are due a nanosecond later.
+        """Return the topics that are due at a time, and when further ones are (None: never)."""
+        # Topics with a message of exactly this time are due a nanosecond later.
         group = self.awake | {name for due, name in self.waiting if due <= time_ns + 1}
         return group, min((due for due, _ in self.waiting if due > time_ns + 1), default=None)
 
@@ -127,14 +127,14 @@ class _Plan:
         if self._step[name] == len(self._times):
             del self.unfinished[name]
             return True
-        # A message is taken once, though several times may lie in front of it.
+        # A message is taken once, even if several times are before it.
         due = max(self._times[self._step[name]], message.log_time_ns + 1)
         self.unfinished[name] = due
         heapq.heappush(self.waiting, (due, name))
         return True
 
     def end(self, names: set[str]) -> None:
-        """Give up topics that have no further messages."""
+        """Drop topics that have no further messages."""
         for name in names:
             self.unfinished.pop(name, None)
         self.awake -= names

@@ -1,4 +1,4 @@
-"""Whether the scans of a topic can be placed: the transforms from their frame to the robot and to its odometry."""
+"""Checks the transforms of the scans of a topic: from their frame to the robot and to its odometry."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 __all__ = ["BASE_FRAMES", "ScanFrames"]
 
-#: What a robot's body is usually called, the first that is there.
+#: The usual names of a robot's body; the first that exists is used.
 BASE_FRAMES = ("base_link", "base_footprint")
 
 #: A sensor is tilted if its z axis has this much less than 1 of the robot's: 2.6 degrees.
@@ -51,9 +51,9 @@ class ScanFrames:
     buffer
         Every transform of the recording.
     odom_frame
-        Where the robot drives.
+        The frame in which the robot drives.
     base_frame
-        The robot's body; empty for the first of `BASE_FRAMES` that is there.
+        The robot's body; empty for the first of `BASE_FRAMES` that exists.
     """
 
     def __init__(self, buffer: TransformBuffer, odom_frame: str, base_frame: str = "") -> None:
@@ -122,7 +122,7 @@ class ScanFrames:
         return tree is not None and tree == self._trees.get(other)
 
     def findings(self) -> list[Finding]:
-        """What is missing."""
+        """Return the problems."""
         if not self._trees:
             return [_no_transforms(), *self._optical_findings()]
         found = []

@@ -1,4 +1,4 @@
-"""What is said of the scans of one topic while they go by: nothing is kept but counts and the first of each kind."""
+"""Checks the scans of one topic; keeps only counts and the first scan of each kind."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ Level = Literal["defect", "notice"]
 #: Intervals between stamps are counted in classes that are this much apart, 1 %: their median takes no memory.
 _CLASS = math.log(1.01)
 
-#: An interval that differs from the median by more than this share of it is told: a scan is missing, or too many.
+#: An interval that differs from the median by more than this share of it is reported: scans are missing or repeated.
 _STUTTER = 0.5
 
-#: A ``scan_time`` that differs from the median interval by more than this share of it is told.
+#: A ``scan_time`` that differs from the median interval by more than this share of it is reported.
 _SCAN_TIME = 0.2
 
 #: Rounding of a driver's ``time_increment``.
 _ROUNDING = 1.01
 
-#: Stamps and log times farther apart than this are told, nanoseconds: a sensor's clock, not a delay.
+#: Stamps and log times farther apart than this are reported, nanoseconds: the clocks differ, it is no delay.
 _FAR_NS = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """Something that is wrong with the scans of a topic, whoever reads them.
+    """A problem of the scans of a topic, for all consumers.
 
     Attributes
     ----------
@@ -49,11 +49,11 @@ class Finding:
     text
         What, with the numbers.
     hint
-        What to do about it; empty where nothing is known.
+        What to do; empty if unknown.
     count
-        How many scans.
+        Number of scans.
     stamp_ns
-        The stamp of the first of them; None where it concerns no single one.
+        The stamp of the first of them; None if it does not concern single scans.
     """
 
     kind: str
@@ -66,7 +66,7 @@ class Finding:
 
 @dataclass(slots=True)
 class Tally:
-    """How often something was seen, and when first."""
+    """A count, and the stamp of the first occurrence."""
 
     count: int = 0
     stamp_ns: int | None = None
@@ -80,7 +80,7 @@ class Tally:
 
 @dataclass(slots=True)
 class Judged:
-    """What a consumer does with the scans: how many of each outcome, and the first verdict of each."""
+    """A consumer's verdicts on the scans: the number of each outcome, and its first verdict."""
 
     counts: Counter[Outcome] = field(default_factory=Counter)
     firsts: dict[Outcome, tuple[Verdict, int]] = field(default_factory=dict)
@@ -114,7 +114,7 @@ class Judged:
 
 
 class ScanTopic:
-    """The scans of one topic, one after the other in the order of their log times.
+    """The scans of one topic, added in the order of their log times.
 
     Attributes
     ----------
@@ -151,7 +151,7 @@ class ScanTopic:
         self._offsets: tuple[int, int] | None = None
 
     def add_undecodable(self, log_time_ns: int, reason: str) -> None:
-        """Count a message that is no scan; its log time stands for its stamp."""
+        """Count a message that cannot be decoded; its log time is used as its stamp."""
         self._undecodable.add(log_time_ns)
         self._reason = self._reason or reason
 
@@ -225,7 +225,7 @@ class ScanTopic:
         return self._totals[number] / self._intervals[number]
 
     def findings(self) -> list[Finding]:
-        """What is wrong with the scans, the defects first."""
+        """Return the problems of the scans, the defects first."""
         found = [*self._message_findings(), *self._stamp_findings(), *self._range_findings()]
         return sorted(found, key=lambda finding: finding.level)
 

@@ -1,4 +1,4 @@
-"""The frames of a recording: who hangs on whom, known when, how often."""
+"""The frames of a recording: their parents, times and rates."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ class FrameTree:
     Attributes
     ----------
     frames
-        What is known of each child frame.
+        Statistics of each child frame.
     trees
-        Frames that hang together; more than one means that something is disconnected.
+        Connected frames; more than one tree means that some frames are disconnected.
     warnings
         Transforms that cannot be used, and why.
     buffer
         For lookups.
     damage
-        What is damaged in the recordings, as far as they were read.
+        The damage in the parts of the recordings that were read.
     """
 
     frames: tuple[FrameInfo, ...]
@@ -84,7 +84,7 @@ def frame_tree(sources: Sequence[Path], options: FrameOptions | None = None) -> 
     Parameters
     ----------
     sources
-        They count together.
+        Recordings; their transforms are merged.
     options
         Topics, further recordings and added transforms.
 

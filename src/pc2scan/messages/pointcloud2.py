@@ -70,6 +70,11 @@ class PointField:
     datatype: int
     count: int = 1
 
+    @property
+    def datatype_name(self) -> str:
+        """NumPy's name of the datatype, such as ``float32``."""
+        return np.dtype(DATATYPES[self.datatype]).name if self.datatype in DATATYPES else f"datatype {self.datatype}"
+
 
 class _FieldLayout(NamedTuple):
     """Where a field's values are in a cloud's data, which must have ``needed`` bytes."""

@@ -1,8 +1,8 @@
 """A pytest plugin: golden cases as tests, and fixtures that compare recordings.
 
-``pytest --pc2scan-golden DIR`` runs the cases of a folder beside the other tests; with the ini option
-``pc2scan_golden`` they run whenever pytest comes across the folder. Silent unless asked: what it needs is imported
-by the first test that uses it, and the hooks do nothing without a folder.
+``pytest --pc2scan-golden DIR`` runs the cases of a folder together with the other tests; with the ini option
+``pc2scan_golden`` they run whenever pytest collects the folder. Without a folder the hooks do nothing. Modules are
+imported by the first test that uses them.
 """
 
 from __future__ import annotations
@@ -38,38 +38,36 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         action="store_true",
         help="Write the expected output of golden cases that differ or have none.",
     )
-    parser.addini(
-        "pc2scan_golden", "Folders of golden cases, run when pytest comes across them.", type="paths", default=[]
-    )
+    parser.addini("pc2scan_golden", "Folders of golden cases, run when pytest collects them.", type="paths", default=[])
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Remember the folders; those of the command line are collected whatever else is."""
+    """Store the folders; those of the command line are always collected."""
     asked = [(config.invocation_params.dir / folder).resolve() for folder in config.getoption("--pc2scan-golden")]
     folders = frozenset((*asked, *(folder.resolve() for folder in config.getini("pc2scan_golden"))))
     if folders and not hasattr(pytest, "Directory"):
         raise pytest.UsageError(f"golden cases of pc2scan need pytest 8 or newer, this is {pytest.__version__}")
     config.stash[_FOLDERS] = folders
-    # Workers of pytest-xdist get the arguments with these already among them.
+    # Workers of pytest-xdist get arguments that include the folders already.
     config.args += [str(folder) for folder in asked if str(folder) not in config.args]
 
 
 # Older versions of pytest do not know this hook.
 @pytest.hookimpl(tryfirst=True, optionalhook=True)
 def pytest_collect_directory(path: Path, parent: pytest.Collector) -> GoldenFolder | GoldenCase | None:
-    """Take the folders of golden cases, and leave all others to pytest."""
+    """Collect the folders of golden cases; pytest collects all others."""
     folders = parent.config.stash[_FOLDERS]
     resolved = path.resolve() if folders else path
     if not any(folder == resolved or folder in resolved.parents for folder in folders):
         return None
-    from .collect import collector  # noqa: PLC0415 - loads what comparing needs
+    from .collect import collector  # noqa: PLC0415 - heavy
 
     return collector(path, parent)
 
 
 @pytest.fixture(scope="session")
 def assert_same_scans() -> Callable[..., None]:
-    """Compare two recordings: ``assert_same_scans(expected, actual, rtol=1e-5)``; takes what `pc2scan.diff` takes."""
+    """Compare two recordings with the options of `pc2scan.diff`: ``assert_same_scans(expected, actual, rtol=1e-5)``."""
 
     def assert_same(
         expected: str | PathLike[str],

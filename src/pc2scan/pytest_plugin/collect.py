@@ -45,12 +45,12 @@ class GoldenCase(pytest.Directory):
     """A case."""
 
     def collect(self) -> Iterator[pytest.Item]:
-        """Yield its one test, whose id is the folder: what pytest prints can be given to it again."""
+        """Yield its one test; the id is the folder, so that pytest accepts the id that it prints."""
         yield GoldenItem.from_parent(self, name=self.name, nodeid=self.nodeid)
 
 
 class GoldenItem(pytest.Item):
-    """The conversion of a case makes what is expected."""
+    """The test that the conversion of a case writes the expected output."""
 
     def runtest(self) -> None:
         """Convert and compare."""
@@ -61,7 +61,7 @@ class GoldenItem(pytest.Item):
             self.add_report_section("call", "pc2scan", "\n".join((result.outcome.value, *result.lines)))
 
     def repr_failure(self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None) -> Any:
-        """Show what differs, and not where this file found it."""
+        """Show the differences without a traceback."""
         if isinstance(excinfo.value, _Unexpected):
             return str(excinfo.value)
         return super().repr_failure(excinfo, style)
@@ -72,4 +72,4 @@ class GoldenItem(pytest.Item):
 
 
 class _Unexpected(Exception):  # noqa: N818 - a failure of a test, not an error
-    """What was made differs from what is expected, or could not be checked."""
+    """The output differs from the expected one, or could not be checked."""
