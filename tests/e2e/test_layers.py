@@ -41,10 +41,11 @@ ALLOWED = {
     "compare": {"messages", "bags", "core", "files"},
     "golden": {"compare", "bags", "files"},
     "streams": {"pipeline", "core", "tf", "messages", "bags"},
+    "look": {"pipeline", "inspect", "core", "tf", "messages", "bags", "files"},
     # `cli.in_process`: golden cases run the command.
     "api": {"pipeline", "inspect", "compare", "golden", "streams", "core", "tf", "cli.in_process"},
     # `bags.damage`: results have its data classes.
-    "cli": {"pipeline", "inspect", "compare", "golden", "core", "tf", "bags.damage"},
+    "cli": {"pipeline", "inspect", "compare", "golden", "look", "core", "tf", "bags.damage"},
     "pytest_plugin": {"api", "cli", "golden"},
 }
 
@@ -68,6 +69,7 @@ THIRD_PARTY = {
     "compare": {"numpy"},
     "golden": set(),
     "streams": {"numpy"},
+    "look": {"numpy"},
     "api": set[str](),
     "cli": {"typer", "rich"},
     "pytest_plugin": {"pytest"},

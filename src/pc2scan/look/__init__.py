@@ -1,0 +1,1 @@
+"""Pictures of recordings: pages to look at and to turn knobs on."""

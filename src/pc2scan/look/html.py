@@ -1,0 +1,99 @@
+"""One HTML file of the page's parts: its script, its style and what it shows, and nothing from anywhere else.
+
+A page that is opened from the disk may load no modules, so the modules of ``page/`` become one script: each is a
+function that returns what it exports, called once, in the order in which they need each other.
+
+A recording is untrusted, so nothing of it is ever part of the markup or of the script: it is JSON in which ``<`` is
+escaped, and base64. The page's policy allows the one script and the one style by their digests, and no request.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import re
+from importlib.resources import files
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+    from importlib.resources.abc import Traversable
+
+__all__ = ["BEGINNING", "html", "script", "style"]
+
+#: What every page begins with: such a file may be replaced by another page.
+BEGINNING = b"<!doctype html>\n<!-- pc2scan view -->\n"
+
+_IMPORT = re.compile(r'^import (?P<names>\{[^}]*\}) from "\./(?P<module>\w+)\.mjs";$', re.MULTILINE)
+_EXPORT = re.compile(r"^export (?=(?:async )?(?:function|const|let|class) (?P<name>\w+))", re.MULTILINE)
+
+
+def html(description: Mapping[str, Any], blobs: Mapping[str, bytes]) -> str:
+    """Return the page.
+
+    Parameters
+    ----------
+    description
+        What `page/main.mjs` reads as JSON.
+    blobs
+        Bytes by the ids that the description has for them.
+    """
+    code, css = script(), style()
+    policy = "; ".join(
+        (
+            "default-src 'none'",
+            f"script-src {_digest(code)}",
+            f"style-src {_digest(css)}",
+            "img-src data:",
+            "base-uri 'none'",
+            "form-action 'none'",
+        )
+    )
+    parts = {
+        'content="policy"': f'content="{policy}"',
+        "<!-- style -->": f"<style>{css}</style>",
+        "<!-- script -->": f"<script>{code}</script>",
+        "<!-- data -->": "\n".join(_data(description, blobs)),
+    }
+    page = (_folder() / "index.html").read_text("utf-8")
+    return re.sub("|".join(map(re.escape, parts)), lambda found: parts[found[0]], page)
+
+
+def script() -> str:
+    """Return the modules of the page as one script."""
+    modules: dict[str, str] = {}
+    _collect("main", modules)
+    return '"use strict";\n' + "".join(modules.values())
+
+
+def style() -> str:
+    """Return the style sheet of the page."""
+    return (_folder() / "style.css").read_text("utf-8")
+
+
+def _collect(name: str, modules: dict[str, str]) -> None:
+    """Add a module behind those that it imports."""
+    if name in modules:
+        return
+    text = (_folder() / f"{name}.mjs").read_text("utf-8")
+    for found in _IMPORT.finditer(text):
+        _collect(found["module"], modules)
+    exports = ", ".join(found["name"] for found in _EXPORT.finditer(text))
+    body = _EXPORT.sub("", _IMPORT.sub(r"const \g<names> = module_\g<module>;", text))
+    modules[name] = f"const module_{name} = (() => {{\n{body}return {{ {exports} }};\n}})();\n"
+
+
+def _data(description: Mapping[str, Any], blobs: Mapping[str, bytes]) -> Iterator[str]:
+    text = json.dumps(description, allow_nan=False, ensure_ascii=True).replace("<", "\\u003c")
+    yield f'<script type="application/json" id="recording">{text}</script>'
+    for name, data in blobs.items():
+        yield f'<script type="text/plain" id="{name}">{base64.b64encode(data).decode()}</script>'
+
+
+def _digest(text: str) -> str:
+    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
+
+
+def _folder() -> Traversable:
+    return files("pc2scan.look") / "page"

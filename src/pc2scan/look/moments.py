@@ -1,0 +1,47 @@
+"""Points in time: for people, and which of them a page shows."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING
+
+from pc2scan.inspect.sampling import sampled
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from pc2scan.bags.reader import Reader
+    from pc2scan.model import Connection, RawMessage
+    from pc2scan.pipeline.options import ConvertOptions
+
+__all__ = ["moment", "spread"]
+
+#: Stamps of simulations begin at 0; a date would say nothing.
+_FIRST_DATE_NS = 100_000_000 * 1_000_000_000
+
+
+def moment(stamp_ns: int) -> str:
+    """Return a stamp as a date and time in UTC, to the millisecond, or in seconds where it is no date."""
+    if stamp_ns < _FIRST_DATE_NS:
+        return f"{stamp_ns / 1e9:.3f} s"
+    seconds, rest = divmod(stamp_ns, 1_000_000_000)
+    return f"{datetime.fromtimestamp(seconds, UTC):%Y-%m-%d %H:%M:%S}.{rest // 1_000_000:03d} UTC"
+
+
+def spread(
+    reader: Reader, topics: Mapping[str, Sequence[Connection]], options: ConvertOptions, count: int
+) -> Iterator[RawMessage]:
+    """Take messages of each topic, evenly spread over the recording or over the cut; see `sampled`."""
+    summary = reader.summary
+    beginning = start_ns = summary.start_ns or 0
+    stop_ns = max(start_ns, summary.end_ns or 0) + 1
+    if options.start is not None:
+        start_ns = max(start_ns, options.start.resolve(beginning))
+    if options.end is not None:
+        stop_ns = min(stop_ns, options.end.resolve(beginning))
+    if start_ns >= stop_ns:
+        return
+    for message in sampled(reader, topics, count, start_ns, stop_ns - 1):
+        # The first message behind the last moment may lie behind the cut.
+        if message.log_time_ns < stop_ns:
+            yield message

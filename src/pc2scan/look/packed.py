@@ -1,0 +1,41 @@
+"""Arrays as the page reads them: by field, the values' bytes sorted by their place, compressed."""
+
+from __future__ import annotations
+
+import zlib
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+__all__ = ["described", "packed"]
+
+#: Deeper compression takes longer and gains nearly nothing with measured values.
+_LEVEL = 6
+
+
+def packed(columns: Mapping[str, NDArray[Any]]) -> bytes:
+    """Compress arrays of one length; `described` says what is in them.
+
+    The first bytes of all values of a field come first, then their second bytes, and so on: exponents and leading
+    digits resemble each other, so that measured floats compress a quarter better.
+    """
+    planes = b"".join(_planes(column) for column in columns.values())
+    compressor = zlib.compressobj(_LEVEL, zlib.DEFLATED, -zlib.MAX_WBITS)
+    return compressor.compress(planes) + compressor.flush()
+
+
+def described(name: str, columns: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
+    """Describe packed arrays to the page, under the name that their bytes have there."""
+    length = len(next(iter(columns.values())))
+    fields = [{"name": field, "type": column.dtype.str[1:]} for field, column in columns.items()]
+    return {"id": name, "length": length, "fields": fields}
+
+
+def _planes(column: NDArray[Any]) -> bytes:
+    values = np.ascontiguousarray(column, column.dtype.newbyteorder("<"))
+    return values.view(np.uint8).reshape(-1, values.itemsize).T.tobytes()

@@ -1,0 +1,526 @@
+// The page of clouds: parameters change, the projection runs, the views follow.
+
+import { commandLine, parameterFile, staticText } from "./commands.mjs";
+import { Controls } from "./controls.mjs";
+import { columns } from "./data.mjs";
+import { band, beamsFromAbove, endsOf, frameMarks, rings, sector } from "./draw.mjs";
+import { Flat } from "./flat.mjs";
+import { Orbit } from "./orbit.mjs";
+import { copyButton, element, figure, oncePerFrame, setUpTheme, setUpTime, theme } from "./page.mjs";
+import { coloursOf, outcomeColours, usualRange, word } from "./palette.mjs";
+import { emptyRange, problemOf } from "./params.mjs";
+import { OUTCOMES, project, transformed } from "./project.mjs";
+import { niceStep } from "./stage.mjs";
+import { matrixOf, matrixOfMount } from "./transform.mjs";
+import { Unrolled } from "./unrolled.mjs";
+
+/** @typedef {import("./params.mjs").Params} Params */
+/** @typedef {import("./transform.mjs").Mount} Mount */
+/** @typedef {import("./project.mjs").Cloud} Cloud */
+/** @typedef {import("./project.mjs").Scan} Scan */
+/** @typedef {Record<string, number | string | boolean>} Values */
+
+/**
+ * @typedef {object} CloudEntry
+ * @property {string} moment for people
+ * @property {string} frame
+ * @property {string} targetFrame what the scan is in
+ * @property {{quaternion: number[], translation: number[]} | null} transform
+ * @property {Mount} mount the same, for people
+ * @property {{name: string, x: number, y: number, z: number}[]} frames
+ * @property {number} total points in the recording
+ * @property {import("./data.mjs").ArrayData} data
+ */
+
+/**
+ * @typedef {object} CloudRecording
+ * @property {string} title
+ * @property {string} subtitle
+ * @property {string[]} notes
+ * @property {Values} params
+ * @property {Values} defaults
+ * @property {Values} base what the parameters are with the preset
+ * @property {Record<string, Record<string, number | string>>} presets
+ * @property {string} preset
+ * @property {Record<string, {help: string, choices: string[]}>} parameters
+ * @property {string[]} command
+ * @property {string} targetFrame as it was asked for
+ * @property {{topic: string, clouds: CloudEntry[]}[]} topics
+ */
+
+const OUTCOME_NAMES = {
+  used: "used",
+  nan: "NaN",
+  height: "outside the heights",
+  range: "outside the ranges",
+  angle: "outside the sector",
+  past_end: "behind the last beam",
+};
+
+/** Pixels around the edge of the band that grab it. */
+const GRAB = 7;
+
+/** @param {CloudRecording} recording */
+export function showClouds(recording) {
+  const style = getComputedStyle(document.documentElement);
+  const shown = { x: 0, y: 0, z: 0, scale: 20 };
+  const given = /** @type {Params} */ (revived(recording.params));
+  const defaults = revived(recording.defaults);
+  let params = { ...given };
+  let base = revived(recording.base);
+  let preset = recording.preset;
+  let topic = recording.topics[0];
+  let entry = topic.clouds[0];
+  /** @type {Mount | null} what the user set; null: what is recorded */
+  let mount = null;
+  /** @type {Map<string, import("./data.mjs").Column>} */
+  let fields = new Map();
+  /** @type {Cloud} in the scan's frame */
+  let cloud = { x: new Float32Array(), y: new Float32Array(), z: new Float32Array() };
+  /** @type {Scan} */
+  let scan = project(cloud, params);
+  let ends = new Float64Array();
+  let colours = new Uint32Array();
+  let front = new Float32Array();
+  let milliseconds = 0;
+  let problem = problemOf(params);
+  let markedBeam = -1;
+  let fitted = false;
+
+  const colourBy = element("colour", HTMLSelectElement);
+  const readout = element("readout", HTMLElement);
+  const draw = oncePerFrame(drawAll);
+
+  const top = new Flat(element("top", HTMLElement), "y", shown, { change: draw, draw, fit });
+  const side = new Flat(element("side", HTMLElement), "z", shown, { change: draw, draw, fit, grab: grabBand });
+  const orbit = new Orbit(element("orbit", HTMLElement), { draw, fit });
+  const unrolled = new Unrolled(element("unrolled", HTMLElement), draw);
+
+  const panel = element("panel", HTMLElement);
+  const fieldNames = [
+    ...new Set(recording.topics.flatMap((t) => t.clouds.flatMap((c) => c.data.fields.map((f) => f.name)))),
+  ];
+  const controls = new Controls(
+    panel,
+    {
+      parameters: recording.parameters,
+      presets: Object.keys(recording.presets),
+      fields: fieldNames.filter((name) => !["x", "y", "z"].includes(name)),
+    },
+    { param: setParam, mount: setMount, preset: setPreset, reset },
+  );
+  const results = resultsIn(panel, choice);
+
+  colourBy.replaceChildren(
+    ...["outcome", "height", ...fieldNames.filter((name) => !["x", "y", "z"].includes(name))].map(
+      (name) => new Option(name, name),
+    ),
+  );
+  colourBy.addEventListener("change", () => {
+    paint();
+    draw();
+  });
+  const topics = element("topic", HTMLSelectElement);
+  topics.replaceChildren(...recording.topics.map(({ topic: name }) => new Option(name, name)));
+  topics.addEventListener("change", () => {
+    topic = recording.topics[topics.selectedIndex];
+    fitted = false;
+    void go(0);
+  });
+  element("topic-label", HTMLElement).hidden = recording.topics.length < 2;
+  hover();
+
+  const go = setUpTime(
+    () => topic.clouds.length,
+    load,
+    (step) => `${step + 1} of ${topic.clouds.length}: ${topic.clouds[step].moment}`,
+  );
+  setUpTheme(() => {
+    paint();
+    draw();
+  });
+
+  /** @param {number} step */
+  async function load(step) {
+    const wanted = topic.clouds[step];
+    entry = wanted;
+    const found = await columns(wanted.data);
+    // A later click may have been quicker.
+    if (entry !== wanted) return;
+    fields = found;
+    place();
+  }
+
+  /** Take the cloud to the scan's frame, and project it. */
+  function place() {
+    const own = /** @type {Cloud} */ (Object.fromEntries(["x", "y", "z"].map((axis) => [axis, fields.get(axis)])));
+    const matrix = mount
+      ? matrixOfMount(mount)
+      : entry.transform && matrixOf(entry.transform.quaternion, entry.transform.translation);
+    const length = own.x.length;
+    cloud = matrix
+      ? transformed(own, matrix, {
+          x: new Float32Array(length),
+          y: new Float32Array(length),
+          z: new Float32Array(length),
+        })
+      : own;
+    if (!fitted) fit();
+    update();
+  }
+
+  /** Project with the parameters as they are, and show everything. */
+  function update() {
+    problem = problemOf(params);
+    controls.blame(problem);
+    controls.show(params, mount ?? entry.mount, preset);
+    if (!problem) {
+      const begin = performance.now();
+      scan = project(cloud, params, (params.intensity_field && fields.get(params.intensity_field)) || null);
+      milliseconds = performance.now() - begin;
+      ends = endsOf(scan, isReturn);
+    }
+    results.show(scan, milliseconds, entry);
+    paint();
+    draw();
+  }
+
+  /** @param {number} range */
+  function isReturn(range) {
+    return Number.isFinite(range) && !Object.is(range, emptyRange(params));
+  }
+
+  /** Decide the colour of each point, and what is in front. */
+  function paint() {
+    const by = colourBy.value;
+    const { outcomes } = scan;
+    const count = cloud.x.length;
+    front = new Float32Array(count);
+    for (let n = 0; n < count; n++) front[n] = outcomes[n] === 0 ? 1 : 0;
+    if (by === "outcome") {
+      const words = outcomeColours(theme()).map(word);
+      colours = Uint32Array.from(outcomes, (outcome) => words[outcome]);
+    } else {
+      colours = coloursOf(by === "height" ? cloud.z : (fields.get(by) ?? cloud.z), theme());
+    }
+    if (colours.length !== count) colours = new Uint32Array(count);
+  }
+
+  function drawAll() {
+    if (!cloud.x.length && !fields.size) return;
+    const byOutcome = colourBy.value === "outcome";
+    const current = theme();
+    const beam = style.getPropertyValue("--beam");
+    const size = cloud.x.length > 60_000 ? 1 : 1.5;
+    top.points(cloud, colours, byOutcome ? front : null, size);
+    side.points(cloud, colours, byOutcome ? front : null, size);
+    orbit.points(cloud, colours, size);
+    const axis = 40 / shown.scale;
+    let pen = top.axes(style);
+    rings(pen, top, niceStep(top.stage.width / shown.scale, 8), style);
+    sector(pen, top, params, style);
+    beamsFromAbove(pen, top, ends, beam, [0, 0], true);
+    frameMarks(pen, (x, y) => [top.px(x), top.py(y)], entry.frames, axis, style);
+    if (markedBeam >= 0) mark(pen, top.px(ends[2 * markedBeam]), top.py(ends[2 * markedBeam + 1]));
+    pen.restore();
+    pen = side.axes(style);
+    band(pen, side, bandEdges(), style);
+    frameMarks(pen, (x, _y, z) => [side.px(x), side.py(z)], entry.frames, axis, style);
+    pen.restore();
+    pen = orbit.stage.pen();
+    pen.fillStyle = beam;
+    for (let n = 0; n < ends.length; n += 2) {
+      if (ends[n] !== ends[n]) continue;
+      const [x, y] = orbit.place(ends[n], ends[n + 1], 0);
+      pen.fillRect(x - 1, y - 1, 2, 2);
+    }
+    frameMarks(pen, (x, y, z) => orbit.place(x, y, z), entry.frames, 40 / orbit.scale, style);
+    unrolled.draw(
+      [
+        {
+          angleMin: scan.layout.angleMin,
+          increment: scan.layout.increment,
+          ranges: scan.ranges,
+          colour: beam,
+          isReturn,
+        },
+      ],
+      style,
+      markedBeam,
+    );
+    const share = scan.counts[0] / Math.max(1, cloud.x.length);
+    const text = `${cloud.x.length} points, ${(100 * share).toFixed(1)} % used`;
+    top.stage.element.setAttribute("aria-label", `The cloud from above: ${text}; the beams of the scan over it`);
+    side.stage.element.setAttribute("aria-label", `The cloud from the side: ${text}; the height band`);
+    orbit.stage.element.setAttribute("aria-label", `The cloud in 3D: ${text}`);
+    unrolled.stage.element.setAttribute("aria-label", `Ranges of ${scan.ranges.length} beams by angle`);
+    document.body.dataset.drawn = `${Number(document.body.dataset.drawn ?? 0) + 1}`;
+    document.body.dataset.drawnTheme = current;
+  }
+
+  /**
+   * @param {CanvasRenderingContext2D} pen
+   * @param {number} x
+   * @param {number} y
+   */
+  function mark(pen, x, y) {
+    pen.strokeStyle = style.getPropertyValue("--ink");
+    pen.beginPath();
+    pen.arc(x, y, 6, 0, 2 * Math.PI);
+    pen.stroke();
+  }
+
+  /** The edges of the band, upper and lower, kept within the view. */
+  function bandEdges() {
+    const { height } = side.stage;
+    const keep = (/** @type {number} */ y) => Math.min(height - 24, Math.max(4, y));
+    return /** @type {[number, number]} */ ([keep(side.py(params.max_height)), keep(side.py(params.min_height))]);
+  }
+
+  /** @param {[number, number]} start */
+  function grabBand([, y]) {
+    const [upper, lower] = bandEdges();
+    const [toUpper, toLower] = [Math.abs(y - upper), Math.abs(y - lower)];
+    if (Math.min(toUpper, toLower) > GRAB) return null;
+    const name = toUpper < toLower ? "max_height" : "min_height";
+    return (/** @type {[number, number]} */ at) => {
+      const height = Math.round(side.world(at)[1] * 100) / 100;
+      const [low, high] = [params.min_height, params.max_height];
+      setParam(name, name === "max_height" ? Math.max(height, low) : Math.min(height, high));
+    };
+  }
+
+  /** Show the whole cloud, but for a few points far away. */
+  function fit() {
+    fitted = true;
+    const [x0, x1] = usualRange(cloud.x);
+    const [y0, y1] = usualRange(cloud.y);
+    const [z0, z1] = usualRange(cloud.z);
+    const { width, height } = top.stage;
+    const reach = [Math.max(x1, 0) - Math.min(x0, 0), Math.max(y1, 0) - Math.min(y0, 0)];
+    shown.x = (Math.max(x1, 0) + Math.min(x0, 0)) / 2;
+    shown.y = (Math.max(y1, 0) + Math.min(y0, 0)) / 2;
+    shown.z = (z0 + z1) / 2;
+    shown.scale = 0.85 * Math.min((width - 40) / Math.max(1, reach[0]), (height - 20) / Math.max(1, reach[1]));
+    orbit.centre = [shown.x, shown.y, shown.z];
+    orbit.scale = (0.8 * Math.min(orbit.stage.width, orbit.stage.height)) / Math.max(1, Math.hypot(reach[0], reach[1]));
+    draw();
+  }
+
+  /**
+   * @param {string} name
+   * @param {number | string} value
+   */
+  function setParam(name, value) {
+    /** @type {Record<string, number | string>} */
+    const changes = { [name]: value };
+    // A number of beams decides the increment, and an increment the number of beams.
+    if (name === "angle_increment") changes.beams = 0;
+    if (name === "reduce") changes.kth = value === "kth" ? Math.max(1, params.kth) : 0;
+    params = { ...params, ...changes };
+    if (name === "beams" && value && !problemOf(params))
+      params.angle_increment = project(cloudOfNothing(), params).layout.increment;
+    update();
+  }
+
+  /**
+   * @param {keyof Mount} key
+   * @param {number} value
+   */
+  function setMount(key, value) {
+    if (!Number.isFinite(value)) return;
+    mount = { ...(mount ?? entry.mount), [key]: value };
+    place();
+  }
+
+  /** @param {string} chosen */
+  function setPreset(chosen) {
+    preset = chosen;
+    // What the user has set stays set.
+    const own = Object.entries(params).filter(([name, value]) => base[name] !== value);
+    base = { ...defaults, ...(recording.presets[chosen] ?? {}) };
+    params = /** @type {Params} */ ({ ...pickParams(base), ...Object.fromEntries(own) });
+    update();
+  }
+
+  /** @param {Values} values */
+  function pickParams(values) {
+    return Object.fromEntries(Object.keys(recording.params).map((name) => [name, values[name]]));
+  }
+
+  function reset() {
+    params = { ...given };
+    base = revived(recording.base);
+    preset = recording.preset;
+    mount = null;
+    place();
+  }
+
+  /** What the page shows, as the user takes it away. */
+  function choice() {
+    const parent = entry.targetFrame === entry.frame || !entry.targetFrame ? "base_link" : entry.targetFrame;
+    return {
+      params,
+      base,
+      preset,
+      command: recording.command,
+      staticTf: mount && { parent, child: entry.frame || "lidar", mount },
+      targetFrame: mount ? parent : recording.targetFrame,
+    };
+  }
+
+  function hover() {
+    for (const view of [top, side, orbit]) {
+      view.stage.element.addEventListener("pointermove", (event) => {
+        const [x, y] = view.stage.place(event);
+        const { ratio, raster } = view.stage;
+        const point = raster.at(x * ratio, y * ratio, 6 * ratio);
+        if (view === side) {
+          const near = bandEdges().some((edge) => Math.abs(edge - y) <= GRAB);
+          side.stage.element.style.cursor = near ? "ns-resize" : "";
+        }
+        const angle = view === top ? Math.atan2(...flipped(top.world([x, y]))) : NaN;
+        describe(point, point >= 0 && scan.outcomes[point] === 0 ? scan.bins[point] : beamAt(angle));
+      });
+    }
+    unrolled.stage.element.addEventListener("pointermove", (event) => {
+      describe(-1, beamAt(unrolled.angle(unrolled.stage.place(event)[0])));
+    });
+  }
+
+  /**
+   * @param {number} angle radians
+   */
+  function beamAt(angle) {
+    const { angleMin, increment, count } = scan.layout;
+    const turned = angle - angleMin + (params.geometry === "upstream" ? 0 : increment / 2);
+    const turn = 2 * Math.PI;
+    const beam = Math.floor((((turned % turn) + turn) % turn) / increment);
+    return beam >= 0 && beam < count ? beam : -1;
+  }
+
+  /**
+   * @param {number} point
+   * @param {number} beam
+   */
+  function describe(point, beam) {
+    const words = [];
+    if (point >= 0) {
+      const values = [...fields].map(([name, column]) => `${name} ${figure(column[point])}`);
+      const [x, y, z] = [cloud.x[point], cloud.y[point], cloud.z[point]];
+      words.push(`Point ${point}: ${values.join(", ")}`);
+      if (mount || entry.transform)
+        words.push(`in ${entry.targetFrame || "the scan's frame"} ${figure(x)}, ${figure(y)}, ${figure(z)}`);
+      words.push(OUTCOME_NAMES[OUTCOMES[scan.outcomes[point]]]);
+    }
+    if (beam >= 0) {
+      const angle = scan.layout.angleMin + beam * scan.layout.increment;
+      const range = scan.ranges[beam];
+      words.push(
+        `Beam ${beam}: ${((angle * 180) / Math.PI).toFixed(2)}°, ${isReturn(range) ? `${figure(range)} m` : "no return"}`,
+      );
+    }
+    readout.textContent = words.join("; ");
+    if (beam !== markedBeam) {
+      markedBeam = beam;
+      draw();
+    }
+  }
+
+  Object.assign(window, {
+    pc2scan: {
+      /** For tests: what the page computes with parameters of theirs. */
+      scan: () => ({ ranges: [...scan.ranges].map(String), counts: scan.counts, milliseconds }),
+      params: () => params,
+      set: (/** @type {Partial<Params>} */ changes) => {
+        params = { ...params, ...changes };
+        update();
+        return problem;
+      },
+      go,
+      command: () => commandLine(choice()),
+      file: (/** @type {1 | 2} */ ros) => parameterFile(choice(), ros),
+      staticTf: () => staticText(choice()),
+    },
+  });
+  return go(0);
+}
+
+/**
+ * JSON has no infinity: numbers that are written as text become numbers again.
+ * @param {Values} values
+ * @returns {Values}
+ */
+function revived(values) {
+  return Object.fromEntries(
+    Object.entries(values).map(([name, value]) => {
+      const infinite = (value === "inf" || value === "-inf") && name !== "no_return";
+      return [name, infinite ? (value === "inf" ? Infinity : -Infinity) : value];
+    }),
+  );
+}
+
+/** @param {[number, number]} pair */
+const flipped = ([x, y]) => /** @type {[number, number]} */ ([y, x]);
+
+/** @returns {Cloud} */
+const cloudOfNothing = () => ({ x: new Float32Array(), y: new Float32Array(), z: new Float32Array() });
+
+/**
+ * The counts, and what can be copied.
+ * @param {HTMLElement} panel
+ * @param {() => import("./commands.mjs").Choice} choice
+ */
+function resultsIn(panel, choice) {
+  const heading = document.createElement("h2");
+  heading.textContent = "Points";
+  const table = document.createElement("table");
+  const summary = document.createElement("p");
+  const take = document.createElement("h2");
+  take.textContent = "Take it away";
+  const buttons = document.createElement("div");
+  buttons.className = "buttons";
+  const command = document.createElement("pre");
+  command.id = "command";
+  command.tabIndex = 0;
+  const staticButton = copyButton("--static-tf", () => staticText(choice()));
+  buttons.append(
+    copyButton("Copy command", () => commandLine(choice())),
+    copyButton("ROS 1 parameters", () => parameterFile(choice(), 1)),
+    copyButton("ROS 2 parameters", () => parameterFile(choice(), 2)),
+    staticButton,
+  );
+  panel.prepend(heading, table, summary, take, buttons, command);
+  return {
+    /**
+     * @param {Scan} scan
+     * @param {number} milliseconds
+     * @param {CloudEntry} entry
+     */
+    show(scan, milliseconds, entry) {
+      const colours = outcomeColours(theme());
+      const total = Math.max(1, scan.outcomes.length);
+      table.replaceChildren(
+        ...OUTCOMES.map((outcome, n) => {
+          const row = document.createElement("tr");
+          const name = document.createElement("td");
+          const swatch = document.createElement("span");
+          swatch.className = "swatch";
+          swatch.style.background = colours[n];
+          name.append(swatch, OUTCOME_NAMES[outcome]);
+          const count = Object.assign(document.createElement("td"), { className: "count" });
+          count.textContent = scan.counts[n].toLocaleString("en");
+          const share = Object.assign(document.createElement("td"), { className: "share" });
+          share.textContent = `${((100 * scan.counts[n]) / total).toFixed(1)} %`;
+          row.append(name, count, share);
+          return row;
+        }),
+      );
+      const thinned =
+        entry.total > scan.outcomes.length ? ` of ${entry.total.toLocaleString("en")} points, thinned;` : "";
+      summary.textContent = `${scan.ranges.length} beams, ${scan.returns} with a return;${thinned} ${milliseconds.toFixed(1)} ms`;
+      command.textContent = commandLine(choice());
+      staticButton.hidden = !choice().staticTf;
+    },
+  };
+}

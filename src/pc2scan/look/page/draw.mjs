@@ -1,0 +1,181 @@
+// What is drawn over the points: beams, sector, rings, the height band, frames.
+
+/** @typedef {import("./flat.mjs").Flat} Flat */
+/** @typedef {import("./orbit.mjs").Orbit} Orbit */
+/** @typedef {import("./layout.mjs").Layout} Layout */
+
+/**
+ * A scan as it is drawn.
+ * @typedef {object} Beams
+ * @property {Pick<Layout, "angleMin" | "increment">} layout
+ * @property {Float32Array} ranges metres
+ */
+
+/** Lines from the sensor to more returns than this would be a blot. */
+const MOST_LINES = 1500;
+
+/**
+ * Where beams end, as x and y by turns; NaN for beams without a return.
+ * @param {Beams} scan
+ * @param {(range: number) => boolean} isReturn
+ */
+export function endsOf({ layout, ranges }, isReturn) {
+  const ends = new Float64Array(2 * ranges.length).fill(NaN);
+  for (let beam = 0; beam < ranges.length; beam++) {
+    if (!isReturn(ranges[beam])) continue;
+    const angle = layout.angleMin + beam * layout.increment;
+    ends[2 * beam] = ranges[beam] * Math.cos(angle);
+    ends[2 * beam + 1] = ranges[beam] * Math.sin(angle);
+  }
+  return ends;
+}
+
+/**
+ * @param {CanvasRenderingContext2D} pen
+ * @param {Flat} view
+ * @param {Float64Array} ends
+ * @param {string} colour
+ * @param {readonly number[]} origin where the sensor is, metres
+ * @param {boolean} lines whether to draw the way from the sensor, too
+ */
+export function beamsFromAbove(pen, view, ends, colour, origin, lines) {
+  pen.strokeStyle = pen.fillStyle = colour;
+  const [x0, y0] = [view.px(origin[0]), view.py(origin[1])];
+  if (lines && ends.length / 2 <= MOST_LINES) {
+    pen.globalAlpha = 0.18;
+    pen.beginPath();
+    for (let n = 0; n < ends.length; n += 2) {
+      if (ends[n] !== ends[n]) continue;
+      pen.moveTo(x0, y0);
+      pen.lineTo(view.px(ends[n]), view.py(ends[n + 1]));
+    }
+    pen.stroke();
+    pen.globalAlpha = 1;
+  }
+  for (let n = 0; n < ends.length; n += 2) {
+    if (ends[n] === ends[n]) pen.fillRect(view.px(ends[n]) - 1.5, view.py(ends[n + 1]) - 1.5, 3, 3);
+  }
+}
+
+/**
+ * Circles at round distances.
+ * @param {CanvasRenderingContext2D} pen
+ * @param {Flat} view
+ * @param {number} step metres
+ * @param {CSSStyleDeclaration} style
+ */
+export function rings(pen, view, step, style) {
+  const [x, y] = [view.px(0), view.py(0)];
+  const { width, height } = view.stage;
+  const reach = Math.hypot(Math.max(x, width - x), Math.max(y, height - y)) / view.shown.scale;
+  pen.strokeStyle = style.getPropertyValue("--line");
+  pen.beginPath();
+  for (let n = 1; n * step <= reach && n <= 60; n++) {
+    const radius = n * step * view.shown.scale;
+    pen.moveTo(x + radius, y);
+    pen.arc(x, y, radius, 0, 2 * Math.PI);
+  }
+  pen.stroke();
+}
+
+/**
+ * The edges of a sector, and the limits of the range.
+ * @param {CanvasRenderingContext2D} pen
+ * @param {Flat} view
+ * @param {import("./params.mjs").Params} params
+ * @param {CSSStyleDeclaration} style
+ */
+export function sector(pen, view, params, style) {
+  const [x, y] = [view.px(0), view.py(0)];
+  pen.strokeStyle = style.getPropertyValue("--accent");
+  pen.setLineDash([5, 4]);
+  pen.beginPath();
+  const reach = params.range_max < 1e6 ? params.range_max * view.shown.scale : 1e5;
+  if (params.angle_max - params.angle_min < 2 * Math.PI - 1e-3) {
+    for (const angle of [params.angle_min, params.angle_max]) {
+      pen.moveTo(x, y);
+      pen.lineTo(x + reach * Math.cos(angle), y - reach * Math.sin(angle));
+    }
+  }
+  for (const range of [params.range_min, params.range_max]) {
+    const radius = range * view.shown.scale;
+    if (!(radius > 1 && radius < 1e5)) continue;
+    pen.moveTo(x + radius * Math.cos(params.angle_min), y - radius * Math.sin(params.angle_min));
+    pen.arc(x, y, radius, -params.angle_min, -params.angle_max, true);
+  }
+  pen.stroke();
+  pen.setLineDash([]);
+}
+
+/**
+ * The heights that count, as a band with two edges.
+ * @param {CanvasRenderingContext2D} pen
+ * @param {Flat} view
+ * @param {[number, number]} edges pixels, upper and lower; within the view
+ * @param {CSSStyleDeclaration} style
+ */
+export function band(pen, view, [upper, lower], style) {
+  const { width } = view.stage;
+  pen.fillStyle = style.getPropertyValue("--band");
+  pen.fillRect(0, upper, width, lower - upper);
+  pen.strokeStyle = pen.fillStyle = style.getPropertyValue("--accent");
+  for (const y of [upper, lower]) {
+    pen.beginPath();
+    pen.moveTo(0, y);
+    pen.lineTo(width, y);
+    pen.stroke();
+    pen.fillRect(width / 2 - 22, y - 2.5, 44, 5);
+  }
+}
+
+/**
+ * The axes of the scan's frame, and crosses with names where other frames are.
+ * @param {CanvasRenderingContext2D} pen
+ * @param {(x: number, y: number, z: number) => [number, number]} place
+ * @param {{name: string, x: number, y: number, z: number}[]} frames
+ * @param {number} length of the axes, metres
+ * @param {CSSStyleDeclaration} style
+ */
+export function frameMarks(pen, place, frames, length, style) {
+  const colours = ["#e0483e", "#3fa34d", "#3f7fe0"];
+  const [x0, y0] = place(0, 0, 0);
+  pen.lineWidth = 2;
+  for (let axis = 0; axis < 3; axis++) {
+    const tip = place(axis === 0 ? length : 0, axis === 1 ? length : 0, axis === 2 ? length : 0);
+    pen.strokeStyle = colours[axis];
+    pen.beginPath();
+    pen.moveTo(x0, y0);
+    pen.lineTo(...tip);
+    pen.stroke();
+  }
+  pen.lineWidth = 1;
+  pen.strokeStyle = pen.fillStyle = style.getPropertyValue("--ink");
+  pen.textAlign = "left";
+  for (const { name, x, y, z } of together(frames)) {
+    const [px, py] = place(x, y, z);
+    pen.beginPath();
+    pen.moveTo(px - 4, py);
+    pen.lineTo(px + 4, py);
+    pen.moveTo(px, py - 4);
+    pen.lineTo(px, py + 4);
+    pen.stroke();
+    pen.globalAlpha = 0.75;
+    pen.fillText(name, px + 6, py - 7);
+    pen.globalAlpha = 1;
+  }
+}
+
+/**
+ * Frames at one place share their mark.
+ * @param {{name: string, x: number, y: number, z: number}[]} frames
+ */
+function together(frames) {
+  /** @type {Map<string, {name: string, x: number, y: number, z: number}>} */
+  const places = new Map();
+  for (const frame of frames) {
+    const key = [frame.x, frame.y, frame.z].map((value) => value.toFixed(2)).join();
+    const other = places.get(key);
+    places.set(key, other ? { ...other, name: `${other.name}, ${frame.name}` } : frame);
+  }
+  return places.values();
+}

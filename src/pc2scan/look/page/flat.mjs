@@ -1,0 +1,175 @@
+// A view along an axis, with equal scales, metres on its axes, pan and zoom. Views may share a window.
+
+import { Stage, niceStep, tick, ticks } from "./stage.mjs";
+
+/**
+ * What a view shows of the world: shared by views that are linked.
+ * @typedef {object} Window
+ * @property {number} x metres, in the middle
+ * @property {number} y
+ * @property {number} z
+ * @property {number} scale pixels a metre
+ */
+
+/** Room for the numbers of the axes, pixels. */
+const MARGIN = { left: 40, bottom: 20 };
+
+export class Flat {
+  /**
+   * @param {HTMLElement} element
+   * @param {"y" | "z"} up the axis that points up; x points right
+   * @param {Window} shown
+   * @param {object} on
+   * @param {() => void} on.change the window has changed
+   * @param {() => void} on.draw draw this view
+   * @param {() => void} on.fit
+   * @param {(start: [number, number]) => ((at: [number, number]) => void) | null} [on.grab] something to be dragged
+   */
+  constructor(element, up, shown, on) {
+    this.up = up;
+    this.shown = shown;
+    this.stage = new Stage(element, on.draw);
+    this.stage.onDrag((start) => {
+      const grabbed = on.grab?.(start);
+      if (grabbed) return (_dx, _dy, at) => grabbed(at);
+      return (dx, dy) => {
+        this.pan(dx, dy);
+        on.change();
+      };
+    });
+    this.stage.onZoom((factor, at) => {
+      this.zoom(factor, at);
+      on.change();
+    });
+    element.addEventListener("dblclick", on.fit);
+    element.addEventListener("keydown", (event) => {
+      const steps = { ArrowLeft: [40, 0], ArrowRight: [-40, 0], ArrowUp: [0, 40], ArrowDown: [0, -40] };
+      const step = steps[/** @type {keyof typeof steps} */ (event.key)];
+      if (event.key === "0") on.fit();
+      if (!step) return;
+      event.preventDefault();
+      this.pan(step[0], step[1]);
+      on.change();
+    });
+  }
+
+  /** The middle of the plot, pixels. */
+  get middle() {
+    return [(this.stage.width + MARGIN.left) / 2, (this.stage.height - MARGIN.bottom) / 2];
+  }
+
+  /** @param {number} x metres */
+  px(x) {
+    return this.middle[0] + (x - this.shown.x) * this.shown.scale;
+  }
+
+  /** @param {number} value metres, along the axis that points up */
+  py(value) {
+    return this.middle[1] - (value - this.shown[this.up]) * this.shown.scale;
+  }
+
+  /**
+   * @param {[number, number]} place pixels
+   * @returns {[number, number]} metres
+   */
+  world([px, py]) {
+    return [
+      this.shown.x + (px - this.middle[0]) / this.shown.scale,
+      this.shown[this.up] - (py - this.middle[1]) / this.shown.scale,
+    ];
+  }
+
+  /**
+   * @param {number} dx pixels
+   * @param {number} dy pixels
+   */
+  pan(dx, dy) {
+    this.shown.x -= dx / this.shown.scale;
+    this.shown[this.up] += dy / this.shown.scale;
+  }
+
+  /**
+   * @param {number} factor
+   * @param {[number, number]} at the place that stays
+   */
+  zoom(factor, at) {
+    const before = this.world(at);
+    this.shown.scale = Math.min(1e5, Math.max(0.01, this.shown.scale * factor));
+    const after = this.world(at);
+    this.shown.x += before[0] - after[0];
+    this.shown[this.up] += before[1] - after[1];
+  }
+
+  /**
+   * Draw points.
+   * @param {{x: Float32Array, y: Float32Array, z: Float32Array}} cloud
+   * @param {Uint32Array} colours
+   * @param {Float32Array | null} front what is in front; null: what is nearer to the eye
+   * @param {number} size pixels of CSS
+   */
+  points(cloud, colours, front, size) {
+    const { raster, ratio } = this.stage;
+    raster.clear();
+    const across = cloud.x;
+    const upward = cloud[this.up];
+    const away = this.up === "y" ? cloud.z : cloud.y;
+    const sign = this.up === "y" ? 1 : -1;
+    const [mx, my] = this.middle;
+    const scale = this.shown.scale * ratio;
+    const [x0, y0] = [mx * ratio - this.shown.x * scale, my * ratio + this.shown[this.up] * scale];
+    const dot = Math.max(1, Math.round(size * ratio));
+    for (let n = 0; n < across.length; n++) {
+      const depth = front ? front[n] : sign * away[n];
+      raster.dot(n, x0 + across[n] * scale, y0 - upward[n] * scale, depth, colours[n], dot);
+    }
+    raster.show();
+  }
+
+  /**
+   * Draw the grid and the axes' numbers, and return the pen for what comes above them.
+   * @param {CSSStyleDeclaration} style
+   */
+  axes(style) {
+    const pen = this.stage.pen();
+    const { width, height } = this.stage;
+    const bottom = height - MARGIN.bottom;
+    const step = niceStep(width / this.shown.scale, width / 90);
+    const [left, low] = this.world([MARGIN.left, bottom]);
+    const [right, high] = this.world([width, 0]);
+    pen.strokeStyle = style.getPropertyValue("--grid");
+    pen.fillStyle = style.getPropertyValue("--faint");
+    pen.beginPath();
+    const numbers = [];
+    for (const value of ticks(left, right, step)) {
+      const x = Math.round(this.px(value)) + 0.5;
+      pen.moveTo(x, 0);
+      pen.lineTo(x, bottom);
+      numbers.push({ x, y: bottom + 11, text: tick(value, step), align: "center" });
+    }
+    for (const value of ticks(low, high, step)) {
+      const y = Math.round(this.py(value)) + 0.5;
+      pen.moveTo(MARGIN.left, y);
+      pen.lineTo(width, y);
+      numbers.push({ x: MARGIN.left - 6, y, text: tick(value, step), align: "right" });
+    }
+    pen.globalCompositeOperation = "destination-over";
+    pen.stroke();
+    pen.globalCompositeOperation = "source-over";
+    pen.fillStyle = style.getPropertyValue("--plot");
+    pen.fillRect(0, 0, MARGIN.left, height);
+    pen.fillRect(0, bottom, width, MARGIN.bottom);
+    pen.fillStyle = style.getPropertyValue("--faint");
+    for (const { x, y, text, align } of numbers) {
+      if (y < 6 || x > width - 10 || (align === "center" && x < MARGIN.left + 4)) continue;
+      pen.textAlign = /** @type {CanvasTextAlign} */ (align);
+      pen.fillText(text, x, y);
+    }
+    pen.textAlign = "left";
+    pen.fillText("m", 8, bottom + 11);
+    pen.save();
+    pen.beginPath();
+    pen.rect(MARGIN.left, 0, width - MARGIN.left, bottom);
+    pen.clip();
+    return pen;
+  }
+}

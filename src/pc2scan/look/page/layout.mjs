@@ -1,0 +1,119 @@
+// Where the beams of a scan look: the rules of core/layout.py.
+
+import { nextUp32 } from "./float32.mjs";
+
+const { fround } = Math;
+export const TURN = 2 * Math.PI;
+const SLACK = 1e-3;
+const GAP = 0.5e-3;
+
+/**
+ * @typedef {object} Layout
+ * @property {number} count length of `ranges`
+ * @property {number} angleMin float32, radians
+ * @property {number} angleMax float32, radians
+ * @property {number} increment float32, radians
+ * @property {boolean} fullCircle whether the last beam and the first are neighbours
+ */
+
+/**
+ * Length of a scan's ranges: the ceiling of a float32 quotient, as upstream computes it.
+ * @param {number} angleMin
+ * @param {number} angleMax
+ * @param {number} increment
+ */
+function beamCount(angleMin, angleMax, increment) {
+  const step = fround(increment);
+  if (step === 0) return 0;
+  const quotient = fround(fround(fround(angleMax) - fround(angleMin)) / step);
+  return quotient > 0 && quotient < Infinity ? Math.ceil(quotient) : 0;
+}
+
+/**
+ * @param {number} angleMin
+ * @param {number} angleMax
+ * @param {number} increment
+ * @param {number} beams 0: the increment decides
+ * @returns {Layout}
+ */
+export function upstreamLayout(angleMin, angleMax, increment, beams) {
+  let step = increment;
+  if (beams) {
+    step = fround((fround(angleMax) - fround(angleMin)) / beams);
+    while (beamCount(angleMin, angleMax, step) > beams) step = nextUp32(step);
+  }
+  return {
+    count: beamCount(angleMin, angleMax, step),
+    angleMin: fround(angleMin),
+    angleMax: fround(angleMax),
+    increment: fround(step),
+    fullCircle: false,
+  };
+}
+
+/**
+ * @param {number} angleMin
+ * @param {number} angleMax
+ * @param {number} increment
+ * @param {number} beams 0: the increment decides
+ * @returns {Layout}
+ */
+export function centeredLayout(angleMin, angleMax, increment, beams) {
+  const first = fround(angleMin);
+  const span = angleMax - angleMin;
+  let step = beams ? span / (beams - 1) : increment;
+  let fullCircle = true;
+  let count = beams;
+  if (span < TURN) {
+    count = beams || Math.floor(span / step + SLACK) + 1;
+    fullCircle = count * step >= TURN - GAP * step;
+  }
+  if (fullCircle) {
+    count = beams || Math.max(1, roundHalfEven(TURN / step));
+    step = TURN / count;
+  }
+  let rounded = fround(step);
+  if ((beams || fullCircle) && rounded > step) rounded = -nextUp32(-rounded);
+  return {
+    count,
+    angleMin: first,
+    angleMax: fround(first + (count - 1) * rounded),
+    increment: rounded,
+    fullCircle,
+  };
+}
+
+/**
+ * The beams of `centeredLayout`, with `angleMax` one increment behind the last beam's middle.
+ * @param {number} angleMin
+ * @param {number} angleMax
+ * @param {number} increment
+ * @param {number} beams 0: the increment decides
+ * @returns {Layout}
+ */
+export function halfOpenLayout(angleMin, angleMax, increment, beams) {
+  const layout = centeredLayout(angleMin, angleMax, increment, beams);
+  return { ...layout, angleMax: fround(layout.angleMin + layout.count * layout.increment) };
+}
+
+/**
+ * The beams of `centeredLayout`, moved so that their middle is 0.
+ * @param {number} angleMin
+ * @param {number} angleMax
+ * @param {number} increment
+ * @param {number} beams 0: the increment decides
+ * @returns {Layout}
+ */
+export function symmetricLayout(angleMin, angleMax, increment, beams) {
+  const layout = centeredLayout(angleMin, angleMax, increment, beams);
+  const last = fround(((layout.count - 1) * layout.increment) / 2);
+  return { ...layout, angleMin: -nextUp32(last), angleMax: -nextUp32(-last) };
+}
+
+/** @param {number} value */
+function roundHalfEven(value) {
+  const floor = Math.floor(value);
+  const part = value - floor;
+  if (part !== 0.5) return Math.round(value);
+  return floor % 2 === 0 ? floor : floor + 1;
+}

@@ -1,0 +1,104 @@
+// A view in 3D, to be turned: an orthographic camera around a point, drawn in software.
+
+import { Stage } from "./stage.mjs";
+
+export class Orbit {
+  /**
+   * @param {HTMLElement} element
+   * @param {object} on
+   * @param {() => void} on.draw
+   * @param {() => void} on.fit
+   */
+  constructor(element, on) {
+    this.turn = -0.9;
+    this.tilt = 0.75;
+    this.scale = 10;
+    this.centre = [0, 0, 0];
+    this.stage = new Stage(element, on.draw);
+    this.stage.onDrag((_start, event) => (dx, dy) => {
+      if (event.shiftKey) this.slide(dx, dy);
+      else this.rotate(dx * 0.008, dy * 0.008);
+      on.draw();
+    });
+    this.stage.onZoom((factor) => {
+      this.scale = Math.min(1e5, Math.max(0.01, this.scale * factor));
+      on.draw();
+    });
+    element.addEventListener("dblclick", on.fit);
+    element.addEventListener("keydown", (event) => {
+      const steps = { ArrowLeft: [-0.1, 0], ArrowRight: [0.1, 0], ArrowUp: [0, -0.1], ArrowDown: [0, 0.1] };
+      const step = steps[/** @type {keyof typeof steps} */ (event.key)];
+      if (event.key === "0") on.fit();
+      if (!step) return;
+      event.preventDefault();
+      this.rotate(step[0], step[1]);
+      on.draw();
+    });
+  }
+
+  /**
+   * @param {number} turn radians
+   * @param {number} tilt radians
+   */
+  rotate(turn, tilt) {
+    this.turn += turn;
+    this.tilt = Math.min(Math.PI / 2, Math.max(-0.2, this.tilt + tilt));
+  }
+
+  /**
+   * @param {number} dx pixels
+   * @param {number} dy pixels
+   */
+  slide(dx, dy) {
+    const [right, up] = this.directions();
+    this.centre = this.centre.map((value, axis) => value - (right[axis] * dx - up[axis] * dy) / this.scale);
+  }
+
+  /** What points right, up, and to the eye, as unit vectors. */
+  directions() {
+    const [s, c] = [Math.sin(this.turn), Math.cos(this.turn)];
+    const [st, ct] = [Math.sin(this.tilt), Math.cos(this.tilt)];
+    return [
+      [c, -s, 0],
+      [s * st, c * st, ct],
+      [-s * ct, -c * ct, st],
+    ];
+  }
+
+  /**
+   * Where a point of the world is on the screen, pixels of CSS.
+   * @param {number} x metres
+   * @param {number} y
+   * @param {number} z
+   * @returns {[number, number]}
+   */
+  place(x, y, z) {
+    const [right, up] = this.directions();
+    const d = [x - this.centre[0], y - this.centre[1], z - this.centre[2]];
+    const dot = (/** @type {number[]} */ v) => v[0] * d[0] + v[1] * d[1] + v[2] * d[2];
+    return [this.stage.width / 2 + dot(right) * this.scale, this.stage.height / 2 - dot(up) * this.scale];
+  }
+
+  /**
+   * Draw points.
+   * @param {{x: Float32Array, y: Float32Array, z: Float32Array}} cloud
+   * @param {Uint32Array} colours
+   * @param {number} size pixels of CSS
+   */
+  points(cloud, colours, size) {
+    const { raster, ratio } = this.stage;
+    raster.clear();
+    const [right, up, eye] = this.directions();
+    const scale = this.scale * ratio;
+    const [cx, cy, cz] = this.centre;
+    const [mx, my] = [(this.stage.width * ratio) / 2, (this.stage.height * ratio) / 2];
+    const dot = Math.max(1, Math.round(size * ratio));
+    for (let n = 0; n < cloud.x.length; n++) {
+      const [x, y, z] = [cloud.x[n] - cx, cloud.y[n] - cy, cloud.z[n] - cz];
+      const px = mx + (right[0] * x + right[1] * y) * scale;
+      const py = my - (up[0] * x + up[1] * y + up[2] * z) * scale;
+      raster.dot(n, px, py, eye[0] * x + eye[1] * y + eye[2] * z, colours[n], dot);
+    }
+    raster.show();
+  }
+}

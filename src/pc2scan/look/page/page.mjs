@@ -1,0 +1,129 @@
+// What all kinds of pages share: the theme, the time slider, the readout, drawing once a frame.
+
+/**
+ * An element of the page.
+ * @template {HTMLElement} T
+ * @param {string} id
+ * @param {new () => T} kind
+ * @returns {T}
+ */
+export function element(id, kind) {
+  const found = document.getElementById(id);
+  if (!(found instanceof kind)) throw new Error(`the page has no ${id}`);
+  return found;
+}
+
+/** @returns {import("./palette.mjs").Theme} */
+export function theme() {
+  return document.documentElement.dataset.theme === "dark" ? "dark" : "light";
+}
+
+/** @param {() => void} changed */
+export function setUpTheme(changed) {
+  const system = window.matchMedia("(prefers-color-scheme: dark)");
+  let chosen = "";
+  const apply = () => {
+    document.documentElement.dataset.theme = chosen || (system.matches ? "dark" : "light");
+    changed();
+  };
+  system.addEventListener("change", apply);
+  element("theme", HTMLButtonElement).addEventListener("click", () => {
+    chosen = theme() === "dark" ? "light" : "dark";
+    apply();
+  });
+  apply();
+}
+
+/**
+ * Call a function once before the next frame, however often it is asked for.
+ * @param {() => void} draw
+ */
+export function oncePerFrame(draw) {
+  let asked = false;
+  return () => {
+    if (asked) return;
+    asked = true;
+    requestAnimationFrame(() => {
+      asked = false;
+      draw();
+    });
+  };
+}
+
+/**
+ * The slider over moments, and playing them.
+ * @param {() => number} count
+ * @param {(step: number) => Promise<void>} show
+ * @param {(step: number) => string} describe
+ */
+export function setUpTime(count, show, describe) {
+  const slider = element("time", HTMLInputElement);
+  const play = element("play", HTMLButtonElement);
+  const label = element("moment", HTMLOutputElement);
+  let playing = 0;
+  const go = async (/** @type {number} */ step) => {
+    slider.max = String(Math.max(0, count() - 1));
+    slider.value = String(step);
+    slider.disabled = play.disabled = count() < 2;
+    label.textContent = describe(step);
+    slider.setAttribute("aria-valuetext", label.textContent);
+    await show(step);
+  };
+  slider.addEventListener("input", () => void go(Number(slider.value)));
+  play.addEventListener("click", () => {
+    const on = !playing;
+    play.setAttribute("aria-pressed", String(on));
+    play.textContent = on ? "Pause" : "Play";
+    clearTimeout(playing);
+    playing = 0;
+    const next = async () => {
+      await go((Number(slider.value) + 1) % count());
+      if (playing) playing = window.setTimeout(next, 400);
+    };
+    if (on) playing = window.setTimeout(next, 400);
+  });
+  return go;
+}
+
+/**
+ * A button that copies a text.
+ * @param {string} label
+ * @param {() => string} text
+ */
+export function copyButton(label, text) {
+  const button = Object.assign(document.createElement("button"), { type: "button", textContent: label });
+  button.addEventListener("click", async () => {
+    const copied = await copy(text());
+    button.textContent = copied ? "Copied" : "Select it below";
+    setTimeout(() => (button.textContent = label), 1200);
+  });
+  return button;
+}
+
+/** @param {string} text */
+async function copy(text) {
+  try {
+    await navigator.clipboard.writeText(text);
+    return true;
+  } catch {
+    // Browsers refuse the clipboard to pages that they do not trust; the old way still works in most of them.
+    const area = document.createElement("textarea");
+    area.value = text;
+    document.body.append(area);
+    area.select();
+    const copied = document.execCommand("copy");
+    area.remove();
+    return copied;
+  }
+}
+
+/**
+ * A number for people.
+ * @param {number} value
+ * @param {number} digits
+ */
+export function figure(value, digits = 3) {
+  if (!Number.isFinite(value)) return String(value);
+  if (Number.isInteger(value) && Math.abs(value) < 1e15) return String(value);
+  return Math.abs(value) >= 1e6 || Math.abs(value) < 1e-3 ? value.toExponential(2) : value.toFixed(digits);
+}

@@ -1,0 +1,89 @@
+// Colours, as CSS text and as the 32-bit words of a canvas.
+
+/** Okabe and Ito's colours, which the colour-blind can tell apart; in the order of `OUTCOMES`. */
+const OUTCOME_COLOURS = {
+  light: ["#0072b2", "#000000", "#e69f00", "#cc79a7", "#94a3b1", "#d55e00"],
+  dark: ["#56b4e9", "#f5f5f5", "#e69f00", "#cc79a7", "#5d6b78", "#ff7f3f"],
+};
+
+/** From low to high, dark to bright: evenly stepped for the eye, and in print. */
+const STOPS = {
+  light: ["#30206b", "#2f4f9e", "#1f7f9f", "#23a385", "#6fbf4a", "#d8b021"],
+  dark: ["#5a49b8", "#4a7fe0", "#2fb3c4", "#48cf97", "#a8dc5e", "#fde25a"],
+};
+
+/** Topics, and the sides of a comparison. */
+const LAYER_COLOURS = {
+  light: ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#8a6d00", "#56b4e9"],
+  dark: ["#56b4e9", "#ff8c4b", "#2fd3a4", "#e59bc6", "#f0e442", "#9ad1f5"],
+};
+
+/** @typedef {"light" | "dark"} Theme */
+
+/**
+ * @param {Theme} theme
+ * @returns {string[]}
+ */
+export const outcomeColours = (theme) => OUTCOME_COLOURS[theme];
+
+/**
+ * @param {Theme} theme
+ * @param {number} layer
+ */
+export const layerColour = (theme, layer) => LAYER_COLOURS[theme][layer % LAYER_COLOURS[theme].length];
+
+/** @param {string} colour "#rrggbb" */
+export function word(colour) {
+  const value = Number.parseInt(colour.slice(1), 16);
+  return (0xff000000 | ((value & 0xff) << 16) | (value & 0xff00) | (value >> 16)) >>> 0;
+}
+
+/**
+ * A scale of 256 colours, as words.
+ * @param {Theme} theme
+ */
+export function scale(theme) {
+  const stops = STOPS[theme].map((colour) => Number.parseInt(colour.slice(1), 16));
+  return Uint32Array.from({ length: 256 }, (_, n) => {
+    const place = (n / 255) * (stops.length - 1);
+    const low = Math.min(Math.floor(place), stops.length - 2);
+    const part = place - low;
+    const mixed = [16, 8, 0].map((shift) => {
+      const [a, b] = [(stops[low] >> shift) & 0xff, (stops[low + 1] >> shift) & 0xff];
+      return Math.round(a + (b - a) * part);
+    });
+    return (0xff000000 | (mixed[2] << 16) | (mixed[1] << 8) | mixed[0]) >>> 0;
+  });
+}
+
+/**
+ * The limits between which nearly all values lie.
+ * @param {ArrayLike<number>} values
+ * @returns {[number, number]}
+ */
+export function usualRange(values) {
+  const step = Math.max(1, Math.floor(values.length / 4096));
+  const some = [];
+  for (let n = 0; n < values.length; n += step) if (Number.isFinite(values[n])) some.push(values[n]);
+  some.sort((a, b) => a - b);
+  if (!some.length) return [0, 1];
+  const low = some[Math.floor(some.length * 0.02)];
+  const high = some[Math.ceil(some.length * 0.98) - 1];
+  return high > low ? [low, high] : [low, low + 1];
+}
+
+/**
+ * Colours of values, as words.
+ * @param {ArrayLike<number>} values
+ * @param {Theme} theme
+ */
+export function coloursOf(values, theme) {
+  const colours = scale(theme);
+  const [low, high] = usualRange(values);
+  const words = new Uint32Array(values.length);
+  for (let n = 0; n < values.length; n++) {
+    const place = Math.round(((values[n] - low) / (high - low)) * 255);
+    words[n] = colours[Math.max(0, Math.min(255, place || 0))];
+  }
+  return words;
+}

@@ -1,0 +1,157 @@
+// Points to ranges: the projection of core/project.py, to the bit, and what became of each point.
+
+import { correctAngle, olderGlibcAngle } from "./angles.mjs";
+import { emptyRange } from "./params.mjs";
+import { means, winners } from "./reduce.mjs";
+import { layoutOf, ruleOf } from "./rule.mjs";
+
+/** @typedef {import("./params.mjs").Params} Params */
+/** @typedef {import("./layout.mjs").Layout} Layout */
+
+/** What becomes of a point; the order is that of the checks. */
+export const OUTCOMES = /** @type {const} */ (["used", "nan", "height", "range", "angle", "past_end"]);
+const [USED, IS_NAN, HEIGHT, RANGE, ANGLE, PAST_END] = OUTCOMES.keys();
+
+/**
+ * @typedef {object} Cloud
+ * @property {Float32Array} x metres
+ * @property {Float32Array} y
+ * @property {Float32Array} z
+ */
+
+/**
+ * @typedef {object} Scan
+ * @property {Layout} layout
+ * @property {Float32Array} ranges metres, `emptyRange` where there is no return
+ * @property {Float32Array | null} intensities
+ * @property {number[]} counts points, in the order of `OUTCOMES`
+ * @property {Uint8Array} outcomes what became of each point
+ * @property {Int32Array} bins which beam each used point fell into
+ * @property {number} returns beams that have one
+ */
+
+/**
+ * Take points to another frame, in float32: every product and every sum is rounded, from left to right.
+ * @param {Cloud} cloud
+ * @param {Float32Array} transform (12,): the rows of the rotation, then the translation
+ * @param {Cloud} into of the same length
+ * @returns {Cloud}
+ */
+export function transformed(cloud, transform, into) {
+  const { fround } = Math;
+  const [a, b, c, d, e, f, g, h, i, p, q, r] = transform;
+  for (let n = 0; n < cloud.x.length; n++) {
+    const x = cloud.x[n];
+    const y = cloud.y[n];
+    const z = cloud.z[n];
+    into.x[n] = fround(fround(fround(a * x) + fround(b * y)) + fround(c * z)) + p;
+    into.y[n] = fround(fround(fround(d * x) + fround(e * y)) + fround(f * z)) + q;
+    into.z[n] = fround(fround(fround(g * x) + fround(h * y)) + fround(i * z)) + r;
+  }
+  return into;
+}
+
+/**
+ * Project points that are in the scan's frame.
+ * @param {Cloud} cloud
+ * @param {Params} params without a problem; see `problemOf`
+ * @param {ArrayLike<number> | null} values of the intensity field, one for each point
+ * @returns {Scan}
+ */
+export function project(cloud, params, values = null) {
+  const layout = layoutOf(params);
+  const points = cloud.x.length;
+  const outcomes = new Uint8Array(points);
+  const bins = new Int32Array(points);
+  const squares = new Float64Array(points);
+  const counts = count(cloud, params, layout, outcomes, bins, squares);
+  const empty = emptyRange(params);
+  const ranges = new Float32Array(layout.count).fill(empty);
+  const intensities = values && new Float32Array(layout.count);
+  let returns = 0;
+  if (params.reduce === "mean") {
+    const {
+      seen,
+      ranges: found,
+      values: lit,
+    } = means(layout.count, params.min_points, outcomes, bins, squares, values);
+    for (let bin = 0; bin < layout.count; bin++) {
+      if (!seen[bin]) continue;
+      returns += 1;
+      ranges[bin] = found[bin];
+      if (intensities && lit) intensities[bin] = lit[bin];
+    }
+    return { layout, ranges, intensities, counts, outcomes, bins, returns };
+  }
+  const readers = new Int32Array(layout.count).fill(-1);
+  winners(readers, params, outcomes, bins, squares, layout.increment);
+  const plain = params.reduce === "min" && params.min_points === 1 && !values;
+  const limited = plain && ["", "inf", "range-max-plus"].includes(params.no_return);
+  for (let bin = 0; bin < layout.count; bin++) {
+    const point = readers[bin];
+    if (point < 0) continue;
+    const range = Math.fround(Math.sqrt(squares[point]));
+    if (limited && !(range < empty)) continue;
+    ranges[bin] = range;
+    returns += 1;
+    if (intensities && values) intensities[bin] = values[point];
+  }
+  return { layout, ranges, intensities, counts, outcomes, bins, returns };
+}
+
+/**
+ * @param {Cloud} cloud
+ * @param {Params} params
+ * @param {Layout} layout
+ * @param {Uint8Array} outcomes overwritten
+ * @param {Int32Array} bins overwritten
+ * @param {Float64Array} squares overwritten: the squared ranges
+ * @returns {number[]}
+ */
+function count(cloud, params, layout, outcomes, bins, squares) {
+  const rule = ruleOf(params);
+  const { lowest, highest, least, most, first, last, offset, turn, end, skew, increment, closed } = rule;
+  const angleOf = params.angle_rounding === "glibc-2.40" ? olderGlibcAngle : correctAngle;
+  const { x: xs, y: ys, z: zs } = cloud;
+  const beams = layout.count;
+  for (let n = 0; n < xs.length; n++) {
+    const x = xs[n];
+    const y = ys[n];
+    const z = zs[n];
+    if (x !== x || y !== y || z !== z) {
+      outcomes[n] = IS_NAN;
+      continue;
+    }
+    if (!(z >= lowest && z <= highest)) {
+      outcomes[n] = HEIGHT;
+      continue;
+    }
+    const square = x * x + y * y;
+    if (!(square >= least && square <= most)) {
+      outcomes[n] = RANGE;
+      continue;
+    }
+    const angle = angleOf(y, x);
+    let turned = angle + offset;
+    // The angles from -float32(pi) to float32(pi) are more than one turn.
+    for (let twice = 0; twice < 2; twice++) if (turned >= turn) turned -= turn;
+    if (angle < first || angle > last || turned > end) {
+      outcomes[n] = ANGLE;
+      continue;
+    }
+    let bin = Math.trunc((turned + skew) / increment);
+    if (bin >= beams) {
+      if (!closed) {
+        outcomes[n] = PAST_END;
+        continue;
+      }
+      bin = beams - 1;
+    }
+    outcomes[n] = USED;
+    bins[n] = bin;
+    squares[n] = square;
+  }
+  const counts = new Array(OUTCOMES.length).fill(0);
+  for (const outcome of outcomes) counts[outcome] += 1;
+  return counts;
+}

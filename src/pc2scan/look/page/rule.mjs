@@ -1,0 +1,101 @@
+// The numbers that points are compared with: the rules of core/rule.py.
+
+import { firstFrom, nextDown64, nextUp32, nextUp64 } from "./float32.mjs";
+import { TURN, centeredLayout, halfOpenLayout, symmetricLayout, upstreamLayout } from "./layout.mjs";
+
+/** @typedef {import("./params.mjs").Params} Params */
+/** @typedef {import("./layout.mjs").Layout} Layout */
+
+/** @type {Record<string, (angleMin: number, angleMax: number, increment: number, beams: number) => Layout>} */
+const LAYOUTS = {
+  upstream: upstreamLayout,
+  centered: centeredLayout,
+  "half-open": halfOpenLayout,
+  symmetric: symmetricLayout,
+};
+
+/**
+ * @typedef {object} Rule
+ * @property {number} lowest limits of z, inclusive: float32 values
+ * @property {number} highest
+ * @property {number} least limits of the squared range, inclusive
+ * @property {number} most
+ * @property {number} first limits of the angle, inclusive
+ * @property {number} last
+ * @property {number} offset an angle plus this is how far it is turned from the first edge
+ * @property {number} turn what is turned so far is taken back by as much
+ * @property {number} end what is turned beyond it is outside
+ * @property {number} skew the bin is the truncated quotient (turned + skew) / increment
+ * @property {number} increment
+ * @property {boolean} closed whether the last bin takes what is behind it
+ */
+
+/**
+ * @param {Params} params
+ * @returns {Layout}
+ */
+export function layoutOf(params) {
+  return (LAYOUTS[params.geometry] ?? upstreamLayout)(
+    params.angle_min,
+    params.angle_max,
+    params.angle_increment,
+    params.beams,
+  );
+}
+
+/**
+ * @param {Params} params
+ * @returns {Rule}
+ */
+export function ruleOf(params) {
+  const layout = layoutOf(params);
+  let most = Infinity;
+  if (params.range_max < Infinity) {
+    most = nextDown64(firstSquare(nextUp32(-firstFrom(-params.range_max))));
+  }
+  return {
+    lowest: firstFrom(params.min_height),
+    highest: -firstFrom(-params.max_height),
+    least: firstSquare(firstFrom(params.range_min)),
+    most,
+    ...(params.geometry === "upstream" ? upstreamBeams(layout) : centeredBeams(layout)),
+  };
+}
+
+/** @param {Layout} layout */
+function upstreamBeams({ angleMin, angleMax, increment }) {
+  return {
+    first: angleMin,
+    last: angleMax,
+    offset: -angleMin,
+    turn: Infinity,
+    end: Infinity,
+    skew: 0,
+    increment,
+    closed: false,
+  };
+}
+
+/** @param {Layout} layout */
+function centeredBeams({ count, angleMin, increment, fullCircle }) {
+  let end = Infinity;
+  let skew = 0;
+  if (fullCircle) skew = (count * increment - TURN) / 2;
+  else if (count * increment < TURN) end = count * increment;
+  const firstEdge = angleMin - increment / 2 + skew;
+  const offset = TURN * Math.ceil((firstEdge + Math.PI + 1e-6) / TURN) - firstEdge;
+  return { first: -Infinity, last: Infinity, offset, turn: TURN, end, skew, increment, closed: true };
+}
+
+/**
+ * The smallest float64, from 0 on, whose root is not below a limit once it is rounded to float32.
+ * @param {number} limit a float32 value
+ */
+function firstSquare(limit) {
+  if (limit <= 0) return 0;
+  const before = -nextUp32(-limit);
+  let square = ((before + Math.min(limit, 2 ** 128)) / 2) ** 2;
+  while (Math.fround(Math.sqrt(square)) >= limit) square = nextDown64(square);
+  while (Math.fround(Math.sqrt(square)) < limit) square = nextUp64(square);
+  return square;
+}

@@ -1,0 +1,142 @@
+// A drawing area: a canvas for points and one above it for lines and text, the size of its element.
+
+import { Raster } from "./raster.mjs";
+
+/** What a pixel of the screen is at most divided into: more costs time, and nobody sees it. */
+const MAX_RATIO = 2;
+
+export class Stage {
+  /**
+   * @param {HTMLElement} element
+   * @param {() => void} draw called when the size changes
+   */
+  constructor(element, draw) {
+    this.element = element;
+    const [below, above] = [document.createElement("canvas"), document.createElement("canvas")];
+    element.replaceChildren(below, above);
+    this.below = below;
+    this.above = above;
+    this.raster = new Raster(below);
+    this.ratio = 1;
+    this.width = 0;
+    this.height = 0;
+    new ResizeObserver(() => {
+      this.resize();
+      draw();
+    }).observe(element);
+    this.resize();
+  }
+
+  /** Take the element's size. */
+  resize() {
+    this.ratio = Math.min(MAX_RATIO, window.devicePixelRatio || 1);
+    this.width = this.element.clientWidth;
+    this.height = this.element.clientHeight;
+    for (const canvas of [this.below, this.above]) {
+      canvas.width = Math.round(this.width * this.ratio);
+      canvas.height = Math.round(this.height * this.ratio);
+    }
+  }
+
+  /** @returns {CanvasRenderingContext2D} for lines and text, cleared, in the units of CSS */
+  pen() {
+    const pen = /** @type {CanvasRenderingContext2D} */ (this.above.getContext("2d"));
+    pen.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
+    pen.clearRect(0, 0, this.width, this.height);
+    pen.font = `12px ${getComputedStyle(document.documentElement).fontFamily}`;
+    pen.textBaseline = "middle";
+    pen.lineWidth = 1;
+    return pen;
+  }
+
+  /**
+   * Where an event is, in the units of CSS.
+   * @param {MouseEvent} event
+   * @returns {[number, number]}
+   */
+  place(event) {
+    const box = this.element.getBoundingClientRect();
+    return [event.clientX - box.left - this.element.clientLeft, event.clientY - box.top - this.element.clientTop];
+  }
+
+  /**
+   * Call back with each step of dragging, in the units of CSS.
+   * @param {(start: [number, number], event: PointerEvent) => ((dx: number, dy: number, at: [number, number]) => void) | null} begin
+   */
+  onDrag(begin) {
+    this.element.addEventListener("pointerdown", (event) => {
+      if (event.button !== 0) return;
+      let last = this.place(event);
+      const step = begin(last, event);
+      if (!step) return;
+      this.element.setPointerCapture(event.pointerId);
+      /** @param {PointerEvent} moved */
+      const move = (moved) => {
+        const at = this.place(moved);
+        step(at[0] - last[0], at[1] - last[1], at);
+        last = at;
+      };
+      const end = () => {
+        this.element.removeEventListener("pointermove", move);
+        this.element.removeEventListener("pointerup", end);
+        this.element.removeEventListener("pointercancel", end);
+      };
+      this.element.addEventListener("pointermove", move);
+      this.element.addEventListener("pointerup", end);
+      this.element.addEventListener("pointercancel", end);
+    });
+  }
+
+  /**
+   * Call back with zooming: the factor, and the place that stays.
+   * @param {(factor: number, at: [number, number]) => void} zoom
+   */
+  onZoom(zoom) {
+    this.element.addEventListener(
+      "wheel",
+      (event) => {
+        event.preventDefault();
+        zoom(Math.exp(-event.deltaY * (event.deltaMode ? 0.05 : 0.0015)), this.place(event));
+      },
+      { passive: false },
+    );
+    this.element.addEventListener("keydown", (event) => {
+      const factor = { "+": 1.25, "=": 1.25, "-": 0.8 }[event.key];
+      if (!factor) return;
+      event.preventDefault();
+      zoom(factor, [this.width / 2, this.height / 2]);
+    });
+  }
+}
+
+/**
+ * Round steps for an axis.
+ * @param {number} span what is shown
+ * @param {number} count of steps, about
+ */
+export function niceStep(span, count) {
+  const rough = span / Math.max(1, count);
+  const power = 10 ** Math.floor(Math.log10(rough));
+  return power * ([1, 2, 5, 10].find((step) => step * power >= rough) ?? 10);
+}
+
+/**
+ * A number as short as its step allows.
+ * @param {number} value
+ * @param {number} step
+ */
+export function tick(value, step) {
+  return value.toFixed(Math.max(0, -Math.floor(Math.log10(step) + 1e-9)));
+}
+
+/**
+ * The multiples of a step between two limits; none where there would be too many to be read.
+ * @param {number} low
+ * @param {number} high
+ * @param {number} step
+ */
+export function ticks(low, high, step) {
+  const first = Math.ceil(low / step);
+  const count = Math.floor(high / step) - first + 1;
+  return count > 0 && count < 200 ? Array.from({ length: count }, (_, n) => (first + n) * step) : [];
+}

@@ -1,0 +1,218 @@
+"""Scans of a recording as the page shows them, and two recordings' over each other."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pc2scan.bags.topics import find_topic
+from pc2scan.errors import MessageError, RecordingError, TopicError, TransformError, name_list
+from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
+
+from .moments import moment, spread
+from .packed import described, packed
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from pc2scan.bags.reader import Reader
+    from pc2scan.inspect.check import Check
+    from pc2scan.model import Connection, RawMessage
+    from pc2scan.pipeline.options import ConvertOptions
+    from pc2scan.tf.buffer import TransformBuffer
+
+__all__ = ["differing_beams", "findings", "layer", "scan_connections", "scans_page"]
+
+
+#: The pose of a scan that is shown in its own frame.
+_HERE = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0]
+
+
+def scan_connections(reader: Reader, asked: Sequence[str]) -> dict[str, list[Connection]]:
+    """The connections of each LaserScan topic, of all or of those that were asked for.
+
+    Raises
+    ------
+    TopicError
+        If there are none, or one that was asked for is missing or of another type.
+    """
+    types: dict[str, set[str]] = {}
+    for connection in reader.connections:
+        types.setdefault(connection.topic, set()).add(connection.ros_type)
+    candidates = [topic for topic, kinds in types.items() if LASERSCAN in kinds]
+    if not candidates:
+        raise TopicError(
+            f"the recording has neither clouds nor scans; its topics are: {name_list(list(types)) or 'none'}"
+        )
+    chosen = [find_topic(name, types, candidates, LASERSCAN) for name in asked] or candidates
+    return {topic: [c for c in reader.connections if c.topic == topic and c.ros_type == LASERSCAN] for topic in chosen}
+
+
+def scans_page(
+    reader: Reader,
+    topics: Mapping[str, Sequence[Connection]],
+    buffer: TransformBuffer | None,
+    options: ConvertOptions,
+    *,
+    count: int,
+    at_ns: Sequence[int],
+) -> tuple[dict[str, Any], dict[str, bytes]]:
+    """Describe a page of scans: the moments of the first topic, and beside them the next scans of the others.
+
+    All are seen from the target frame or, without one, from the first topic's frame, as far as transforms connect them.
+
+    Parameters
+    ----------
+    reader
+        The recording, open.
+    topics
+        The connections of each topic.
+    buffer
+        The transforms; None where there are none.
+    options
+        As for a conversion: the target frame, ``start`` and ``end`` count.
+    count
+        Moments, evenly spread over the recording.
+    at_ns
+        Log times: of each topic the first scan at or after each is taken. Empty: ``count`` decides.
+
+    Returns
+    -------
+    description, blobs
+        As `pc2scan.look.html.html` takes them; the findings are left to the caller.
+
+    Raises
+    ------
+    RecordingError
+        If not a single scan can be shown.
+    """
+    messages = _messages(reader, topics, options, count, at_ns)
+    blobs: dict[str, bytes] = {}
+    moments = []
+    failed: list[str] = []
+    for together in messages:
+        layers: list[dict[str, Any]] = []
+        stamps: list[int] = []
+        common = options.params.target_frame
+        for number, topic in enumerate(topics):
+            message = together.get(topic)
+            if message is None:
+                continue
+            try:
+                scan = decode_laserscan(message.data, message.connection.serialization)
+            except MessageError as err:
+                failed.append(f"{topic} at {moment(message.log_time_ns)}: {err.message}")
+                continue
+            common = common or scan.frame_id
+            pose = _pose(buffer, common, scan.frame_id, scan.stamp_ns)
+            where = scan.frame_id if pose is not None else f"{scan.frame_id}, not connected to {common}"
+            stamps.append(scan.stamp_ns or message.log_time_ns)
+            layers.append(layer(f"{topic} ({where})", number, scan, blobs, pose=pose or _HERE))
+        if layers:
+            moments.append({"moment": moment(stamps[0]), "layers": layers})
+    if not moments:
+        why = f"no scan can be shown; {failed[0]}" if failed else f"no scans on {', '.join(topics)}"
+        raise RecordingError(why, path=reader.path)
+    notes = [f"{len(failed)} scans are not shown; {failed[0]}."] if failed else []
+    return {"kind": "scans", "notes": notes, "moments": moments, "findings": []}, blobs
+
+
+def _messages(
+    reader: Reader,
+    topics: Mapping[str, Sequence[Connection]],
+    options: ConvertOptions,
+    count: int,
+    at_ns: Sequence[int],
+) -> list[dict[str, RawMessage]]:
+    """The scans of each moment, by topic."""
+    if at_ns:
+        return [
+            {
+                topic: message
+                for topic, connections in topics.items()
+                if (message := next(iter(reader.messages(connections, time_ns)), None)) is not None
+            }
+            for time_ns in sorted(at_ns)
+        ]
+    taken: dict[str, list[RawMessage]] = {topic: [] for topic in topics}
+    for message in spread(reader, topics, options, count):
+        taken[message.connection.topic].append(message)
+    most = max(map(len, taken.values()))
+    return [{topic: some[n] for topic, some in taken.items() if n < len(some)} for n in range(most)]
+
+
+def _pose(buffer: TransformBuffer | None, target: str, source: str, stamp_ns: int) -> list[float] | None:
+    """Two rows of three: what takes x, y and 1 in the scan's frame to x and y in another; None if that is unknown."""
+    if target.removeprefix("/") == source.removeprefix("/"):
+        return _HERE
+    if buffer is None:
+        return None
+    try:
+        rigid = buffer.lookup(target, source, stamp_ns)
+    except TransformError:
+        return None
+    (a, b, _), (c, d, _), _ = rigid.matrix.tolist()
+    x, y, _ = rigid.translation.tolist()
+    return [a, b, x, c, d, y]
+
+
+def layer(
+    name: str,
+    colour: int,
+    scan: LaserScan,
+    blobs: dict[str, bytes],
+    *,
+    pose: Sequence[float] = _HERE,
+    differing: Iterable[int] = (),
+) -> dict[str, Any]:
+    """Describe a scan, and add its arrays to the page's blobs."""
+    columns = {"ranges": scan.ranges.astype("<f4")}
+    if len(scan.intensities) == len(scan.ranges) > 0:
+        columns["intensities"] = scan.intensities.astype("<f4")
+    key = f"scan-{len(blobs)}"
+    blobs[key] = packed(columns)
+    return {
+        "name": name,
+        "colour": colour,
+        "angleMin": _finite(scan.angle_min),
+        "increment": _finite(scan.angle_increment),
+        "pose": list(pose),
+        "rangeMin": _finite(scan.range_min),
+        "rangeMax": _finite(scan.range_max, math.inf),
+        "differing": list(differing),
+        "data": described(key, columns),
+    }
+
+
+def differing_beams(one: LaserScan, other: LaserScan, tolerance: float) -> list[int]:
+    """The beams whose ranges differ by more than a tolerance in metres, or that only one of two scans has."""
+    both = min(len(one.ranges), len(other.ranges))
+    a, b = one.ranges[:both].astype(np.float64), other.ranges[:both].astype(np.float64)
+    with np.errstate(invalid="ignore"):
+        same = (a == b) | (np.isnan(a) & np.isnan(b)) | (np.abs(a - b) <= tolerance)
+    extra = range(both, max(len(one.ranges), len(other.ranges)))
+    return [*np.flatnonzero(~same).tolist(), *extra]
+
+
+def findings(check: Check) -> list[dict[str, Any]]:
+    """What `pc2scan check` says of each topic."""
+    found = []
+    for topic in check.topics:
+        lines = [
+            {"text": f"{consumer.consumer}: {consumer.outcome}", "wrong": consumer.outcome != "accepted"}
+            for consumer in topic.consumers
+        ]
+        lines += [
+            {"text": f"{entry.level}: {entry.text}", "wrong": entry.level == "defect"} for entry in topic.findings
+        ]
+        found.append({"heading": f"pc2scan check: {topic.topic}", "lines": lines})
+    return found
+
+
+def _finite(value: float, largest: float = 0.0) -> float:
+    """A number that JSON has: the largest float64 for infinity."""
+    if math.isfinite(value):
+        return float(value)
+    return math.copysign(1.7976931348623157e308, value) if largest and not math.isnan(value) else 0.0

@@ -1,0 +1,161 @@
+"""``pc2scan.view``: a recording as one page that opens anywhere."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from pc2scan.bags.merged import as_one
+from pc2scan.bags.opening import open_recordings
+from pc2scan.errors import UsageError
+from pc2scan.files.overlap import Input, Output, refuse_overlap
+from pc2scan.files.text_output import text_output
+from pc2scan.inspect.check import check
+from pc2scan.messages.clouds import CLOUDS
+from pc2scan.tf.options import FrameOptions
+from pc2scan.tf.reading import read_transforms
+
+from .clouds import clouds_page
+from .html import BEGINNING, html
+from .moments import moment
+from .scans import findings, scan_connections, scans_page
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from pc2scan.bags.damage import Damage
+    from pc2scan.bags.reader import Reader
+    from pc2scan.pipeline.options import ConvertOptions, TimeBound
+    from pc2scan.tf.buffer import TransformBuffer
+
+__all__ = ["Page", "page_of", "view"]
+
+
+@dataclass(frozen=True, slots=True)
+class Page:
+    """A page, and what is worth saying about it.
+
+    Attributes
+    ----------
+    html
+        The whole file.
+    notes
+        What the page itself says above the pictures.
+    damage
+        Damaged places of the recording, as far as they were read.
+    """
+
+    html: str
+    notes: tuple[str, ...]
+    damage: tuple[Damage, ...]
+
+
+def view(
+    sources: Sequence[Path],
+    destination: Path,
+    options: ConvertOptions,
+    *,
+    clouds: int = 10,
+    at: Sequence[TimeBound] = (),
+    preset: str = "",
+    command: Sequence[str] = (),
+    overwrite: bool = False,
+) -> Page:
+    """Write a page; see `page_of`.
+
+    Raises
+    ------
+    DestinationError
+        If something else than such a page is there.
+    OutputError
+        If the page cannot be written.
+    """
+    refuse_overlap(
+        [*map(Input, sources), *(Input(file, "file of `tf_from`") for file in options.frames.tf_from)],
+        [Output(destination)],
+    )
+    with text_output(destination, beginning=BEGINNING, overwrite=overwrite) as deliver:
+        page = page_of(sources, options, clouds=clouds, at=at, preset=preset, command=command)
+        deliver(page.html)
+    return page
+
+
+def page_of(
+    sources: Sequence[Path],
+    options: ConvertOptions,
+    *,
+    clouds: int = 10,
+    at: Sequence[TimeBound] = (),
+    preset: str = "",
+    command: Sequence[str] = (),
+) -> Page:
+    """Make a page of a recording: of its clouds and their projection, or of its scans where it has no clouds.
+
+    Parameters
+    ----------
+    sources
+        Recordings; several are one, merged in time order.
+    options
+        As for a conversion: topics, parameters, frames, ``start`` and ``end``.
+    clouds
+        How many moments of each topic are shown, evenly spread.
+    at
+        Moments to show instead.
+    preset
+        The preset that the parameters come from; empty for none.
+    command
+        The words of the command line that converts the recording, without the parameters of the projection.
+
+    Raises
+    ------
+    UsageError
+        If there is nothing to show.
+    RecordingError
+        If nothing of it can be read.
+    """
+    if clouds < 1:
+        raise UsageError(f"clouds is {clouds}, it must be 1 or more")
+    with ExitStack() as stack:
+        readers = open_recordings(sources, stack, verify=options.verify, strict=options.strict)
+        others = open_recordings(options.frames.tf_from, stack, verify=options.verify, strict=options.strict)
+        reader = as_one(readers)
+        buffer = _transforms([reader, *others], options)
+        at_ns = [bound.resolve(reader.summary.start_ns or 0) for bound in at]
+        if any(connection.ros_type in CLOUDS for connection in reader.connections) and not options.reverse:
+            described, blobs = clouds_page(
+                reader, buffer, options, count=clouds, at_ns=at_ns, preset=preset, command=command
+            )
+        else:
+            asked = [request.source for request in options.topics]
+            described, blobs = scans_page(
+                reader, scan_connections(reader, asked), buffer, options, count=clouds, at_ns=at_ns
+            )
+            frames = FrameOptions(tf_topics=options.frames.tf_topics, tf_from=options.frames.tf_from)
+            described["findings"] = findings(check(sources, topics=asked, frames=frames))
+        damage = tuple(damage for each in (reader, *others) for damage in each.damage)
+        described |= {"title": _title(sources), "subtitle": _subtitle(reader)}
+    return Page(html(described, blobs), tuple(described["notes"]), damage)
+
+
+def _transforms(readers: Sequence[Reader], options: ConvertOptions) -> TransformBuffer | None:
+    """All transforms; None where it is not clear which count, and nobody asked for any."""
+    try:
+        buffer, _ = read_transforms(readers, options.frames)
+    except UsageError:
+        if options.params.target_frame:
+            raise
+        return None
+    return buffer
+
+
+def _title(sources: Sequence[Path]) -> str:
+    return ", ".join(source.name or str(source) for source in sources)
+
+
+def _subtitle(reader: Reader) -> str:
+    summary = reader.summary
+    if summary.start_ns is None or summary.end_ns is None:
+        return ""
+    return f"{moment(summary.start_ns)}, {(summary.end_ns - summary.start_ns) / 1e9:.1f} s"

@@ -1,0 +1,45 @@
+"""The page as a file: nothing of a recording is markup, and nothing runs that is not its own."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import re
+
+from pc2scan.look.html import BEGINNING, html, script, style
+
+HOSTILE = "</script><script>alert(1)</script><img src=x onerror=alert(2)>\u2028\u202e"
+
+
+def test_a_page_begins_as_pages_do() -> None:
+    assert html({}, {}).encode().startswith(BEGINNING)
+
+
+def test_text_of_a_recording_is_never_markup() -> None:
+    page = html({"title": HOSTILE}, {"cloud-0": b"\x00</script>"})
+    assert "alert" not in page.replace("\\u003c", "<")[: page.index('id="recording"')]
+    held = re.search(r'<script type="application/json" id="recording">(.*?)</script>', page, re.DOTALL)
+    assert held is not None
+    assert json.loads(held[1]) == {"title": HOSTILE}
+    assert "<" not in held[1]
+    # The script, the description, the blob: no further element was opened.
+    assert page.count("<script") == 3
+
+
+def test_the_policy_allows_the_one_script_and_the_one_style() -> None:
+    page = html({}, {})
+    for text, kind in ((script(), "script"), (style(), "style")):
+        digest = base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+        assert f"{kind}-src 'sha256-{digest}'" in page
+        assert f"<{kind}>{text}</{kind}>" in page
+    assert "default-src 'none'" in page
+    assert "unsafe" not in page
+
+
+def test_the_script_needs_no_modules() -> None:
+    assert not re.search(r"^\s*(import|export)\b", script(), re.MULTILINE)
+
+
+def test_the_page_is_small_without_a_recording() -> None:
+    assert len(html({}, {})) < 150_000

@@ -1,0 +1,117 @@
+"""``pc2scan view`` through the real command: what is written, what is refused, what a page holds."""
+
+from __future__ import annotations
+
+import json
+import re
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from builders import write_mcap
+from e2e.command import run
+from scan_recordings import recording, scans
+from support import ROOT
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+HALL = ROOT / "fixtures" / "hall.bag"
+
+
+def description(page: Path) -> Any:
+    held = re.search(r'id="recording">(.*?)</script>', page.read_text("utf-8"), re.DOTALL)
+    assert held is not None
+    return json.loads(held[1])
+
+
+def test_a_page_of_clouds(tmp_path: Path) -> None:
+    page = tmp_path / "page.html"
+    done = run("view", HALL, "-o", page, "--clouds", "3", "--min-height=-0.3", "--target-frame", "base_link")
+    assert (done.status, done.stderr) == (0, "")
+    assert done.stdout.startswith(f"{page}: ")
+    held = description(page)
+    assert (held["kind"], held["title"]) == ("clouds", "hall.bag")
+    assert held["params"]["min_height"] == -0.3
+    (topic,) = held["topics"]
+    assert len(topic["clouds"]) == 3
+    cloud = topic["clouds"][0]
+    assert (cloud["frame"], cloud["targetFrame"]) == ("lidar", "base_link")
+    assert cloud["mount"]["z"] == pytest.approx(0.6)  # as the fixture is made
+    assert {frame["name"] for frame in cloud["frames"]} >= {"lidar", "odom"}
+    assert [tmp_path.joinpath(name).name for name in ("page.html",)] == [path.name for path in tmp_path.iterdir()]
+
+
+def test_moments_are_chosen_by_time(tmp_path: Path) -> None:
+    page = tmp_path / "page.html"
+    assert run("view", HALL, "-o", page, "--at", "0.15", "--at", "0.3").status == 0
+    (topic,) = description(page)["topics"]
+    chosen = [cloud["moment"] for cloud in topic["clouds"]]
+    assert run("view", HALL, "-o", page).status == 0
+    (topic,) = description(page)["topics"]
+    everything = [cloud["moment"] for cloud in topic["clouds"]]
+    assert chosen == [everything[2], everything[3]]
+
+
+def test_the_cut_is_the_pages_too(tmp_path: Path) -> None:
+    page, scans_made = tmp_path / "page.html", tmp_path / "scans.json"
+    cut = ("--start", "0.15", "--end", "0.35")
+    assert run("view", HALL, "-o", page, *cut).status == 0
+    (topic,) = description(page)["topics"]
+    assert run("convert", HALL, "-o", tmp_path / "scans.mcap", "--report", scans_made, *cut).status == 0
+    converted = next(t for t in json.loads(scans_made.read_text())["topics"] if t["action"] == "converted")
+    assert 0 < len(topic["clouds"]) == converted["messages_out"] < 5
+
+
+def test_without_a_name_it_lies_beside_the_recording(tmp_path: Path) -> None:
+    source = tmp_path / "drive.bag"
+    source.write_bytes(HALL.read_bytes())
+    assert run("view", "drive.bag", cwd=tmp_path).status == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["drive.bag", "drive_view.html"]
+
+
+def test_an_older_page_is_replaced_and_nothing_else(tmp_path: Path) -> None:
+    page = tmp_path / "page.html"
+    page.write_text("<!doctype html>\n<p>mine\n")
+    refused = run("view", HALL, "-o", page)
+    assert refused.status == 2
+    assert "exists already, and is not what pc2scan writes there" in refused.stderr
+    assert page.read_text() == "<!doctype html>\n<p>mine\n"
+    assert run("view", HALL, "-o", page, "--overwrite").status == 0
+    assert run("view", HALL, "-o", page).status == 0
+
+
+def test_the_recording_itself_is_never_the_page(tmp_path: Path) -> None:
+    source = tmp_path / "drive.bag"
+    source.write_bytes(HALL.read_bytes())
+    refused = run("view", source, "-o", source, "--overwrite")
+    assert refused.status == 2
+    assert source.read_bytes() == HALL.read_bytes()
+
+
+def test_a_page_of_scans_says_what_check_says(tmp_path: Path) -> None:
+    source = write_mcap(tmp_path / "scans.mcap", recording({"/scan": scans(20)}))
+    assert run("view", source, "-o", tmp_path / "page.html", "--clouds", "4").status == 0
+    held = description(tmp_path / "page.html")
+    assert held["kind"] == "scans"
+    assert len(held["moments"]) == 4
+    assert held["findings"][0]["heading"] == "pc2scan check: /scan"
+    assert {"text": "slam_toolbox: accepted", "wrong": False} in held["findings"][0]["lines"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["--topic", "/nope"], "no topic /nope"),
+        (["--clouds", "0"], "--clouds"),
+        (["--at", "yesterday"], "'yesterday' is not a time"),
+        (["--target-frame", "mars"], "mars"),
+        (["--start", "100"], "no clouds"),
+    ],
+)
+def test_wrong_usage_is_told_and_writes_nothing(tmp_path: Path, arguments: list[str], told: str) -> None:
+    done = run("view", HALL, "-o", tmp_path / "page.html", *arguments)
+    assert done.status in (1, 2)
+    assert told in done.stderr
+    assert "Traceback" not in done.stderr
+    assert list(tmp_path.iterdir()) == []
