@@ -5,6 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
+    from collections.abc import Container
+
     from pc2scan.bags.damage import DamageLog
     from pc2scan.errors import DamageError
     from pc2scan.model import RawMessage
@@ -30,6 +32,16 @@ class Salvaged(NamedTuple):
     messages: list[RawMessage]
     bytes_lost: int
     strangers: int
+
+    def selected(self, ids: Container[int], start_ns: int | None, stop_ns: int | None) -> list[RawMessage]:
+        """Return the messages of some connections, with log times from ``start_ns`` on and before ``stop_ns``."""
+        return [
+            message
+            for message in self.messages
+            if message.connection.id in ids
+            and (start_ns is None or start_ns <= message.log_time_ns)
+            and (stop_ns is None or message.log_time_ns < stop_ns)
+        ]
 
 
 def settled(messages: list[RawMessage], span: tuple[int, int]) -> list[RawMessage]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from mcap import records
 from mcap.opcode import Opcode
 
-from pc2scan.bags.chunked.salvaged import note_salvaged
+from pc2scan.bags.chunked.salvaged import Salvaged, note_salvaged
 from pc2scan.bags.chunked.segments import standing_alone, units_of
 from pc2scan.bags.chunked.spans import SpanCheck
 from pc2scan.bags.damage import DamageLog
@@ -248,8 +248,7 @@ class McapReader(PartReader):
             except DamageError as err:
                 problem = err
             if problem is not None:
-                left = self._salvaged(segment, data, problem)
-                found = [m for m in left if m.connection.id in wanted and first <= m.log_time_ns < stop]
+                found = self._salvaged(segment, data, problem).selected(wanted, first, stop)
             return list(map(callback, unpacked_messages(found, self._log, segment.offset, self._file.path)))
 
         return units_of(segments, load, alone, self._file)
@@ -380,7 +379,7 @@ class McapReader(PartReader):
         times = [message.log_time_ns for message in _messages_in(data, known, 0, 1 << 64).messages]
         return (min(times), max(times)) if times and problem is None else None
 
-    def _salvaged(self, segment: Segment, data: memoryview, problem: DamageError) -> list[RawMessage]:
+    def _salvaged(self, segment: Segment, data: memoryview, problem: DamageError) -> Salvaged:
         """Take note of a damaged segment, and find the messages that are left of it."""
         if self._log.strict:
             raise problem
@@ -390,7 +389,7 @@ class McapReader(PartReader):
         left = salvaged_messages(data, known, _declared_span(segment))
         offset = segment.record_offset if isinstance(segment, ChunkSegment) else segment.offset
         note_salvaged(self._log, problem, segment, offset, len(data), left)
-        return left.messages
+        return left
 
     @property
     def damage(self) -> tuple[Damage, ...]:

@@ -6,7 +6,7 @@ from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING
 
-from pc2scan.bags.chunked.salvaged import note_salvaged
+from pc2scan.bags.chunked.salvaged import Salvaged, note_salvaged
 from pc2scan.bags.chunked.segments import standing_alone, units_of
 from pc2scan.bags.chunked.spans import SpanCheck
 from pc2scan.bags.damage import DamageLog
@@ -190,15 +190,7 @@ class Rosbag1Reader(PartReader):
                 return with_payload(self._file, segment, taken)
             except Damaged as err:
                 problem = err
-            low, high = start_ns or 0, stop_ns
-            left = [
-                message
-                for message in self._salvaged(segment, problem)
-                if wanted[message.connection.id] is not None
-                and low <= message.log_time_ns
-                and (high is None or message.log_time_ns < high)
-            ]
-            return list(map(callback, left))
+            return list(map(callback, self._salvaged(segment, problem).selected(chosen, start_ns, stop_ns)))
 
         return units_of(due, load, alone, self._file)
 
@@ -228,7 +220,7 @@ class Rosbag1Reader(PartReader):
         except Damaged:
             return None
 
-    def _salvaged(self, segment: Segment, problem: Damaged) -> list[RawMessage]:
+    def _salvaged(self, segment: Segment, problem: Damaged) -> Salvaged:
         """Take note of a damaged chunk, and find the messages that are left of it."""
         error = self._file.damage_error(f"the chunk with data at byte {segment.offset} cannot be read: {problem}")
         if self._log.strict:
@@ -238,7 +230,7 @@ class Rosbag1Reader(PartReader):
         chunk = payload_prefix(self._file, segment)
         left = salvaged_messages(chunk, self._index.connections, (segment.start_ns, segment.end_ns))
         note_salvaged(self._log, error, segment, segment.offset, len(chunk), left)
-        return left.messages
+        return left
 
     def counts(
         self, connections: Collection[Connection], start_ns: int | None = None, stop_ns: int | None = None
