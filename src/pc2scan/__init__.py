@@ -54,6 +54,10 @@ if TYPE_CHECKING:
     from .inspect.info import Info as Info
     from .inspect.tf import FrameTree as FrameTree
     from .pipeline.report import Report as Report
+    from .pipeline.stages.height_slope import MinHeightSlope as MinHeightSlope
+    from .pipeline.stages.regions import ExcludeBox as ExcludeBox
+    from .pipeline.stages.regions import ExcludePolygon as ExcludePolygon
+    from .pipeline.stages.where import Where as Where
     from .streams.clouds import Cloud as Cloud
     from .streams.clouds import Clouds as Clouds
     from .streams.scans import Scan as Scan
@@ -67,10 +71,13 @@ _HOMES = {
     "Cloud": "streams.clouds",
     "Clouds": "streams.clouds",
     "Difference": "compare.result",
+    "ExcludeBox": "pipeline.stages.regions",
+    "ExcludePolygon": "pipeline.stages.regions",
     "FrameOptions": "tf.options",
     "FrameTree": "inspect.tf",
     "GoldenReport": "golden.result",
     "Info": "inspect.info",
+    "MinHeightSlope": "pipeline.stages.height_slope",
     "Pc2ScanError": "errors",
     "PointCounts": "core.counts",
     "ProjectedScan": "core.project",
@@ -81,6 +88,7 @@ _HOMES = {
     "Scans": "streams.scans",
     "StaticTransform": "tf.options",
     "UnprojectParams": "core.unproject",
+    "Where": "pipeline.stages.where",
     "check": "api",
     "clouds": "api",
     "convert": "api",
@@ -100,10 +108,13 @@ __all__ = [
     "Cloud",
     "Clouds",
     "Difference",
+    "ExcludeBox",
+    "ExcludePolygon",
     "FrameOptions",
     "FrameTree",
     "GoldenReport",
     "Info",
+    "MinHeightSlope",
     "Pc2ScanError",
     "PointCounts",
     "ProjectedScan",
@@ -114,6 +125,7 @@ __all__ = [
     "Scans",
     "StaticTransform",
     "UnprojectParams",
+    "Where",
     "check",
     "clouds",
     "convert",

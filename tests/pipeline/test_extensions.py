@@ -195,7 +195,9 @@ def test_a_field_that_a_filter_needs_is_looked_for_before_anything_is_written(tm
     class Reflective(EveryNth):
         fields = ("reflectivity",)
 
-    with pytest.raises(ParameterError, match="thinned needs the field 'reflectivity', which the clouds on /points do"):
+    with pytest.raises(
+        ParameterError, match="`thinned` needs the field 'reflectivity', which the clouds on /points do"
+    ):
         pc2scan.convert(source, tmp_path / "b.mcap", params=BAND, filters=[Reflective(2)])
     assert not (tmp_path / "b.mcap").exists()
 

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from pc2scan.core.unproject import UnprojectParams
     from pc2scan.pipeline.options import ConvertOptions
     from pc2scan.pipeline.run import OutputOptions
+    from pc2scan.pipeline.stages.filters import Filter
     from pc2scan.tf.options import FrameOptions
 
 __all__ = [
@@ -45,6 +46,7 @@ Compression = Literal["none", "lz4", "zstd", "bz2"]
 _TOPICS = "Topics and time"
 _PARAMS = "Parameters of pointcloud_to_laserscan"
 _SLAM = "Beyond pointcloud_to_laserscan (ready for SLAM)"
+_POINTS = "Which points"
 _FRAMES = "Frames"
 _REVERSE = "The way back"
 _RUN = "Run"
@@ -253,6 +255,65 @@ class Projection(Group):
     given: ParameterOptions
 
 
+class Points(Group):
+    """Which points of the clouds are used; in the order of what they return."""
+
+    where: Annotated[
+        list[str],
+        typer.Option(
+            "--where",
+            metavar="CONDITION",
+            help="Use only points whose fields fulfil this: 'ring in (3, 4, 5) and intensity > 10'. Fields, numbers, "
+            "< <= > >= == != in, and or not, + - * / %, abs(). Repeatable: all must hold.",
+            rich_help_panel=_POINTS,
+        ),
+    ]
+    exclude_box: Annotated[
+        list[str],
+        typer.Option(
+            "--exclude-box",
+            metavar="BOX",
+            help="Reject points in this box, such as the robot's own body: 'frame x0 x1 y0 y1 z0 z1' (m). Repeatable.",
+            rich_help_panel=_POINTS,
+        ),
+    ]
+    exclude_polygon: Annotated[
+        list[str],
+        typer.Option(
+            "--exclude-polygon",
+            metavar="POLYGON",
+            help="Reject points above, below and in this polygon, such as a footprint: 'frame x0 y0 x1 y1 x2 y2 ...' "
+            "(m). Repeatable.",
+            rich_help_panel=_POINTS,
+        ),
+    ]
+    min_height_slope: Annotated[
+        float | None,
+        typer.Option(
+            metavar="M/M",
+            help="Reject points below min_height + this * range: a limit that grows with range, for ramps and rough "
+            "ground. 0.05 is about 3 degrees.",
+            rich_help_panel=_POINTS,
+        ),
+    ] = None
+
+    def filters(self, min_height: float) -> "Iterator[Filter]":
+        """What the library takes; a conversion without any does not load them."""
+        if self.where:
+            from pc2scan.pipeline.stages.where import Where
+
+            yield from map(Where, self.where)
+        if self.exclude_box or self.exclude_polygon:
+            from pc2scan.pipeline.stages.regions import ExcludeBox, ExcludePolygon
+
+            yield from map(ExcludeBox.parse, self.exclude_box)
+            yield from map(ExcludePolygon.parse, self.exclude_polygon)
+        if self.min_height_slope is not None:
+            from pc2scan.pipeline.stages.height_slope import MinHeightSlope
+
+            yield MinHeightSlope(min_height, self.min_height_slope)
+
+
 class TfSources(Group):
     """Where transforms are."""
 
@@ -425,6 +486,7 @@ class Conversion(Group):
 
     topics: Topics
     projection: Projection
+    points: Points
     frames: Frames
     reverse: Reverse
     running: Running
@@ -456,6 +518,7 @@ class Conversion(Group):
             reverse=resolved.reverse,
             channels=self.reverse.fields(),
             deskew=self.reverse.deskew,
+            filters=tuple(self.points.filters(resolved.params.min_height)),
             frames=self.frames.options(),
             topics=topics.topics,
             keep=topics.keep,

@@ -27,10 +27,13 @@ OPTIONS = {
     "drop": "--drop",
     "each": "--each",
     "end": "--end",
+    "exclude_box": "--exclude-box",
+    "exclude_polygon": "--exclude-polygon",
     "ignore": "--ignore",
     "keep": "--keep",
     "keep_clouds": "--keep-clouds",
     "metadata_version": "--metadata-version",
+    "min_height_slope": "--min-height-slope",
     "node": "--node",
     "odom_frame": "--odom-frame",
     "only_scans": "--only-scans",
@@ -54,6 +57,7 @@ OPTIONS = {
     "tf_topics": "--tf-topic",
     "to": "--to",
     "topics": "--topic",
+    "where": "--where",
     "write_static_tf": "--write-static-tf",
 }
 

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from .layout import BeamLayout
     from .params import ProjectionParams
 
-__all__ = ["REJECTIONS", "Rejection", "centered_beams", "rule_of", "upstream_beams"]
+__all__ = ["REJECTIONS", "Rejection", "centered_beams", "rule_of", "upstream_beams", "within"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,6 +106,17 @@ def rule_of(params: ProjectionParams) -> NDArray[np.float64]:
     least = _first_square(_first_from(params.range_min))
     glibc = float(params.angle_rounding == "glibc-2.40")
     return np.array([lowest, highest, least, most, *beams(params.layout), glibc])
+
+
+def within(values: NDArray[Any], lowest: float, highest: float) -> NDArray[np.bool_]:
+    """Whether values are within limits, inclusive, compared as float64; NaN never is.
+
+    Values of float32 are compared with the float32 next to the limits on the inner side, as in `rule_of`: that is the
+    same, and takes no copy.
+    """
+    if values.dtype.kind == "f" and values.dtype.itemsize == 4:
+        return (values >= _first_from(lowest)) & (values <= -_first_from(-highest))
+    return (values >= np.float64(lowest)) & (values <= np.float64(highest))
 
 
 def upstream_beams(layout: BeamLayout) -> tuple[float, ...]:

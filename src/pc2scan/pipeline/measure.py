@@ -135,7 +135,7 @@ class _FirstClouds:
         name = self._params.intensity_field
         asked = [("intensity_field", f"intensity_field is {name!r}", name)] if name else []
         asked += [
-            (each.name, f"{each.name} needs the field {field!r}", field) for each in filters for field in each.fields
+            (each.name, f"`{each.name}` needs the field {field!r}", field) for each in filters for field in each.fields
         ]
         for option, request, field in asked:
             if self._stamps and field not in self._fields:

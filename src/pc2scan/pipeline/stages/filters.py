@@ -66,5 +66,5 @@ def rejection_of(chosen: Filter) -> Rejection:
 
 def as_dict(chosen: Filter) -> dict[str, Any]:
     """Return the name and the parameters of a filter, for reports."""
-    parameters = {each.name: getattr(chosen, each.name) for each in fields(chosen)}  # type: ignore[arg-type]
+    parameters = {each.name: getattr(chosen, each.name) for each in fields(chosen) if each.repr}  # type: ignore[arg-type]
     return {"name": chosen.name, **parameters}

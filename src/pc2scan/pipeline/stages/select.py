@@ -60,7 +60,7 @@ class Select:
         rejected = {chosen.name: 0 for chosen in self._filters}
         seen: dict[Frame | str, Points] = {Frame.SOURCE: points}
         for chosen in self._filters:
-            frame = chosen.frame
+            frame = Frame.TARGET if chosen.frame == place.frame_id else chosen.frame
             if frame not in seen:
                 seen[frame] = self._placed(seen[Frame.SOURCE], frame, place)
             with np.errstate(all="ignore"):
