@@ -1,0 +1,483 @@
+"""The ground in clouds: which plane of a cloud it is, and how the cloud's frame is mounted over it.
+
+Method: planes by RANSAC (Fischler and Bolles, "Random sample consensus", Communications of the ACM 24 (6), 1981), the
+largest first, each refined by weighted least squares, its inliers removed before the next. The triplets follow a
+low-discrepancy sequence instead of random numbers, so that the same cloud has the same planes. Points are thinned to
+one a cell first: a spinning lidar measures what is near a hundred times as densely as what is far.
+
+A plane alone does not say that it is the ground: a wall beside a level lidar looks like the ground under one that lies
+on its side, and a ceiling like the ground under one that hangs upside down. So a frame is called tilted or upside
+down only where nothing else explains what is seen; `_doubt` has the conditions, and where one fails nothing is said.
+They were tuned on simulated clouds: 16 to 128 rings, scattering lidars and depth cameras, in halls, offices,
+corridors, warehouses, garages, streets, fields, woods, yards and on ramps, with and without floor and ceiling,
+mounted at any roll and pitch from -90 to 180 degrees. Each is named to within 3 degrees, or left alone, and no level
+one is called anything else (``tests/core/test_ground.py`` repeats a part). Every cloud of the real recordings at hand
+(five of a highway, five of a tricycle's lidar at ground level, one of a car park, ten of a depth camera) is called
+what it is. What a single cloud cannot tell: a low ceiling over a hall whose floor is nowhere seen is the mirror image of
+open ground.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+__all__ = ["Ground", "Kind", "Plane", "agreed", "look_at", "planes_of", "thinned"]
+
+Kind = Literal["level", "tilted", "upside-down", "optical", "unknown"]
+
+_Points: TypeAlias = "NDArray[np.float64]"
+_Direction: TypeAlias = tuple[float, float, float]
+
+#: Points of a cloud that are looked at, and how few are too few.
+MOST_POINTS = 4_000
+_FEWEST_POINTS = 300
+
+#: Up to here a frame counts as level, radians. Roads and yards are no flatter, and robots pitch.
+LEVEL = math.radians(5.0)
+
+#: From here on a wall is as likely as the ground, radians from the frame's z axis.
+_STEEPEST = math.radians(50.0)
+
+#: body_from_optical: REP 103's optical frames have x to the right, y down and z forward.
+_BODY_FROM_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+
+_GOLDEN = 0.6180339887498949
+#: The plastic number to the powers of -1, -2 and -3: what the golden ratio is for three dimensions (Roberts, 2018).
+_PLASTIC = (0.8191725133961645, 0.6710436067037893, 0.5497004779019703)
+
+#: Planes of a cloud at most, triplets tried for each, and the share of the cloud below which one is none.
+_PLANES = 8
+_TRIPLETS = 250
+_LEAST_SHARE = 0.03
+
+
+@dataclass(frozen=True, slots=True)
+class Plane:
+    """A flat piece of what a cloud shows.
+
+    Attributes
+    ----------
+    up
+        Its normal, a unit vector, on the side of the sensor.
+    height
+        The sensor's distance from it, metres.
+    share
+        Of the cloud's cells.
+    beyond
+        Share of the cloud's cells that lie behind it.
+    width
+        Twice the standard deviation of its cells along the shorter of its two directions, metres.
+    nearest
+        Distance of its nearer cells (tenth percentile) from the sensor, metres.
+    """
+
+    up: _Direction
+    height: float
+    share: float
+    beyond: float
+    width: float
+    nearest: float
+
+    @property
+    def tilt(self) -> float:
+        """Angle between its normal and the z axis, radians."""
+        return math.acos(max(-1.0, min(1.0, self.up[2])))
+
+
+@dataclass(frozen=True, slots=True)
+class Ground:
+    """How a frame is mounted, as far as its clouds tell.
+
+    Attributes
+    ----------
+    kind
+        ``level``; ``tilted``; ``upside-down``; ``optical`` (z is forward, as in a camera's optical frame);
+        ``unknown``: the evidence is thin.
+    up
+        Where up is in the frame, a unit vector; None where no ground is seen.
+    height
+        The frame's origin over the floor, metres; None where no ground is seen.
+    ceiling
+        From the origin up to the ceiling, metres; None where none is seen.
+    clouds, sampled
+        How many clouds agree, of how many that were looked at.
+    """
+
+    kind: Kind
+    up: _Direction | None = None
+    height: float | None = None
+    ceiling: float | None = None
+    clouds: int = 1
+    sampled: int = 1
+
+    @property
+    def off(self) -> bool:
+        """Whether heights in this frame mean nothing: z is not up."""
+        return self.kind in {"tilted", "upside-down", "optical"}
+
+    @property
+    def level_from_frame(self) -> tuple[float, float, float]:
+        """Roll, pitch and yaw, radians, that turn the frame level, its forward axis ahead.
+
+        Without a ground, an optical frame is turned as if its camera looked straight ahead.
+        """
+        forward = np.array([0.0, 0.0, 1.0] if self.kind == "optical" else [1.0, 0.0, 0.0])
+        up = np.array(self.up if self.up is not None else (0.0, -1.0, 0.0) if self.kind == "optical" else (0, 0, 1.0))
+        ahead = forward - (forward @ up) * up
+        ahead /= np.linalg.norm(ahead)
+        left = np.cross(up, ahead)
+        return (
+            math.atan2(up[1], up[2]),
+            math.asin(max(-1.0, min(1.0, -float(up[0])))),
+            math.atan2(left[0], ahead[0]),
+        )
+
+    @property
+    def tilt(self) -> float:
+        """Angle between up and where it should be, radians: from z, or from -z of what is upside down."""
+        up = self.up or (0.0, 0.0, 1.0)
+        cosine = -up[1] if self.kind == "optical" else -up[2] if self.kind == "upside-down" else up[2]
+        return math.acos(max(-1.0, min(1.0, cosine)))
+
+
+def thinned(x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], most: int = MOST_POINTS) -> _Points:
+    """Some of a cloud's returns, (N, 3): spread over it whatever its order, and none that is no return.
+
+    Parameters
+    ----------
+    x, y, z
+        Coordinates, one a point, of any shape.
+    most
+        Points to take; returns are fewer where some of these are none.
+    """
+    count = x.size
+    # Multiples of the golden ratio fall into no step with rings or columns.
+    order = np.arange(count) if count <= most else (np.arange(most) * _GOLDEN % 1.0 * count).astype(np.intp)
+    with np.errstate(invalid="ignore"):
+        points = np.stack([_picked(part, order) for part in (x, y, z)], axis=1)
+    # The nearest are the robot itself, or no return at all.
+    return np.asarray(points[(np.abs(points).max(axis=1, initial=0) < 1e4) & ((points * points).sum(axis=1) > 0.0025)])
+
+
+def _picked(values: NDArray[Any], order: NDArray[np.intp]) -> NDArray[np.float64]:
+    if values.ndim == 1:
+        return np.asarray(values[order], np.float64)
+    return np.asarray(values[np.unravel_index(order, values.shape)], np.float64)
+
+
+def agreed(looks: Sequence[Ground]) -> Ground:
+    """What several clouds of one frame tell together: what most show and none contradicts.
+
+    The ground stays where it is while a robot drives; a wall that was taken for it does not.
+    """
+    if not looks:
+        return Ground("unknown", clouds=0, sampled=0)
+    kinds = {look.kind for look in looks} - {"unknown"}
+    if len(kinds) != 1:
+        return Ground("unknown", clouds=0, sampled=len(looks))
+    (kind,) = kinds
+    same = [look for look in looks if look.kind == kind]
+    if 2 * len(same) < len(looks):
+        return Ground("unknown", clouds=0, sampled=len(looks))
+    seen = [look for look in same if look.up is not None]
+    ceilings = [look.ceiling for look in same if look.ceiling is not None]
+    ceiling = float(np.median(ceilings)) if 2 * len(ceilings) >= len(same) else None
+    if 2 * len(seen) < len(same):
+        return Ground(kind, clouds=len(same), sampled=len(looks))
+    up = np.median([look.up for look in seen if look.up is not None], axis=0)
+    up /= np.linalg.norm(up)
+    heights = [look.height for look in seen if look.height is not None]
+    height = float(np.median(heights))
+    if kind != "level":
+        apart = max(math.acos(max(-1.0, min(1.0, float(up @ np.array(look.up))))) for look in seen)
+        moved = max(abs(other - height) for other in heights)
+        if apart > math.radians(4.0) or moved > max(0.06, 0.2 * height):
+            rest: Kind = "optical" if kind == "optical" else "unknown"
+            return Ground(rest, clouds=len(same) if kind == "optical" else 0, sampled=len(looks))
+    return Ground(kind, (float(up[0]), float(up[1]), float(up[2])), height, ceiling, len(same), len(looks))
+
+
+def look_at(points: _Points) -> Ground:
+    """How the frame of a cloud is mounted, by this cloud alone.
+
+    Parameters
+    ----------
+    points
+        What `thinned` returns, metres.
+    """
+    if len(points) < _FEWEST_POINTS:
+        return Ground("unknown")
+    if not _is_optical(points):
+        return _level_at_once(points) or _decided(points)
+    turned = points @ _BODY_FROM_OPTICAL.T
+    found = _decided(turned, level_needs_proof=True)
+    if found.up is None:
+        return Ground("optical")
+    up = _BODY_FROM_OPTICAL.T @ np.array(found.up)
+    return Ground("optical", (float(up[0]), float(up[1]), float(up[2])), found.height, found.ceiling)
+
+
+def _is_optical(points: _Points) -> bool:
+    """Whether all that is seen lies in a cone around the z axis, as no lidar that turns about it sees it."""
+    directions = points / np.linalg.norm(points, axis=1)[:, None]
+    middle = directions.mean(axis=0)
+    ahead = float(middle[2] / max(float(np.linalg.norm(middle)), 1e-9))
+    return bool((directions[:, 2] > 0.5).mean() > 0.995) and ahead > 0.85
+
+
+def _cells(points: _Points) -> _Points:
+    """One point a cell, sorted by place."""
+    scale = float(np.median(np.linalg.norm(points, axis=1)))
+    # Twenty-one bits for each coordinate: cells are never below 1 cm, and points lie within 10 km.
+    keys = np.floor(points / min(0.3, max(0.01, 0.05 * scale))).astype(np.int64) + (1 << 20)
+    _, first = np.unique(keys[:, 0] << 42 | keys[:, 1] << 21 | keys[:, 2], return_index=True)
+    return points[first]
+
+
+def _tolerance(points: _Points) -> NDArray[np.float64]:
+    """How far from a plane its points may lie, metres: noise and roughness, and what grows with the distance."""
+    distance = np.linalg.norm(points, axis=1)
+    return np.asarray(min(0.05, max(0.01, 0.02 * float(np.median(distance)))) + 0.008 * distance)
+
+
+def _level_at_once(points: _Points) -> Ground | None:
+    """A floor at right angles to z, where it catches the eye: by far the most frequent case, and the quickest."""
+    cells = _cells(points)
+    tolerance = _tolerance(cells)
+    below = cells[:, 2] < 0
+    if below.mean() < 0.1:
+        return None
+    low = float(np.percentile(cells[below, 2], 2))
+    counts, edges = np.histogram(cells[below, 2], 24, (low, 0.0))
+    peak = int(counts.argmax())
+    start = np.abs(cells[:, 2] - (edges[peak] + edges[peak + 1]) / 2) < tolerance + (edges[1] - edges[0]) / 2
+    floor = _refined(cells, tolerance, start)
+    if floor is None or floor.tilt > LEVEL or floor.share < 0.15 or floor.beyond > 0.05 or floor.height < 0.03:
+        return None
+    return Ground("level", floor.up, floor.height, _ceiling_over(cells, tolerance))
+
+
+def _ceiling_over(cells: _Points, tolerance: NDArray[np.float64]) -> float | None:
+    """The highest level plane, if nothing is above it."""
+    high = float(np.percentile(cells[:, 2], 99))
+    if high < 0.3:
+        return None
+    ceiling = _refined(cells, tolerance, np.abs(cells[:, 2] - high) < 2 * tolerance)
+    if ceiling is None or ceiling.tilt < math.pi - LEVEL or ceiling.share < _LEAST_SHARE or ceiling.beyond > 0.02:
+        return None
+    return ceiling.height
+
+
+def planes_of(cells: _Points) -> list[Plane]:
+    """The planes of a cloud, the largest first."""
+    planes: list[Plane] = []
+    tolerance = _tolerance(cells)
+    rest = np.ones(len(cells), bool)
+    least = max(_LEAST_SHARE * len(cells), 25)
+    while len(planes) < _PLANES and rest.sum() > least:
+        start = _largest(cells[rest], tolerance[rest])
+        if start is None:
+            break
+        inliers = np.zeros(len(cells), bool)
+        inliers[rest] = start
+        found = _refined(cells, tolerance, inliers, rest)
+        if found is None or found.share * len(cells) < least:
+            break
+        planes.append(found)
+        rest &= ~(np.abs(cells @ np.array(found.up) + found.height) < tolerance)
+    return planes
+
+
+def _largest(points: _Points, tolerance: NDArray[np.float64]) -> NDArray[np.bool_] | None:
+    """The points near the plane through three of them that has the most; None where all triplets are lines."""
+    corners = points[_triplets(len(points))]
+    normals = np.cross(corners[1] - corners[0], corners[2] - corners[0])
+    lengths = np.linalg.norm(normals, axis=1)
+    good = lengths > 1e-3 * float(np.median((points * points).sum(axis=1)))
+    if not good.any():
+        return None
+    normals = normals[good] / lengths[good, None]
+    offsets = (normals * corners[0][good]).sum(axis=1)
+    distances = points.astype(np.float32) @ normals.T.astype(np.float32) - offsets.astype(np.float32)
+    near = np.abs(distances) < tolerance.astype(np.float32)[:, None]
+    return np.asarray(near[:, int(near.sum(axis=0).argmax())])
+
+
+def _triplets(count: int) -> NDArray[np.intp]:
+    """Triplets of places, (3, N): one half from all over, the other of neighbours in the order."""
+    steps = np.arange(1, _TRIPLETS + 1)
+    far = np.stack([(steps * ratio % 1.0 * count).astype(np.intp) for ratio in _PLASTIC])
+    reach = max(count // 12, 8)
+    near = np.stack([far[0], *((far[0] + 1 + far[axis] * reach // count) % count for axis in (1, 2))])
+    return np.concatenate([far, near], axis=1)
+
+
+def _refined(
+    cells: _Points,
+    tolerance: NDArray[np.float64],
+    inliers: NDArray[np.bool_],
+    among: NDArray[np.bool_] | None = None,
+) -> Plane | None:
+    """The plane of least squares through what is near it, beginning with these; None where they are too few."""
+    normal, offset, squared = np.zeros(3), 0.0, tolerance**2
+    spread = np.zeros(3)
+    for _ in range(4):
+        if inliers.sum() < 10:
+            return None
+        members = cells[inliers]
+        weights = 1 / squared[inliers]
+        middle = weights @ members / weights.sum()
+        centred = members - middle
+        spread, axes = np.linalg.eigh((centred * weights[:, None]).T @ centred / weights.sum())
+        normal = axes[:, 0]
+        offset = float(normal @ middle)
+        inliers = np.abs(cells @ normal - offset) < tolerance
+        if among is not None:
+            inliers &= among
+    if inliers.sum() < 10:
+        return None
+    if offset > 0:
+        normal, offset = -normal, -offset
+    members = cells[inliers]
+    spread = np.linalg.eigvalsh(np.cov(members.T))
+    return Plane(
+        (float(normal[0]), float(normal[1]), float(normal[2])),
+        -offset,
+        len(members) / len(cells),
+        float((cells @ normal - offset < -2.5 * tolerance).mean()),
+        2 * math.sqrt(max(float(spread[1]), 0.0)),
+        float(np.percentile(np.linalg.norm(members, axis=1), 10)),
+    )
+
+
+class _View:
+    """The directions that a sensor sees, in cells of about 10 by 5 degrees, and where it had no return.
+
+    A direction is seen if the sensor has a return at that azimuth, and at that elevation in some other.
+    """
+
+    _COLUMNS = 36
+
+    def __init__(self, points: _Points) -> None:
+        azimuth = np.arctan2(points[:, 1], points[:, 0])
+        elevation = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
+        low, high = np.percentile(elevation, [0.5, 99.5])
+        columns, rows = self._COLUMNS, int(min(18, max(1, round(math.degrees(high - low) / 5))))
+        row = np.floor((elevation - low) / max(float(high - low), 1e-9) * rows).astype(np.intp)
+        column = np.floor((azimuth + math.pi) / math.tau * columns).astype(np.intp) % columns
+        inside = (row >= 0) & (row < rows)
+        counts = np.bincount(row[inside] * columns + column[inside], minlength=rows * columns).reshape(rows, columns)
+        seen = counts.any(axis=0)
+        tilt = (low + (np.arange(rows) + 0.5) * (high - low) / rows)[:, None]
+        angle = (np.arange(columns)[seen] + 0.5) * (math.tau / columns) - math.pi
+        self._directions = np.stack(
+            np.broadcast_arrays(np.cos(tilt) * np.cos(angle), np.cos(tilt) * np.sin(angle), np.sin(tilt)), axis=-1
+        ).reshape(-1, 3)
+        self._weights = np.broadcast_to(np.cos(tilt), (rows, len(angle))).ravel()
+        self._empty = (counts[:, seen] == 0).ravel()
+
+    def missing(self, up: _Direction, low: float, high: float) -> float | None:
+        """Share of the directions between two heights over the horizon (sines) that have no return."""
+        sines = self._directions @ np.array(up)
+        chosen = (sines > low) & (sines < high)
+        if chosen.sum() < 8:
+            return None
+        return float((self._empty * self._weights)[chosen].sum() / self._weights[chosen].sum())
+
+
+def _decided(points: _Points, *, level_needs_proof: bool = False) -> Ground:
+    """Which of a cloud's planes is the ground."""
+    planes = planes_of(_cells(points))
+    view = _View(points)
+    level = [plane for plane in planes if plane.tilt <= LEVEL and plane.beyond < 0.35]
+    if level:
+        floor = max(level, key=lambda plane: plane.share * (plane.beyond < 0.05))
+        if level_needs_proof and _doubt(floor, planes, view):
+            return Ground("unknown")
+        return _grounded("level", floor, planes)
+    for plane in planes:
+        upside_down = plane.tilt >= math.pi - _STEEPEST
+        if (upside_down or plane.tilt <= _STEEPEST) and not _doubt(plane, planes, view):
+            return _grounded("upside-down" if upside_down else "tilted", plane, planes)
+    return Ground("unknown")
+
+
+def _grounded(kind: Kind, floor: Plane, planes: Sequence[Plane]) -> Ground:
+    ceiling = _opposite(floor, planes)
+    return Ground(kind, floor.up, floor.height, None if ceiling is None else ceiling.height)
+
+
+def _between(one: Plane, other: Plane) -> float:
+    """Angle between two planes' normals, degrees."""
+    return math.degrees(math.acos(max(-1.0, min(1.0, float(np.dot(one.up, other.up))))))
+
+
+def _opposite(plane: Plane, planes: Sequence[Plane]) -> Plane | None:
+    """What a floor's ceiling is, or a wall's opposite wall."""
+    return next((other for other in planes if _between(plane, other) > 172 and other.beyond < 0.05), None)
+
+
+def _doubt(plane: Plane, planes: Sequence[Plane], view: _View) -> str:
+    """Why a plane may be something other than the ground; empty if nothing else explains what is seen."""
+    upside_down = plane.tilt > math.pi / 2
+    if plane.share < (0.15 if upside_down else 0.08):
+        return "it is small"
+    if plane.beyond > 0.04:
+        return "something is behind it"
+    if not 0.03 <= plane.height <= 3.0:
+        return "no robot is that high"
+    if plane.width < max(0.4, plane.height * (1.6 if plane.height > 1.2 else 0.8)):
+        return "it is narrow"
+    if plane.nearest > max(5 * plane.height, 0.6):
+        return "it begins far away, as ramps do"
+    holes = view.missing(plane.up, -1.0, -0.25)
+    if holes is None or holes > 0.12:
+        return "directions that would meet the ground have no return, as beside a wall"
+    return _rivals(plane, planes, upside_down=upside_down) or _mirrored(plane, planes, view, upside_down=upside_down)
+
+
+def _rivals(plane: Plane, planes: Sequence[Plane], *, upside_down: bool) -> str:
+    """Whether another plane may be the ground instead, and this one a wall."""
+    for other in planes:
+        between = _between(plane, other)
+        if between < 4:
+            continue
+        if between < 20 and other.nearest < plane.nearest and other.share > _LEAST_SHARE and other.beyond < 0.3:
+            return "there is ground of another slope nearer by"
+        if not 20 < between < 160:
+            continue
+        if not upside_down and math.degrees(other.tilt) <= 60 and other.share > 0.4 * plane.share:
+            return "another plane is as level"
+        if 70 < between < 110 and other.height < 1.1 * plane.height:
+            return "a plane at right angles to it is as near"
+    return ""
+
+
+def _mirrored(plane: Plane, planes: Sequence[Plane], view: _View, *, upside_down: bool) -> str:
+    """Whether it may be a ceiling, or one of two walls."""
+    ceiling = _opposite(plane, planes)
+    if ceiling is None:
+        sky, horizon = view.missing(plane.up, 0.25, 1.0), view.missing(plane.up, 0.02, 0.25)
+        is_open = sky is not None and sky > 0.6 and horizon is not None and horizon > 0.3
+        nearest_ceiling = 0.7 if upside_down else 1.2
+        return "" if is_open or plane.height < nearest_ceiling else "it may be the ceiling of a closed room"
+    if upside_down or ceiling.height < 1.75 * plane.height:
+        return "it may be the ceiling"
+    total = plane.height + ceiling.height
+    if total < 2.1:
+        return "rooms are higher"
+    for wall in planes:
+        if 70 < _between(plane, wall) < 110:
+            facing = _opposite(wall, planes)
+            if facing is not None and wall.height + facing.height < 1.35 * total:
+                return "it may be a wall: the room is no wider than high"
+    return ""
