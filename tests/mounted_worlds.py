@@ -1,20 +1,29 @@
-"""Clouds of simulated sensors in simulated places, mounted in any way: what the fit of the ground is tuned and held by."""
+"""Clouds of simulated sensors in simulated places, mounted in any way, to tune and to test the fit of the ground."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pc2scan.bags.destinations import open_writer, plan_destination
+from pc2scan.messages.definitions import definition
+from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointField, encode_pointcloud2
+from pc2scan.messages.tfmessage import encode_transforms
+from pc2scan.model import Connection
+
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
 
     from numpy.typing import NDArray
 
-__all__ = ["PLACES", "SENSORS", "Place", "cloud", "mounted", "up_in_sensor", "without"]
+    from pc2scan.core.rigid import TransformRow
+
+__all__ = ["PLACES", "SENSORS", "Place", "cloud", "mounted", "up_in_sensor", "without", "write_clouds"]
 
 _FAR = 120.0
 
@@ -37,8 +46,6 @@ class Place:
     stands: tuple[tuple[float, float, float], ...] = ((0.0, 0.0, 0.3), (0.4, 0.1, 0.7), (0.9, 0.3, 1.2))
     rough: float = 0.0
     heights: tuple[float, ...] = (0.3, 0.6, 1.0)
-    #: Whether floor and ceiling, or sky, can be told apart by what stands on the floor.
-    tags: frozenset[str] = field(default=frozenset())
 
 
 def box(x0: float, x1: float, y0: float, y1: float, z0: float, z1: float, part: str = "clutter") -> list[Rectangle]:
@@ -98,19 +105,14 @@ _TABLE = [
 _PILLARS = [*box(1.8, 2.2, 1.3, 1.7, 0, 2.5), *box(-2.6, -2.2, -1.9, -1.5, 0, 2.5), *box(3.4, 3.8, -2.2, -1.8, 0, 2.5)]
 
 _TALL = (0.6, 1.2, 1.8)
-_INDOORS = frozenset({"ceiling"})
 
 #: Where the simulated robot stands.
 PLACES = {
-    "hall": Place(tuple(room(-5, 6, -4, 4, 3.0) + _PILLARS + _TABLE), tags=_INDOORS),
-    "empty hall": Place(tuple(room(-5, 6, -4, 4, 3.0)), tags=_INDOORS),
-    "office": Place(tuple(room(-2, 2.5, -1.8, 2.2, 2.5) + _scattered(3, 4, 1.8, 0.2, 0.6, 0.4)), tags=_INDOORS),
-    "corridor": Place(
-        tuple(room(-12, 20, -0.9, 1.2, 2.5)), stands=((0, 0, 0.05), (1, 0.1, -0.05), (2, 0.1, 0.1)), tags=_INDOORS
-    ),
-    "wide corridor": Place(
-        tuple(room(-12, 20, -1.2, 1.6, 3.0)), stands=((0, 0, 0.05), (1, 0.1, -0.05), (2, 0.1, 0.1)), tags=_INDOORS
-    ),
+    "hall": Place(tuple(room(-5, 6, -4, 4, 3.0) + _PILLARS + _TABLE)),
+    "empty hall": Place(tuple(room(-5, 6, -4, 4, 3.0))),
+    "office": Place(tuple(room(-2, 2.5, -1.8, 2.2, 2.5) + _scattered(3, 4, 1.8, 0.2, 0.6, 0.4))),
+    "corridor": Place(tuple(room(-12, 20, -0.9, 1.2, 2.5)), stands=((0, 0, 0.05), (1, 0.1, -0.05), (2, 0.1, 0.1))),
+    "wide corridor": Place(tuple(room(-12, 20, -1.2, 1.6, 3.0)), stands=((0, 0, 0.05), (1, 0.1, -0.05), (2, 0.1, 0.1))),
     "warehouse": Place(
         tuple(
             room(-20, 25, -15, 15, 8.0)
@@ -118,7 +120,6 @@ PLACES = {
             + _scattered(5, 10, 2.5, 0.2, 0.8, 0.8)
         ),
         heights=(0.3, 0.8, 1.6),
-        tags=_INDOORS,
     ),
     "garage": Place(
         tuple(
@@ -127,7 +128,6 @@ PLACES = {
             + [r for x in (-8, 8, 12) for r in box(x, x + 1.8, 8, 12, 0.2, 1.5)]
         ),
         heights=(0.3, 0.6, 0.8),
-        tags=_INDOORS,
     ),
     "field": Place(
         tuple(ground() + [r for x, y in ((12, 5), (-9, 14), (20, -8)) for r in box(x, x + 0.4, y, y + 0.4, 0, 6)]),
@@ -149,8 +149,15 @@ PLACES = {
     "ramp up": Place(tuple(ramp(6, 9) + _scattered(11, 6, 12, 0.3, 1.5, 2.0)), heights=_TALL),
     "ramp down": Place(tuple(ramp(5, -8)), heights=_TALL),
     "wood": Place(
-        tuple(ground() + [r for x, y in np.random.default_rng(4).uniform(-25, 25, (60, 2)).tolist()
-              if math.hypot(x, y) > 2 for r in box(x, x + 0.3, y, y + 0.3, 0, 8)]),
+        tuple(
+            ground()
+            + [
+                r
+                for x, y in np.random.default_rng(4).uniform(-25, 25, (60, 2)).tolist()
+                if math.hypot(x, y) > 2
+                for r in box(x, x + 0.3, y, y + 0.3, 0, 8)
+            ]
+        ),
         rough=0.08,
         heights=_TALL,
     ),
@@ -159,9 +166,7 @@ PLACES = {
 
 def without(place: Place, part: str) -> Place:
     """A place without its floor, its ceiling or its walls."""
-    return Place(
-        tuple(r for r in place.surfaces if r.part != part), place.stands, place.rough, place.heights, place.tags
-    )
+    return replace(place, surfaces=tuple(surface for surface in place.surfaces if surface.part != part))
 
 
 def _spinning(rings: int, low: float, high: float, columns: int) -> NDArray[np.float64]:
@@ -258,3 +263,35 @@ def _cast(place: Place, origin: NDArray[np.float64], rays: NDArray[np.float64]) 
             hit = (distance > 0) & (u >= 0) & (u <= 1) & (v >= 0) & (v <= 1) & (distance < nearest)
         nearest[hit] = distance[hit]
     return nearest
+
+
+def write_clouds(
+    path: Path,
+    clouds: Sequence[NDArray[np.float32]],
+    *,
+    frame: str = "lidar",
+    tf: Sequence[TransformRow] = (),
+) -> Path:
+    """An MCAP file of clouds on /points, ten a second, and static transforms."""
+    begin_ns = 1_700_000_000_000_000_000
+    writer = open_writer(plan_destination(path, source_ros_version=2), path, path.name)
+    handles = {}
+    for topic, msgtype in (("/tf_static", "tf2_msgs/msg/TFMessage"), ("/points", POINTCLOUD2)):
+        text, digest = definition(msgtype, 2)
+        handles[topic] = writer.add_connection(Connection(0, topic, msgtype, "cdr", text, digest))
+    if tf:
+        writer.write(handles["/tf_static"], begin_ns, encode_transforms(list(tf), "cdr"), begin_ns)
+    for number, points in enumerate(clouds):
+        stamp_ns = begin_ns + number * 100_000_000
+        message = encode_pointcloud2(
+            serialization="cdr",
+            sequence=number,
+            stamp_ns=stamp_ns,
+            frame_id=frame,
+            fields=[PointField(name, 4 * place, 7) for place, name in enumerate("xyz")],
+            point_step=12,
+            data=np.ascontiguousarray(points, "<f4").tobytes(),
+        )
+        writer.write(handles["/points"], stamp_ns, message, stamp_ns)
+    writer.finish()
+    return path

@@ -12,9 +12,11 @@ They were tuned on simulated clouds: 16 to 128 rings, scattering lidars and dept
 corridors, warehouses, garages, streets, fields, woods, yards and on ramps, with and without floor and ceiling,
 mounted at any roll and pitch from -90 to 180 degrees. Each is named to within 3 degrees, or left alone, and no level
 one is called anything else (``tests/core/test_ground.py`` repeats a part). Every cloud of the real recordings at hand
-(five of a highway, five of a tricycle's lidar at ground level, one of a car park, ten of a depth camera) is called
-what it is. What a single cloud cannot tell: a low ceiling over a hall whose floor is nowhere seen is the mirror image of
-open ground.
+(a highway, a lidar close to the floor, a car park, a depth camera) is called what it is.
+
+What no cloud can tell: a low ceiling over a hall whose floor is nowhere seen is the mirror image of open ground, and a
+lidar that hangs upside down just below a ceiling that of one just above the floor. Transforms can; see
+`pc2scan.tf.mounting`.
 """
 
 from __future__ import annotations
@@ -162,10 +164,11 @@ def thinned(x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], most: int = MOST_
     count = x.size
     # Multiples of the golden ratio fall into no step with rings or columns.
     order = np.arange(count) if count <= most else (np.arange(most) * _GOLDEN % 1.0 * count).astype(np.intp)
-    with np.errstate(invalid="ignore"):
+    with np.errstate(all="ignore"):
         points = np.stack([_picked(part, order) for part in (x, y, z)], axis=1)
-    # The nearest are the robot itself, or no return at all.
-    return np.asarray(points[(np.abs(points).max(axis=1, initial=0) < 1e4) & ((points * points).sum(axis=1) > 0.0025)])
+        # The nearest are the robot itself, or no return at all.
+        good = (np.abs(points).max(axis=1, initial=0) < 1e4) & ((points * points).sum(axis=1) > 0.0025)
+    return np.asarray(points[good])
 
 
 def _picked(values: NDArray[Any], order: NDArray[np.intp]) -> NDArray[np.float64]:
@@ -193,8 +196,8 @@ def agreed(looks: Sequence[Ground]) -> Ground:
     ceiling = float(np.median(ceilings)) if 2 * len(ceilings) >= len(same) else None
     if 2 * len(seen) < len(same):
         return Ground(kind, clouds=len(same), sampled=len(looks))
-    up = np.median([look.up for look in seen if look.up is not None], axis=0)
-    up /= np.linalg.norm(up)
+    middle = np.median([look.up for look in seen if look.up is not None], axis=0)
+    up = middle / np.linalg.norm(middle)
     heights = [look.height for look in seen if look.height is not None]
     height = float(np.median(heights))
     if kind != "level":
@@ -274,7 +277,11 @@ def _ceiling_over(cells: _Points, tolerance: NDArray[np.float64]) -> float | Non
     ceiling = _refined(cells, tolerance, np.abs(cells[:, 2] - high) < 2 * tolerance)
     if ceiling is None or ceiling.tilt < math.pi - LEVEL or ceiling.share < _LEAST_SHARE or ceiling.beyond > 0.02:
         return None
-    return ceiling.height
+    # The uppermost ring of a lidar draws a line on the walls that is as level, with the next one below it.
+    at = np.abs(cells @ np.array(ceiling.up) + ceiling.height) < tolerance
+    squares = np.floor(cells[:, :2] / 0.3).astype(np.int64) @ np.array([1, 1 << 20])
+    under = ~at & (cells[:, 2] > high - 0.8)
+    return ceiling.height if np.isin(squares[at], squares[under]).mean() < 0.4 else None
 
 
 def planes_of(cells: _Points) -> list[Plane]:
@@ -329,7 +336,6 @@ def _refined(
 ) -> Plane | None:
     """The plane of least squares through what is near it, beginning with these; None where they are too few."""
     normal, offset, squared = np.zeros(3), 0.0, tolerance**2
-    spread = np.zeros(3)
     for _ in range(4):
         if inliers.sum() < 10:
             return None
@@ -337,8 +343,7 @@ def _refined(
         weights = 1 / squared[inliers]
         middle = weights @ members / weights.sum()
         centred = members - middle
-        spread, axes = np.linalg.eigh((centred * weights[:, None]).T @ centred / weights.sum())
-        normal = axes[:, 0]
+        normal = np.linalg.eigh((centred * weights[:, None]).T @ centred)[1][:, 0]
         offset = float(normal @ middle)
         inliers = np.abs(cells @ normal - offset) < tolerance
         if among is not None:
@@ -348,13 +353,13 @@ def _refined(
     if offset > 0:
         normal, offset = -normal, -offset
     members = cells[inliers]
-    spread = np.linalg.eigvalsh(np.cov(members.T))
+    variances = np.linalg.eigvalsh(np.cov(members.T))
     return Plane(
         (float(normal[0]), float(normal[1]), float(normal[2])),
         -offset,
         len(members) / len(cells),
         float((cells @ normal - offset < -2.5 * tolerance).mean()),
-        2 * math.sqrt(max(float(spread[1]), 0.0)),
+        2 * math.sqrt(max(float(variances[1]), 0.0)),
         float(np.percentile(np.linalg.norm(members, axis=1), 10)),
     )
 
@@ -439,7 +444,7 @@ def _doubt(plane: Plane, planes: Sequence[Plane], view: _View) -> str:
         return "it is narrow"
     if plane.nearest > max(5 * plane.height, 0.6):
         return "it begins far away, as ramps do"
-    holes = view.missing(plane.up, -1.0, -0.25)
+    holes = view.missing(plane.up, -1.0, -0.2)
     if holes is None or holes > 0.12:
         return "directions that would meet the ground have no return, as beside a wall"
     return _rivals(plane, planes, upside_down=upside_down) or _mirrored(plane, planes, view, upside_down=upside_down)
@@ -466,8 +471,8 @@ def _mirrored(plane: Plane, planes: Sequence[Plane], view: _View, *, upside_down
     """Whether it may be a ceiling, or one of two walls."""
     ceiling = _opposite(plane, planes)
     if ceiling is None:
-        sky, horizon = view.missing(plane.up, 0.25, 1.0), view.missing(plane.up, 0.02, 0.25)
-        is_open = sky is not None and sky > 0.6 and horizon is not None and horizon > 0.3
+        sky, horizon = view.missing(plane.up, 0.2, 1.0), view.missing(plane.up, -0.03, 0.1)
+        is_open = (sky is None or sky > 0.6) and horizon is not None and horizon > 0.3
         nearest_ceiling = 0.7 if upside_down else 1.2
         return "" if is_open or plane.height < nearest_ceiling else "it may be the ceiling of a closed room"
     if upside_down or ceiling.height < 1.75 * plane.height:

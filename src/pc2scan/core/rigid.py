@@ -289,6 +289,11 @@ class Rigid:
         return cls(np.array(quaternion), np.array(translation, dtype=np.float64))
 
     @property
+    def rotation(self) -> Rigid:
+        """The same rotation, without the translation."""
+        return Rigid(self.quaternion, np.zeros(3))
+
+    @property
     def pose(self) -> Pose:
         """The same as seven floats: translation, then quaternion."""
         x, y, z = self.translation.tolist()

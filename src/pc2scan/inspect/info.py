@@ -11,11 +11,17 @@ import numpy as np
 
 from pc2scan.bags.merged import as_one
 from pc2scan.bags.opening import open_recordings
-from pc2scan.errors import DecodeError
+from pc2scan.core.ground import thinned
+from pc2scan.core.params import ProjectionParams
+from pc2scan.errors import DecodeError, TransformError
 from pc2scan.json_types import json_value
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.messages.pointcloud2 import DATATYPES, POINTCLOUD2, decode_pointcloud2
+from pc2scan.tf.mounting import mounting
+from pc2scan.tf.options import FrameOptions
+from pc2scan.tf.placing import Frames
+from pc2scan.tf.reading import read_some_transforms, read_transforms
 
 from .sampling import sampled
 from .scan_info import ScanInfo, ScanLook
@@ -31,6 +37,8 @@ if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
     from pc2scan.core.points import Points
     from pc2scan.model import Connection, RawMessage, Summary
+    from pc2scan.tf.buffer import TransformBuffer
+    from pc2scan.tf.mounting import Mounting
 
 __all__ = ["CloudInfo", "FileInfo", "Info", "ScanInfo", "Spread", "TopicInfo", "info"]
 
@@ -39,6 +47,9 @@ _BINS = 12
 
 #: ... and of all topics together.
 _MAX_POINTS_HELD = 4_000_000
+
+#: Clouds of a topic that are searched for the ground.
+_MAX_SAMPLES = 10
 
 #: Points that are looked at in all clouds of a topic together; of larger clouds every second, third, ... is.
 _MAX_POINTS = 2_000_000
@@ -105,8 +116,12 @@ class CloudInfo:
         Histogram of z between its first and last half percent; the outermost bars include what lies beyond.
     above_zero_share
         Share of points with z > 0: what upstream's default min_height keeps.
+    target_frame
+        The frame that x, y, z and heights are in; empty for the clouds' own.
+    mounting
+        How the clouds are mounted, and what to do about it; None if no cloud could be looked at.
     problems
-        Why sampled clouds cannot be decoded, each reason once.
+        Why sampled clouds cannot be looked at, each reason once.
     """
 
     topic: str
@@ -126,7 +141,16 @@ class CloudInfo:
     height_edges: tuple[float, ...] = ()
     height_counts: tuple[int, ...] = ()
     above_zero_share: float = 0.0
+    target_frame: str = ""
+    mounting: Mounting | None = None
     problems: tuple[str, ...] = ()
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return JSON's types."""
+        found = asdict(self)
+        if self.mounting is not None:
+            found["mounting"]["warning"] = self.mounting.warning
+        return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,6 +166,8 @@ class Info:
     scans: tuple[ScanInfo, ...] = field(default=())
     #: What is damaged, as far as it was read. If opening shows any, everything is read, and counted.
     damage: tuple[Damage, ...] = field(default=())
+    #: Transforms that cannot be used, and why, where a target frame was asked for.
+    warnings: tuple[str, ...] = field(default=())
 
     @property
     def duration_ns(self) -> int:
@@ -153,12 +179,15 @@ class Info:
         return {
             **asdict(self),
             "scans": [json_value({**asdict(scan), "consumers": dict(scan.consumers)}) for scan in self.scans],
+            "clouds": [cloud.as_dict() for cloud in self.clouds],
             "duration_ns": self.duration_ns,
             "damage": [damage.as_dict() for damage in self.damage],
         }
 
 
-def info(sources: Sequence[Path], *, samples: int = 10) -> Info:
+def info(
+    sources: Sequence[Path], *, samples: int = 10, target_frame: str = "", frames: FrameOptions | None = None
+) -> Info:
     """Look into a recording.
 
     Parameters
@@ -167,18 +196,33 @@ def info(sources: Sequence[Path], *, samples: int = 10) -> Info:
         Several are one recording.
     samples
         Clouds and scans of each topic to look at, spread evenly over its time.
+    target_frame
+        Frame that the clouds are taken to first, as a conversion does it; empty for their own.
+    frames
+        Where transforms come from; None means the recording's ``/tf`` and ``/tf_static``.
 
     Raises
     ------
     RecordingError
         If a source cannot be read.
+    UsageError
+        If several namespaces have transforms and none was named.
     """
+    asked = frames or FrameOptions()
     with ExitStack() as stack:
         readers = open_recordings(sources, stack)
         reader = as_one(readers)
         counts, start_ns, end_ns = _counts(reader)
         topics = _topics(reader.connections, counts, start_ns, end_ns)
-        clouds, scans = _samples(reader, topics, samples, start_ns, end_ns)
+        buffer, warnings = None, list[str]()
+        others = open_recordings(asked.tf_from, stack)
+        if target_frame or others:
+            buffer, warnings = read_transforms([reader, *others], asked)
+        elif any(topic.msgtype in CLOUDS for topic in topics):
+            buffer = read_some_transforms(reader, asked, start_ns or 0)
+        tolerance_ns = round(ProjectionParams().transform_tolerance * 1e9)
+        places = Frames(target_frame, asked.source_frame, buffer if target_frame else None, tolerance_ns)
+        clouds, scans = _samples(reader, topics, samples, start_ns, end_ns, places, buffer)
         return Info(
             tuple(_file_info(r.path, r.summary) for r in readers),
             start_ns,
@@ -188,6 +232,7 @@ def info(sources: Sequence[Path], *, samples: int = 10) -> Info:
             clouds,
             scans,
             tuple(reader.damage),
+            tuple(warnings),
         )
 
 
@@ -240,7 +285,13 @@ def _topics(
 
 
 def _samples(
-    reader: Reader, topics: Sequence[TopicInfo], samples: int, start_ns: int | None, end_ns: int | None
+    reader: Reader,
+    topics: Sequence[TopicInfo],
+    samples: int,
+    start_ns: int | None,
+    end_ns: int | None,
+    places: Frames,
+    buffer: TransformBuffer | None,
 ) -> tuple[tuple[CloudInfo, ...], tuple[ScanInfo, ...]]:
     """Describe the clouds and the scans of every topic that has any; a topic of both is one of clouds."""
     clouds = {topic.topic for topic in topics if topic.msgtype in CLOUDS and topic.messages}
@@ -254,13 +305,13 @@ def _samples(
             connections[connection.topic].append(connection)
     # Points are held until all topics have been read.
     most = min(_MAX_POINTS, _MAX_POINTS_HELD // len(connections)) // samples + 1
-    cloud_looks = {name: _Look(name, most) for name in connections if name in clouds}
+    cloud_looks = {name: _Look(name, most, places) for name in connections if name in clouds}
     scan_looks = {name: ScanLook(name, samples) for name in connections if name in scans}
     looks: dict[str, _Look | ScanLook] = {**cloud_looks, **scan_looks}
     for message in sampled(reader, connections, samples, start_ns, end_ns):
         looks[message.connection.topic].add(message)
     return (
-        tuple(look.described() for look in cloud_looks.values()),
+        tuple(look.described(buffer) for look in cloud_looks.values()),
         tuple(look.described() for look in scan_looks.values()),
     )
 
@@ -268,9 +319,12 @@ def _samples(
 class _Look:
     """What the sampled clouds of a topic have shown, by at most so many points of each."""
 
-    def __init__(self, topic: str, most: int) -> None:
-        self._result = CloudInfo(topic)
+    def __init__(self, topic: str, most: int, places: Frames) -> None:
+        self._result = CloudInfo(topic, target_frame=places.target_frame)
         self._most = most
+        self._places = places
+        self._samples: list[NDArray[np.float64]] = []
+        self._stamp_ns, self._origin_z = 0, 0.0
         self._parts: list[NDArray[np.floating[Any]]] = []
         self._frames: dict[str, None] = {}
         self._problems: dict[str, None] = {}
@@ -286,16 +340,25 @@ class _Look:
             step = -(-count // self._most) or 1
             with np.errstate(invalid="ignore"):  # a NaN may be one that signals
                 points = np.stack([_as_floats(_thinned(c, step)) for c in coordinates])
-        except DecodeError as err:
+            moved = self._places.place(cloud.frame_id, cloud.stamp_ns).target_from_source
+            sample = thinned(*coordinates)
+            if moved is not None:
+                points = moved.apply(points.T).T
+                sample = moved.rotation.apply(sample)
+        except (DecodeError, TransformError) as err:
             self._problems[err.message] = None
             return
         if not self._sizes:
             _describe(self._result, cloud, message)
+            self._stamp_ns = cloud.stamp_ns
+            self._origin_z = 0.0 if moved is None else float(moved.translation[2])
+        if len(self._samples) < _MAX_SAMPLES:
+            self._samples.append(sample)
         self._frames[cloud.frame_id] = None
         self._sizes.append(count)
         self._parts.append(points)
 
-    def described(self) -> CloudInfo:
+    def described(self, buffer: TransformBuffer | None) -> CloudInfo:
         """Return the description; the points are forgotten."""
         result = self._result
         result.frames, result.problems = tuple(self._frames), tuple(self._problems)
@@ -306,6 +369,18 @@ class _Look:
             with np.errstate(invalid="ignore"):
                 points = np.concatenate(parts, axis=1, dtype=np.float64)
             _measure(result, points)
+            places, samples = self._places, self._samples
+            frame = places.source_frame or next(iter(self._frames))
+            result.mounting = mounting(
+                result.topic,
+                frame,
+                samples,
+                buffer,
+                judged_in=places.target_frame,
+                origin_z=self._origin_z,
+                stamp_ns=self._stamp_ns,
+            )
+            self._samples = []
         return result
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import islice
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import DecodeError, RecordingError, UsageError, name_list
@@ -20,7 +21,11 @@ if TYPE_CHECKING:
 
     from .buffer import TransformBuffer
 
-__all__ = ["is_static", "read_transforms", "recorded_transforms", "tf_connections"]
+__all__ = ["is_static", "read_some_transforms", "read_transforms", "recorded_transforms", "tf_connections"]
+
+#: How long, and how many messages, of moving transforms tell how a robot is put together.
+_SOME_NS = 1_000_000_000
+_SOME_MESSAGES = 1_000
 
 
 def tf_connections(connections: Sequence[Connection], topics: Sequence[str] = ()) -> list[Connection]:
@@ -110,6 +115,39 @@ def read_transforms(readers: Iterable[Reader], options: FrameOptions) -> tuple[T
         f"{r.count} transforms from {r.parent!r} to {r.child!r} are not usable: {r.reason}" for r in buffer.rejections
     ]
     return buffer, texts
+
+
+def read_some_transforms(reader: Reader, options: FrameOptions, time_ns: int) -> TransformBuffer | None:
+    """Read the transforms that tell how a robot is put together: the static ones, and a second of the moving ones.
+
+    Returns
+    -------
+    TransformBuffer or None
+        None if there are no transforms, or it is not clear which ones count.
+    """
+    try:
+        connections = tf_connections(reader.connections, options.tf_topics)
+    except UsageError:
+        return None
+    if not connections and not options.static:
+        return None
+    from .builder import TransformBuilder  # noqa: PLC0415  # few recordings need it
+
+    builder = TransformBuilder()
+    builder.add((static.row(0) for static in options.static), static=True)
+    overridden = {static.child.removeprefix("/") for static in options.static}
+    for static, start_ns, stop_ns in ((True, None, None), (False, time_ns, time_ns + _SOME_NS)):
+        group = [connection for connection in connections if is_static(connection.topic) is static]
+        if not group:
+            continue
+        for message in islice(reader.messages(group, start_ns, stop_ns), _SOME_MESSAGES):
+            try:
+                rows = decode_transforms(message.data, message.connection.serialization)
+                builder.add([row for row in rows if row[1].removeprefix("/") not in overridden], static=static)
+            except (DecodeError, RecordingError):
+                continue
+    buffer = builder.build()
+    return buffer if len(buffer) else None
 
 
 def recorded_transforms(path: Path) -> Callable[[str, str, int], Rigid]:

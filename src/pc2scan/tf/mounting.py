@@ -1,0 +1,347 @@
+"""How the frame of clouds is mounted, which options make it level, and which heights suit its scans.
+
+The evidence is the ground in a few clouds (`pc2scan.core.ground`), and where the recording has them, its transforms.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import shlex
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pc2scan.core.ground import LEVEL, Ground, agreed, look_at
+from pc2scan.core.rigid import Rigid
+from pc2scan.errors import TransformError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from .buffer import TransformBuffer
+
+__all__ = ["Heights", "Mounting", "heights_for", "mounting"]
+
+#: What a robot's body is usually called, the first that there is. Its z is up.
+_BODIES = ("base_link", "base_footprint")
+
+#: Frames that a robot moves in; those below them move with it.
+_WORLDS = {"odom", "map", "world", "earth"}
+
+#: Transforms that tilt a sensor by more than this are worth a word even where no ground is seen, radians.
+_NOTABLE_TILT = math.radians(10.0)
+
+_IDENTITY = Rigid.identity()
+
+#: What `static` can name: its words are separated by blanks.
+_WORD = re.compile(r"[^\s,]+")
+
+
+@dataclass(frozen=True, slots=True)
+class Heights:
+    """Limits of z that suit scans, metres, and what they are made of: where floor and ceiling are (None: not seen)."""
+
+    low: float
+    high: float
+    floor: float | None = None
+    ceiling: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Mounting:
+    """How the clouds of a topic are mounted.
+
+    Attributes
+    ----------
+    topic, frame
+        Which clouds, and their ``frame_id``.
+    judged_in
+        The frame that they were looked at in: their own, or a target frame.
+    ground
+        What was found there.
+    fault
+        What is wrong with that frame, in words; empty if nothing is, or the evidence is thin.
+    target_frame, static
+        The options that make the clouds level; empty where none are needed (``target_frame`` may name the robot's body
+        even if nothing is wrong).
+    heights
+        Heights that suit scans in the frame that these options make; None where no point was seen.
+    """
+
+    topic: str
+    frame: str
+    judged_in: str
+    ground: Ground
+    fault: str = ""
+    target_frame: str = ""
+    static: str = ""
+    heights: Heights | None = None
+
+    @property
+    def cure(self) -> str:
+        """What makes the clouds level, as a sentence; empty where nothing is known."""
+        if self.static:
+            floor = self.heights is not None and self.heights.floor is not None
+            return (
+                f"`static={shlex.quote(self.static)}` `target_frame={shlex.quote(self.target_frame)}` makes it level"
+                + (f", with the floor at z = {_meters(self.heights.floor)}" if floor and self.heights else "")
+            )
+        return f"`target_frame={shlex.quote(self.target_frame)}` makes it level" if self.target_frame else ""
+
+    @property
+    def warning(self) -> str:
+        """What was observed, what was expected, where, and what to type; empty if nothing is wrong."""
+        if not self.fault:
+            return ""
+        return f"{self.topic}: frame {self.judged_in!r} is {self.fault}" + (f". {self.cure}" if self.cure else "")
+
+
+def mounting(
+    topic: str,
+    frame: str,
+    samples: Sequence[NDArray[np.float64]],
+    buffer: TransformBuffer | None = None,
+    *,
+    judged_in: str = "",
+    origin_z: float = 0.0,
+    stamp_ns: int = 0,
+) -> Mounting:
+    """Tell how clouds are mounted.
+
+    Parameters
+    ----------
+    topic, frame
+        Which clouds, and their ``frame_id``.
+    samples
+        Points of some of them, as `pc2scan.core.ground.thinned` returns them: from the sensor's origin, along the axes
+        of the frame that they are judged in.
+    buffer
+        The recording's transforms; None where there are none.
+    judged_in
+        The target frame that the samples were turned to; empty for their own.
+    origin_z
+        The height of the sensor's origin in that frame, metres.
+    stamp_ns
+        A stamp at which transforms are looked up.
+    """
+    seen = _Seen(topic, frame, judged_in or frame, samples, agreed([look_at(points) for points in samples]))
+    if judged_in.removeprefix("/") not in {"", frame.removeprefix("/")}:
+        moved = None if buffer is None or not seen.ground.off else _lookup(buffer, judged_in, frame, stamp_ns)
+        if moved is not None:
+            return seen.corrected(judged_in, moved, seen.ground, _IDENTITY)
+        return seen.told(_fault(seen.ground), heights=heights_for(seen.ground, samples, origin_z=origin_z))
+    if buffer is not None:
+        found = _by_transforms(seen, buffer, stamp_ns)
+        if found is not None:
+            return found
+    if not seen.ground.off:
+        return seen.told("", heights=heights_for(seen.ground, samples))
+    level = Rigid.from_rpy(*seen.ground.level_from_frame, (0.0, 0.0, seen.ground.height or 0.0))
+    return seen.replaced(f"{frame.removeprefix('/')}_level", level, heights_for(seen.ground, samples, level))
+
+
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """What the clouds of a topic show in the frame that they are judged in."""
+
+    topic: str
+    frame: str
+    judged_in: str
+    samples: Sequence[NDArray[np.float64]]
+    ground: Ground
+
+    def told(self, fault: str, target: str = "", static: str = "", heights: Heights | None = None) -> Mounting:
+        return Mounting(self.topic, self.frame, self.judged_in, self.ground, fault, target, static, heights)
+
+    def replaced(self, parent: str, parent_from_frame: Rigid, heights: Heights | None) -> Mounting:
+        """With another transform of the frame."""
+        static = _static(parent, self.frame, parent_from_frame)
+        return self.told(_fault(self.ground), parent if static else "", static, heights)
+
+    def corrected(self, target: str, target_from_frame: Rigid, ground: Ground, turn: Rigid) -> Mounting:
+        """With the recorded transform turned until the ground is level, where the recording has the frame.
+
+        ``ground`` is how it looks by the recorded transform, whose axes ``turn`` takes the samples to.
+        """
+        level = Rigid.from_rpy(*ground.level_from_frame)
+        turned = level.compose(target_from_frame).quaternion
+        right = Rigid(turned / np.linalg.norm(turned), target_from_frame.translation)
+        moved = [level.apply(turn.apply(points)) for points in self.samples]
+        heights = heights_for(agreed([look_at(points) for points in moved]), moved, origin_z=_height(right))
+        return self.replaced(target, right, heights)
+
+
+def _by_transforms(seen: _Seen, buffer: TransformBuffer, stamp_ns: int) -> Mounting | None:
+    """What the transforms say of the frame; None where they neither help nor contradict."""
+    ground = seen.ground
+    body = next(((name, moved) for name in _BODIES if (moved := _above(buffer, name, seen.frame, stamp_ns))), None)
+    if body is None:
+        # No frame is known to be level: one that makes the clouds level is.
+        for name, moved in _ancestors(buffer, seen.frame, stamp_ns) if ground.off else ():
+            if ground.up is not None and float((moved.matrix @ np.array(ground.up))[2]) > math.cos(LEVEL):
+                return seen.told(_fault(ground), name, heights=heights_for(ground, seen.samples, moved))
+        return None
+    name, body_from_frame = body
+    turn = body_from_frame.rotation
+    samples = [turn.apply(points) for points in seen.samples]
+    there = agreed([look_at(points) for points in samples])
+    if there.off:
+        # Level where it is, and tilted by its transform: that is of no use.
+        return seen.corrected(name, body_from_frame, there, turn) if ground.off else None
+    if there.kind == "unknown" and ground.kind in {"tilted", "upside-down"}:
+        return None
+    heights = heights_for(there, samples, origin_z=_height(body_from_frame))
+    tilt = math.acos(max(-1.0, min(1.0, float(body_from_frame.matrix[2, 2]))))
+    fault = _fault(ground)
+    if not fault and tilt > _NOTABLE_TILT:
+        if ground.kind == "level" and tilt < math.pi - _NOTABLE_TILT:
+            return None
+        how = "upside down" if tilt > math.pi - _NOTABLE_TILT else f"tilted by {math.degrees(tilt):.1f} deg"
+        fault = f"{how} according to its transform to {name!r}; expected z up"
+    return seen.told(fault, name, heights=heights)
+
+
+def _height(rigid: Rigid) -> float:
+    return float(rigid.translation[2])
+
+
+def _static(parent: str, child: str, rigid: Rigid) -> str:
+    """What `static` takes; empty if a name cannot be written there."""
+    if not (_WORD.fullmatch(parent) and _WORD.fullmatch(child)):
+        return ""
+    roll, pitch, yaw = rigid.rpy
+    numbers = [*(f"{value:.3f}" for value in rigid.translation.tolist()), *(f"{x:.4f}" for x in (roll, pitch, yaw))]
+    return " ".join((parent, child, *(_short(number) for number in numbers)))
+
+
+def _short(number: str) -> str:
+    """A decimal number without what says nothing."""
+    short = number.rstrip("0").rstrip(".") if "." in number else number
+    return "0" if short in {"-0", ""} else short
+
+
+def _meters(value: float | None) -> str:
+    return "?" if value is None else f"{_short(f'{value:.2f}')} m"
+
+
+def _above(buffer: TransformBuffer, body: str, frame: str, stamp_ns: int) -> Rigid | None:
+    """Where a frame is in another one; None if they are the same, or not connected."""
+    if body not in buffer.frames or body == frame.removeprefix("/"):
+        return None
+    return _lookup(buffer, body, frame, stamp_ns)
+
+
+def _ancestors(buffer: TransformBuffer, frame: str, stamp_ns: int) -> list[tuple[str, Rigid]]:
+    """The frames above a frame that move with it, the nearest first."""
+    found: list[tuple[str, Rigid]] = []
+    name = frame.removeprefix("/")
+    while len(found) < 20:
+        history = buffer.history(name)
+        if history is None:
+            break
+        name = buffer.frames[int(history.parents[-1])]
+        moved = _lookup(buffer, name, frame, stamp_ns)
+        if moved is None or name in _WORLDS or name in {other for other, _ in found}:
+            break
+        found.append((name, moved))
+    return found
+
+
+def _lookup(buffer: TransformBuffer, target: str, source: str, stamp_ns: int) -> Rigid | None:
+    """A transform at a stamp, or the latest that there is: how a sensor is mounted does not change."""
+    for at_ns in (stamp_ns, 0):
+        try:
+            return buffer.lookup(target, source, at_ns)
+        except TransformError:
+            continue
+    return None
+
+
+def _fault(ground: Ground) -> str:
+    """What is wrong with a frame, by the ground that is seen in it: observed, and expected."""
+    seen = f"in {ground.clouds} of {ground.sampled} clouds looked at" if ground.sampled > 1 else "in one cloud"
+    if ground.kind == "optical":
+        at = "" if ground.up is None else f", and up is {_direction(ground.up)}"
+        return f"an optical frame: z points forward{at} {seen}; expected z up"
+    if not ground.off or ground.up is None or ground.height is None:
+        return ""
+    normal = ", ".join(_short(f"{part:.2f}") for part in ground.up)
+    if ground.kind == "upside-down":
+        also = f", and tilted by {math.degrees(ground.tilt):.1f} deg" if ground.tilt > LEVEL else ""
+        return (
+            f"upside down{also}: the ground is {ground.height:.2f} m away on the side of +z, its normal is ({normal}) "
+            f"{seen}; expected it below, normal (0, 0, 1)"
+        )
+    return (
+        f"tilted by {math.degrees(ground.tilt):.1f} deg: the normal of the ground, {ground.height:.2f} m away, is "
+        f"({normal}) {seen}; expected (0, 0, 1)"
+    )
+
+
+def _direction(up: tuple[float, float, float]) -> str:
+    """An axis, where it is near one."""
+    axis = int(np.argmax(np.abs(up)))
+    if abs(up[axis]) > math.cos(LEVEL):
+        return ("-" if up[axis] < 0 else "+") + "xyz"[axis]
+    return "(" + ", ".join(_short(f"{part:.2f}") for part in up) + ")"
+
+
+def heights_for(
+    ground: Ground,
+    samples: Sequence[NDArray[np.float64]],
+    target_from_frame: Rigid | None = None,
+    *,
+    origin_z: float = 0.0,
+) -> Heights | None:
+    """Heights that suit scans: over the floor, under the ceiling, and at what a robot would run into.
+
+    Parameters
+    ----------
+    ground
+        What was found in the samples' frame.
+    samples
+        Points of some clouds, metres from the sensor.
+    target_from_frame
+        Where heights are to count; None for the samples' frame.
+    origin_z
+        The height of the sensor in the samples' frame.
+
+    Notes
+    -----
+    0.1 to 1.5 m over the floor for a sensor that is less than 1.2 m high; 0.3 to 2 m for a higher one, which is on a
+    vehicle. If hardly a point is there, and where no floor is seen, from the fifth to the 95th percentile.
+    """
+    points = [points for points in samples if len(points)]
+    if not points:
+        return None
+    moved = target_from_frame or Rigid.from_pose((0.0, 0.0, origin_z, 0.0, 0.0, 0.0, 1.0))
+    z = np.concatenate([moved.apply(each)[:, 2] for each in points])
+    floor = ceiling = None
+    if ground.up is not None and ground.height is not None:
+        floor = _along(ground.up, -ground.height, moved)
+        ceiling = None if ground.ceiling is None else _along(ground.up, ground.ceiling, moved)
+    fifth, last = (float(value) for value in np.percentile(z, [5, 95]))
+    if floor is None:
+        # A planar lidar has one height: its scans want some room around it.
+        return Heights(_floored(fifth - 0.02), -_floored(-last - 0.02))
+    on_vehicle = (ground.height or 0.0) > 1.2
+    low, high = (floor + 0.3, floor + 2.0) if on_vehicle else (floor + 0.1, floor + 1.5)
+    if ceiling is not None:
+        high = min(high, max(ceiling - 0.2, low + 0.1))
+    if ((z >= low) & (z <= high)).mean() < 0.02:
+        low, high = min(low, fifth), max(high, last)
+    return Heights(_floored(low + 0.005), _floored(high + 0.005), floor, ceiling)
+
+
+def _along(up: tuple[float, float, float], distance: float, moved: Rigid) -> float:
+    """The height of the point that lies so far above the sensor."""
+    return float(moved.apply(np.array([up]) * distance)[0, 2])
+
+
+def _floored(value: float) -> float:
+    """Down to a centimetre."""
+    return round(math.floor(value * 100) / 100, 2) + 0.0

@@ -1,0 +1,171 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from mounted_worlds import PLACES, SENSORS, Place, cloud, mounted, up_in_sensor, without
+from pc2scan.bags.opening import open_recording
+from pc2scan.core.ground import Ground, agreed, look_at, thinned
+from pc2scan.core.rigid import Rigid
+from pc2scan.messages.pointcloud2 import POINTCLOUD2, decode_pointcloud2
+from support import RECORDINGS, needs_shared
+
+#: Rolls and pitches, degrees. The full grid is for `tests/fuzz`; this one is coarse, and has odd angles.
+MOUNTINGS = [
+    *((roll, 0.0) for roll in (-90, -60, -35, -12, 8, 20, 45, 75, 120, 150, 180)),
+    *((0.0, pitch) for pitch in (-90, -50, -20, -8, 10, 30, 60, 90, 135, 165)),
+    *((roll, pitch) for roll in (-30, 15, 180) for pitch in (-15, 25, 100)),
+]
+
+
+def seen(place: Place, sensor: str, roll: float, pitch: float, height: float, stand: int = 0) -> Ground:
+    rotation = mounted(roll, pitch, optical="optical" in sensor)
+    return look_at(thinned(*cloud(place, sensor, rotation, height, stand).T))
+
+
+def degrees_between(one: object, other: object) -> float:
+    return math.degrees(math.acos(float(np.clip(np.dot(np.asarray(one), np.asarray(other)), -1, 1))))
+
+
+def verdict(found: Ground, sensor: str, roll: float, pitch: float) -> str:
+    """What a finding is worth: ``named``, ``alone``, or what is wrong with it."""
+    optical = "optical" in sensor
+    up = up_in_sensor(mounted(roll, pitch, optical=optical))
+    tilt = degrees_between(up_in_sensor(mounted(roll, pitch)), (0, 0, 1))
+    if found.kind == "unknown":
+        return "alone"
+    if found.kind == "optical":
+        if not optical:
+            return "wrong: optical"
+        return "named" if found.up is None or degrees_between(found.up, up) < 3 else "wrong: another up"
+    if found.kind == "level":
+        # Nothing is said of it.
+        return "alone"
+    if tilt < 3 or optical:
+        return f"wrong: {found.kind}"
+    upside_down = tilt > 90
+    right = degrees_between(found.up, up) < 3 and (found.kind == "upside-down") == upside_down
+    return "named" if right else "wrong: another up"
+
+
+@pytest.mark.parametrize("sensor", SENSORS)
+@pytest.mark.parametrize("name", PLACES)
+def test_every_mounting_is_named_correctly_or_left_alone(name: str, sensor: str) -> None:
+    place = PLACES[name]
+    open_place = without(without(place, "floor"), "ceiling")
+    numbers = np.random.default_rng([list(PLACES).index(name), list(SENSORS).index(sensor)])
+    chosen = numbers.choice(len(MOUNTINGS), 3, replace=False)
+    for number, (roll, pitch) in enumerate(MOUNTINGS[at] for at in chosen):
+        for where in (place, open_place) if number % 3 == 0 else (place,):
+            height = place.heights[number % 3]
+            found = seen(where, sensor, roll, pitch, height, number)
+            assert not verdict(found, sensor, roll, pitch).startswith("wrong"), (roll, pitch, height, found)
+
+
+@pytest.mark.parametrize("sensor", [sensor for sensor in SENSORS if "optical" not in sensor])
+@pytest.mark.parametrize("name", PLACES)
+def test_no_false_alarm_where_it_is_level(name: str, sensor: str) -> None:
+    place = PLACES[name]
+    places = {"": place, "no floor": without(without(place, "floor"), "ceiling"), "no roof": without(place, "ceiling")}
+    if name != "garage":
+        # A low ceiling over open space whose floor is not seen is the mirror image of open ground.
+        places["only a ceiling"] = without(place, "floor")
+    for without_what, where in places.items():
+        for stand, height in enumerate(place.heights if not without_what else place.heights[:1]):
+            found = seen(where, sensor, 0, 0, height, stand)
+            assert not found.off, (without_what, height, found)
+            if not without_what and found.height is not None:
+                assert found.height == pytest.approx(height, abs=0.12), found
+
+
+@pytest.mark.parametrize("name", ["hall", "office", "field", "garage"])
+@pytest.mark.parametrize("roll", [-25, 12])
+def test_a_tilted_lidar_is_named(name: str, roll: float) -> None:
+    looks = [seen(PLACES[name], "32 rings", roll, 10, 0.6, stand) for stand in range(3)]
+    found = agreed(looks)
+    assert (found.kind, found.sampled) == ("tilted", 3)
+    assert found.height == pytest.approx(0.6, abs=0.03)
+    level = Rigid.from_rpy(*found.level_from_frame)
+    assert degrees_between(level.matrix @ up_in_sensor(mounted(roll, 10)), (0, 0, 1)) < 1
+    # Forward stays forward.
+    assert level.matrix[1, 0] == pytest.approx(0, abs=1e-9)
+    assert np.degrees(found.level_from_frame[:2]) == pytest.approx([roll, 10], abs=1)
+
+
+@pytest.mark.parametrize(("name", "height"), [("hall", 0.6), ("field", 1.8), ("wood", 0.6)])
+def test_a_lidar_that_is_upside_down_is_named(name: str, height: float) -> None:
+    found = agreed([seen(PLACES[name], "16 rings", 180, 0, height, stand) for stand in range(3)])
+    assert found.kind == "upside-down"
+    assert found.height == pytest.approx(height, abs=0.05)
+    assert abs(found.level_from_frame[0]) == pytest.approx(math.pi, abs=0.03)
+
+
+def test_an_optical_frame_is_named_and_how_its_camera_looks() -> None:
+    found = agreed([seen(PLACES["hall"], "camera, optical", 0, 20, 0.6, stand) for stand in range(3)])
+    assert found.kind == "optical"
+    assert found.height == pytest.approx(0.6, abs=0.05)
+    level = Rigid.from_rpy(*found.level_from_frame).matrix
+    assert level @ up_in_sensor(mounted(0, 20, optical=True)) == pytest.approx([0, 0, 1], abs=0.02)
+    # What is ahead of the camera is ahead: z, but for the 20 degrees that it looks down.
+    assert (level @ [0, 0, 1]) == pytest.approx([math.cos(math.radians(20)), 0, -math.sin(math.radians(20))], abs=0.02)
+    straight = Rigid.from_rpy(*Ground("optical").level_from_frame).matrix
+    assert straight == pytest.approx(np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0]]), abs=1e-12)
+
+
+def test_floor_and_ceiling_are_measured_where_they_are_seen() -> None:
+    found = seen(PLACES["hall"], "128 rings", 0, 0, 0.6)
+    assert (found.kind, found.height) == ("level", pytest.approx(0.6, abs=0.03))
+    assert found.ceiling == pytest.approx(2.4, abs=0.05)
+    # The uppermost ring of 16 draws a line on the walls.
+    assert seen(PLACES["hall"], "16 rings", 0, 0, 0.6).ceiling is None
+
+
+def test_clouds_that_disagree_say_nothing() -> None:
+    tilted = Ground("tilted", (0.0, math.sin(0.3), math.cos(0.3)), 0.5)
+    other = Ground("tilted", (math.sin(0.3), 0.0, math.cos(0.3)), 0.5)
+    assert agreed([tilted, tilted, Ground("unknown")]).kind == "tilted"
+    for looks in ([tilted, other], [tilted, Ground("level", (0, 0, 1), 0.5)], [tilted, *[Ground("unknown")] * 2], []):
+        assert agreed(looks).kind == "unknown", looks
+    farther = Ground("tilted", tilted.up, 0.9)
+    assert agreed([tilted, farther]).kind == "unknown"
+
+
+@pytest.mark.parametrize(
+    "points",
+    [
+        np.zeros((0, 3)),
+        np.zeros((500, 3)),
+        np.full((500, 3), np.nan),
+        np.full((500, 3), 1e308),
+        np.ones((500, 3)),
+        np.outer(np.linspace(1, 9, 500), [1, 2, 0]),
+        np.random.default_rng(1).normal(0, 5, (3000, 3)),
+        np.random.default_rng(1).normal(0, 5, (3000, 3)) * [1, 1, 0],
+    ],
+)
+def test_what_has_no_ground(points: object) -> None:
+    assert not look_at(thinned(*np.asarray(points).T)).off
+
+
+@needs_shared
+@pytest.mark.parametrize(
+    ("name", "kind", "height"),
+    [
+        ("d435_depth.mcap", "optical", 0.117),
+        ("luminar_highway.bag", "level", 3.7),
+        ("ouster_os1_32.mcap", "level", 1.85),
+        ("velodyne_vlp32.bag", "level", 0.30),
+    ],
+)
+def test_every_real_cloud_is_called_what_it_is(name: str, kind: str, height: float) -> None:
+    reader = open_recording(RECORDINGS / name)
+    clouds = reader.messages([c for c in reader.connections if c.ros_type == POINTCLOUD2])
+    looks = [
+        look_at(thinned(*decode_pointcloud2(message.data, message.connection.serialization).xyz()))
+        for message in clouds
+    ]
+    reader.close()
+    assert {look.kind for look in looks} == {kind}
+    assert agreed(looks).height == pytest.approx(height, rel=0.12)
