@@ -116,7 +116,8 @@ def test_an_optical_frame_is_named_and_how_its_camera_looks() -> None:
 
 def test_floor_and_ceiling_are_measured_where_they_are_seen() -> None:
     found = seen(PLACES["hall"], "128 rings", 0, 0, 0.6)
-    assert (found.kind, found.height) == ("level", pytest.approx(0.6, abs=0.03))
+    assert found.kind == "level"
+    assert found.height == pytest.approx(0.6, abs=0.03)
     assert found.ceiling == pytest.approx(2.4, abs=0.05)
     # The uppermost ring of 16 draws a line on the walls.
     assert seen(PLACES["hall"], "16 rings", 0, 0, 0.6).ceiling is None
