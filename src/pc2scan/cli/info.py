@@ -182,7 +182,7 @@ def _command(result: Info, topic: str, mounting: Mounting, given: Sequence[str])
     if not single or "/scan" in names:
         words += ["--topic", f"{topic}:={topic.rstrip('/')}/scan" if "/scan" in names else topic]
     words += given
-    words += ["--static-tf", mounting.static] if mounting.static else []
+    words += ["--static-tf", mounting.static_tf] if mounting.static_tf else []
     words += ["--target-frame", target] if target else []
     # A word that begins with a minus needs no sign of equality: no option has a digit behind it.
     return [*words, "--min-height", f"{heights.low:g}", "--max-height", f"{heights.high:g}"]

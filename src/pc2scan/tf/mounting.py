@@ -37,7 +37,7 @@ _NOTABLE_TILT = math.radians(10.0)
 
 _IDENTITY = Rigid.identity()
 
-#: What `static` can name: its words are separated by blanks.
+#: What `static_tf` can name: its words are separated by blanks.
 _WORD = re.compile(r"[^\s,]+")
 
 
@@ -65,7 +65,7 @@ class Mounting:
         What was found there.
     fault
         What is wrong with that frame, in words; empty if nothing is, or the evidence is thin.
-    target_frame, static
+    target_frame, static_tf
         The options that make the clouds level; empty where none are needed (``target_frame`` may name the robot's body
         even if nothing is wrong).
     heights
@@ -78,16 +78,16 @@ class Mounting:
     ground: Ground
     fault: str = ""
     target_frame: str = ""
-    static: str = ""
+    static_tf: str = ""
     heights: Heights | None = None
 
     @property
     def cure(self) -> str:
         """What makes the clouds level, as a sentence; empty where nothing is known."""
-        if self.static:
+        if self.static_tf:
             floor = self.heights is not None and self.heights.floor is not None
             return (
-                f"`static={shlex.quote(self.static)}` `target_frame={shlex.quote(self.target_frame)}` makes it level"
+                f"`static_tf={shlex.quote(self.static_tf)}` `target_frame={shlex.quote(self.target_frame)}` makes it level"
                 + (f", with the floor at z = {_meters(self.heights.floor)}" if floor and self.heights else "")
             )
         return f"`target_frame={shlex.quote(self.target_frame)}` makes it level" if self.target_frame else ""
@@ -210,7 +210,7 @@ def _height(rigid: Rigid) -> float:
 
 
 def _static(parent: str, child: str, rigid: Rigid) -> str:
-    """What `static` takes; empty if a name cannot be written there."""
+    """What `static_tf` takes; empty if a name cannot be written there."""
     if not (_WORD.fullmatch(parent) and _WORD.fullmatch(child)):
         return ""
     roll, pitch, yaw = rigid.rpy
