@@ -84,13 +84,14 @@ class Mounting:
     @property
     def cure(self) -> str:
         """What makes the clouds level, as a sentence; empty where nothing is known."""
-        if self.static_tf:
-            floor = self.heights is not None and self.heights.floor is not None
-            return (
-                f"`static_tf={shlex.quote(self.static_tf)}` `target_frame={shlex.quote(self.target_frame)}` makes it level"
-                + (f", with the floor at z = {_meters(self.heights.floor)}" if floor and self.heights else "")
-            )
-        return f"`target_frame={shlex.quote(self.target_frame)}` makes it level" if self.target_frame else ""
+        if not self.target_frame:
+            return ""
+        cure = f"`target_frame={shlex.quote(self.target_frame)}` makes it level"
+        if not self.static_tf:
+            return cure
+        floor = None if self.heights is None else self.heights.floor
+        at = "" if floor is None else f", with the floor at z = {_short(f'{floor:.2f}')} m"
+        return f"`static_tf={shlex.quote(self.static_tf)}` {cure}{at}"
 
     @property
     def warning(self) -> str:
@@ -222,10 +223,6 @@ def _short(number: str) -> str:
     """A decimal number without what says nothing."""
     short = number.rstrip("0").rstrip(".") if "." in number else number
     return "0" if short in {"-0", ""} else short
-
-
-def _meters(value: float | None) -> str:
-    return "?" if value is None else f"{_short(f'{value:.2f}')} m"
 
 
 def _above(buffer: TransformBuffer, body: str, frame: str, stamp_ns: int) -> Rigid | None:
