@@ -1,4 +1,4 @@
-"""metadata.yaml from a stranger: paths out of the directory, tags, aliases, depth and length."""
+"""Untrusted metadata.yaml: paths out of the directory, tags, aliases, depth and length."""
 
 from __future__ import annotations
 

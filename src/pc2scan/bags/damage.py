@@ -1,4 +1,4 @@
-"""What is damaged in a recording, noted by the readers that read around it."""
+"""The damage of a recording, reported by the readers that recover the rest."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ if TYPE_CHECKING:
 
 __all__ = ["MAX_PLACES", "RECOVER", "Damage", "DamageLog", "count_details"]
 
-#: What can be done about damage that ended a run.
+#: The hint for damage that ended a run.
 RECOVER = "copy the recording again; without `strict` everything readable in it is recovered"
 
-#: Places that are told one by one; what is found beyond them is added up in one more.
+#: Places that are reported one by one; further damage is summed up in one more.
 MAX_PLACES = 10_000
 
 #: Topics that are listed with wrong counts.
@@ -25,24 +25,24 @@ MAX_TOPICS = 5
 
 @dataclass(frozen=True, slots=True)
 class Damage:
-    """One damaged place of a source, and what is lost there.
+    """One damaged place of a source, and the losses there.
 
     Attributes
     ----------
     what
-        What is wrong: observed against allowed.
+        What is wrong: observed and allowed.
     path
         The file.
     offset
-        Where it begins in the file, bytes (in the unpacked file, if zstd is around the whole of it); None where it is
-        about the file as a whole.
+        Place in the file, bytes (in the decompressed file, if all of it is compressed); None if the damage concerns
+        the file as a whole.
     bytes_lost
-        Bytes that are missing or that no record accounts for, of a chunk uncompressed; 0 if everything was
-        recovered, or if nothing tells how much is missing.
+        Bytes that are missing or in no record, of a chunk uncompressed; 0 if everything was recovered, or if the size
+        is unknown.
     messages_lost
-        None where nothing tells how many there were.
+        None if unknown.
     first_ns, last_ns
-        Log times between which messages may be missing; None where nothing is known before or behind.
+        Log times between which messages may be missing; None if unknown.
     """
 
     what: str
@@ -55,7 +55,7 @@ class Damage:
 
     @property
     def loses(self) -> bool:
-        """Whether anything may be missing because of it."""
+        """Whether anything may be missing."""
         return bool(self.bytes_lost) or self.messages_lost != 0
 
     def as_dict(self) -> dict[str, Any]:
@@ -64,7 +64,7 @@ class Damage:
 
 
 def count_details(counts: Iterable[tuple[str, int, int]]) -> str:
-    """List topics whose number of messages is not the declared one: their name, that number, and how many there are.
+    """List topics whose number of messages differs from the declared one: name, declared and found number.
 
     >>> count_details([("/a", 3, 2), ("/b", 1, 1)])
     ' (/a: 3 declared, 2 found)'
@@ -75,16 +75,16 @@ def count_details(counts: Iterable[tuple[str, int, int]]) -> str:
 
 
 class DamageLog:
-    """The damage that one reader has met so far.
+    """The damage that one reader has found so far.
 
-    A place is noted once, however often it is read. Several threads may note at the same time.
+    A place is noted once, even if it is read again. Several threads may note damage at the same time.
 
     Parameters
     ----------
     strict
         Whether damage is an error.
     start
-        Where in the file the recording begins, from which noted places count.
+        Where in the file the recording begins; offsets of notes count from there.
     """
 
     def __init__(self, *, strict: bool = False, start: int = 0) -> None:
@@ -94,14 +94,14 @@ class DamageLog:
         self._further: Damage | None = None
 
     def note(self, error: DamageError, *, key: object = None, **details: Any) -> None:
-        """Remember damage, or raise it.
+        """Note damage, or raise it.
 
         Parameters
         ----------
         error
-            Says what is wrong and in which file.
+            The damage and its file.
         key
-            What makes the place unique, where an offset does not.
+            Makes the place unique, if the offset does not.
         **details
             Attributes of `Damage` beside ``what`` and ``path``.
 
@@ -129,6 +129,6 @@ class DamageLog:
 
     @property
     def found(self) -> tuple[Damage, ...]:
-        """Everything noted, in the order of the file; what is about the file as a whole comes first."""
+        """All damage in the order of the file, that of the file as a whole first."""
         ordered = sorted(self._found.values(), key=lambda damage: -1 if damage.offset is None else damage.offset)
         return (*ordered, self._further) if self._further else tuple(ordered)

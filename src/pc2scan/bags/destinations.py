@@ -1,4 +1,4 @@
-"""Destinations: what a name and the options mean, and writers for them."""
+"""Plans destinations from their names and options, and opens writers for them."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ __all__ = [
 
 _METADATA_VERSIONS = (8, 9)
 
-#: The formats that a destination can be asked to have, as users call them.
+#: The formats of a destination by the names that users give.
 TO = {"bag": "rosbag1", "mcap": "mcap", "rosbag2": "rosbag2"}
 
-#: Names that promise something that is not written; a directory called so would only confuse.
+#: Suffixes of formats that are not written; a directory of such a name would be confusing.
 _REFUSED_SUFFIXES = {
     **dict.fromkeys((".db3", ".sqlite3", ".db"), "rosbag2 keeps .db3 files in a directory: name that directory"),
     **dict.fromkeys((".yaml", ".yml"), "metadata.yaml is written inside a directory: name that directory"),
@@ -52,12 +52,12 @@ _REFUSED_SUFFIXES = {
 
 @dataclass(frozen=True, slots=True)
 class Destination:
-    """What will be written, decided and consistent.
+    """A destination with all its options decided.
 
     Attributes
     ----------
     path
-        Where.
+        The path.
     container
         The name of a format: ``rosbag1``, ``mcap`` or ``rosbag2`` (a directory).
     storage
@@ -69,8 +69,7 @@ class Destination:
     metadata_version
         Of a rosbag2 directory: 8 or 9.
     chunk_compressions
-        Those that chunks copied from the source may have: the one that was asked for, else any that the container
-        knows.
+        Compressions that chunks copied from the source may have: the given one, else all of the container.
     """
 
     path: Path
@@ -93,29 +92,29 @@ class Destination:
 
     @property
     def chunks(self) -> str:
-        """Whose chunks its messages lie in: ``rosbag1`` or ``mcap``; empty for none."""
+        """The format of its chunks: ``rosbag1`` or ``mcap``; empty for none."""
         return self.file_format.name if self.file_format.has_chunks else ""
 
     @property
     def times_ns(self) -> tuple[int, int]:
-        """The first and the last log time that it can hold."""
+        """The first and the last log time that it can store."""
         (first, last), (first_in_file, last_in_file) = self.format.times_ns, self.file_format.times_ns
         return max(first, first_in_file), min(last, last_in_file)
 
     def same_kind(self, source: Summary) -> bool:
-        """Whether the source is in this kind of container, so that whatever serialisation it holds fits."""
+        """Whether the source is in this kind of container, so that messages of any serialisation fit."""
         entry = FORMATS.get(source.container)
         return entry is not None and self.container == (entry.written_as or entry.name)
 
     @property
     def ros_version(self) -> int:
-        """The ROS version whose messages it holds: 1 or 2."""
+        """The ROS version of its messages: 1 or 2."""
         profiles = self.format.profiles
         return 1 if profiles and self.profile == profiles[0] else self.format.ros_version
 
     @property
     def serialization(self) -> str:
-        """How those are serialised: ``ros1`` or ``cdr``."""
+        """The serialisation of its messages: ``ros1`` or ``cdr``."""
         return "ros1" if self.ros_version == 1 else "cdr"
 
 
@@ -128,14 +127,14 @@ def plan_destination(
     metadata_version: int = 8,
     source_ros_version: int | None,
 ) -> Destination:
-    """Decide what a destination's name and the options mean.
+    """Plan a destination from its name and the options.
 
     ``*.bag`` is a ROS 1 bag, ``*.mcap`` an MCAP file, and any other name a rosbag2 directory.
 
     Parameters
     ----------
     path
-        The destination. Not looked at, only its name is.
+        The destination; only its name is used.
     storage
         For a rosbag2 directory: ``mcap`` (default) or ``sqlite3``.
     compression
@@ -151,7 +150,7 @@ def plan_destination(
     Raises
     ------
     DestinationError
-        If the name promises what is not written, or the options contradict it or each other.
+        If the name has the suffix of another format, or the options contradict it or each other.
     """
     suffix = path.suffix.lower()
     written = _written()
@@ -162,7 +161,7 @@ def plan_destination(
             path=path,
             hint=f"{_REFUSED_SUFFIXES[suffix]}. Use {names}, or NAME for a rosbag2 directory",
         )
-    entry = _named(path)
+    entry = _format_of(path)
     if storage is not None and not entry.storages:
         raise DestinationError(
             "`storage` is for rosbag2 directories",
@@ -194,12 +193,12 @@ def plan_destination(
 
 
 def _written() -> dict[str, Format]:
-    """The formats that are destinations, by suffix."""
+    """Return the formats that are destinations, by suffix."""
     return {entry.suffix: entry for entry in FORMATS.values() if entry.open_writer is not None}
 
 
-def _named(path: Path) -> Format:
-    """The format of a destination of this name."""
+def _format_of(path: Path) -> Format:
+    """Return the format of a destination of this name."""
     written = _written()
     return written.get(path.suffix.lower(), written[""])
 
@@ -246,7 +245,7 @@ def named_after(
     stem = source.name
     for leftover in LEFTOVERS:
         stem = stem.removesuffix(leftover) or stem
-    # The name of a directory is taken as it is.
+    # A directory's name has no suffix to remove.
     if entry.is_in is None:
         for suffix in _source_suffixes():
             stem = stem[: -len(suffix)] if stem.lower().endswith(suffix) and len(stem) > len(suffix) else stem
@@ -262,7 +261,7 @@ def check_to(path: Path, to: str | None) -> None:
     DestinationError
         If it does, or there is no such format.
     """
-    if to is not None and (wanted := _to(to)) is not _named(path):
+    if to is not None and (wanted := _to(to)) is not _format_of(path):
         raise DestinationError(
             f"`to={to}` asks for another format than this name does",
             path=path,
@@ -277,23 +276,23 @@ def _to(name: str) -> Format:
 
 
 def _source_suffixes() -> tuple[str, ...]:
-    """Suffixes of sources, in the order in which they are taken off: storages' come last."""
+    """Return the suffixes of sources in the order in which they are removed: those of storages last."""
     files = sorted((entry for entry in FORMATS.values() if entry.suffix), key=lambda entry: bool(entry.written_as))
     return (*zstd.SUFFIXES, ".active", *(entry.suffix for entry in files))
 
 
 def default_storage(path: Path, summaries: Sequence[Summary]) -> str | None:
     """Return the storage for a rosbag2 directory made from these: the first source's; None if it has none."""
-    if not _named(path).storages:
+    if not _format_of(path).storages:
         return None
     first = summaries[0]
     return first.container if FORMATS[first.container].written_as else first.storage or None
 
 
 def kept_form(path: Path, summaries: Sequence[Summary]) -> tuple[str | None, str | None]:
-    """Return the storage and the compression that a destination of this name can keep of the first source's."""
+    """Return the first source's storage and compression, as far as a destination of this name can keep them."""
     first = summaries[0]
-    entry = _named(path)
+    entry = _format_of(path)
     storage = default_storage(path, summaries)
     if entry.storages:
         entry = FORMATS[storage or entry.storages[0]]
@@ -318,9 +317,9 @@ def open_writer(destination: Destination, staged_path: Path, name: str) -> Write
     destination
         From `plan_destination`.
     staged_path
-        Where to write now; see `pc2scan.files.staging.staged`.
+        The path to write to; see `pc2scan.files.staging.staged`.
     name
-        What it will be called in the end: a rosbag2 directory's files are named after it.
+        The final name; a rosbag2 directory's files are named after it.
 
     Raises
     ------

@@ -1,7 +1,6 @@
-"""The table of formats: everything that depends on which container a recording is in.
+"""The table of formats: the properties of each container, and its reader and writer.
 
-A new container is an entry here and a package with its reader and its writer. Nothing else names a container to find
-out what it can do.
+A new container is an entry here and a package with its reader and its writer.
 """
 
 from __future__ import annotations
@@ -30,11 +29,11 @@ class ReadOptions:
     Attributes
     ----------
     verify
-        Whether checksums are verified where reading goes without.
+        Whether checksums are verified that reading does not need.
     strict
-        Whether damage is an error; otherwise it is read around and reported.
+        Whether damage is an error; otherwise it is reported and the rest is recovered.
     message_compression
-        Of a storage file: how metadata.yaml says that each message is compressed.
+        For a storage file: the compression of each message by metadata.yaml.
     """
 
     verify: bool = True
@@ -46,7 +45,7 @@ class ReadOptions:
 class WriteOptions:
     """How a recording is written; see `pc2scan.bags.destinations.Destination`.
 
-    ``name`` is what the recording will be called in the end.
+    ``name`` is the final name of the recording.
     """
 
     name: str
@@ -63,49 +62,49 @@ class Format:
     Attributes
     ----------
     name
-        As `Summary.container` and reports have it.
+        The name in `Summary.container` and in reports.
     readable
-        What errors call such recordings.
+        The name of such recordings in errors.
     open_reader
-        Opens a recording of it.
+        Opens a recording.
     open_writer
-        Starts a recording of it; None if it is not a destination by itself.
+        Starts a recording; None if it cannot be a destination by itself.
     magic
-        How every such file begins; empty for a directory.
+        The first bytes of every such file; empty for a directory.
     suffix
-        What the names of such files end with, in lower case. With ``open_writer`` a destination of such a name gets
-        this format; the format with the empty suffix gets all other names.
+        The suffix of such files, in lower case. With ``open_writer``, a destination of such a name gets this format;
+        the format with the empty suffix gets all other names.
     is_in
-        For a directory: whether one holds such a recording, or several.
+        For a directory: whether a directory holds one or several such recordings.
     is_one
-        For a directory: whether all that it holds is one recording.
+        For a directory: whether everything in a directory is one recording.
     open_storage
-        Starts a file of a directory's; returns its writer, and what takes the directory's metadata as text. None if it
-        is no storage of a directory.
+        Starts a file of a directory; returns its writer, and a function that takes the directory's metadata as text.
+        None if it is not a storage of a directory.
     storages
         For a directory: the formats that its files may have, the default first.
     written_as
-        The format that is written where a source is in this one; empty for itself.
+        The format of the destination for a source in this format; empty for the same format.
     compressions
-        Those that it knows.
+        Its compressions.
     default_compression
         One of these.
     packs_messages
         Whether it compresses every message by itself.
     has_chunks
-        Whether messages lie in chunks that can be copied as a whole, to another file of this format.
+        Whether messages are in chunks that can be copied as a whole to another file of this format.
     has_extras
-        Whether it keeps attachments and metadata records.
+        Whether it has attachments and metadata records.
     holds_any
         Whether it holds messages of every encoding, not only those of ROS.
     one_a_topic
-        Whether the publishers of a topic share a connection: what reads it knows a topic by its name.
+        Whether the publishers of a topic share a connection, because readers identify topics by name.
     ros_version
-        The ROS version of its messages: 1 or 2. Those with profiles can hold either.
+        The ROS version of its messages: 1 or 2. Formats with profiles can hold either.
     profiles
-        The names of its profiles, ROS 1's and ROS 2's; none if it has no such thing.
+        The names of its profiles, ROS 1's and ROS 2's; empty if it has none.
     times_ns
-        The first and the last log time that it can hold.
+        The first and the last log time that it can store.
     """
 
     name: str
@@ -132,7 +131,7 @@ class Format:
 
 
 def _late(place: str) -> Callable[..., Any]:
-    """Return a function of a module that is imported by the first call: each format brings its libraries along."""
+    """Return a function whose module is imported by the first call, because each format imports its libraries."""
     module, _, name = place.partition(":")
 
     def call(*args: object) -> Any:
@@ -207,11 +206,11 @@ def storages() -> dict[str, Format]:
 
 
 def chunk_format(source: Summary) -> str:
-    """Return the name of the format whose chunks a recording's messages lie in; empty for none."""
+    """Return the name of the format of a recording's chunks; empty for none."""
     entry = FORMATS.get(source.storage or source.container)
     return entry.name if entry is not None and entry.has_chunks else ""
 
 
 def and_list(names: Sequence[str]) -> str:
-    """Put names in a sentence: ``none, lz4 and zstd``."""
+    """Return names as a list in a sentence: ``none, lz4 and zstd``."""
     return " and ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))

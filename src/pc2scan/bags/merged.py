@@ -1,6 +1,6 @@
-"""Several sources read as one recording: connections unified, messages merged by log time.
+"""Reads several sources as one recording: connections are unified, messages merged by log time.
 
-A split rosbag2 is the same thing on a smaller scale; `pc2scan.bags.rosbag2.reader` builds on this class.
+The reader of split rosbag2 recordings (`pc2scan.bags.rosbag2.reader`) is a subclass.
 """
 
 from __future__ import annotations
@@ -38,27 +38,26 @@ __all__ = ["MergedReader", "as_one", "merged_summary", "unified"]
 
 
 def as_one(readers: Sequence[Reader]) -> Reader:
-    """Several recordings as one; one remains itself."""
+    """Return several recordings as one; a single one is returned unchanged."""
     return readers[0] if len(readers) == 1 else MergedReader(readers)
 
 
 class MergedReader(Reader):
-    """Several open recordings as one; satisfies `pc2scan.bags.reader.Reader`.
+    """Reads several open recordings as one.
 
     Parameters
     ----------
     readers
-        At least one. They belong to this reader from now on: `close` closes them.
+        At least one; `close` closes them.
 
     Raises
     ------
     UsageError
-        If a path is given twice, or ROS 1 and ROS 2 recordings are mixed. The readers are left open.
+        If a path is given twice, or ROS 1 and ROS 2 recordings are mixed. The readers stay open.
 
     Notes
     -----
-    A single reader is passed through: its own connections, with their own ids, and its own messages.
-    Otherwise the ids are new and start at 1.
+    With a single reader, connections and their ids are unchanged. Otherwise the ids are new and start at 1.
     """
 
     def __init__(self, readers: Sequence[Reader]) -> None:
@@ -81,12 +80,12 @@ class MergedReader(Reader):
 
     @staticmethod
     def _refuse(readers: Sequence[Reader]) -> None:
-        """Raise for readers that cannot become one."""
+        """Raise for readers that cannot be merged."""
         _refuse_repeated(readers)
         _refuse_mixed_ros_versions(readers)
 
     def _amend(self, amended: Mapping[int, Connection], added: Iterable[Connection] = ()) -> None:
-        """Replace connections by better informed ones with the same ids, and add some without messages."""
+        """Replace connections by ones with more information and the same ids, and add some without messages."""
         changed = [amended.get(connection.id, connection) for connection in self._connections]
         completed = (*changed, *added)
         self._unchanged = self._unchanged and completed == self._connections
@@ -102,22 +101,22 @@ class MergedReader(Reader):
 
     @property
     def connections(self) -> Sequence[Connection]:
-        """Every connection, in the order of the sources."""
+        """All connections, in the order of the sources."""
         return self._connections
 
     @property
     def summary(self) -> Summary:
-        """All sources together."""
+        """The summary of all sources."""
         return merged_summary([reader.summary for reader in self._readers])
 
     @property
     def bytes_read(self) -> int:
-        """Bytes consumed so far in all sources."""
+        """Bytes read so far of all sources."""
         return sum(reader.bytes_read for reader in self._readers)
 
     @property
     def damage(self) -> tuple[Damage, ...]:
-        """What is damaged in the sources, one after the other."""
+        """The damage of all sources."""
         return tuple(damage for reader in self._readers for damage in reader.damage)
 
     def units(
@@ -127,10 +126,10 @@ class MergedReader(Reader):
         stop_ns: int | None = None,
         rule: ChunkRule | None = None,
     ) -> Iterable[Unit]:
-        """The units of all sources; equal log times in the order of the sources.
+        """Return the units of all sources; equal log times are in the order of the sources.
 
-        A source is not read before its first message is due, where its summary tells when that is. Chunks stay whole
-        where no other source has messages at their time and their ids are those here.
+        A source is read when its first message is due, if its summary has that time. Chunks stay whole if no other
+        source has messages at their time and their ids are unchanged.
         """
         if self._unchanged:
             return self._readers[0].units(connections, start_ns, stop_ns, rule)
@@ -168,7 +167,7 @@ class MergedReader(Reader):
     def counts(
         self, connections: Collection[Connection], start_ns: int | None = None, stop_ns: int | None = None
     ) -> dict[int, int]:
-        """Messages of each connection in all sources together; see `pc2scan.bags.reader.Reader`."""
+        """Count the messages of each connection in all sources; see `pc2scan.bags.reader.Reader`."""
         found = dict.fromkeys((connection.id for connection in connections), 0)
         for reader, known in zip(self._readers, self._maps, strict=True):
             asked = [own for own in reader.connections if known[own.id].id in found]
@@ -182,12 +181,12 @@ class MergedReader(Reader):
         return found
 
     def attachments(self) -> Iterator[Attachment]:
-        """MCAP attachments, source by source."""
+        """Yield MCAP attachments, source by source."""
         for reader in self._readers:
             yield from reader.attachments()
 
     def metadata(self) -> Iterator[Metadata]:
-        """MCAP metadata records, source by source."""
+        """Yield MCAP metadata records, source by source."""
         for reader in self._readers:
             yield from reader.metadata()
 
@@ -198,7 +197,7 @@ class MergedReader(Reader):
 
 
 class _Source(NamedTuple):
-    """A reader among several, its connections as they are called here, and what is read of it."""
+    """One reader of several, with its merged connections and the selection to read."""
 
     number: int
     reader: Reader
@@ -207,20 +206,20 @@ class _Source(NamedTuple):
 
     @property
     def times_ns(self) -> tuple[int, float]:
-        """Log times between which its messages lie; those of unknown times may lie anywhere."""
+        """The first and the last log time; all times if they are unknown."""
         summary = self.reader.summary
         if summary.start_ns is None or summary.end_ns is None:
             return UNKNOWN_START_NS, math.inf
         return summary.start_ns, summary.end_ns
 
     def units(self) -> Iterator[Unit]:
-        """Its units, with messages of the connections here."""
+        """Yield its units, with messages of the merged connections."""
         for unit in self.reader.units(*self.selection):
             yield replace(unit, place=(self.number, *unit.place), load=_Renaming(unit.load, self.known))
 
 
 class _Renaming(NamedTuple):
-    """Loads a unit with other connections in the place of its own."""
+    """Loads a unit and replaces its connections."""
 
     load: Load
     known: Mapping[int, Connection]
@@ -231,7 +230,7 @@ class _Renaming(NamedTuple):
 
 
 def _one_by_one(sources: Iterable[_Source]) -> Iterator[Unit]:
-    """The units of all sources by start. No source is read before the last one in front of it has ended."""
+    """Yield the units of all sources by start; a source that overlaps no other is read after the ones before it."""
     together: list[_Source] = []
     latest: float = -math.inf
     for source in sorted(sources, key=lambda source: (source.times_ns[0], source.number)):
@@ -251,7 +250,7 @@ def _by_start(sources: Iterable[_Source]) -> Iterator[Unit]:
 def unified(sources: Sequence[Sequence[Connection]]) -> tuple[list[Connection], list[dict[int, int]]]:
     """Find the connections that several sources share.
 
-    Connections are one if they agree in everything but id and message count. Two such connections within one
+    Connections are the same if they agree in everything but id and message count. Two such connections within one
     source are two publishers and stay two: the k-th of one source is the k-th of the other.
 
     Parameters
@@ -262,7 +261,7 @@ def unified(sources: Sequence[Sequence[Connection]]) -> tuple[list[Connection], 
     Returns
     -------
     connections
-        With ids from 1 on and counts added (None if any is None).
+        With ids from 1 on and added counts (None if any is None).
     ids
         For each source: from its own id to the new one.
     """
@@ -302,12 +301,12 @@ def _identity(connection: Connection) -> Hashable:
 
 
 def merged_summary(summaries: Sequence[Summary]) -> Summary:
-    """Add summaries up: sizes and counts are summed, times span all.
+    """Merge summaries: sizes and counts are added, times span all.
 
-    What is unknown in one is unknown in all. ``container``, ``storage`` and ``profile`` are those that all
-    have, else ``mixed`` (the container) or empty.
+    A value that is unknown in one is unknown in the result. ``container``, ``storage`` and ``profile`` are those that
+    all have, else ``mixed`` (the container) or empty.
     """
-    # An empty source has no times, and that is no lack of knowledge.
+    # An empty source has no times; they are not unknown.
     timed = [summary for summary in summaries if summary.message_count != 0]
     return Summary(
         container=_common([summary.container for summary in summaries], "mixed"),
@@ -349,11 +348,11 @@ def _refuse_mixed_ros_versions(readers: Sequence[Reader]) -> None:
     found: dict[int, Path] = {}
     for reader in readers:
         ros_versions = {connection.ros_version for connection in reader.connections} - {None}
-        # A source that holds both by itself is one recording all the same.
+        # A single source may have both.
         if len(ros_versions) == 1:
             found.setdefault(ros_versions.pop() or 0, reader.path)
     if len(found) > 1:
         raise UsageError(
-            f"{found[1]} is a ROS 1 recording and {found[2]} is a ROS 2 recording; they cannot become one",
+            f"{found[1]} is a ROS 1 recording and {found[2]} is a ROS 2 recording; they cannot be merged",
             hint="convert them one by one",
         )

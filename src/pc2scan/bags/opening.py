@@ -1,4 +1,4 @@
-"""Opening recordings: the format is detected by content, never by name."""
+"""Opens recordings; the format is detected by content, never by name."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 __all__ = ["open_recording", "open_recordings", "sniff"]
 
-#: Not recordings, but what one finds where a recording was expected.
+#: Other files that users try to open.
 _LOOKALIKES = {
     b"\x1f\x8b": "gzip-compressed",
     b"BZh": "bzip2-compressed",
@@ -43,7 +43,7 @@ _LOOKALIKES = {
 
 
 def sniff(path: Path) -> str:
-    """Return the name of a recording's format, by its content, never by its name.
+    """Return the name of a recording's format, detected by its content.
 
     Parameters
     ----------
@@ -54,14 +54,14 @@ def sniff(path: Path) -> str:
     -------
     str
         ``rosbag1``, ``mcap``, ``sqlite3`` (a ``.db3`` file) or ``rosbag2`` (a directory); ``+zstd`` is
-        appended for a file that zstd has to unpack first.
+        appended for a file that must be decompressed first.
 
     Raises
     ------
     MissingError
         If nothing is there.
     RecordingError
-        If it is not permitted to read it, or it is no recording.
+        If it is not permitted to read it, or it is not a recording.
     UsageError
         If it is a directory with several recordings.
     """
@@ -94,7 +94,7 @@ def open_recording(path: Path, *, verify: bool = True, strict: bool = False) -> 
     verify
         Whether checksums of MCAP files are verified.
     strict
-        Whether damage is an error; otherwise it is read around, and in the reader's ``damage``.
+        Whether damage is an error; otherwise it is in the reader's ``damage``, and the rest is recovered.
 
     Raises
     ------
@@ -125,11 +125,11 @@ def open_recordings(
 
 
 def _interrupted(path: Path) -> str | None:
-    """What to do about a recording that is not there because the run that was writing it was killed."""
+    """Return the hint for a recording that is missing because the run that wrote it was killed."""
     partial, old, _ = working_names(path) or (path, path, path)
-    # Not Path.exists: with the ending the name may be too long.
+    # Not Path.exists: with the ending, the name may be too long.
     if os.path.lexists(old):
-        return f"an interrupted run has set it aside: mv {shlex.quote(str(old))} {shlex.quote(str(path))}"
+        return f"an interrupted run has renamed it: mv {shlex.quote(str(old))} {shlex.quote(str(path))}"
     if os.path.lexists(partial):
         return f"an interrupted run left a part of it: pc2scan repair {shlex.quote(str(partial))}"
     return None
@@ -173,8 +173,8 @@ def _recognised(head: bytes, path: Path, state: str = "") -> str:
     readable = f"{and_list([entry.readable for entry in FORMATS.values()])} can be read"
     for magic, description in _LOOKALIKES.items():
         if head.startswith(magic):
-            raise RecordingError(f"is no recording: it is {description}{state}", path=path, hint=readable)
-    raise RecordingError(f"is no recording: it begins with {_shown(head[:16])}{state}", path=path, hint=readable)
+            raise RecordingError(f"is not a recording: it is {description}{state}", path=path, hint=readable)
+    raise RecordingError(f"is not a recording: it begins with {_shown(head[:16])}{state}", path=path, hint=readable)
 
 
 def _shown(head: bytes) -> str:

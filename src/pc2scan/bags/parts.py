@@ -1,6 +1,6 @@
-"""Recordings that follow each other in one file, as ``cat a.bag b.bag`` makes them: they are read as one.
+"""Reads recordings that follow each other in one file, as ``cat a.bag b.bag`` makes them, as one recording.
 
-Each has ids and places of its own, so that each has a reader of its own, to which its part looks like the whole file.
+Each has its own ids and offsets, and therefore its own reader, which treats its part as a whole file.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ MAX_PARTS = 64
 
 
 class AnotherBeginsError(Exception):
-    """Another recording begins at this place of the file; it never leaves the readers."""
+    """Another recording begins at this offset of the file; readers raise and catch it."""
 
     def __init__(self, offset: int) -> None:
         super().__init__(offset)
@@ -41,15 +41,15 @@ class PartReader(Reader):
     @property
     @abstractmethod
     def next_start(self) -> int | None:
-        """Where in the file another recording begins, behind this one; None if none does."""
+        """Offset of the recording that follows this one in the file; None if none does."""
 
 
 def note_next(file: SourceFile, log: DamageLog) -> None:
-    """Take note of the recording that begins where this part of the file ends, if one does."""
+    """Note the recording that follows this part of the file, if there is one."""
     if file.next_start is not None:
         log.note(
             DamageError(
-                f"another recording begins at byte {file.next_start}, behind the end of the one in front of it",
+                f"another recording begins at byte {file.next_start}, after the end of the one before it",
                 path=file.path,
                 hint=RECOVER,
             ),
@@ -60,7 +60,7 @@ def note_next(file: SourceFile, log: DamageLog) -> None:
 
 
 def opened_parts(open_part: Callable[[int], PartReader]) -> Reader:
-    """Open the recordings of a file, given how to open the one that begins at a place.
+    """Open all recordings of a file; ``open_part`` opens the one that begins at an offset.
 
     Raises
     ------
@@ -101,5 +101,5 @@ class _PartsReader(MergedReader):
 
     @property
     def damage(self) -> tuple[Damage, ...]:
-        """What is damaged in the parts, and between them."""
+        """The damage in the parts, and between them."""
         return (*super().damage, *self._log.found)

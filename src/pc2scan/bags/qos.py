@@ -1,4 +1,4 @@
-"""QoS profiles as rosbag2 records them: YAML in a string, ``offered_qos_profiles``."""
+"""Reads and writes QoS profiles as rosbag2 records them: YAML in a string, ``offered_qos_profiles``."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 __all__ = ["latches", "merged_qos", "parsed_qos", "respelled_qos"]
 
-#: A profile takes some 400 characters, and a topic has one a publisher. Reading more costs seconds.
+#: A profile takes some 400 characters, and a topic has one for each publisher. Reading more takes seconds.
 MAX_CHARACTERS = 64_000
 
 _TRANSIENT_LOCAL = re.compile(r"""\bdurability["']?[ \t]*:[ \t]*["']?(?:1|transient_local)\b""", re.IGNORECASE)
@@ -36,7 +36,7 @@ _NAMES = {
 
 _INFINITE = {"sec": 9223372036, "nsec": 854775807}
 
-#: What rmw takes where nothing is said: keep last 10, reliable, volatile, automatic liveliness.
+#: rmw's defaults: keep last 10, reliable, volatile, automatic liveliness.
 _DEFAULTS = {
     "history": 1,
     "depth": 10,
@@ -53,8 +53,8 @@ _DEFAULTS = {
 def latches(qos: str) -> bool:
     r"""Whether any of rosbag2's ``offered_qos_profiles`` has the durability transient local.
 
-    Profiles with keys missing occur, and YAML parsers that insist on all keys fail on them; here only
-    this key matters. Its value is rmw's number (1) or, from ROS 2 Jazzy on, its name.
+    Only this key is read, because profiles may lack other keys. Its value is rmw's number (1) or, from ROS 2 Jazzy on,
+    its name.
 
     >>> latches("- history: 1\n  durability: 1"), latches("- durability: volatile")
     (True, False)
@@ -63,7 +63,7 @@ def latches(qos: str) -> bool:
 
 
 def parsed_qos(text: str) -> list[dict[str, Any]] | None:
-    """Profiles as mappings; None if the text is not a list of mappings, or too long to be one."""
+    """Return profiles as mappings; None if the text is not a list of mappings, or too long."""
     if len(text) > MAX_CHARACTERS:
         return None
     with suppress(ValueError):
@@ -82,8 +82,8 @@ def merged_qos(texts: Sequence[str]) -> str:
     Parameters
     ----------
     texts
-        ``offered_qos_profiles`` of each; empty where not recorded. What is not a list of profiles is ignored, if one
-        is. In lists too long to be read, each text counts once.
+        ``offered_qos_profiles`` of each; empty if not recorded. A text that is not a list of profiles is ignored, if
+        another one is. If the lists are too long, equal texts are used once.
 
     >>> merged_qos(["- depth: 1", "", "[{depth: 2}]", "- depth: 1"])
     '- depth: 1\n- depth: 2\n- depth: 1\n'
@@ -101,11 +101,11 @@ def merged_qos(texts: Sequence[str]) -> str:
 
 
 def respelled_qos(text: str, *, by_name: bool) -> str:
-    r"""Make QoS profiles what a rosbag2 directory needs: complete, and in the spelling of its metadata version.
+    r"""Complete QoS profiles, and spell them as a rosbag2 directory's metadata version requires.
 
-    rosbag2 and rosbags refuse a directory whose profiles lack a key; missing ones get rmw's default, and infinite
-    durations. Enumerations are spelled as names (metadata version 9) or as numbers (before). Text that is complete
-    and spelled so already, or is not a list of profiles, is returned verbatim; so are unknown keys and values.
+    rosbag2 and rosbags refuse a directory whose profiles lack a key; missing keys get rmw's defaults and infinite
+    durations. Enumerations are spelled as names (metadata version 9) or as numbers (before). Complete text in this
+    spelling, and text that is not a list of profiles, is returned verbatim; so are unknown keys and values.
 
     >>> respelled_qos("- depth: 10\n  durability: 1", by_name=True).splitlines()[:3]
     ['- depth: 10', '  durability: transient_local', '  history: keep_last']

@@ -1,4 +1,4 @@
-"""An open recording."""
+"""The base class of readers."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ __all__ = ["Reader"]
 
 
 class Reader(ABC):
-    """An open recording, read unit by unit."""
+    """Reads an open recording, unit by unit."""
 
     @property
     @abstractmethod
     def path(self) -> Path:
-        """Where it was opened."""
+        """The path of the recording."""
 
     @property
     @abstractmethod
     def connections(self) -> Sequence[Connection]:
-        """Every connection, in the container's order."""
+        """All connections, in the container's order."""
 
     @property
     @abstractmethod
     def summary(self) -> Summary:
-        """What is known without reading messages."""
+        """The summary, made without reading messages."""
 
     @property
     @abstractmethod
@@ -45,7 +45,7 @@ class Reader(ABC):
     @property
     @abstractmethod
     def damage(self) -> Sequence[Damage]:
-        """What is damaged and was read around, as far as the recording was read."""
+        """The damage in the parts that were read."""
 
     @abstractmethod
     def units(
@@ -55,12 +55,12 @@ class Reader(ABC):
         stop_ns: int | None = None,
         rule: ChunkRule | None = None,
     ) -> Iterable[Unit]:
-        """What can be loaded, by start; their messages in the order of log time are those of the recording.
+        """Return the units of the recording, by start.
 
         Parameters
         ----------
         connections
-            Only messages of these; None means all. Stretches of the file without any are not listed.
+            Only messages of these; None means all. Parts of the file without any are not listed.
         start_ns, stop_ns
             Only messages with ``start_ns <= log_time_ns < stop_ns``.
         rule
@@ -71,7 +71,7 @@ class Reader(ABC):
     def counts(
         self, connections: Collection[Connection], start_ns: int | None = None, stop_ns: int | None = None
     ) -> dict[int, int]:
-        """Count messages without reading them, as far as an index allows it.
+        """Count messages without reading them, as far as the index allows.
 
         Parameters
         ----------
@@ -83,7 +83,7 @@ class Reader(ABC):
         Returns
         -------
         dict[int, int]
-            By connection id. A connection that is missing can only be counted by reading its messages.
+            By connection id. A missing connection can only be counted by reading its messages.
         """
 
     @abstractmethod
@@ -96,7 +96,7 @@ class Reader(ABC):
         start_ns: int | None = None,
         stop_ns: int | None = None,
     ) -> Generator[RawMessage]:
-        """Messages in the order of log time; those of one log time in the order of the file.
+        """Yield messages in the order of log time; those of one log time in the order of the file.
 
         Parameters
         ----------
@@ -108,22 +108,22 @@ class Reader(ABC):
         Yields
         ------
         RawMessage
-            ``data`` may be a view into a decompressed chunk, and keeps it alive.
+            ``data`` may be a view into a decompressed chunk, which it keeps in memory.
 
         Raises
         ------
         RecordingError
-            If the system refuses to read.
+            If the file cannot be read.
         DamageError
-            If what is read is damaged, and damage is an error.
+            If the file is damaged, and damage is an error.
         """
         units = self.units(connections, start_ns, stop_ns)
         return cast("Generator[RawMessage]", in_time_order(units, path=self.path))
 
     def attachments(self) -> Iterator[Attachment]:
-        """MCAP attachments; none in other containers."""
+        """Yield MCAP attachments; other containers have none."""
         return iter(())
 
     def metadata(self) -> Iterator[Metadata]:
-        """MCAP metadata records; none in other containers."""
+        """Yield MCAP metadata records; other containers have none."""
         return iter(())

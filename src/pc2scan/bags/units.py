@@ -1,8 +1,9 @@
-"""Units: the parts of a recording that can be loaded by themselves, and their messages merged by log time.
+"""Loads the units of a recording, and merges their messages by log time.
 
-A unit is a chunk, a run of records outside chunks, or some rows of a database. A reader lists the units of its
-recording. Here they are loaded when their first message is due, and their messages are merged: chunks overlap in time
-where the recorder had several buffers, and sorting a whole index would need memory that grows with the recording.
+A unit is a part of a recording that can be loaded by itself: a chunk, consecutive records outside chunks, or some rows
+of a database. A reader lists the units of its recording. They are loaded when their first message is due, and merged,
+because chunks overlap in time if the recorder had several buffers. Sorting a whole index would need memory that grows
+with the recording.
 """
 
 from __future__ import annotations
@@ -37,24 +38,24 @@ __all__ = [
     "when_due",
 ]
 
-#: Loaded units may take this much before the ones needed last are dropped and later loaded again.
+#: Limit of loaded units; beyond it, those needed last are dropped and later loaded again.
 MAX_OPEN_BYTES = 64 << 20
 
-#: The start of a unit whose first log time is not known: it is due at once.
+#: The start of a unit with an unknown first log time: it is due at once.
 UNKNOWN_START_NS = -1 << 63
 
-#: Units may be loaded again until that comes to so many times the whole, and a gigabyte.
+#: Units may be loaded again up to so many times the size of all units, and a gigabyte.
 _MAX_AGAIN = 16
 
-#: So many bytes are announced to the system before they are read: it reads them while others are decompressed.
+#: Bytes that are announced to the system before they are read: it reads them while others are decompressed.
 _ANNOUNCED_BYTES = 32 << 20
 
-#: Chunks follow each other at no larger distance: an index may lie between them.
+#: Chunks with at most this distance are announced together: an index may be between them.
 _GAP_BYTES = 64 << 10
 
 
 class Timed(Protocol):
-    """Anything with a log time and a size: a message, or what a callback makes of one."""
+    """Anything with a log time and a size: a message, or a callback's result."""
 
     @property
     def log_time_ns(self) -> int:
@@ -74,21 +75,21 @@ class Load(Protocol):
     """Loads a unit; may be called on any thread, and again."""
 
     def __call__(self, callback: Callable[[RawMessage], Item], *, whole: bool) -> list[Item] | StoredChunk:
-        """Return what the callback makes of each message, in the order of the file, or the chunk as a whole.
+        """Return the callback's result for each message, in the order of the file, or the chunk as a whole.
 
         Parameters
         ----------
         callback
-            Called with each wanted message where it was read or decompressed, while it is still in that core's cache.
-            The message's data may be borrowed: what is kept of them must be `pc2scan.model.owned`.
+            Called with each wanted message on the thread that read it, while it is still in that core's cache.
+            The message's data may be borrowed: a message that is kept must be copied by `pc2scan.model.owned`.
         whole
-            Whether the chunk may be returned as a whole. It is only if its messages are sorted by log time.
+            Whether the chunk may be returned as a whole, which its reader does if its messages are sorted by log time.
         """
         ...
 
 
 class Stretch(NamedTuple):
-    """Where a unit lies: the file, and the bytes in it."""
+    """The place of a unit: the file, and its bytes there."""
 
     file: SourceFile
     offset: int
@@ -104,18 +105,18 @@ class Unit:
     start_ns
         Log time of its first message, or earlier.
     place
-        Where it stands among units: messages of one log time are in this order.
+        Order among units: messages of one log time are in this order.
     size
-        Bytes that it takes once it is loaded.
+        Bytes of memory when it is loaded.
     load
         See `Load`.
     is_quick
         Whether loading it takes less time than handing it to another thread.
     may_be_whole
-        Whether a chunk may be handed on as a whole: all of it is wanted, and no other unit has messages between its
+        Whether a chunk may be copied as a whole: all of it is wanted, and no other unit has messages between its
         first and its last one.
     stretch
-        Where it lies in a file; None for what does not lie in one piece.
+        Its place in a file; None if it is not in one piece.
     """
 
     start_ns: int
@@ -128,7 +129,7 @@ class Unit:
 
 
 class Handle(NamedTuple):
-    """A unit, and the call that returns what it was loaded as."""
+    """A unit, and the function that returns its items or its chunk."""
 
     unit: Unit
     result: Callable[[], list[Any] | StoredChunk]
@@ -143,7 +144,7 @@ def loaded(unit: Unit, callback: Callable[[RawMessage], Item], *, whole: bool) -
     """Load a unit, its messages sorted by log time."""
     found = unit.load(callback, whole=whole)
     if not isinstance(found, StoredChunk):
-        # A stable sort, and next to free where the recorder kept the order.
+        # A stable sort, which takes almost no time if the messages are in order.
         found.sort(key=attrgetter("log_time_ns"))
     return found
 
@@ -167,13 +168,13 @@ def in_time_order(
     Parameters
     ----------
     units
-        By start; see `by_start`. They may be made one after the other, as they are needed.
+        By start; see `by_start`. They may come from a generator.
     callback
         Makes the items of messages; see `Load`. Called once a message, except that a unit is loaded again if more than
-        ``max_open_bytes`` of units overlap at one time, or if one that may be whole does not stand alone after all.
+        ``max_open_bytes`` of units overlap at one time, or if one that may be whole overlaps another after all.
     loading
-        When and where units are loaded. It yields a handle for each unit, in order, and its results are asked for in
-        order, each once.
+        Decides when and where units are loaded. It yields a handle for each unit, in order; each result is used once,
+        in order.
     max_open_bytes
         Bound on the units held at one time (one is always held).
     path
@@ -182,7 +183,7 @@ def in_time_order(
     Yields
     ------
     Item | StoredChunk
-        By log time; equal log times in the order of places. Whole chunks only of units that may be whole.
+        By log time; equal log times in the order of places. Whole chunks only for units that may be whole.
 
     Raises
     ------
@@ -197,10 +198,10 @@ def in_time_order(
 
 
 def _announced(units: Iterable[Unit]) -> Iterator[Unit]:
-    """The units, the stretches of each announced to the system some way ahead of its turn.
+    """Yield the units, and announce their stretches to the system ahead of their turn.
 
-    Announcements are rare, and several units that follow each other are announced as one: every call lets other
-    threads take the interpreter's lock.
+    Units that follow each other are announced by one call, because every call lets other threads take the
+    interpreter's lock.
     """
     source = iter(units)
     coming: deque[Unit] = deque()
@@ -221,7 +222,7 @@ def _announced(units: Iterable[Unit]) -> Iterator[Unit]:
         due = coming.popleft()
         announced -= due.stretch.length if due.stretch else 0
         yield due
-        # Rows of a database lie in the unit itself: they must not stay in memory while the next one is made.
+        # The unit may hold rows of a database, which must not stay in memory while the next one is made.
         unit = None
         del due
 
@@ -245,10 +246,10 @@ class _Open:
         self.unit = unit
         self.size = unit.size
         if unit.size > max_open_bytes and not isinstance(found, StoredChunk):
-            # A damaged chunk may declare any size: what it really holds must not drive all others out.
+            # A damaged chunk may declare any size: its actual size counts, so that others are not dropped for it.
             self.size = min(unit.size, sum(item.size for item in found))
         self.position = 0
-        #: None once they were dropped, and of a whole chunk.
+        #: None if they were dropped, and for a whole chunk.
         self.items: list[Any] | None = None
         self.whole: StoredChunk | None = None
         if isinstance(found, StoredChunk):
@@ -273,7 +274,7 @@ def _merged(
         while coming is not None and (not heap or coming.unit.start_ns <= heap[0].key[0]):
             unit = coming.unit
             total += unit.size
-            # Room is made before it is needed.
+            # Makes room before loading.
             _evict(heap, max_open_bytes - unit.size)
             found = coming.result()
             if found:
@@ -285,7 +286,7 @@ def _merged(
             continue
         current = heapq.heappop(heap)
         place = current.unit.place
-        # Everything up to the next unit's turn comes from this one: no heap operation an item.
+        # All items up to the next unit's turn are from this one, without a heap operation for each.
         limit = heap[0].key if heap else None
         if coming is not None:
             arrival: tuple[int, tuple[int, ...]] = (coming.unit.start_ns, ())
@@ -314,7 +315,7 @@ def _merged(
             current.key = (items[position].log_time_ns, place)
             heapq.heappush(heap, current)
             _evict(heap, max_open_bytes)
-        # The generator's frame must not keep a spent or dropped unit alive while the next one is loaded.
+        # The generator's frame must not keep a used unit in memory while the next one is loaded.
         del items, current
 
 

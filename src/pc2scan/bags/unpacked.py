@@ -1,4 +1,4 @@
-"""Reading a recording that is compressed as a whole."""
+"""Reads a recording that is compressed as a whole."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ __all__ = ["UnpackedReader"]
 
 
 class UnpackedReader(Reader):
-    """A file that was compressed as a whole, read from a temporary copy.
+    """Reads a file that is compressed as a whole from a temporary copy.
 
     Parameters
     ----------
     path
         The compressed file.
     inner
-        The format of what is in it.
+        The format of the decompressed file.
     options
-        How that is read.
+        Options for reading that.
     """
 
     def __init__(self, path: Path, inner: Format, options: ReadOptions) -> None:
@@ -62,12 +62,12 @@ class UnpackedReader(Reader):
 
     @property
     def connections(self) -> Sequence[Connection]:
-        """Every connection, in the order of what is in it."""
+        """All connections, in the container's order."""
         return self._inner.connections
 
     @property
     def summary(self) -> Summary:
-        """What is known without reading messages; the size is that of the compressed file."""
+        """The summary, made without reading messages; the size is that of the compressed file."""
         return self._summary
 
     @property
@@ -77,7 +77,7 @@ class UnpackedReader(Reader):
 
     @property
     def damage(self) -> tuple[Damage, ...]:
-        """What is damaged: the compression first, then what is in it."""
+        """The damage: that of the compression first, then that of the recording in it."""
         return (*self._log.found, *(replace(place, path=self._path) for place in self._inner.damage))
 
     def units(

@@ -33,10 +33,10 @@ __all__ = [
     "without_suffix",
 ]
 
-#: Bytes that are decompressed at a time. Zeros shrink to a thirty-thousandth, and a piece's result is held in memory.
+#: Bytes that are decompressed at a time. The result, which may be 30,000 times as large, is held in memory.
 _PIECE = 1 << 11
 
-#: What the names of packed files end with.
+#: Suffixes of compressed files.
 SUFFIXES = (".zstd", ".zst")
 
 
@@ -50,7 +50,7 @@ def is_zstd(path: Path) -> bool:
 
 
 def unpacked_head(path: Path) -> bytes:
-    """Decompress the first bytes of a zstd file, enough to recognise what is in it.
+    """Decompress the first bytes of a zstd file, enough to detect its format.
 
     Raises
     ------
@@ -74,12 +74,12 @@ def unpacked_file(path: Path, folder: Path, log: DamageLog) -> Path:
     folder
         Gets the new one.
     log
-        Takes note if it is damaged; what can be decompressed in front of the damage is written.
+        Gets the damage; the bytes before the damage are written.
 
     Raises
     ------
     RecordingError
-        If the result does not fit.
+        If there is no room for the result.
     """
     target = folder / without_suffix(path.name)
     with making_copy(path, folder):
@@ -91,13 +91,13 @@ def unpacked_file(path: Path, folder: Path, log: DamageLog) -> Path:
                 offset=offset,
                 bytes_lost=path.stat().st_size - offset,
             )
-            # Once more, with small pieces about the damage: a piece that fails leaves nothing behind.
+            # Once more, with small pieces near the damage, because a piece that fails is lost.
             _unpack(path, target, broken_at=offset)
     return target
 
 
 def _unpack(path: Path, target: Path, broken_at: int | None = None) -> tuple[int, str] | None:
-    """Write what a file unpacks to; returns the first piece that cannot be unpacked, and why."""
+    """Write the decompressed file; returns the offset of the first piece that cannot be decompressed, and why."""
     offset = 0
     with opened_bytes(path) as packed, target.open("wb") as out:
         complete = True
@@ -122,7 +122,7 @@ def _unpack(path: Path, target: Path, broken_at: int | None = None) -> tuple[int
 
 
 def unpacked_message(data: Buffer, path: Path, topic: str) -> bytes:
-    """Return a message that was compressed by itself (rosbag2's compression mode ``message``).
+    """Decompress a message that was compressed by itself (rosbag2's compression mode ``message``).
 
     Raises
     ------
@@ -134,7 +134,7 @@ def unpacked_message(data: Buffer, path: Path, topic: str) -> bytes:
         declared = compression.zstd_content_size(data)
         if 0 < declared <= allowed:
             return bytes(compression.decompress("zstd", data, declared).data)
-        # Not `decompress`: it needs the frame's word on the size.
+        # Not `decompress`: it needs the declared size.
         decoder = compression.decoder("zstd")
         parts, size, view = [], 0, memoryview(data)
         while not decoder.eof and view and size <= allowed and declared <= allowed:
@@ -152,23 +152,23 @@ def unpacked_message(data: Buffer, path: Path, topic: str) -> bytes:
 
 
 def unpacked_messages(messages: list[RawMessage], log: DamageLog, place: int, path: Path) -> list[RawMessage]:
-    """Unpack the messages of one segment if they are packed one by one, which only metadata.yaml would tell.
+    """Decompress the messages of one segment if they are compressed one by one; only metadata.yaml declares that.
 
     Parameters
     ----------
     messages
-        Of one segment. If neither the first nor the last is a zstd frame, they are returned as they are.
+        Messages of one segment. If neither the first nor the last is a zstd frame, they are returned unchanged.
     log
-        Takes note of messages that cannot be unpacked; they are left out.
+        Gets messages that cannot be decompressed; they are skipped.
     place
-        Where the segment is in the file, bytes.
+        Offset of the segment in the file, bytes.
     path
         The file.
 
     Notes
     -----
-    CDR begins with a zero byte, so that a message in CDR is never taken for a frame. Other serialisations may begin
-    with anything, and rosbag2 packs none but CDR.
+    CDR begins with a zero byte, so that a message in CDR never looks like a frame. Other serialisations may begin
+    with any byte, but rosbag2 compresses only CDR.
     """
     if not messages or not (is_frame(messages[0]) or is_frame(messages[-1])):
         return messages
@@ -197,17 +197,17 @@ def unpacked_messages(messages: list[RawMessage], log: DamageLog, place: int, pa
 
 
 def is_frame(message: RawMessage) -> bool:
-    """Whether a message is packed by itself."""
+    """Whether a message is compressed by itself."""
     return message.connection.serialization == "cdr" and message.data[:4] == ZSTD_MAGIC
 
 
 def without_suffix(name: str) -> str:
-    """What a packed file was called before."""
+    """Return a compressed file's name without the suffix."""
     for suffix in SUFFIXES:
         name = name.removesuffix(suffix)
     return name
 
 
 def compressions(inner: Iterable[str]) -> tuple[str, ...]:
-    """Compressions of a recording with zstd around it: its own ``none`` is none no longer."""
+    """Return the compressions of a recording in a zstd file: ``zstd`` instead of ``none``."""
     return tuple(sorted({"zstd", *inner} - {"none"}))

@@ -23,7 +23,7 @@ _MAX_CELL = 255
 
 
 def printable(text: str) -> str:
-    r"""Escape what a terminal would act upon; names come from recordings, and recordings from strangers.
+    r"""Escape what a terminal would act upon; names come from recordings, which are untrusted.
 
     What no line of a screen could show is cut.
 

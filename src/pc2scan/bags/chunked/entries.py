@@ -1,6 +1,6 @@
-"""The index entries behind a chunk, compared with its messages: each has the time and the place of one of them.
+"""Compares the index entries of a chunk with its messages: each entry has the time and the place of a message.
 
-Checksums say nothing of this in a ROS 1 bag, which has none, or where a program changed messages and not their index.
+Checksums do not detect wrong entries: ROS 1 bags have none, and a program may have changed messages and not the index.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ if TYPE_CHECKING:
 
 __all__ = ["EntryForm", "entries_astray"]
 
-#: Arrays take less time for more entries than this.
+#: For more entries than this, NumPy is faster.
 _FEW = 24
 
 
 @dataclass(frozen=True, slots=True)
 class EntryForm:
-    """How a container writes index entries, and messages that they are about.
+    """The layout of a container's index entries, and of the messages that they point to.
 
-    An entry begins with the log time, in eight bytes that the message has too.
+    An entry begins with the log time, in the same eight bytes as in the message.
 
     Attributes
     ----------
@@ -33,7 +33,7 @@ class EntryForm:
     identity
         The connection's id in a message.
     id_at, time_at
-        Where in a message's record these are.
+        Offsets of id and time in a message's record.
     """
 
     entry: struct.Struct
@@ -43,16 +43,16 @@ class EntryForm:
 
 
 def entries_astray(records: Buffer, groups: Sequence[tuple[int, Buffer]], form: EntryForm) -> int:
-    """Count the entries that are not about a message of their connection and time, or about the same one as another.
+    """Count the wrong entries: those without a message of their connection and time, and repeated ones.
 
     Parameters
     ----------
     records
-        The chunk's, decompressed.
+        The decompressed records of the chunk.
     groups
         Connection ids, each with all its entries.
     form
-        How they are written.
+        The layout of the entries.
     """
     total = sum(len(entries) for _, entries in groups) // form.entry.size
     return (_few_astray if total <= _FEW else _many_astray)(records, groups, form)
@@ -88,7 +88,7 @@ def _many_astray(records: Buffer, groups: Sequence[tuple[int, Buffer]], form: En
     ids = np.repeat(np.array([number for number, _ in groups], np.uint32), counts)
     inside = entries["place"] <= last
     places = np.where(inside, entries["place"], 0).astype(np.int64)
-    # Numbers at every place of the chunk, whether aligned or not.
+    # Numbers at every offset of the chunk, aligned or not.
     times = np.ndarray((last + 1,), "<u8", records, form.time_at, (1,))[places]
     owners = np.ndarray((last + 1,), f"<u{form.identity.size}", records, form.id_at, (1,))[places]
     sound = int(np.count_nonzero(inside & (times == entries["time"]) & (owners == ids)))

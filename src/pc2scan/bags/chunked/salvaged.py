@@ -1,4 +1,4 @@
-"""What is left of a damaged chunk, and the note of it."""
+"""The messages recovered from a damaged chunk, and the note of its damage."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ __all__ = ["Salvaged", "note_salvaged", "settled"]
 
 
 class Salvaged(NamedTuple):
-    """What is left of a chunk.
+    """The messages recovered from a chunk.
 
     Attributes
     ----------
     messages
         In the order of the chunk.
     bytes_lost
-        Uncompressed bytes that no record accounts for.
-    strangers
-        Messages of channels (connections) that nothing describes.
+        Uncompressed bytes that are in no record.
+    unknown_channel
+        Messages of unknown channels (connections).
     """
 
     messages: list[RawMessage]
     bytes_lost: int
-    strangers: int
+    unknown_channel: int
 
     def selected(self, ids: Container[int], start_ns: int | None, stop_ns: int | None) -> list[RawMessage]:
         """Return the messages of some connections, with log times from ``start_ns`` on and before ``stop_ns``."""
@@ -45,28 +45,28 @@ class Salvaged(NamedTuple):
 
 
 def settled(messages: list[RawMessage], span: tuple[int, int]) -> list[RawMessage]:
-    """Give messages whose log times lie outside of their chunk's declared ones the nearest of these.
+    """Correct log times outside of those that the chunk declares to the nearest of these.
 
-    If there are several of them, and all messages are in order by their own times, it is the declared times that are
-    wrong: all keep theirs.
+    If there are several of them, and all messages are in order by their own times, the declared times are wrong and
+    no message is changed.
 
     Parameters
     ----------
     messages
-        All of a chunk, in its order.
+        All messages of a chunk, in its order.
     span
-        The first and the last log time that are declared.
+        The declared first and last log time.
     """
     low, high = span
     times = [message.log_time_ns for message in messages]
     outside = sum(not low <= time_ns <= high for time_ns in times)
     if outside == 0 or (outside > 1 and times == sorted(times)):
         return messages
-    return [message if low <= message.log_time_ns <= high else _moved(message, span) for message in messages]
+    return [message if low <= message.log_time_ns <= high else _clamped(message, span) for message in messages]
 
 
-def _moved(message: RawMessage, span: tuple[int, int]) -> RawMessage:
-    """Give a message the nearest log time in a span; where it is the time of publishing too, that as well."""
+def _clamped(message: RawMessage, span: tuple[int, int]) -> RawMessage:
+    """Set a message's log time to the nearest in a span, and its publish time too if the two are the same."""
     nearest = max(span[0], min(message.log_time_ns, span[1]))
     publish_time_ns = nearest if message.publish_time_ns == message.log_time_ns else message.publish_time_ns
     return message._replace(log_time_ns=nearest, publish_time_ns=publish_time_ns)
@@ -75,16 +75,16 @@ def _moved(message: RawMessage, span: tuple[int, int]) -> RawMessage:
 def note_salvaged(
     log: DamageLog, problem: DamageError, segment: Segment, offset: int, size: int, left: Salvaged
 ) -> None:
-    """Take note of a damaged chunk of which something was salvaged.
+    """Note a damaged chunk with recovered messages.
 
     Parameters
     ----------
     offset
-        Where the damage is said to be, bytes of the file.
+        The reported place of the damage, bytes.
     size
-        How many bytes of it could be decompressed.
+        Number of bytes that could be decompressed.
     left
-        What was found in these.
+        The messages found in these.
     """
     cut = max(segment.uncompressed_size - size, 0)
     missing = cut + left.bytes_lost
@@ -92,7 +92,7 @@ def note_salvaged(
         problem,
         offset=offset,
         bytes_lost=missing,
-        messages_lost=None if missing else left.strangers,
+        messages_lost=None if missing else left.unknown_channel,
         first_ns=left.messages[-1].log_time_ns if left.messages and cut else segment.start_ns,
         last_ns=segment.end_ns,
     )

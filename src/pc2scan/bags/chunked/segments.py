@@ -1,4 +1,4 @@
-"""The stretches of a file that holds its messages in chunks, and which chunks may be handed on as a whole."""
+"""The segments of a file with chunks, and which chunks may be copied as a whole."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ if TYPE_CHECKING:
     from pc2scan.files.source import SourceFile
     from pc2scan.model import ChunkRule, RawMessage, StoredChunk
 
-#: Fewer uncompressed bytes are read in less time than handing them to another thread takes.
+#: Reading fewer uncompressed bytes takes less time than handing them to another thread.
 _WORTH_A_THREAD = 1 << 20
 
-#: Chunks smaller than this, uncompressed, are not worth copying: their messages are gathered in larger ones.
+#: Chunks smaller than this, uncompressed, are not copied: their messages are collected in larger ones.
 MIN_WHOLE_BYTES = 256 << 10
 
 
 @dataclass(frozen=True, slots=True)
 class Segment:
-    """A stretch of a file that holds messages: a chunk, or a run of records outside any chunk.
+    """A part of a file with messages: a chunk, or consecutive records outside any chunk.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class Segment:
     start_ns, end_ns
         Log times of the earliest and the latest message, both inclusive.
     connection_ids
-        The connections with messages in it; None when unknown (then it has to be read to find out).
+        The connections with messages in it; None if unknown (then only reading it tells).
     """
 
     offset: int
@@ -66,21 +66,21 @@ class Segment:
 def standing_alone(
     segments: Collection[Segment], rule: ChunkRule, start_ns: int | None, stop_ns: int | None
 ) -> frozenset[Segment]:
-    """Find the chunks that can be handed on whole, by what is known of them without reading them.
+    """Find the chunks that can be copied as a whole, by the index alone.
 
     Parameters
     ----------
     segments
-        All that are read.
+        All segments to read.
     rule
-        What the destination takes.
+        The chunks that the destination accepts.
     start_ns, stop_ns
         The cut, ``start_ns <= log_time_ns < stop_ns``.
 
     Returns
     -------
     frozenset[Segment]
-        Those of which everything is wanted, and between whose first and last message no other segment has any.
+        Chunks that are wanted completely, if no other segment has messages between their first and last.
     """
     ordered = sorted(segments, key=attrgetter("start_ns", "offset"))
     alone = []
@@ -102,11 +102,10 @@ def standing_alone(
 
 
 def times_around(segments: Iterable[Segment]) -> Callable[[int, int], dict[str, int | None]]:
-    """Tell the log times next to a place of the file.
+    """Return a function that finds the log times around a part of the file.
 
-    The function returned takes where a stretch of the file starts and stops, and returns ``first_ns``, the latest log
-    time in front of it, and ``last_ns``, the earliest behind it; None where there are no messages. Segments
-    without times (``end_ns`` 0) do not count.
+    It takes the part's start and stop, and returns ``first_ns``, the latest log time before it, and ``last_ns``, the
+    earliest after it; None if there are no messages. Segments without times (``end_ns`` 0) are ignored.
     """
     timed = sorted((segment for segment in segments if segment.end_ns), key=attrgetter("offset"))
     offsets = [segment.offset for segment in timed]
@@ -129,14 +128,14 @@ class LoadSegment(Protocol):
     def __call__(
         self, segment: Segment, callback: Callable[[RawMessage], Item], *, whole: bool
     ) -> list[Item] | StoredChunk:
-        """Return what the callback makes of each message, or the chunk as a whole."""
+        """Return the callback's result for each message, or the chunk as a whole."""
         ...
 
 
 def units_of(
     segments: Iterable[Segment], load: LoadSegment, alone: Collection[Segment], file: SourceFile
 ) -> list[Unit]:
-    """Describe the segments of a file as units; those ``alone`` may be whole."""
+    """Return the segments of a file as units; those in ``alone`` may be whole."""
     return by_start(
         Unit(
             start_ns=segment.start_ns,

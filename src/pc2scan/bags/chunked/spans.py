@@ -1,9 +1,9 @@
-"""The log times that an index declares for chunks, compared with what lies in the chunks and behind them.
+"""Compares the log times that an index declares for chunks with those in the chunks and their index records.
 
-A wrong time hides messages: chunks that a cut does not touch are never read. To compare them all would take longer
-than the rest of a cut. So those are compared whose times matter: the first and the last chunk, from which ``--start``
-and ``--end`` count, the chunks beside a cut, and those whose times cannot be. The records behind a chunk repeat the
-times of its messages. Where these disagree with the index, the chunk itself decides.
+A wrong time would hide messages, because a cut reads only chunks within its times. Comparing all chunks would take
+longer than the cut itself, so only some are compared: the first and the last chunk, from which ``--start`` and
+``--end`` count, the chunks next to a cut, and those with impossible times. The index records after a chunk repeat the
+times of its messages. If these differ from the index, the chunk itself is read.
 """
 
 from __future__ import annotations
@@ -35,17 +35,17 @@ class SpanCheck:
     Parameters
     ----------
     segments
-        All of a file. Those with wrong times are replaced in this list.
+        All segments of a file. Those with wrong times are replaced in this list.
     repeated
-        Returns the times that the records behind a chunk have; None if there are none, or if they are malformed.
+        Returns the times in the index records after a chunk; None if there are none, or if they are malformed.
     contained
-        Returns the times of the messages in a chunk, which it reads; None if there are none, or if it is damaged.
+        Reads a chunk and returns the times of its messages; None if there are none, or if it is damaged.
     file
         The file.
     log
-        Takes note of wrong times.
+        Gets wrong times.
     trusted
-        Whether a checksum holds for the declared times. Only those that cannot be are looked into then.
+        Whether a checksum verifies the declared times. Only impossible ones are compared then.
     """
 
     def __init__(
@@ -71,17 +71,17 @@ class SpanCheck:
             self._confirm(segment)
 
     def compare_ends(self) -> None:
-        """Compare the chunk that begins first and the one that ends last with the records behind them."""
+        """Compare the chunk that begins first and the one that ends last with their index records."""
         if self._trusted or not self._segments:
             return
         if not self._confirm_repeated(min(self._segments, key=attrgetter("start_ns"))):
-            # Those with wrong times move up, until one comes first that is right.
+            # Chunks are corrected until the first one is right.
             any(map(self._confirm_repeated, sorted(self._segments, key=attrgetter("start_ns"))))
         if not self._confirm_repeated(max(self._segments, key=attrgetter("end_ns"))):
             any(map(self._confirm_repeated, sorted(self._segments, key=attrgetter("end_ns"), reverse=True)))
 
     def compare_beside(self, ids: frozenset[int] | None, start_ns: int | None, stop_ns: int | None) -> None:
-        """Compare the chunks beside a cut that can have messages of these connections (None: of any)."""
+        """Compare the chunks next to a cut that may have messages of these connections (None: of any)."""
         if self._trusted or (start_ns is None and stop_ns is None):
             return
         self._ordered = self._ordered or sorted(self._segments, key=attrgetter("offset"))
@@ -90,11 +90,11 @@ class SpanCheck:
                 self._confirm(segment)
 
     def _confirm_repeated(self, segment: Segment) -> bool:
-        """Do the same, but read no chunk to open a file that does not repeat the times."""
+        """Do the same, but if the file does not repeat the times, read no chunk."""
         return self._repeated(segment) is None or self._confirm(segment)
 
     def _confirm(self, segment: Segment) -> bool:
-        """Compare a segment's times once; returns whether they are right."""
+        """Compare a segment's times once; return whether they are right."""
         if segment.offset in self._compared:
             return True
         self._compared.add(segment.offset)
@@ -106,10 +106,10 @@ class SpanCheck:
         if actual is None:
             actual = (min(declared), max(declared))
         hides = actual[0] < first_ns or last_ns < actual[1]
-        # Times of a larger stretch do no harm, and who wrote them may have known no better.
+        # A span that is too large hides no messages, and some writers do not compute it exactly.
         if actual == declared or not (hides or repeated == actual):
             return True
-        # Zeros are of a writer that did not know.
+        # Some writers write zeros for unknown times.
         if last_ns:
             self._note(segment, actual)
         if not self._places:
@@ -140,7 +140,7 @@ class SpanCheck:
 
 
 def beside_cut(ordered: Sequence[Segment], start_ns: int | None, stop_ns: int | None) -> Iterator[Segment]:
-    """Find the segments that a cut leaves out, while it does not leave out the one in front of them or behind them.
+    """Find the segments next to a cut: outside of it, with the segment before or after them inside.
 
     In a recording in order these are two. If their declared times are wrong, they may hold messages of the cut.
 

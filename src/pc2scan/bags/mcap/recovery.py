@@ -318,7 +318,7 @@ def salvaged_messages(data: memoryview, known: Mapping[int, Connection], span: t
         The first and the last log time that the chunk declares, if it does; see `settled`.
     """
     messages: list[RawMessage] = []
-    strangers = lost = 0
+    unknown_channel = lost = 0
     for start, stop, sound in _framed(data, known, span):
         if not sound or (data[start] not in _INSIDE_CHUNKS and data[start] < FIRST_PRIVATE):
             lost += stop - start
@@ -326,12 +326,12 @@ def salvaged_messages(data: memoryview, known: Mapping[int, Connection], span: t
             _, _, channel_id, sequence, log_time_ns, publish_time_ns = MESSAGE.unpack_from(data, start)
             connection = known.get(channel_id)
             if connection is None:
-                strangers += 1
+                unknown_channel += 1
                 continue
             messages.append(
                 RawMessage(connection, log_time_ns, data[start + MESSAGE.size : stop], publish_time_ns, sequence)
             )
-    return Salvaged(settled(messages, span) if span else messages, lost, strangers)
+    return Salvaged(settled(messages, span) if span else messages, lost, unknown_channel)
 
 
 def salvaged_records(data: memoryview) -> Iterator[tuple[int, memoryview]]:

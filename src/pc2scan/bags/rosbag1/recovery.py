@@ -313,19 +313,19 @@ def salvaged_messages(chunk: bytes, known: Mapping[int, Connection], span: tuple
     """
     data = memoryview(chunk)
     messages = []
-    lost = strangers = 0
+    lost = unknown_channel = 0
     for fields, start, stop, sound in framed(chunk):
         if not sound:
             lost += stop - start
         elif kind_of(fields) == MESSAGE:
             connection = known.get(uint32_field(fields, "conn"))
             if connection is None:
-                strangers += 1
+                unknown_channel += 1
                 continue
             seconds, nanoseconds = divmod(time_field(fields, "time"), SECOND_NS)
             stamp = seconds * SECOND_NS + nanoseconds
             messages.append(RawMessage(connection, stamp, data[start:stop], stamp))
-    return Salvaged(settled(messages, span), lost, strangers)
+    return Salvaged(settled(messages, span), lost, unknown_channel)
 
 
 def framed(chunk: bytes) -> Iterator[tuple[Fields, int, int, bool]]:
