@@ -29,10 +29,10 @@ if TYPE_CHECKING:
     )
     from pathlib import Path
 
-    from pc2scan.model import Attachment, ChunkRule, Connection, Metadata, RawMessage, StoredChunk
+    from pc2scan.model import Attachment, ChunkRule, Connection, Metadata, RawMessage
 
     from .damage import Damage
-    from .units import Item, Load, Unit
+    from .units import Item, Load, Loaded, Unit
 
 __all__ = ["MergedReader", "as_one", "merged_summary", "unified"]
 
@@ -224,7 +224,7 @@ class _Renaming(NamedTuple):
     load: Load
     known: Mapping[int, Connection]
 
-    def __call__(self, callback: Callable[[RawMessage], Item], *, whole: bool) -> list[Item] | StoredChunk:
+    def __call__(self, callback: Callable[[RawMessage], Item], *, whole: bool) -> Loaded[Item]:
         known = self.known
         return self.load(lambda m: callback(m._replace(connection=known[m.connection.id])), whole=whole)
 

@@ -13,8 +13,9 @@ from collections import deque
 from dataclasses import dataclass
 from functools import partial
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias, TypeVar
 
+from pc2scan.bags.many import ITEM_BYTES, Many
 from pc2scan.errors import RecordingError
 from pc2scan.model import RawMessage, StoredChunk, owned
 
@@ -29,6 +30,7 @@ __all__ = [
     "UNKNOWN_START_NS",
     "Handle",
     "Load",
+    "Loaded",
     "Stretch",
     "Timed",
     "Unit",
@@ -39,13 +41,16 @@ __all__ = [
 ]
 
 #: Limit of loaded units; beyond it, those needed last are dropped and later loaded again.
-MAX_OPEN_BYTES = 64 << 20
+MAX_OPEN_BYTES = 96 << 20
 
 #: The start of a unit with an unknown first log time: it is due at once.
 UNKNOWN_START_NS = -1 << 63
 
 #: Units may be loaded again up to so many times the size of all units, and a gigabyte.
-_MAX_AGAIN = 16
+_MAX_AGAIN = 4
+
+#: Messages that any recording may have, however few bytes it is stored in, and one more for each of these.
+_MAX_FREE_MESSAGES = 1_000_000
 
 #: Bytes that are announced to the system before they are read: it reads them while others are decompressed.
 _ANNOUNCED_BYTES = 32 << 20
@@ -70,11 +75,14 @@ class Timed(Protocol):
 
 Item = TypeVar("Item", bound=Timed)
 
+#: What a unit is loaded as: items in the order of the file, or the chunk as a whole.
+Loaded: TypeAlias = list[Item] | Many[Item] | StoredChunk
+
 
 class Load(Protocol):
     """Loads a unit; may be called on any thread, and again."""
 
-    def __call__(self, callback: Callable[[RawMessage], Item], *, whole: bool) -> list[Item] | StoredChunk:
+    def __call__(self, callback: Callable[[RawMessage], Item], *, whole: bool) -> Loaded[Item]:
         """Return the callback's result for each message, in the order of the file, or the chunk as a whole.
 
         Parameters
@@ -132,7 +140,7 @@ class Handle(NamedTuple):
     """A unit, and the function that returns its items or its chunk."""
 
     unit: Unit
-    result: Callable[[], list[Any] | StoredChunk]
+    result: Callable[[], Loaded[Any]]
 
 
 def by_start(units: Iterable[Unit]) -> list[Unit]:
@@ -140,9 +148,11 @@ def by_start(units: Iterable[Unit]) -> list[Unit]:
     return sorted(units, key=attrgetter("start_ns", "place"))
 
 
-def loaded(unit: Unit, callback: Callable[[RawMessage], Item], *, whole: bool) -> list[Item] | StoredChunk:
+def loaded(unit: Unit, callback: Callable[[RawMessage], Item], *, whole: bool) -> Loaded[Item]:
     """Load a unit, its messages sorted by log time."""
     found = unit.load(callback, whole=whole)
+    if isinstance(found, Many):
+        return found.in_time_order()
     if not isinstance(found, StoredChunk):
         # A stable sort, which takes almost no time if the messages are in order.
         found.sort(key=attrgetter("log_time_ns"))
@@ -242,15 +252,19 @@ class _Open:
 
     __slots__ = ("items", "key", "position", "size", "unit", "whole")
 
-    def __init__(self, unit: Unit, found: list[Any] | StoredChunk, max_open_bytes: int) -> None:
+    def __init__(self, unit: Unit, found: Loaded[Any], max_open_bytes: int) -> None:
         self.unit = unit
         self.size = unit.size
-        if unit.size > max_open_bytes and not isinstance(found, StoredChunk):
-            # A damaged chunk may declare any size: its actual size counts, so that others are not dropped for it.
-            self.size = min(unit.size, sum(item.size for item in found))
+        if isinstance(found, Many):
+            self.size = found.size
+        elif not isinstance(found, StoredChunk):
+            if unit.size > max_open_bytes:
+                # A damaged chunk may declare any size: its actual size counts, so that others are not dropped for it.
+                self.size = min(unit.size, sum(item.size for item in found))
+            self.size += ITEM_BYTES * len(found)
         self.position = 0
         #: None if they were dropped, and for a whole chunk.
-        self.items: list[Any] | None = None
+        self.items: list[Any] | Many[Any] | None = None
         self.whole: StoredChunk | None = None
         if isinstance(found, StoredChunk):
             self.whole = found
@@ -270,6 +284,7 @@ def _merged(
     heap: list[_Open] = []
     coming = next(handles, None)
     total = again = 0
+    most = _MAX_FREE_MESSAGES
     while heap or coming is not None:
         while coming is not None and (not heap or coming.unit.start_ns <= heap[0].key[0]):
             unit = coming.unit
@@ -277,6 +292,10 @@ def _merged(
             # Makes room before loading.
             _evict(heap, max_open_bytes - unit.size)
             found = coming.result()
+            if unit.stretch and not isinstance(found, StoredChunk):
+                most += unit.stretch.length - len(found)
+                if most < 0:
+                    raise RecordingError("has more messages than bytes, which no recording does", path=path)
             if found:
                 heapq.heappush(heap, _Open(unit, found, max_open_bytes))
                 _evict(heap, max_open_bytes)

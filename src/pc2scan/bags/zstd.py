@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from array import array
+from contextlib import suppress
+from functools import partial
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import DamageError, RecordingError
@@ -10,8 +13,10 @@ from pc2scan.files.compression import ZSTD_MAGIC, CompressionError
 from pc2scan.files.limits import MAX_FILE_RATIO, MAX_UNPACKED, allowed_bytes
 from pc2scan.files.source import opened_bytes
 from pc2scan.files.temporary import making_copy
+from pc2scan.model import owned
 
 from .damage import RECOVER
+from .many import Many
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -20,6 +25,8 @@ if TYPE_CHECKING:
     from pc2scan.model import Buffer, RawMessage
 
     from .damage import DamageLog
+
+    Messages = list[RawMessage] | Many[RawMessage]
 
 __all__ = [
     "SUFFIXES",
@@ -151,7 +158,7 @@ def unpacked_message(data: Buffer, path: Path, topic: str) -> bytes:
     return b"".join(parts)
 
 
-def unpacked_messages(messages: list[RawMessage], log: DamageLog, place: int, path: Path) -> list[RawMessage]:
+def unpacked_messages(messages: Messages, log: DamageLog, place: int, path: Path) -> Messages:
     """Decompress the messages of one segment if they are compressed one by one; only metadata.yaml declares that.
 
     Parameters
@@ -172,28 +179,44 @@ def unpacked_messages(messages: list[RawMessage], log: DamageLog, place: int, pa
     """
     if not messages or not (is_frame(messages[0]) or is_frame(messages[-1])):
         return messages
-    unpacked = []
-    for message in messages:
-        if message.connection.serialization == "cdr":
-            try:
-                data = unpacked_message(message.data, path, message.connection.topic)
-            except DamageError as err:
-                key = (message.connection.id, message.log_time_ns, message.sequence)
-                when = message.log_time_ns
-                log.note(
-                    err,
-                    key=key,
-                    offset=place,
-                    bytes_lost=len(message.data),
-                    messages_lost=1,
-                    first_ns=when,
-                    last_ns=when,
-                )
-                continue
-            unpacked.append(message._replace(data=data))
-        else:
-            unpacked.append(message)
-    return unpacked
+    unpacked = partial(_unpacked, log, place, path)
+    if isinstance(messages, list) and sum(map(_least_size, messages)) > MAX_UNPACKED:
+        # They take more memory than a chunk may: each is unpacked when its turn comes.
+        packed = list(map(owned, messages))
+        times = array("Q", (message.log_time_ns for message in packed))
+        size = sum(message.size for message in packed)
+        messages = Many(times, array("Q", range(len(packed))), packed.__getitem__, size)
+    if isinstance(messages, Many):
+        readable = messages.kept(lambda message: unpacked(message) is not None)
+        return readable.mapped(lambda message: unpacked(message) or message)
+    return [message for message in map(unpacked, messages) if message is not None]
+
+
+def _unpacked(log: DamageLog, place: int, path: Path, message: RawMessage) -> RawMessage | None:
+    """Unpack a message; None, and a note, if that is not possible."""
+    if message.connection.serialization != "cdr":
+        return message
+    try:
+        return message._replace(data=unpacked_message(message.data, path, message.connection.topic))
+    except DamageError as err:
+        when = message.log_time_ns
+        log.note(
+            err,
+            key=(message.connection.id, when, message.sequence),
+            offset=place,
+            bytes_lost=len(message.data),
+            messages_lost=1,
+            first_ns=when,
+            last_ns=when,
+        )
+        return None
+
+
+def _least_size(message: RawMessage) -> int:
+    """How many bytes a message at least takes in memory once it is unpacked, as far as it tells."""
+    with suppress(CompressionError):
+        return compression.zstd_content_size(message.data) or allowed_bytes(message.size)
+    return message.size
 
 
 def is_frame(message: RawMessage) -> bool:

@@ -11,6 +11,7 @@ from collections import deque
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
+from pc2scan.bags.many import Many
 from pc2scan.bags.units import Handle, in_time_order, loaded, when_due
 from pc2scan.model import RawMessage, StoredChunk, owned
 from pc2scan.threads import InOrder
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable, Iterator
     from pathlib import Path
 
-    from pc2scan.bags.units import Timed, Unit
+    from pc2scan.bags.units import Loaded, Timed, Unit
     from pc2scan.threads import Threads
 
     Item = TypeVar("Item", bound=Timed)
@@ -100,7 +101,7 @@ def _ahead(
 ) -> Generator[Handle]:
     """Load units on other threads ahead of their turn."""
     waiting: deque[Unit] = deque()
-    results: InOrder[list[Any] | StoredChunk] = InOrder(threads, AHEAD_BYTES, threads.jobs + 1, window)
+    results: InOrder[Loaded[Any]] = InOrder(threads, AHEAD_BYTES, threads.jobs + 1, window)
     try:
         for unit in units:
             too_large = unit.size > LARGEST_AHEAD
@@ -118,11 +119,13 @@ def _ahead(
         results.cancel()
 
 
-def _together(threads: Threads, unit: Unit, callback: Callable[[RawMessage], Item]) -> list[Item] | StoredChunk:
+def _together(threads: Threads, unit: Unit, callback: Callable[[RawMessage], Item]) -> Loaded[Item]:
     """Load a unit on this thread, and work on its messages on all of them."""
     found = loaded(unit, owned, whole=unit.may_be_whole)
     if isinstance(found, StoredChunk):
         return found
+    if isinstance(found, Many):
+        return found.mapped(callback)
     tasks = [threads.submit(list[Any], map(callback, piece)) for piece in _pieces(found)]
     return [item for task in tasks for item in task.result()]
 

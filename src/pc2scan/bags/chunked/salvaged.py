@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+from array import array
+from functools import partial
+from itertools import islice
+from operator import le
 from typing import TYPE_CHECKING, NamedTuple
+
+from pc2scan.bags.many import Many, kept
 
 if TYPE_CHECKING:
     from collections.abc import Container
@@ -29,22 +35,28 @@ class Salvaged(NamedTuple):
         Messages of unknown channels (connections).
     """
 
-    messages: list[RawMessage]
+    messages: list[RawMessage] | Many[RawMessage]
     bytes_lost: int
     unknown_channel: int
 
-    def selected(self, ids: Container[int], start_ns: int | None, stop_ns: int | None) -> list[RawMessage]:
+    def selected(
+        self, ids: Container[int], start_ns: int | None, stop_ns: int | None
+    ) -> list[RawMessage] | Many[RawMessage]:
         """Return the messages of some connections, with log times from ``start_ns`` on and before ``stop_ns``."""
-        return [
-            message
-            for message in self.messages
-            if message.connection.id in ids
-            and (start_ns is None or start_ns <= message.log_time_ns)
-            and (stop_ns is None or message.log_time_ns < stop_ns)
-        ]
+
+        def is_wanted(message: RawMessage) -> bool:
+            return (
+                message.connection.id in ids
+                and (start_ns is None or start_ns <= message.log_time_ns)
+                and (stop_ns is None or message.log_time_ns < stop_ns)
+            )
+
+        return kept(is_wanted, self.messages)
 
 
-def settled(messages: list[RawMessage], span: tuple[int, int]) -> list[RawMessage]:
+def settled(
+    messages: list[RawMessage] | Many[RawMessage], span: tuple[int, int]
+) -> list[RawMessage] | Many[RawMessage]:
     """Correct log times outside of those that the chunk declares to the nearest of these.
 
     If there are several of them, and all messages are in order by their own times, the declared times are wrong and
@@ -58,15 +70,20 @@ def settled(messages: list[RawMessage], span: tuple[int, int]) -> list[RawMessag
         The declared first and last log time.
     """
     low, high = span
-    times = [message.log_time_ns for message in messages]
+    times = messages.times if isinstance(messages, Many) else [message.log_time_ns for message in messages]
     outside = sum(not low <= time_ns <= high for time_ns in times)
-    if outside == 0 or (outside > 1 and times == sorted(times)):
+    if outside == 0 or (outside > 1 and all(map(le, times, islice(times, 1, None)))):
         return messages
-    return [message if low <= message.log_time_ns <= high else _clamped(message, span) for message in messages]
+    if isinstance(messages, Many):
+        nearest = array("Q", (max(low, min(time_ns, high)) for time_ns in times))
+        return messages.mapped(partial(_clamped, span), nearest)
+    return [_clamped(span, message) for message in messages]
 
 
-def _clamped(message: RawMessage, span: tuple[int, int]) -> RawMessage:
+def _clamped(span: tuple[int, int], message: RawMessage) -> RawMessage:
     """Set a message's log time to the nearest in a span, and its publish time too if the two are the same."""
+    if span[0] <= message.log_time_ns <= span[1]:
+        return message
     nearest = max(span[0], min(message.log_time_ns, span[1]))
     publish_time_ns = nearest if message.publish_time_ns == message.log_time_ns else message.publish_time_ns
     return message._replace(log_time_ns=nearest, publish_time_ns=publish_time_ns)

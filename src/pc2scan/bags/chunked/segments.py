@@ -14,9 +14,9 @@ from pc2scan.bags.units import Stretch, Unit, by_start
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable
 
-    from pc2scan.bags.units import Item
+    from pc2scan.bags.units import Item, Loaded
     from pc2scan.files.source import SourceFile
-    from pc2scan.model import ChunkRule, RawMessage, StoredChunk
+    from pc2scan.model import ChunkRule, RawMessage
 
 #: Reading fewer uncompressed bytes takes less time than handing them to another thread.
 _WORTH_A_THREAD = 1 << 20
@@ -125,9 +125,7 @@ def times_around(segments: Iterable[Segment]) -> Callable[[int, int], dict[str, 
 class LoadSegment(Protocol):
     """Loads a segment; see `pc2scan.bags.units.Load`."""
 
-    def __call__(
-        self, segment: Segment, callback: Callable[[RawMessage], Item], *, whole: bool
-    ) -> list[Item] | StoredChunk:
+    def __call__(self, segment: Segment, callback: Callable[[RawMessage], Item], *, whole: bool) -> Loaded[Item]:
         """Return the callback's result for each message, or the chunk as a whole."""
         ...
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 from typing import TYPE_CHECKING
 
+from pc2scan.bags.many import MAX_TOGETHER
 from pc2scan.files.compression import ZSTD_MAGIC
 from pc2scan.files.crc32 import crc32
 from pc2scan.model import StoredChunk
@@ -53,7 +54,7 @@ def whole_by_index(file: RecordFile, segment: ChunkSegment, rule: ChunkRule) -> 
     RecordingError
         If the bytes are not there, or the chunk's header is not what the index says.
     """
-    if not segment.index_length or segment.compression not in rule.compressions:
+    if not 0 < segment.index_length <= MAX_TOGETHER * 16 or segment.compression not in rule.compressions:
         return None
     chunk, data = stored_chunk(file, segment, segment.index_length)
     stored, indexes = data[: segment.length], data[segment.length :]
@@ -135,6 +136,8 @@ def _index_of(records: memoryview, segment: ChunkSegment, declarations: Collecti
             _, _, channel_id, _, log_time_ns, _ = MESSAGE.unpack_from(records, position)
             index.setdefault(channel_id, []).append((log_time_ns, position))
             times.append(log_time_ns)
+            if len(times) > MAX_TOGETHER:
+                return None
         position = following
     return index if position == size and times and _in_order(times, segment) else None
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import struct
+from array import array
+from collections import deque
 from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
@@ -14,6 +16,7 @@ from pc2scan.bags.chunked.salvaged import Salvaged, note_salvaged
 from pc2scan.bags.chunked.segments import standing_alone, units_of
 from pc2scan.bags.chunked.spans import SpanCheck
 from pc2scan.bags.damage import DamageLog
+from pc2scan.bags.many import MAX_TOGETHER, Many, mapped
 from pc2scan.bags.parts import AnotherBeginsError, PartReader, note_next, opened_parts
 from pc2scan.bags.qos import latches
 from pc2scan.bags.zstd import is_frame, unpacked_messages
@@ -29,9 +32,10 @@ from pc2scan.model import (
     StoredChunk,
     Summary,
     declared_counts,
+    own,
 )
 
-from .chunks import ChunkSegment, chunk_at, payload, with_payload
+from .chunks import ChunkSegment, chunk_at, message_at, payload, with_payload
 from .copies import agreed, whole_by_content, whole_by_index
 from .data_crc import data_crc
 from .entries import index_trouble
@@ -46,8 +50,10 @@ if TYPE_CHECKING:
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.formats import ReadOptions
     from pc2scan.bags.reader import Reader
-    from pc2scan.bags.units import Item, Unit
+    from pc2scan.bags.units import Item, Loaded, Unit
     from pc2scan.model import ChunkRule
+
+    Messages = list[RawMessage] | Many[RawMessage]
 
 __all__ = ["McapReader", "open_reader"]
 
@@ -190,7 +196,7 @@ class McapReader(PartReader):
 
         intolerant = DamageLog(strict=True)
 
-        def sound(segment: Segment, data: memoryview) -> list[RawMessage]:
+        def sound(segment: Segment, data: memoryview) -> Messages:
             span = _declared_span(segment)
             further = partial(self._compare_declaration, data, segment) if isinstance(segment, ChunkSegment) else None
             scan = _messages_in(data, wanted, first, stop, span or _ANY_TIME, further)
@@ -212,13 +218,13 @@ class McapReader(PartReader):
                 self._compare_index(segment, wanted, data, None if is_cut else len(scan.messages))
             return scan.messages
 
-        def load(segment: Segment, callback: Callable[[RawMessage], Item], *, whole: bool) -> list[Item] | StoredChunk:
+        def load(segment: Segment, callback: Callable[[RawMessage], Item], *, whole: bool) -> Loaded[Item]:
             items = read(segment, callback, whole=whole)
             if self._data_crc is not None:
                 self._data_crc.compare()
             return items
 
-        def read(segment: Segment, callback: Callable[[RawMessage], Item], *, whole: bool) -> list[Item] | StoredChunk:
+        def read(segment: Segment, callback: Callable[[RawMessage], Item], *, whole: bool) -> Loaded[Item]:
             self._bytes_read += segment.length
             seen: StoredChunk | memoryview | None = None
             if rule and whole and isinstance(segment, ChunkSegment):
@@ -231,17 +237,17 @@ class McapReader(PartReader):
             if isinstance(seen, StoredChunk):
                 return seen
 
-            def taken(data: memoryview) -> list[Item]:
+            def taken(data: memoryview) -> Loaded[Item]:
                 if self._data_crc is not None:
                     self._data_crc.add(segment, data)
                 unpacked = unpacked_messages(sound(segment, data), intolerant, segment.offset, self._file.path)
-                return list(map(callback, unpacked))
+                return mapped(callback, unpacked)
 
             # What is damaged is read again, to see what is left of it.
             with suppress(DamageError):
                 return with_payload(self._file, segment, taken, verify=self._verify) if seen is None else taken(seen)
             data, problem = self._prefix(segment)
-            found = []
+            found: Messages = []
             try:
                 if problem is None:
                     found = sound(segment, data)
@@ -249,7 +255,7 @@ class McapReader(PartReader):
                 problem = err
             if problem is not None:
                 found = self._salvaged(segment, data, problem).selected(wanted, first, stop)
-            return list(map(callback, unpacked_messages(found, self._log, segment.offset, self._file.path)))
+            return mapped(callback, unpacked_messages(found, self._log, segment.offset, self._file.path))
 
         return units_of(segments, load, alone, self._file)
 
@@ -275,7 +281,9 @@ class McapReader(PartReader):
         data, problem = self._prefix(chunk)
         if problem is None:
             try:
-                return iter(list(split(data, chunk.offset, self._file)))
+                # All of them first, and none is kept: there may be millions.
+                deque(split(data, chunk.offset, self._file), maxlen=0)
+                return split(data, chunk.offset, self._file)
             except DamageError as err:
                 problem = err
         from .recovery import salvaged_records  # noqa: PLC0415
@@ -376,7 +384,8 @@ class McapReader(PartReader):
         """The log times of a chunk's messages by themselves."""
         data, problem = self._prefix(segment)
         known = {connection.id: connection for connection in self._connections}
-        times = [message.log_time_ns for message in _messages_in(data, known, 0, 1 << 64).messages]
+        messages = _messages_in(data, known, 0, 1 << 64).messages
+        times = messages.times if isinstance(messages, Many) else [message.log_time_ns for message in messages]
         return (min(times), max(times)) if times and problem is None else None
 
     def _salvaged(self, segment: Segment, data: memoryview, problem: DamageError) -> Salvaged:
@@ -496,7 +505,7 @@ class _Scan(NamedTuple):
         The log time of a wanted message outside of the declared times.
     """
 
-    messages: list[RawMessage]
+    messages: Messages
     others: set[int]
     size: int
     astray: int | None
@@ -514,6 +523,50 @@ def _messages_in(
 
     ``further`` is called with the place of every record that is no message.
     """
+    scan = _stretch_of(data, wanted, start_ns, stop_ns, span, further, 0)
+    if scan.size + MESSAGE.size > len(data):
+        return scan
+    messages, others, position, astray = scan
+    assert isinstance(messages, list)
+    count = len(messages)
+    while True:
+        more = _stretch_of(data, wanted, start_ns, stop_ns, span, further, position)
+        others |= more.others
+        astray = more.astray if astray is None else astray
+        count += len(more.messages)
+        messages = [*messages, *more.messages] if count <= MAX_TOGETHER else []
+        if more.size == position:
+            break
+        position = more.size
+    if count <= MAX_TOGETHER:
+        return _Scan(messages, others, position, astray)
+    start_ns, stop_ns = max(start_ns, span[0]), min(stop_ns, span[1] + 1)
+    return _Scan(_many(data[:position], wanted, start_ns, stop_ns), others, position, astray)
+
+
+def _many(data: memoryview, wanted: Mapping[int, Connection], start_ns: int, stop_ns: int) -> Many[RawMessage]:
+    """The messages among sound records, to be made one by one."""
+    times, places = array("Q"), array("Q")
+    position, last = 0, len(data) - MESSAGE.size
+    while position <= last:
+        opcode, length, channel_id, _, log_time_ns, _ = MESSAGE.unpack_from(data, position)
+        if opcode == OP_MESSAGE and channel_id in wanted and start_ns <= log_time_ns < stop_ns:
+            times.append(log_time_ns)
+            places.append(position)
+        position += RECORD.size + length
+    return Many(times, places, partial(message_at, memoryview(own(data)), wanted), len(data))
+
+
+def _stretch_of(
+    data: memoryview,
+    wanted: Mapping[int, Connection],
+    start_ns: int,
+    stop_ns: int,
+    span: tuple[int, int],
+    further: Callable[[int], None] | None,
+    position: int,
+) -> _Scan:
+    """Scan records from a place on for so many bytes that they can be no more than `MAX_TOGETHER` messages."""
     astray: int | None = None
     first_ns, last_ns = span
     # One comparison for both: which of them fails is found out only then.
@@ -524,8 +577,7 @@ def _messages_in(
     # The class's own constructor takes twice as long, and this is where readers of small messages wait.
     new: Callable[[type[RawMessage], tuple[object, ...]], RawMessage] = tuple.__new__
     size = len(data)
-    last = size - MESSAGE.size
-    position = 0
+    last = min(size, position + MAX_TOGETHER * MESSAGE.size) - MESSAGE.size
     while position <= last:
         opcode, length, channel_id, sequence, log_time_ns, publish_time_ns = unpack(data, position)
         following = position + 9 + length

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import re
 import struct
+from array import array
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from operator import attrgetter
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -18,12 +20,12 @@ from mcap.opcode import Opcode
 
 from pc2scan.bags.chunked.salvaged import Salvaged, settled
 from pc2scan.bags.chunked.segments import times_around
+from pc2scan.bags.many import Many
 from pc2scan.errors import DamageError
 from pc2scan.files.salvage import decompressed_prefix
-from pc2scan.model import RawMessage
 
 from .another import refuse_another
-from .chunks import CHUNK_HEAD_SIZE, ChunkSegment, chunk_at
+from .chunks import CHUNK_HEAD_SIZE, ChunkSegment, chunk_at, message_at
 from .index import McapIndex, RecordWalk, read_header, read_summary
 from .records import COMPRESSIONS, FIRST_PRIVATE, MAGIC, MESSAGE, OP_CHUNK, OP_MESSAGE, OP_MESSAGE_INDEX, RECORD, parse
 
@@ -317,20 +319,19 @@ def salvaged_messages(data: memoryview, known: Mapping[int, Connection], span: t
     span
         The first and the last log time that the chunk declares, if it does; see `settled`.
     """
-    messages: list[RawMessage] = []
+    times, places = array("Q"), array("Q")
     unknown_channel = lost = 0
     for start, stop, sound in _framed(data, known, span):
         if not sound or (data[start] not in _INSIDE_CHUNKS and data[start] < FIRST_PRIVATE):
             lost += stop - start
         elif data[start] == OP_MESSAGE:
-            _, _, channel_id, sequence, log_time_ns, publish_time_ns = MESSAGE.unpack_from(data, start)
-            connection = known.get(channel_id)
-            if connection is None:
+            _, _, channel_id, _, log_time_ns, _ = MESSAGE.unpack_from(data, start)
+            if channel_id not in known:
                 unknown_channel += 1
                 continue
-            messages.append(
-                RawMessage(connection, log_time_ns, data[start + MESSAGE.size : stop], publish_time_ns, sequence)
-            )
+            times.append(log_time_ns)
+            places.append(start)
+    messages = Many(times, places, partial(message_at, data, known), len(data)).together()
     return Salvaged(settled(messages, span) if span else messages, lost, unknown_channel)
 
 

@@ -7,15 +7,17 @@ nothing that the chunk does not, and some recorders get their length wrong.
 from __future__ import annotations
 
 import struct
+from array import array
 from dataclasses import dataclass, field
 from itertools import permutations
 from operator import itemgetter
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
+from pc2scan.bags.many import MAX_TOGETHER, Many
 from pc2scan.errors import stamp_text
 from pc2scan.files.compression import CompressionError, decompress
 from pc2scan.files.limits import allowed_bytes
-from pc2scan.model import RawMessage
+from pc2scan.model import RawMessage, own
 
 from .records import (
     CONNECTION,
@@ -38,7 +40,16 @@ if TYPE_CHECKING:
 
     from .records import BagFile
 
-__all__ = ["USUAL_LAYOUT", "Places", "decompressed", "messages_in", "payload", "records_in", "with_payload"]
+__all__ = [
+    "USUAL_LAYOUT",
+    "FoundMessages",
+    "Places",
+    "decompressed",
+    "messages_in",
+    "payload",
+    "records_in",
+    "with_payload",
+]
 
 _Result = TypeVar("_Result")
 
@@ -168,7 +179,7 @@ def messages_in(
     span: tuple[int, int] | None = None,
     places: list[int] | None = None,
     describe: Callable[[Mapping[bytes, bytes], Buffer], object] | None = None,
-) -> list[RawMessage]:
+) -> list[RawMessage] | Many[RawMessage]:
     """Find the messages of a decompressed chunk.
 
     Parameters
@@ -199,11 +210,39 @@ def messages_in(
     first, last = span or (0, _LATEST_NS)
     # One comparison for both: which of them fails is found out only then.
     low, high = max(low, first), min(high, last + 1)
-    messages = []
+    position, count = 0, 0
+    messages: list[RawMessage] = []
+    while position < end:
+        position = _stretch_of(data, wanted, (low, high), (first, last), position, messages, places, describe)
+        if len(messages) + count > MAX_TOGETHER:
+            count += len(messages)
+            messages = []
+    return _many(data, wanted, low, high) if count else messages
+
+
+def _stretch_of(
+    data: memoryview,
+    wanted: Mapping[int, Connection | None],
+    cut: tuple[int, int],
+    span: tuple[int, int],
+    position: int,
+    messages: list[RawMessage],
+    places: list[int] | None,
+    describe: Callable[[Mapping[bytes, bytes], Buffer], object] | None,
+) -> int:
+    """Find messages from a place on, in so many bytes that they can be no more than `MAX_TOGETHER`.
+
+    Returns
+    -------
+    int
+        The place behind them.
+    """
+    (low, high), (first, last) = cut, span
+    end = len(data)
     layout, literals, expected, at_connection, at_seconds = current = USUAL_LAYOUT
     prefix = layout.size
-    position = 0
-    while position < end:
+    stop = min(end, position + MAX_TOGETHER * prefix)
+    while position < stop:
         origin = position
         values = layout.unpack_from(data, position) if position + prefix <= end else None
         if values and literals(values) == expected:
@@ -214,16 +253,16 @@ def messages_in(
             if position > end:
                 raise Damaged(f"a message reaches to byte {position} of a chunk of {end} bytes")
         else:
-            fields, start, stop = _record(data, position)
+            fields, start, following = _record(data, position)
             # A writer keeps to its order of fields: follow it, and look at this record again.
             other = _LAYOUTS.get(tuple(fields), current)
             if other is not current and kind_of(fields) == MESSAGE:
                 layout, literals, expected, at_connection, at_seconds = current = other
                 continue
-            position = stop
+            position = following
             if kind_of(fields) == CONNECTION:
                 if describe is not None:
-                    describe(fields, data[start:stop])
+                    describe(fields, data[start:position])
                 continue
             if kind_of(fields) != MESSAGE:
                 raise Damaged(f"a record of kind {kind_of(fields)} lies where only messages and connections may")
@@ -244,4 +283,50 @@ def messages_in(
                 f"it has a message of log time {stamp_text(stamp)}, "
                 f"declared are {stamp_text(first)} to {stamp_text(last)}"
             )
-    return messages
+    return position
+
+
+def _many(data: memoryview, wanted: Mapping[int, Connection | None], start_ns: int, stop_ns: int) -> Many[RawMessage]:
+    """The messages of a sound chunk, to be made one by one."""
+    found = FoundMessages()
+    layout, literals, expected, at_connection, at_seconds = USUAL_LAYOUT
+    position, end = 0, len(data)
+    while position < end:
+        values = layout.unpack_from(data, position) if position + layout.size <= end else None
+        if values and literals(values) == expected:
+            identity = values[at_connection]
+            stamp = values[at_seconds] * SECOND_NS + values[at_seconds + 1]
+            start = position + layout.size
+            position = start + values[6]
+        else:
+            fields, start, position = _record(data, position)
+            if kind_of(fields) != MESSAGE:
+                continue
+            identity, stamp = uint32_field(fields, "conn"), time_field(fields, "time")
+        if wanted[identity] is not None and start_ns <= stamp < stop_ns:
+            found.add(identity, stamp, start, position)
+    return found.many(memoryview(own(data)), {key: item for key, item in wanted.items() if item is not None})
+
+
+class FoundMessages:
+    """Where messages of a chunk are."""
+
+    def __init__(self) -> None:
+        self._times = array("Q")
+        self._ids, self._starts, self._stops = array("I"), array("I"), array("I")
+
+    def add(self, identity: int, log_time_ns: int, start: int, stop: int) -> None:
+        """Add one: its connection, its log time, and where its data are."""
+        self._times.append(log_time_ns)
+        for values, value in ((self._ids, identity), (self._starts, start), (self._stops, stop)):
+            values.append(value)
+
+    def many(self, data: memoryview, known: Mapping[int, Connection]) -> Many[RawMessage]:
+        """Return them, to be made one by one."""
+        times, ids, starts, stops = self._times, self._ids, self._starts, self._stops
+
+        def made(number: int) -> RawMessage:
+            stamp = times[number]
+            return RawMessage(known[ids[number]], stamp, data[starts[number] : stops[number]], stamp)
+
+        return Many(times, array("Q", range(len(times))), made, len(data) + 3 * ids.itemsize * len(ids))

@@ -10,6 +10,7 @@ from pc2scan.bags.chunked.salvaged import Salvaged, note_salvaged
 from pc2scan.bags.chunked.segments import standing_alone, units_of
 from pc2scan.bags.chunked.spans import SpanCheck
 from pc2scan.bags.damage import DamageLog
+from pc2scan.bags.many import Many, mapped
 from pc2scan.bags.parts import AnotherBeginsError, PartReader, note_next, opened_parts
 from pc2scan.model import StoredChunk, Summary, declared_counts
 
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.formats import ReadOptions
     from pc2scan.bags.reader import Reader
-    from pc2scan.bags.units import Item, Unit
+    from pc2scan.bags.units import Item, Loaded, Unit
     from pc2scan.model import Buffer, ChunkRule, Connection, RawMessage
 
     from .index import BagIndex
@@ -154,7 +155,7 @@ class Rosbag1Reader(PartReader):
         alone = standing_alone(due, rule, start_ns, stop_ns) if rule else frozenset()
         needed = first_uses(due, start_ns) if alone else {}
 
-        def load_whole(segment: Segment, rule: ChunkRule) -> list[RawMessage] | StoredChunk:
+        def load_whole(segment: Segment, rule: ChunkRule) -> Loaded[RawMessage]:
             stored = self._file.read(segment.offset, segment.length)
             chunk = decompressed(self._file, segment, stored)
             places = Places()
@@ -169,28 +170,30 @@ class Rosbag1Reader(PartReader):
                 chunk, wanted, start_ns, stop_ns, span=span, places=places.messages, describe=describe
             )
             self._compare_index(segment, chunk, chosen, len(messages))
+            if isinstance(messages, Many):
+                return messages
             return whole_chunk(segment, stored, chunk, messages, places, rule, needed[segment]) or messages
 
-        def load(segment: Segment, callback: Callable[[RawMessage], Item], *, whole: bool) -> list[Item] | StoredChunk:
+        def load(segment: Segment, callback: Callable[[RawMessage], Item], *, whole: bool) -> Loaded[Item]:
             self._bytes_read += segment.length
             if rule and whole:
                 # What is damaged is not copied.
                 with suppress(Damaged):
                     found = load_whole(segment, rule)
-                    return found if isinstance(found, StoredChunk) else list(map(callback, found))
+                    return found if isinstance(found, StoredChunk) else mapped(callback, found)
 
-            def taken(chunk: Buffer) -> list[Item]:
+            def taken(chunk: Buffer) -> Loaded[Item]:
                 describe, span = partial(self._agrees, segment), (segment.start_ns, segment.end_ns)
                 found = messages_in(chunk, wanted, start_ns, stop_ns, span=span, describe=describe)
                 is_cut = segment.start_ns < (start_ns or 0) or (stop_ns is not None and stop_ns <= segment.end_ns)
                 self._compare_index(segment, chunk, chosen, None if is_cut else len(found))
-                return list(map(callback, found))
+                return mapped(callback, found)
 
             try:
                 return with_payload(self._file, segment, taken)
             except Damaged as err:
                 problem = err
-            return list(map(callback, self._salvaged(segment, problem).selected(chosen, start_ns, stop_ns)))
+            return mapped(callback, self._salvaged(segment, problem).selected(chosen, start_ns, stop_ns))
 
         return units_of(due, load, alone, self._file)
 

@@ -14,9 +14,8 @@ from typing import TYPE_CHECKING
 from pc2scan.bags.chunked.salvaged import Salvaged, settled
 from pc2scan.bags.chunked.segments import Segment, times_around
 from pc2scan.files.salvage import decompressed_prefix
-from pc2scan.model import RawMessage
 
-from .chunks import payload
+from .chunks import FoundMessages, payload
 from .index import BagIndex, chunk_segment
 from .records import (
     BAG_HEADER,
@@ -312,20 +311,20 @@ def salvaged_messages(chunk: bytes, known: Mapping[int, Connection], span: tuple
         The first and the last log time that the index gives the chunk; see `settled`.
     """
     data = memoryview(chunk)
-    messages = []
+    found = FoundMessages()
     lost = unknown_channel = 0
     for fields, start, stop, sound in framed(chunk):
         if not sound:
             lost += stop - start
         elif kind_of(fields) == MESSAGE:
-            connection = known.get(uint32_field(fields, "conn"))
-            if connection is None:
+            identity = uint32_field(fields, "conn")
+            if identity not in known:
                 unknown_channel += 1
                 continue
             seconds, nanoseconds = divmod(time_field(fields, "time"), SECOND_NS)
             stamp = seconds * SECOND_NS + nanoseconds
-            messages.append(RawMessage(connection, stamp, data[start:stop], stamp))
-    return Salvaged(settled(messages, span), lost, unknown_channel)
+            found.add(identity, stamp, start, stop)
+    return Salvaged(settled(found.many(data, known).together(), span), lost, unknown_channel)
 
 
 def framed(chunk: bytes) -> Iterator[tuple[Fields, int, int, bool]]:

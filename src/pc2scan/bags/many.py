@@ -1,0 +1,113 @@
+"""The messages of a chunk that has very many of them, each made when its turn comes.
+
+A message without data takes 31 bytes in a chunk, next to none where it is compressed, and ten times as much as an
+object. So only the log times and the places of very many are kept.
+"""
+
+from __future__ import annotations
+
+from array import array
+from itertools import compress, islice
+from operator import le
+from typing import TYPE_CHECKING, Generic, TypeVar, overload
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+__all__ = ["ITEM_BYTES", "MAX_TOGETHER", "Many", "kept", "mapped"]
+
+_Item = TypeVar("_Item")
+_Other = TypeVar("_Other")
+
+#: Messages of a chunk that are made at once. Chunks of usual sizes have fewer.
+MAX_TOGETHER = 1 << 15
+
+#: What an item takes besides its data, bytes.
+ITEM_BYTES = 400
+
+
+class Many(Generic[_Item]):
+    """Items that are made of messages one by one; only the one made last is kept.
+
+    Parameters
+    ----------
+    times
+        Log times, ns.
+    places
+        Where the messages are; as many.
+    make
+        Makes the item of a place. It is the same whenever it is made.
+    kept_bytes
+        What ``make`` keeps in memory.
+    """
+
+    __slots__ = ("_kept_bytes", "_last", "_make", "_places", "_times")
+
+    def __init__(self, times: array[int], places: array[int], make: Callable[[int], _Item], kept_bytes: int) -> None:
+        self._kept_bytes = kept_bytes
+        self._times = times
+        self._places = places
+        self._make = make
+        self._last: tuple[int, _Item] | None = None
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def __getitem__(self, number: int) -> _Item:
+        if self._last is None or self._last[0] != number:
+            # Not two at the same time.
+            self._last = None
+            self._last = (number, self._make(self._places[number]))
+        return self._last[1]
+
+    def __iter__(self) -> Iterator[_Item]:
+        return map(self._make, self._places)
+
+    @property
+    def times(self) -> array[int]:
+        """Log times, ns."""
+        return self._times
+
+    @property
+    def size(self) -> int:
+        """Bytes of memory that it takes."""
+        return self._kept_bytes + sum(len(values) * values.itemsize for values in (self._times, self._places))
+
+    def mapped(self, callback: Callable[[_Item], _Other], times: array[int] | None = None) -> Many[_Other]:
+        """Return what a callback makes of the items; with other log times, if it gives them some."""
+        make = self._make
+        times = self._times if times is None else times
+        return Many(times, self._places, lambda place: callback(make(place)), self._kept_bytes)
+
+    def kept(self, test: Callable[[_Item], bool]) -> Many[_Item]:
+        """Return the items for which ``test`` is true."""
+        chosen = bytearray(map(test, self))
+        times, places = (array("Q", compress(values, chosen)) for values in (self._times, self._places))
+        return Many(times, places, self._make, self._kept_bytes)
+
+    def together(self) -> list[_Item] | Many[_Item]:
+        """Return all items, made, if they are few enough."""
+        return self if len(self) > MAX_TOGETHER else list(self)
+
+    def in_time_order(self) -> Many[_Item]:
+        """Return the items sorted by log time; those of one time stay in their order."""
+        times = self._times
+        if all(map(le, times, islice(times, 1, None))):
+            return self
+        order = array("Q", sorted(range(len(times)), key=times.__getitem__))
+        times, places = (array("Q", map(values.__getitem__, order)) for values in (times, self._places))
+        return Many(times, places, self._make, self._kept_bytes)
+
+
+@overload
+def mapped(callback: Callable[[_Item], _Other], items: list[_Item]) -> list[_Other]: ...
+@overload
+def mapped(callback: Callable[[_Item], _Other], items: list[_Item] | Many[_Item]) -> list[_Other] | Many[_Other]: ...
+def mapped(callback: Callable[[_Item], _Other], items: list[_Item] | Many[_Item]) -> list[_Other] | Many[_Other]:
+    """Return what a callback makes of items."""
+    return items.mapped(callback) if isinstance(items, Many) else list(map(callback, items))
+
+
+def kept(test: Callable[[_Item], bool], items: list[_Item] | Many[_Item]) -> list[_Item] | Many[_Item]:
+    """Return the items for which ``test`` is true."""
+    return items.kept(test) if isinstance(items, Many) else list(filter(test, items))
