@@ -299,7 +299,17 @@ def repair(
 
 
 @known_keywords(synonyms=_SYNONYMS)
-def info(sources: PathText | Iterable[PathText], *, samples: int = 10) -> Info:
+def info(
+    sources: PathText | Iterable[PathText],
+    *,
+    samples: int = 10,
+    target_frame: str = "",
+    static_tf: str | StaticTransform | Iterable[str | StaticTransform] = (),
+    tf_from: PathText | Iterable[PathText] = (),
+    tf_topics: str | Iterable[str] = (),
+    source_frame: str = "",
+    frames: FrameOptions | None = None,
+) -> Info:
     """Look into a recording, as ``pc2scan info`` does: containers, topics, and what its clouds look like.
 
     Parameters
@@ -307,7 +317,11 @@ def info(sources: PathText | Iterable[PathText], *, samples: int = 10) -> Info:
     sources
         A recording, or several that are one.
     samples
-        Clouds of each topic to look at, spread evenly over the recording.
+        Clouds and scans of each topic to look at, spread evenly over the recording.
+    target_frame
+        Frame that heights are shown in, as conversions see them. Default: the clouds' own.
+    static_tf, tf_from, tf_topics, source_frame, frames
+        As for `pc2scan.convert`.
 
     Returns
     -------
@@ -327,7 +341,12 @@ def info(sources: PathText | Iterable[PathText], *, samples: int = 10) -> Info:
         raise TypeError(f"samples is {samples!r}, it must be a whole number")
     if samples < 1:
         raise UsageError(f"`samples` is {samples}, it must be 1 or more")
-    return look(paths_in("sources", sources), samples=samples)
+    return look(
+        paths_in("sources", sources),
+        samples=samples,
+        target_frame=target_frame,
+        frames=_frames(frames, static_tf, tf_from=tf_from, tf_topics=tf_topics, source_frame=source_frame),
+    )
 
 
 @known_keywords(synonyms={**_SYNONYMS, "for": "consumers", "consumer": "consumers"})

@@ -18,11 +18,12 @@ if TYPE_CHECKING:
 PACKAGE = ROOT / "src" / "pc2scan"
 
 #: Every layer may import these; they import nothing of pc2scan but each other.
-GROUND = {"arguments", "callable_package", "errors", "json_types", "model", "names", "threads", "version"}
+GROUND = {"arguments", "callable_package", "errors", "json_types", "model", "names", "shown", "threads", "version"}
 
 #: What else each layer may import of pc2scan, for type checkers too; its own modules always.
 ALLOWED = {
     "arguments": set[str](),
+    "shown": set[str](),
     # `api`, which is found by its name when it is called.
     "callable_package": set[str](),
     "errors": set[str](),
@@ -52,6 +53,7 @@ ALLOWED = {
 #: What layers may import from elsewhere, beside the standard library.
 THIRD_PARTY = {
     "arguments": set[str](),
+    "shown": set[str](),
     "callable_package": set[str](),
     "errors": set[str](),
     "json_types": set[str](),

@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from pc2scan.errors import stamp_text
+from pc2scan.shown import size
+
 if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
@@ -57,6 +60,27 @@ class Damage:
     def loses(self) -> bool:
         """Whether anything may be missing."""
         return bool(self.bytes_lost) or self.messages_lost != 0
+
+    def __str__(self) -> str:
+        where = f"{self.path}" + ("" if self.offset is None else f", byte {self.offset}")
+        lost = "; ".join(filter(None, (self._lost(), self._span())))
+        return f"{where}: {self.what}" + (f" ({lost})" if lost else "")
+
+    def _lost(self) -> str:
+        parts = [size(self.bytes_lost)] if self.bytes_lost else []
+        if self.messages_lost == 0 and not self.bytes_lost:
+            return "nothing lost, but what was read there may be wrong"
+        if self.messages_lost:
+            parts.append(f"{self.messages_lost:,} message{'s' if self.messages_lost > 1 else ''}")
+        return f"{' and '.join(parts)} lost" if parts else ""
+
+    def _span(self) -> str:
+        first, last = self.first_ns, self.last_ns
+        if first is not None and last is not None:
+            return f"log time {stamp_text(first)}" + (f" to {stamp_text(last)}" if last > first else "")
+        if first is not None:
+            return f"from log time {stamp_text(first)} on"
+        return f"before log time {stamp_text(last)}" if last is not None else ""
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON's types."""

@@ -4,19 +4,13 @@ from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from pc2scan.errors import stamp_text
-
 from .damage import show_damage
 from .options import Json, TfSources
-from .render import message, print_json, printable, warn
-from .spelling import as_typed
-
-if TYPE_CHECKING:
-    from pc2scan.inspect.check import Check, ConsumerCheck, TopicCheck
+from .render import message, print_json, warn
 
 __all__ = ["check"]
 
@@ -91,72 +85,9 @@ def check(
     if as_json:
         print_json(result.as_dict())
     else:
-        for topic in result.topics:
-            _show_topic(topic, result.asked)
-        typer.echo(_conclusion(result))
+        for line in result.lines():
+            typer.echo(message(line))
         for warning in result.warnings:
             warn(warning)
     show_damage(result.damage)
     raise typer.Exit(result.exit_status)
-
-
-def _show_topic(topic: TopicCheck, asked: tuple[str, ...]) -> None:
-    typer.echo(printable(f"{topic.topic}: {_summary(topic)}"))
-    if topic.first is not None:
-        scan = topic.first
-        typer.echo(
-            f"  angles {scan.angle_min:.6g} to {scan.angle_max:.6g} rad by {scan.angle_increment:.6g}, "
-            f"ranges {scan.range_min:.4g} to {scan.range_max:.4g} m"
-        )
-    typer.echo()
-    for consumer in topic.consumers:
-        if not asked or consumer.consumer in asked:
-            _show_consumer(consumer, topic.scans)
-    for finding in topic.findings:
-        since = "" if finding.stamp_ns is None else f" (first at {stamp_text(finding.stamp_ns)})"
-        typer.echo(message(f"  {finding.level}: {finding.text}{since}"))
-        if finding.hint:
-            typer.echo(message(f"          {finding.hint}"))
-    typer.echo()
-
-
-def _summary(topic: TopicCheck) -> str:
-    low, high = topic.beams
-    beams = f"{low:,}" if low == high else f"{low:,} to {high:,}"
-    frames = ", ".join(repr(frame) for frame in topic.frames[:_SHOWN]) + (", ..." if topic.frames[_SHOWN:] else "")
-    rate = "" if topic.interval_ns is None else f", {1e9 / topic.interval_ns:.2f} Hz"
-    return f"{topic.scans:,} scans of {beams} beams{rate}, in frame {frames}" if topic.scans else "no scans"
-
-
-def _show_consumer(consumer: ConsumerCheck, scans: int) -> None:
-    share = "" if consumer.scans == scans else f" {consumer.scans:,} of {scans:,} scans"
-    typer.echo(f"  {consumer.consumer:<14}{consumer.outcome}{share}")
-    verdict = consumer.verdict
-    if verdict.rule:
-        typer.echo(f"      rule  {verdict.rule}")
-        typer.echo(f"      here  {verdict.observed}; allowed: {verdict.allowed}")
-        typer.echo(f"      cure  {as_typed(verdict.cure)}")
-
-
-def _conclusion(result: Check) -> str:
-    """Say in one line who would not take what, the worst first."""
-    from pc2scan.core.consumers import OUTCOMES
-
-    several = len(result.topics) > 1
-    refusing: dict[str, dict[str, list[str]]] = {}
-    for topic in result.topics:
-        outcomes = {consumer.consumer: consumer.outcome for consumer in topic.consumers}
-        for consumer in result.counting:
-            outcome = outcomes.get(consumer, "nothing to take")
-            if outcome != "accepted":
-                refusing.setdefault(outcome, {}).setdefault(topic.topic, []).append(consumer)
-    parts = [
-        f"{outcome}{f' ({topic})' if several else ''}: {', '.join(consumers)}"
-        for outcome in ("nothing to take", *reversed(OUTCOMES))
-        for topic, consumers in refusing.get(outcome, {}).items()
-    ]
-    if result.defects:
-        parts.append(f"{result.defects} defect{'s' if result.defects > 1 else ''}")
-    if not parts:
-        return f"ok: accepted by {', '.join(result.counting)}"
-    return printable(f"{'not ok' if result.exit_status else 'ok'}; {'; '.join(parts)}")

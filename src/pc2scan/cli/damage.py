@@ -25,9 +25,7 @@ SHOWN = 5
 def show_damage(damage: Sequence[Damage], *, limit: int = SHOWN) -> None:
     """Tell what is damaged, where, and what is lost there."""
     for place in damage[:limit]:
-        where = f"{place.path}" + ("" if place.offset is None else f", byte {place.offset}")
-        lost = "; ".join(filter(None, (_lost(place.bytes_lost, place.messages_lost), _span(place))))
-        typer.echo(printable(f"damaged: {where}: {place.what}" + (f" ({lost})" if lost else "")), err=True)
+        typer.echo(printable(f"damaged: {place}"), err=True)
     if len(damage) > limit:
         typer.echo(f"damaged: {len(damage) - limit:,} more places (--report or --json tells them)", err=True)
 
@@ -46,24 +44,6 @@ def show_recovery(report: Report, *, limit: int = SHOWN) -> None:
     missing = [place for place in report.damage if place.loses]
     span = _spanned(missing) if missing else "no message is known to be missing"
     typer.echo(f"recovered: {found}; {lost}; {span}", err=True)
-
-
-def _lost(stored: int, messages: int | None) -> str:
-    parts = [size(stored)] if stored else []
-    if messages == 0 and not stored:
-        return "nothing lost, but what was read there may be wrong"
-    if messages:
-        parts.append(f"{messages:,} message{'s' if messages > 1 else ''}")
-    return f"{' and '.join(parts)} lost" if parts else ""
-
-
-def _span(place: Damage) -> str:
-    first, last = place.first_ns, place.last_ns
-    if first is not None and last is not None:
-        return f"log time {stamp_text(first)}" + (f" to {stamp_text(last)}" if last > first else "")
-    if first is not None:
-        return f"from log time {stamp_text(first)} on"
-    return f"before log time {stamp_text(last)}" if last is not None else ""
 
 
 def _spanned(damage: Sequence[Damage]) -> str:

@@ -11,19 +11,16 @@ import typer
 from pc2scan.errors import stamp_text
 
 from .damage import show_damage
-from .info_scans import show_scans
 from .options import Json, StaticTf, TfSources
-from .render import count, print_json, printable, size, table, warn
+from .render import count, print_json, printable, show_parts, size, table, warn
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from pc2scan.inspect.info import CloudInfo, Info
+    from pc2scan.inspect.info import Info
     from pc2scan.tf.mounting import Mounting
 
 __all__ = ["info"]
-
-_BAR = 40
 
 
 def info(
@@ -114,61 +111,26 @@ def _show(result: Info) -> None:
     )
     for cloud in result.clouds:
         typer.echo()
-        _show_cloud(cloud)
+        show_parts(cloud.shown())
     for scan in result.scans:
         typer.echo()
-        show_scans(scan)
-
-
-def _show_cloud(cloud: CloudInfo) -> None:
-    typer.echo(printable(f"{cloud.topic}: {cloud.sampled} clouds sampled"))
-    for problem in cloud.problems:
-        typer.echo(printable(f"  cannot be decoded: {problem}"))
-    if not cloud.fields:
-        return
-    points = f"{cloud.points_min:,}" + (f" to {cloud.points_max:,}" if cloud.points_max > cloud.points_min else "")
-    height, width = cloud.shape
-    typer.echo(printable(f"  frame   {', '.join(repr(frame) for frame in cloud.frames)}"))
-    is_laid_out = cloud.point_step > 0
-    each = f", {cloud.point_step} bytes each" if is_laid_out else ""
-    typer.echo(f"  points  {points} a cloud ({height} x {width}){each}")
-    fields = [f"{name} {kind}" + (f" @{offset}" if is_laid_out else "") for name, kind, offset in cloud.fields]
-    typer.echo(printable(f"  fields  {', '.join(fields)}"))
-    typer.echo(f"  NaN {cloud.nan_share:.1%}, (0, 0, 0) {cloud.zero_share:.1%}, z > 0 {cloud.above_zero_share:.1%}")
-    spreads = [(name, spread) for name in ("x", "y", "z", "range") if (spread := getattr(cloud, name)) is not None]
-    if spreads:
-        typer.echo()
-        table(
-            ("[m]", "min", "5%", "median", "95%", "max"),
-            [(name, *(f"{value:.3f}" for value in (s.min, s.p5, s.median, s.p95, s.max))) for name, s in spreads],
-            left=("[m]",),
-        )
-    _show_heights(cloud)
+        show_parts(scan.shown())
 
 
 def _show_findings(result: Info, given: Sequence[str]) -> None:
     """Say where floor and ceiling are, and with which command each topic is converted."""
+    from pc2scan.inspect.info import ground_text
+
     found = [(cloud.topic, cloud.mounting) for cloud in result.clouds if cloud.mounting is not None]
     if not any(mounting.heights for _, mounting in found):
         return
     typer.echo()
     for topic, mounting in found:
-        typer.echo(printable(f"{topic}: {_ground_text(mounting)}"))
+        typer.echo(printable(f"{topic}: {ground_text(mounting)}"))
     typer.echo("\nready to convert:")
     for topic, mounting in found:
         if mounting.heights is not None:
             typer.echo(printable(f"  {shlex.join(_command(result, topic, mounting, given))}"))
-
-
-def _ground_text(mounting: Mounting) -> str:
-    ground, heights = mounting.ground, mounting.heights
-    if heights is None or heights.floor is None:
-        return "no floor seen, heights are those of most points"
-    frame = mounting.target_frame or mounting.judged_in
-    ceiling = "" if heights.ceiling is None else f", ceiling at {heights.ceiling:.2f} m"
-    floor = round(heights.floor, 2) + 0.0
-    sensor = "" if ground.height is None else f"; the sensor is {ground.height:.2f} m above the floor"
-    return f"floor at z = {floor:.2f} m in frame {frame!r}{ceiling}{sensor}"
 
 
 def _command(result: Info, topic: str, mounting: Mounting, given: Sequence[str]) -> list[str]:
@@ -186,16 +148,3 @@ def _command(result: Info, topic: str, mounting: Mounting, given: Sequence[str])
     words += ["--target-frame", target] if target else []
     # A word that begins with a minus needs no sign of equality: no option has a digit behind it.
     return [*words, "--min-height", f"{heights.low:g}", "--max-height", f"{heights.high:g}"]
-
-
-def _show_heights(cloud: CloudInfo) -> None:
-    if not cloud.height_counts:
-        return
-    where = f" in {cloud.target_frame}" if cloud.target_frame else ""
-    typer.echo()
-    typer.echo(printable(f"  heights (z){where}"))
-    most, total = max(cloud.height_counts), sum(cloud.height_counts)
-    edges = list(zip(cloud.height_edges, cloud.height_edges[1:], strict=False))
-    for (low, high), points in reversed(list(zip(edges, cloud.height_counts, strict=True))):
-        bar = "#" * round(_BAR * points / most)
-        typer.echo(f"  {low:9.2f} to {high:8.2f} m {points / total:6.1%} {bar}")

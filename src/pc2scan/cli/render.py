@@ -7,14 +7,16 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from pc2scan.shown import Table
+
 from .spelling import as_typed
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from pc2scan.errors import Pc2ScanError
 
-__all__ = ["count", "error_text", "message", "print_json", "printable", "size", "table", "warn"]
+__all__ = ["count", "error_text", "message", "print_json", "printable", "show_parts", "size", "table", "warn"]
 
 
 #: Characters of a text, and of a cell of a table. ROS's own names have at most 255.
@@ -113,3 +115,12 @@ def table(columns: Sequence[str], rows: Sequence[Sequence[str]], *, left: Sequen
         typer.echo("   ".join(aligned).rstrip())
         if number == 0:
             typer.echo("-" * (sum(widths) + 3 * (len(widths) - 1)))
+
+
+def show_parts(parts: Iterable[str | Table]) -> None:
+    """Print what a result shows of itself."""
+    for part in parts:
+        if isinstance(part, Table):
+            table(part.columns, part.rows, left=part.left)
+        else:
+            typer.echo(message(part))

@@ -5,16 +5,20 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from pc2scan.shown import Shown, Table
+
 from .summary import summary
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from .topic_difference import TopicDifference
 
 __all__ = ["Difference"]
 
 
-@dataclass(slots=True)
-class Difference:
+@dataclass(slots=True, repr=False)
+class Difference(Shown):
     """The differences between two recordings.
 
     Attributes
@@ -57,5 +61,10 @@ class Difference:
         """Summarize the differences in a few lines; ``names`` are the names of the two sides."""
         return "\n".join(summary(self.topics, self.left_aside, names))
 
-    def __str__(self) -> str:
-        return self.text()
+    def __repr__(self) -> str:
+        apart = sum(not topic.same for topic in self.topics)
+        found = f"{apart} of {len(self.topics)} topics differ" if apart else f"{len(self.topics)} topics are the same"
+        return f"<Difference of {self.a!r} and {self.b!r}: {found}>"
+
+    def _shown(self) -> Iterator[str | Table]:
+        yield from self.text().splitlines()

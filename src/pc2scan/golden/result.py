@@ -7,7 +7,11 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
+from pc2scan.shown import Shown, Table
+
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from pc2scan.compare.result import Difference
 
 __all__ = ["CaseOutcome", "CaseResult", "GoldenReport"]
@@ -52,8 +56,8 @@ class CaseResult:
         }
 
 
-@dataclass(slots=True)
-class GoldenReport:
+@dataclass(slots=True, repr=False)
+class GoldenReport(Shown):
     """The results of a folder of cases."""
 
     folder: str
@@ -74,6 +78,18 @@ class GoldenReport:
     def exit_status(self) -> int:
         """0: all as expected or updated; 1: some differ; 2: some could not be checked."""
         return 2 if self.counts[CaseOutcome.error] else 1 if self.counts[CaseOutcome.failed] else 0
+
+    def __repr__(self) -> str:
+        return f"<GoldenReport of {self.folder!r}: {self._counted()}, exit status {self.exit_status}>"
+
+    def _counted(self) -> str:
+        return ", ".join(f"{number} {outcome.value}" for outcome, number in self.counts.items() if number) or "no cases"
+
+    def _shown(self) -> Iterator[str | Table]:
+        for case in self.cases:
+            yield f"{case.outcome.value:<8}{case.name}"
+            yield from (f"    {line}" for line in case.lines)
+        yield self._counted()
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON's types."""

@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Any
 from pc2scan.bags.merged import as_one
 from pc2scan.bags.opening import open_recordings
 from pc2scan.bags.topics import find_topic
-from pc2scan.core.consumers import CONSUMERS, Outcome
-from pc2scan.errors import DecodeError, TopicError, UsageError
+from pc2scan.core.consumers import CONSUMERS, OUTCOMES, Outcome
+from pc2scan.errors import DecodeError, TopicError, UsageError, stamp_text
 from pc2scan.json_types import json_value
 from pc2scan.messages.laserscan import LASERSCAN, decode_laserscan
+from pc2scan.shown import Shown, Table, listed
 from pc2scan.tf.options import FrameOptions
 from pc2scan.tf.reading import read_transforms
 
@@ -22,7 +23,7 @@ from .scan_frames import ScanFrames
 from .scan_topic import Finding, ScanTopic
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.reader import Reader
@@ -30,6 +31,9 @@ if TYPE_CHECKING:
     from pc2scan.model import Connection
     from pc2scan.tf.buffer import TransformBuffer
 
+
+#: Frames, and damaged places, that are shown as text.
+_MAX_SHOWN = 5
 
 __all__ = ["Check", "ConsumerCheck", "TopicCheck", "check"]
 
@@ -61,6 +65,16 @@ class ConsumerCheck:
     scans: int
     verdict: Verdict
     stamp_ns: int
+
+    def lines(self, scans: int) -> Iterator[str]:
+        """Yield what is shown of it, given how many scans the topic has."""
+        share = "" if self.scans == scans else f" {self.scans:,} of {scans:,} scans"
+        yield f"  {self.consumer:<14}{self.outcome}{share}"
+        verdict = self.verdict
+        if verdict.rule:
+            yield f"      rule  {verdict.rule}"
+            yield f"      here  {verdict.observed}; allowed: {verdict.allowed}"
+            yield f"      cure  {verdict.cure}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,9 +108,38 @@ class TopicCheck:
     consumers: tuple[ConsumerCheck, ...]
     findings: tuple[Finding, ...]
 
+    def lines(self, asked: tuple[str, ...]) -> Iterator[str]:
+        """Yield what is shown of it, with the verdicts of these consumers, or of all."""
+        yield f"{self.topic}: {self._summary()}"
+        if self.first is not None:
+            scan = self.first
+            yield (
+                f"  angles {scan.angle_min:.6g} to {scan.angle_max:.6g} rad by {scan.angle_increment:.6g}, "
+                f"ranges {scan.range_min:.4g} to {scan.range_max:.4g} m"
+            )
+        yield ""
+        for consumer in self.consumers:
+            if not asked or consumer.consumer in asked:
+                yield from consumer.lines(self.scans)
+        for finding in self.findings:
+            since = "" if finding.stamp_ns is None else f" (first at {stamp_text(finding.stamp_ns)})"
+            yield f"  {finding.level}: {finding.text}{since}"
+            if finding.hint:
+                yield f"          {finding.hint}"
+        yield ""
 
-@dataclass(frozen=True, slots=True)
-class Check:
+    def _summary(self) -> str:
+        if not self.scans:
+            return "no scans"
+        low, high = self.beams
+        beams = f"{low:,}" if low == high else f"{low:,} to {high:,}"
+        frames = ", ".join(map(repr, self.frames[:_MAX_SHOWN])) + (", ..." if self.frames[_MAX_SHOWN:] else "")
+        rate = "" if self.interval_ns is None else f", {1e9 / self.interval_ns:.2f} Hz"
+        return f"{self.scans:,} scans of {beams} beams{rate}, in frame {frames}"
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Check(Shown):
     """What was found of a recording's scans.
 
     Attributes
@@ -161,6 +204,41 @@ class Check:
         whether all do, and there is no defect.
         """
         return int(not self.accepted or self.unusable or (not self.asked and self.defects > 0))
+
+    def lines(self) -> Iterator[str]:
+        """Yield what was found, topic by topic, and who would not take what."""
+        for topic in self.topics:
+            yield from topic.lines(self.asked)
+        yield self._conclusion()
+
+    def _conclusion(self) -> str:
+        """Say in one line who would not take what, the worst first."""
+        several = len(self.topics) > 1
+        refusing: dict[str, dict[str, list[str]]] = {}
+        for topic in self.topics:
+            outcomes = {consumer.consumer: consumer.outcome for consumer in topic.consumers}
+            for consumer in self.counting:
+                outcome = outcomes.get(consumer, "nothing to take")
+                if outcome != "accepted":
+                    refusing.setdefault(outcome, {}).setdefault(topic.topic, []).append(consumer)
+        parts = [
+            f"{outcome}{f' ({topic})' if several else ''}: {', '.join(consumers)}"
+            for outcome in ("nothing to take", *reversed(OUTCOMES))
+            for topic, consumers in refusing.get(outcome, {}).items()
+        ]
+        if self.defects:
+            parts.append(f"{self.defects} defect{'s' if self.defects > 1 else ''}")
+        if not parts:
+            return f"ok: accepted by {', '.join(self.counting)}"
+        return f"{'not ok' if self.exit_status else 'ok'}; {'; '.join(parts)}"
+
+    def __repr__(self) -> str:
+        return f"<Check of {', '.join(map(repr, self.sources))}: {self._conclusion()}>"
+
+    def _shown(self) -> Iterator[str | Table]:
+        yield from self.lines()
+        yield from listed([str(place) for place in self.damage], "damaged", _MAX_SHOWN)
+        yield from (f"warning: {warning}" for warning in self.warnings)
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON's types; infinite numbers and NaN are text."""

@@ -13,11 +13,12 @@ from pc2scan.bags.merged import as_one
 from pc2scan.bags.opening import open_recordings
 from pc2scan.core.ground import thinned
 from pc2scan.core.params import ProjectionParams
-from pc2scan.errors import DecodeError, TransformError
+from pc2scan.errors import DecodeError, TransformError, stamp_text
 from pc2scan.json_types import json_value
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.messages.pointcloud2 import DATATYPES, POINTCLOUD2, decode_pointcloud2
+from pc2scan.shown import Shown, Table, count, listed, size
 from pc2scan.tf.mounting import mounting
 from pc2scan.tf.options import FrameOptions
 from pc2scan.tf.placing import Frames
@@ -28,7 +29,7 @@ from .scan_info import ScanInfo, ScanLook
 from .spread import Spread, finite, spread_of
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -40,7 +41,11 @@ if TYPE_CHECKING:
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.mounting import Mounting
 
-__all__ = ["CloudInfo", "FileInfo", "Info", "ScanInfo", "Spread", "TopicInfo", "info"]
+__all__ = ["CloudInfo", "FileInfo", "Info", "ScanInfo", "Spread", "TopicInfo", "ground_text", "info"]
+
+#: Damaged places that are shown as text, and the width of the largest bar of the histogram of heights.
+_MAX_SHOWN = 5
+_BAR = 40
 
 #: Bars of the histogram of heights.
 _BINS = 12
@@ -145,6 +150,37 @@ class CloudInfo:
     mounting: Mounting | None = None
     problems: tuple[str, ...] = ()
 
+    def shown(self) -> Iterator[str | Table]:
+        """Yield what `Info` shows of it."""
+        yield f"{self.topic}: {self.sampled} clouds sampled"
+        yield from (f"  cannot be decoded: {problem}" for problem in self.problems)
+        if not self.fields:
+            return
+        points = f"{self.points_min:,}" + (f" to {self.points_max:,}" if self.points_max > self.points_min else "")
+        height, width = self.shape
+        yield f"  frame   {', '.join(map(repr, self.frames))}"
+        is_laid_out = self.point_step > 0
+        yield f"  points  {points} a cloud ({height} x {width})" + f", {self.point_step} bytes each" * is_laid_out
+        fields = [f"{name} {kind}" + f" @{offset}" * is_laid_out for name, kind, offset in self.fields]
+        yield f"  fields  {', '.join(fields)}"
+        yield f"  NaN {self.nan_share:.1%}, (0, 0, 0) {self.zero_share:.1%}, z > 0 {self.above_zero_share:.1%}"
+        spreads = {name: spread for name in ("x", "y", "z", "range") if (spread := getattr(self, name)) is not None}
+        if spreads:
+            yield ""
+            yield Table(
+                ("[m]", "min", "5%", "median", "95%", "max"),
+                [(name, *(f"{v:.3f}" for v in (s.min, s.p5, s.median, s.p95, s.max))) for name, s in spreads.items()],
+                left=("[m]",),
+            )
+        if self.height_counts:
+            yield ""
+            yield "  heights (z)" + (f" in {self.target_frame}" if self.target_frame else "")
+            most, total = max(self.height_counts), sum(self.height_counts)
+            edges = zip(self.height_edges, self.height_edges[1:], self.height_counts, strict=False)
+            for low, high, number in reversed(list(edges)):
+                bar = "#" * round(_BAR * number / most)
+                yield f"  {low:9.2f} to {high:8.2f} m {number / total:6.1%} {bar}"
+
     def as_dict(self) -> dict[str, Any]:
         """Return JSON's types."""
         found = asdict(self)
@@ -153,8 +189,8 @@ class CloudInfo:
         return found
 
 
-@dataclass(frozen=True, slots=True)
-class Info:
+@dataclass(frozen=True, slots=True, repr=False)
+class Info(Shown):
     """What is in a recording (of one or several sources)."""
 
     files: tuple[FileInfo, ...]
@@ -174,6 +210,54 @@ class Info:
         """From the first message's log time to the last's; 0 for none."""
         return self.end_ns - self.start_ns if self.start_ns is not None and self.end_ns is not None else 0
 
+    def __repr__(self) -> str:
+        paths = ", ".join(repr(file.path) for file in self.files)
+        return f"<Info of {paths}: {len(self.topics)} topics, {self.messages:,} messages>"
+
+    def _shown(self) -> Iterator[str | Table]:
+        for file in self.files:
+            kind = " ".join(filter(None, (file.container, file.storage, file.profile)))
+            yield f"{file.path}: {kind}, {'+'.join(file.compression) or 'empty'}, {size(file.size_bytes)}"
+        if self.start_ns is not None and self.end_ns is not None:
+            times = f"from {stamp_text(self.start_ns)} to {stamp_text(self.end_ns)}"
+            yield f"{times}: {self.duration_ns / 1e9:.3f} s, {self.messages:,} messages"
+        else:
+            yield "no messages"
+        yield from listed([str(place) for place in self.damage], "damaged", _MAX_SHOWN)
+        yield ""
+        yield Table(
+            ("topic", "type", "messages", "Hz", "publishers", "latched"),
+            [
+                (
+                    topic.topic,
+                    topic.msgtype + ("" if topic.serialization in ("ros1", "cdr") else f" ({topic.serialization})"),
+                    count(topic.messages),
+                    "-" if topic.rate_hz is None else f"{topic.rate_hz:.2f}",
+                    str(topic.connections),
+                    "yes" if topic.latched else "",
+                )
+                for topic in self.topics
+            ],
+            left=("topic", "type"),
+        )
+        for cloud in self.clouds:
+            yield ""
+            yield from cloud.shown()
+        for scans in self.scans:
+            yield ""
+            yield from scans.shown()
+        mountings = [(cloud.topic, cloud.mounting) for cloud in self.clouds if cloud.mounting is not None]
+        if any(mounting.heights for _, mounting in mountings):
+            yield ""
+            yield from (f"{topic}: {ground_text(mounting)}" for topic, mounting in mountings)
+            yield ""
+            yield "ready to convert:"
+            for topic, mounting in mountings:
+                if mounting.heights is not None:
+                    yield f"  pc2scan.convert(..., {', '.join(_keywords(topic, mounting))})"
+        yield from (f"warning: {warning}" for warning in self.warnings)
+        yield from (f"warning: {mounting.warning}" for _, mounting in mountings if mounting.warning)
+
     def as_dict(self) -> dict[str, Any]:
         """Return JSON's types."""
         return {
@@ -183,6 +267,32 @@ class Info:
             "duration_ns": self.duration_ns,
             "damage": [damage.as_dict() for damage in self.damage],
         }
+
+
+def ground_text(mounting: Mounting) -> str:
+    """Say where floor and ceiling are."""
+    ground, heights = mounting.ground, mounting.heights
+    if heights is None or heights.floor is None:
+        return "no floor seen, heights are those of most points"
+    frame = mounting.target_frame or mounting.judged_in
+    ceiling = "" if heights.ceiling is None else f", ceiling at {heights.ceiling:.2f} m"
+    floor = round(heights.floor, 2) + 0.0
+    sensor = "" if ground.height is None else f"; the sensor is {ground.height:.2f} m above the floor"
+    return f"floor at z = {floor:.2f} m in frame {frame!r}{ceiling}{sensor}"
+
+
+def _keywords(topic: str, mounting: Mounting) -> Iterator[str]:
+    """Yield the arguments of the conversion that suits a topic's clouds."""
+    heights = mounting.heights
+    assert heights is not None  # asked for only where they are known
+    target = mounting.target_frame or (mounting.judged_in if mounting.judged_in != mounting.frame else "")
+    yield f"topics={topic!r}"
+    if mounting.static_tf:
+        yield f"static_tf={mounting.static_tf!r}"
+    if target:
+        yield f"target_frame={target!r}"
+    yield f"min_height={heights.low:g}"
+    yield f"max_height={heights.high:g}"
 
 
 def info(

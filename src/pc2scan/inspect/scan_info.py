@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -11,10 +12,13 @@ from pc2scan.core.consumers import CONSUMERS, OUTCOMES, Outcome, judge
 from pc2scan.errors import DecodeError
 from pc2scan.messages.consumed import consumed_scan
 from pc2scan.messages.laserscan import decode_laserscan
+from pc2scan.shown import Table
 
 from .spread import Spread, spread_of
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import NDArray
 
     from pc2scan.core.consumers import Scan
@@ -76,6 +80,51 @@ class ScanInfo:
     empty: int = 0
     consumers: tuple[tuple[str, Outcome], ...] = ()
     problems: tuple[str, ...] = ()
+
+    def shown(self) -> Iterator[str | Table]:
+        """Yield what `Info` shows of it."""
+        yield f"{self.topic}: {self.sampled} scans sampled"
+        for problem in self.problems:
+            yield f"  cannot be decoded: {problem}"
+        if self.angle_min is None or self.angle_max is None or self.angle_increment is None:
+            return
+        beams = f"{self.beams_min:,}" + (f" to {self.beams_max:,}" if self.beams_max > self.beams_min else "")
+        degrees = [math.degrees(angle) for angle in (self.angle_min, self.angle_max, self.angle_increment)]
+        yield f"  frame   {', '.join(repr(frame) for frame in self.frames)}"
+        yield f"  beams   {beams}, {degrees[0]:.2f} to {degrees[1]:.2f} deg by {degrees[2]:.4f} deg"
+        yield f"          ({self.angle_min:.6g} to {self.angle_max:.6g} rad by {self.angle_increment:.6g})"
+        yield (
+            f"  limits  {self.range_min:.4g} to {self.range_max:.4g} m; scan_time {self.scan_time:.4g} s, "
+            f"time_increment {self.time_increment:.4g} s"
+        )
+        empty = f"; {self.empty} of {self.sampled} scans have none" if self.empty else ""
+        yield (
+            f"  returns {self.return_share:.1%} of the beams{empty}; {'with' if self.intensities else 'no'} intensities"
+        )
+        others = [
+            (self.infinite_share, "inf"),
+            (self.nan_share, "NaN"),
+            (self.short_share, "below range_min"),
+            (self.long_share, "above range_max"),
+        ]
+        if any(share for share, _ in others):
+            yield "          " + ", ".join(f"{name} {share:.1%}" for share, name in others if share)
+        if self.range is not None:
+            yield ""
+            spread = self.range
+            yield Table(
+                ("[m]", "min", "5%", "median", "95%", "max"),
+                [("range", *(f"{v:.3f}" for v in (spread.min, spread.p5, spread.median, spread.p95, spread.max)))],
+                left=("[m]",),
+            )
+        outcomes: dict[str, list[str]] = {}
+        for consumer, outcome in self.consumers:
+            outcomes.setdefault(outcome, []).append(consumer)
+        yield ""
+        yield "  consumers"
+        for name, consumers in outcomes.items():
+            yield f"  {name:<10}{', '.join(consumers)}"
+        yield "  pc2scan check says why, and looks at all scans and their transforms"
 
 
 class ScanLook:

@@ -7,11 +7,13 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.bags.opening import open_recordings
+from pc2scan.errors import stamp_text
+from pc2scan.shown import Shown, Table, count, listed
 from pc2scan.tf.options import FrameOptions
 from pc2scan.tf.reading import read_transforms
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from pc2scan.bags.damage import Damage
@@ -21,9 +23,12 @@ if TYPE_CHECKING:
 
 __all__ = ["FrameTree", "frame_tree"]
 
+#: Damaged places that are shown as text.
+_MAX_SHOWN = 5
 
-@dataclass(frozen=True, slots=True)
-class FrameTree:
+
+@dataclass(frozen=True, slots=True, repr=False)
+class FrameTree(Shown):
     """The frames of a recording.
 
     Attributes
@@ -67,6 +72,33 @@ class FrameTree:
             If a frame is unknown, the two are not connected, or the stamp is outside of what is recorded.
         """
         return self.buffer.lookup(target, source, stamp_ns)
+
+    def __repr__(self) -> str:
+        return f"<FrameTree of {len(self.frames)} transforms in {len(self.trees)} trees>"
+
+    def _shown(self) -> Iterator[str | Table]:
+        for number, tree in enumerate(self.trees, 1):
+            several = f"tree {number} of {len(self.trees)}, not connected with the others, " * (len(self.trees) > 1)
+            yield f"{several}from {', '.join(tree.roots or tree.frames[:1])}: {len(tree.frames)} frames"
+        yield ""
+        yield Table(
+            ("child", "parent", "kind", "transforms", "Hz", "first", "last"),
+            [
+                (
+                    frame.child,
+                    ", ".join(frame.parents),
+                    "static" if frame.static else "dynamic",
+                    count(frame.transforms),
+                    "-" if frame.rate_hz is None else f"{frame.rate_hz:.2f}",
+                    stamp_text(frame.first_ns),
+                    stamp_text(frame.last_ns),
+                )
+                for frame in self.frames
+            ],
+            left=("child", "parent", "kind"),
+        )
+        yield from listed([str(place) for place in self.damage], "damaged", _MAX_SHOWN)
+        yield from (f"warning: {warning}" for warning in self.warnings)
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON's types."""

@@ -9,14 +9,16 @@ from typing import TYPE_CHECKING, Any
 from pc2scan.core.counts import PointCounts
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.rule import REJECTIONS, Rejection
+from pc2scan.errors import stamp_text
 from pc2scan.json_types import json_value
+from pc2scan.shown import Shown, Table, count, listed, size
 from pc2scan.version import __version__
 
 from .parameters import from_preset
 from .stages.filters import as_dict, rejection_of
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from pc2scan.bags.damage import Damage
 
@@ -29,6 +31,9 @@ BEGINNING = b'{\n  "pc2scan": "'
 
 #: Skipped messages are listed one by one up to here; all of them are counted.
 MAX_LISTED = 100
+
+#: Damaged places, and skipped messages, that are shown as text.
+_MAX_SHOWN = 5
 
 #: Topics that are listed in the warning of skipped ones.
 _MAX_WARNED = 5
@@ -109,8 +114,8 @@ class TopicReport:
             self.skipped += count
 
 
-@dataclass(slots=True)
-class Report:
+@dataclass(slots=True, repr=False)
+class Report(Shown):
     """What happened in a conversion.
 
     Attributes
@@ -237,6 +242,52 @@ class Report:
             explained[explanation] += points.rejected.get(name, 0)
         explanation, count = explained.most_common(1)[0]
         return f"{count / points.total:.0%} of all points were {explanation}" if count else "the clouds have no points"
+
+    def __repr__(self) -> str:
+        converted = sum(topic.messages_out for topic in self.topics if topic.action == "converted")
+        return f"<Report on {self.destination!r}: {converted:,} messages converted, exit status {self.exit_status}>"
+
+    def _shown(self) -> Iterator[str | Table]:
+        yield Table(
+            ("topic", "to", "in", "out", "skipped", "what"),
+            [
+                (
+                    topic.topic,
+                    topic.target or "-",
+                    *map(count, (topic.messages_in, topic.messages_out, topic.skipped)),
+                    topic.action + " (cloud kept)" * topic.clouds_kept + (topic.note and f": {topic.note}"),
+                )
+                for topic in self.topics
+            ],
+            left=("topic", "to", "what"),
+        )
+        if converted := [topic for topic in self.topics if topic.action == "converted"]:
+            yield ""
+            reasons = self.rejections.values()
+            yield Table(
+                ("on", "points", "used", *(reason.heading for reason in reasons), "empty"),
+                [
+                    (
+                        topic.target or "-",
+                        *map(count, (topic.points.total, topic.points.used)),
+                        *(count(topic.points.rejected.get(reason.name, 0)) for reason in reasons),
+                        count(topic.empty_scans),
+                    )
+                    for topic in converted
+                ],
+                left=("on",),
+            )
+        yield ""
+        yield from (f"note: {note}" for note in self.notes)
+        written, read = size(self.bytes_written), size(self.bytes_read)
+        yield f"{self.destination}: {written} from {read}, exit status {self.exit_status}"
+        yield from listed([str(place) for place in self.damage], "damaged", _MAX_SHOWN)
+        yield from listed(
+            [f"{e.topic}, stamp {stamp_text(e.stamp_ns or 0)}: {e.reason}" for e in self.skipped], "skipped", _MAX_SHOWN
+        )
+        if hint := next((entry.hint for entry in self.skipped if entry.hint), ""):
+            yield f"hint: {hint}"
+        yield from (f"warning: {warning}" for warning in self.warnings)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the report as JSON's types; the keys are documented in the README."""

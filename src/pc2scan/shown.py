@@ -1,0 +1,116 @@
+"""Results as people see them in Python: tables and lines, as text for ``print`` and as HTML for notebooks."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+__all__ = ["Shown", "Table", "count", "listed", "plain", "size"]
+
+#: Characters of a line and of a cell of a table. ROS's own names have at most 255.
+_MAX_LINE = 4_000
+_MAX_CELL = 255
+
+
+class Table(NamedTuple):
+    """A table: headings, cells as text, and the headings of columns that are aligned to the left."""
+
+    columns: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    left: Sequence[str] = ()
+
+
+class Shown:
+    """A result that ``print`` shows as text, notebooks as HTML, and ``repr`` in one line."""
+
+    __slots__ = ()
+
+    @abstractmethod
+    def _shown(self) -> Iterator[str | Table]:
+        """Tables, and lines of text; an empty line separates."""
+
+    def __str__(self) -> str:
+        lines: list[str] = []
+        for part in self._shown():
+            lines += _text_of(part) if isinstance(part, Table) else [plain(part)]
+        return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        """What notebooks show."""
+        parts: list[str] = []
+        lines: list[str] = []
+        for part in [*self._shown(), Table((), ())]:
+            if not isinstance(part, Table):
+                lines.append(_escaped(part))
+                continue
+            # Empty lines around tables are theirs.
+            if text := "\n".join(lines).strip("\n"):
+                parts.append(f"<pre>{text}</pre>")
+            lines.clear()
+            parts += _html_of(part) if part.columns else []
+        return f"<div>{''.join(parts)}</div>"
+
+
+def plain(text: str, most: int = _MAX_LINE) -> str:
+    r"""Return a line as it may be shown: names come from recordings, and recordings may be untrusted.
+
+    >>> plain("/scan\x1b[2J"), plain("a" * 5000)[-20:]
+    ('/scan\\x1b[2J', 'aaaa... (5000 chars)')
+    """
+    more = f"... ({len(text)} chars)" if len(text) > most else ""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text[:most]) + more
+
+
+def count(number: int) -> str:
+    """Return a count as text; a zero is a dash, so that what is there catches the eye."""
+    return f"{number:,}" if number else "-"
+
+
+def size(number: float) -> str:
+    """Return a number of bytes as text: ``680.5 kB``."""
+    for unit in ("B", "kB", "MB", "GB"):
+        if number < 1000:
+            return f"{number:.0f} {unit}" if unit == "B" else f"{number:.1f} {unit}"
+        number /= 1000
+    return f"{number:.1f} TB"
+
+
+def listed(entries: Sequence[str], label: str, most: int) -> Iterator[str]:
+    """Yield lines that begin with a label, at most so many, and how many more there are."""
+    yield from (f"{label}: {entry}" for entry in entries[:most])
+    if len(entries) > most:
+        yield f"{label}: {len(entries) - most:,} more"
+
+
+def _text_of(table: Table) -> Iterator[str]:
+    cells = [list(table.columns), *([plain(cell, _MAX_CELL) for cell in row] for row in table.rows)]
+    widths = [max(len(line[i]) for line in cells) for i in range(len(table.columns))]
+    for number, line in enumerate(cells):
+        aligned = (
+            cell.ljust(width) if heading in table.left else cell.rjust(width)
+            for heading, cell, width in zip(table.columns, line, widths, strict=True)
+        )
+        yield "   ".join(aligned).rstrip()
+        if number == 0:
+            yield "-" * (sum(widths) + 3 * (len(widths) - 1))
+
+
+def _html_of(table: Table) -> Iterator[str]:
+    styles = [f' style="text-align: {"left" if name in table.left else "right"}"' for name in table.columns]
+
+    def row(tag: str, cells: Sequence[str]) -> str:
+        made = (f"<{tag}{style}>{_escaped(cell)}</{tag}>" for style, cell in zip(styles, cells, strict=True))
+        return f"<tr>{''.join(made)}</tr>"
+
+    yield f"<table><thead>{row('th', table.columns)}</thead><tbody>"
+    yield from (row("td", cells) for cells in table.rows)
+    yield "</tbody></table>"
+
+
+def _escaped(text: str) -> str:
+    from html import escape  # noqa: PLC0415  # only notebooks need it
+
+    return escape(plain(text))

@@ -1,0 +1,119 @@
+"""Results as people see them in Python."""
+
+from __future__ import annotations
+
+from html.parser import HTMLParser
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+import pc2scan
+from builders import SCAN, Item, Recording, Stream, write_mcap
+from pc2scan.messages.laserscan import encode_laserscan
+from pc2scan.shown import Shown, Table
+from scan_recordings import scans
+from support import ROOT
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+HALL = ROOT / "fixtures" / "hall.bag"
+
+#: What no name of a recording may do to a page or a terminal.
+EVIL = "/<script>alert(1)</script>&\x1b[2J"
+
+
+@pytest.fixture
+def evil(tmp_path: Path) -> Path:
+    stream = Stream(EVIL, SCAN)
+    items = tuple(Item(stream, scan.stamp_ns, {2: encode_laserscan(scan, "cdr")}) for scan in scans(3))
+    return write_mcap(tmp_path / "evil.mcap", Recording((stream,), items))
+
+
+class Tags(HTMLParser):
+    """Collects the tags of a page, and sees that they are closed."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.seen: set[str] = set()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        assert [name for name, _ in attrs] in ([], ["style"])
+        self.open.append(tag)
+        self.seen.add(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+
+def results(folder: Path) -> dict[str, tuple[Any, str]]:
+    """A result of each kind, and a line that it shows."""
+    report = pc2scan.convert(HALL, folder / "scans.mcap", preset="nav2", min_height=-0.3)
+    return {
+        "convert": (report, "/points /scan 5 5 - converted"),
+        "repair": (pc2scan.repair(HALL, folder / "sound.bag"), "/points /points 5 5 - passed"),
+        "info": (pc2scan.info(HALL), "/points sensor_msgs/msg/PointCloud2 5 9.88 1"),
+        "check": (pc2scan.check(folder / "scans.mcap"), "nav2 accepted"),
+        "diff": (pc2scan.diff(HALL, HALL), "same: 1 topic, 5 messages"),
+        "tf": (pc2scan.tf(HALL), "lidar base_link static 1"),
+        "golden": (pc2scan.golden(ROOT / "fixtures" / "golden", "default"), "passed default"),
+    }
+
+
+def test_results_are_text_and_a_page_and_a_line(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    for name, (result, line) in results(tmp_path).items():
+        text = str(result)
+        assert any(" ".join(shown.split()).startswith(line) for shown in text.splitlines()), (name, text)
+        short = repr(result)
+        assert short.startswith(f"<{type(result).__name__} "), name
+        assert "\n" not in short
+        assert len(short) < 300, name
+        page = Tags()
+        page.feed(result._repr_html_())
+        assert page.open == []
+        assert page.seen <= {"div", "table", "thead", "tbody", "tr", "th", "td", "pre"}
+        assert ("table" in page.seen) == (name not in {"check", "diff", "golden"})
+    # Asking is silent.
+    assert capfd.readouterr() == ("", "")
+
+
+def test_names_in_recordings_are_shown_as_they_are_and_do_nothing(evil: Path) -> None:
+    for result in (
+        pc2scan.info(evil),
+        pc2scan.check(evil),
+        pc2scan.diff(evil, evil),
+        pc2scan.repair(evil, evil.with_name("sound.mcap")),
+        pc2scan.convert(evil, evil.with_name("cloud.mcap"), reverse=True),
+    ):
+        assert "\x1b" not in str(result) + result._repr_html_()
+        assert "<script>alert(1)</script>&\\x1b[2J" in str(result)
+        html = result._repr_html_()
+        assert "&lt;script&gt;alert(1)&lt;/script&gt;&amp;\\x1b[2J" in html
+        assert "<script" not in html
+
+
+def test_what_went_wrong_is_shown(tmp_path: Path) -> None:
+    data = HALL.read_bytes()
+    (tmp_path / "cut.bag").write_bytes(data[: len(data) * 3 // 4])
+    report = pc2scan.convert(tmp_path / "cut.bag", tmp_path / "out.bag", target_frame="map", max_height=1)
+    text = str(report)
+    assert "exit status 3" in text
+    assert "damaged: " in text
+    assert "skipped: /points, stamp 1700000000.000000000: " in text
+    assert "hint: " in text
+    assert "warning: " in text
+    assert "damaged: " in str(pc2scan.info(tmp_path / "cut.bag"))
+
+
+def test_long_names_are_cut() -> None:
+    class Long(Shown):
+        def _shown(self) -> Any:
+            yield "a" * 5_000
+            yield Table(("name",), [("b" * 500,)])
+
+    line, heading, rule, cell = str(Long()).splitlines()
+    assert line.endswith("a... (5000 chars)")
+    assert cell.endswith("b... (500 chars)")
+    assert len(rule) == len(cell) == len(heading)
+    assert "a... (5000 chars)</pre><table>" in Long()._repr_html_()
