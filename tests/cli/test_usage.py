@@ -77,7 +77,7 @@ def test_what_typer_finds_wrong_looks_like_all_else(arguments: list[str], error:
     [
         (["--min-height", "abc"], "min_height: expected a number, got 'abc' (from --min-height)"),
         (["-p", "min_height:=abc"], "min_height: expected a number, got 'abc' (from --param min_height:=abc)"),
-        (["--beams", "3.5"], "beams: expected a whole number, got 3.5 (from --beams)"),
+        (["--beams", "3.5"], "beams: expected a whole number or auto, got 3.5 (from --beams)"),
         (["--scan-time", "abc"], "scan_time: expected a number or auto, got 'abc' (from --scan-time)"),
         (
             ["--geometry", "abc"],

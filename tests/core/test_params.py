@@ -135,8 +135,8 @@ def test_values_that_cannot_be_are_refused_by_name(values: dict[str, float], nam
 @pytest.mark.parametrize(
     ("name", "value", "told"),
     [
-        ("beams", 1.5, "beams is 1.5, it must be a whole number"),
-        ("beams", True, "beams is True, it must be a whole number"),
+        ("beams", 1.5, "beams is 1.5, it must be a whole number or auto"),
+        ("beams", True, "beams is True, it must be a whole number or auto"),
         ("min_points", 1.0, "min_points is 1.0, it must be a whole number"),
         ("use_inf", "false", "use_inf is 'false', it must be true or false"),
         ("use_inf", 1, "use_inf is 1, it must be true or false"),

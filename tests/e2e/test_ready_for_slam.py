@@ -218,3 +218,37 @@ def test_the_closest_surface_is_read_and_a_mean_is_warned_of(tmp_path: Path) -> 
     assert refused.status == 2
     assert "surface_depth is 0.2, which goes with reduce surface, not min" in refused.stderr
     assert "hint: --reduce surface" in refused.stderr
+
+
+@pytest.mark.parametrize(
+    "options", [("--beams", "auto"), ("--param", "beams:=auto"), ("--preset", "amcl", "--beams", "auto")]
+)
+def test_as_many_beams_as_the_lidar_has_columns(options: tuple[str, ...], tmp_path: Path) -> None:
+    done = run("convert", HALL, "-o", tmp_path / "out.mcap", *HEIGHTS, *options)
+    assert (done.status, done.stderr) == (0, "")
+    assert "note: /points: beams is 240, angle_increment 0.0261799 rad: the lidar measures every 1.5 deg" in done.stdout
+    assert {len(scan.ranges) for scan in opened(tmp_path / "out.mcap").scans()} == {240}
+    by_hand = [option.replace("auto", "240") for option in options]
+    run("convert", HALL, "-o", tmp_path / "by_hand.mcap", *HEIGHTS, *by_hand)
+    assert (tmp_path / "out.mcap").read_bytes() == (tmp_path / "by_hand.mcap").read_bytes()
+
+
+def test_a_sector_at_the_lidars_resolution(tmp_path: Path) -> None:
+    for geometry, count in (("upstream", 120), ("centered", 121), ("symmetric", 121)):
+        out, sector = tmp_path / f"{geometry}.mcap", ("--angle-min", "-1.5707963", "--angle-max", "1.5707963")
+        done = run("convert", HALL, "-o", out, *HEIGHTS, "--beams", "auto", "--geometry", geometry, *sector)
+        assert done.status == 0, done.stderr
+        scan = opened(out).scans()[0]
+        assert len(scan.ranges) == count
+        assert scan.angle_increment == pytest.approx(math.radians(1.5), rel=1e-6)
+
+
+def test_a_resolution_that_cannot_be_measured(tmp_path: Path) -> None:
+    source = ROOT.parent / "shared" / "recordings" / "d435_depth.mcap"
+    if not source.exists():
+        pytest.skip(f"real recordings are not here: {source.parent}")
+    done = run("convert", source, "-o", tmp_path / "out.mcap", "--beams", "auto")
+    assert done.status == 2
+    assert "the azimuth resolution of the clouds on /point_cloud cannot be measured" in done.stderr
+    assert "hint: give a number of --beams, or an --angle-increment" in done.stderr
+    assert list(tmp_path.iterdir()) == []

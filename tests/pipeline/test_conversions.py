@@ -15,7 +15,7 @@ from pc2scan.errors import DecodeError, TransformError
 from pc2scan.messages.laserscan import LaserScan, decode_laserscan, encode_laserscan
 from pc2scan.messages.pointcloud2 import PointCloud2, PointField, decode_pointcloud2, encode_pointcloud2
 from pc2scan.pipeline.cloud_to_scan import CloudToScan
-from pc2scan.pipeline.conversion import Conversion, Converted, Timing
+from pc2scan.pipeline.conversion import Conversion, Converted, Measured
 from pc2scan.pipeline.scan_to_cloud import ScanToCloud
 from pc2scan.tf.builder import TransformBuilder
 from pc2scan.tf.placing import Frames
@@ -113,7 +113,7 @@ def test_an_intensity_field_that_a_later_cloud_lacks_is_an_error_with_the_stamp(
 )
 def test_a_timed_topic_has_its_own_stamps(stamp_ns: int, first_beam_ns: int, expected: int) -> None:
     params = ProjectionParams(scan_time="auto", time_increment="auto")
-    conversion = CloudToScan(params, Frames(), {"/front": Timing(0.125, -0.25, first_beam_ns)})
+    conversion = CloudToScan(params, Frames(), {"/front": Measured(0.125, -0.25, first_beam_ns)})
     serialization = "ros1" if stamp_ns >= 0 else "cdr"
     message = encode_pointcloud2(
         serialization=serialization, sequence=0, stamp_ns=stamp_ns, frame_id="f", fields=XYZ, point_step=12, data=b""

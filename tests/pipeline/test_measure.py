@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pc2scan.pipeline.conversion import Timing
+    from pc2scan.pipeline.conversion import Measured
 
 TURN = 2 * math.pi
 NAMES = ("x", "y", "z", "time")
@@ -46,7 +46,7 @@ def recorded(stream: Stream, stamps: Sequence[int], points: NDArray[np.float32],
 
 def measured(
     folder: Path, items: list[Item], params: ProjectionParams, frames: Frames | None = None, **cut: Any
-) -> tuple[dict[str, Timing], list[str]]:
+) -> tuple[dict[str, Measured], list[str]]:
     streams = tuple(dict.fromkeys(entry.stream for entry in items))
     items = sorted(items, key=lambda entry: entry.log_time_ns)
     reader = open_recording(write_mcap(folder / "drive.mcap", Recording(streams, tuple(items))))
@@ -155,3 +155,49 @@ def test_a_field_that_is_not_there_is_refused_with_those_that_are(tmp_path: Path
     assert caught.value.hint == "their fields are: x, y, z, time"
     values: Any = measured(tmp_path, items, ProjectionParams(intensity_field="time"))
     assert values[0]["/front"].scan_time == 1 / 30
+
+
+def rings(columns: int) -> NDArray[np.float32]:
+    """A turn of four lasers as x, y, z and the laser's number."""
+    azimuths, ups = np.meshgrid(np.arange(columns) * TURN / columns, np.radians([-6.0, -2.0, 2.0, 6.0]))
+    numbers = np.repeat(np.arange(4), columns)
+    parts = [5 * np.cos(azimuths), 5 * np.sin(azimuths), 5 * np.tan(ups)]
+    return np.stack([*(part.ravel() for part in parts), numbers], axis=1).astype(np.float32)
+
+
+RINGS = ("x", "y", "z", "ring")
+
+
+def test_each_topic_has_the_beams_of_its_lidar(tmp_path: Path) -> None:
+    front = recorded(FRONT, [T0, T0 + SECOND], rings(900), RINGS)
+    rear = recorded(REAR, [T0, T0 + SECOND], rings(360)[:, :3], ("x", "y", "z"))
+    found, notes = measured(tmp_path, front + rear, ProjectionParams(beams="auto"))
+    assert {topic: round(TURN / each.azimuth_step) for topic, each in found.items()} == {"/front": 900, "/rear": 360}
+    assert notes == [
+        "/front: beams is 900, angle_increment 0.00698132 rad: the lidar measures every 0.4 deg (median of 2 clouds)",
+        "/rear: beams is 360, angle_increment 0.0174533 rad: the lidar measures every 1 deg (median of 2 clouds)",
+    ]
+
+
+def test_the_resolution_is_that_around_the_sensor(tmp_path: Path) -> None:
+    builder = TransformBuilder()
+    builder.add([("base", "lidar", T0, 3.0, 1.0, 0.5, 0.0, 0.0, 0.6, 0.8)], static=True)
+    frames = Frames("base", "lidar", builder.build(), 0)
+    params = ProjectionParams(beams="auto", time_increment="auto", geometry="centered")
+    found, notes = measured(tmp_path, recorded(FRONT, [T0], rings(900), RINGS), params, frames)
+    assert TURN / found["/front"].azimuth_step == pytest.approx(900, rel=1e-3)
+    assert notes[1].startswith("/front: time_increment is 0")
+
+
+def test_clouds_without_rings_are_refused(tmp_path: Path) -> None:
+    points = np.random.default_rng(3).normal(0, 5, (5000, 3)).astype(np.float32)
+    items = recorded(FRONT, [T0, T0 + SECOND], points, ("x", "y", "z"))
+    with pytest.raises(ParameterError, match="of 2 of the first 2 are in no regular rings") as caught:
+        measured(tmp_path, items, ProjectionParams(beams="auto"))
+    assert (caught.value.name, "`angle_increment`" in (caught.value.hint or "")) == ("beams", True)
+
+
+def test_no_clouds_have_no_resolution(tmp_path: Path) -> None:
+    items = recorded(FRONT, [T0], rings(90), RINGS)
+    found, notes = measured(tmp_path, items, ProjectionParams(beams="auto"), start_ns=T0 + SECOND)
+    assert (found["/front"].azimuth_step, notes) == (0, [])

@@ -152,7 +152,7 @@ def test_words_among_numbers(written: str, expected: object) -> None:
             "reduce:=best",
             "reduce: expected min, max, mean, median, kth, surface, got 'best' (from --param reduce:=best)",
         ),
-        ("beams:=1.5", "beams: expected a whole number, got 1.5 (from --param beams:=1.5)"),
+        ("beams:=1.5", "beams: expected a whole number or auto, got 1.5 (from --param beams:=1.5)"),
     ],
 )
 def test_words_that_are_none_of_the_choices(written: str, message: str) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import numbers
 from contextlib import suppress
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Literal, Self
 
@@ -13,6 +13,7 @@ from pc2scan.arguments import refuse_unknown
 from pc2scan.errors import ParameterError
 
 from .layout import (
+    TURN,
     BeamLayout,
     beam_count,
     centered_layout,
@@ -41,7 +42,7 @@ CHOICES: dict[str, tuple[str, ...]] = {
 }
 
 #: Parameters that may be measured in the recording instead of given.
-MEASURED = ("scan_time", "time_increment")
+MEASURED = ("scan_time", "time_increment", "beams")
 
 #: What ``reduce: surface`` takes for one surface: metres, and widths of a beam.
 _SURFACE_DEPTH = 0.05
@@ -110,7 +111,8 @@ class ProjectionParams:
         that their middle is 0, as MRPT takes it; the sector must be symmetric, or a full circle.
     beams
         How many beams the sector has, instead of ``angle_increment``, which then is what follows; 0: the
-        increment tells.
+        increment tells. ``auto``: as finely as the lidar samples azimuth, measured in a recording's clouds; see
+        `at_resolution`.
     no_return
         What a beam without a return reads: ``inf``, ``range-max-plus`` (``range_max + inf_epsilon``),
         ``range-max-minus`` (0.1 mm below ``range_max``), ``nan`` or ``zero``; empty: ``use_inf`` tells.
@@ -155,7 +157,7 @@ class ProjectionParams:
     inf_epsilon: float = 1.0
     queue_size: int = 0
     geometry: str = "upstream"
-    beams: int = 0
+    beams: int | Literal["auto"] = 0
     no_return: str = ""
     reduce: str = "min"
     kth: int = 0
@@ -261,9 +263,9 @@ class ProjectionParams:
                 raise ParameterError(f"{name} is {value!r}, it must be one of {', '.join(choices)}", name=name)
 
     def _check_beams(self) -> None:
-        if self.beams == 1 or self.beams > MAX_BEAMS:
+        if self.beams != "auto" and (self.beams == 1 or self.beams > MAX_BEAMS):
             raise ParameterError(f"beams is {self.beams:,}, it must be from 2 to {MAX_BEAMS:,}", name="beams")
-        if self.beams:
+        if self.beams and self.beams != "auto":
             object.__setattr__(self, "angle_increment", self.layout.angle_increment)
         if not float32(self.angle_increment) > 0:
             raise ParameterError(
@@ -318,10 +320,26 @@ class ProjectionParams:
                 hint="say how far the sensor sees: `range_max=100.0`",
             )
 
+    def at_resolution(self, step: float) -> ProjectionParams:
+        """These parameters with the beams that ``beams`` auto stands for.
+
+        Parameters
+        ----------
+        step
+            How finely the lidar samples azimuth, radians; rounded to a whole number of steps in a circle.
+        """
+        circle = max(1, round(TURN / step))
+        if self.geometry == "upstream":
+            # Of its beams, a multiple of the increment is the whole sector.
+            span = self.angle_max - self.angle_min
+            return replace(self, beams=max(2, round(circle * span / TURN)), angle_increment=TURN / circle)
+        return replace(self, beams=0, angle_increment=TURN / circle)
+
     @property
     def layout(self) -> BeamLayout:
-        """What the scan's message advertises of its beams."""
-        return _LAYOUTS[self.geometry](self.angle_min, self.angle_max, self.angle_increment, self.beams)
+        """What the scan's message advertises of its beams; with ``beams`` auto, as ``angle_increment`` says."""
+        beams = 0 if self.beams == "auto" else self.beams
+        return _LAYOUTS[self.geometry](self.angle_min, self.angle_max, self.angle_increment, beams)
 
     @property
     def length(self) -> int:

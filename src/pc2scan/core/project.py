@@ -20,6 +20,8 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
+from pc2scan.errors import ParameterError
+
 from . import kernel
 from .counts import PointCounts
 from .params import ProjectionParams
@@ -78,6 +80,12 @@ class Projector:
     __slots__ = ("_beams", "_empty", "_limit", "_rule", "params")
 
     def __init__(self, params: ProjectionParams) -> None:
+        if params.beams == "auto":
+            raise ParameterError(
+                "beams is auto, which is measured in the clouds of a recording; a cloud by itself needs a number",
+                name="beams",
+                hint="`beams=720`, or `ProjectionParams.at_resolution`",
+            )
         self.params = params
         self._rule = rule_of(params)
         self._beams = params.length

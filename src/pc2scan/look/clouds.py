@@ -141,6 +141,8 @@ def clouds_page(
 def _shown(params: ProjectionParams) -> dict[str, float | bool | str]:
     """The parameters that the page has; JSON has no infinity, so that is text."""
     values = {name: getattr(params, name) for name in _SHOWN}
+    if params.beams == "auto":
+        values["beams"] = 0
     return {name: str(v) if isinstance(v, float) and math.isinf(v) else v for name, v in values.items()}
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import dataclasses
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -15,7 +15,7 @@ from pc2scan.messages.laserscan import LASERSCAN, LaserScan
 from pc2scan.messages.outputs import OF_CLOUDS
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
 
-from .conversion import Conversion, Result, Timing
+from .conversion import Conversion, Measured, Result
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -30,6 +30,25 @@ if TYPE_CHECKING:
     from .stages.filters import Filter
 
 __all__ = ["CloudToScan"]
+
+
+class _Beams:
+    """What the scans of a topic have in common: their beams, and the projection to them."""
+
+    __slots__ = ("layout", "no_returns", "project")
+
+    def __init__(self, params: ProjectionParams) -> None:
+        self.layout = params.layout
+        self.project = Projector(params)
+        self.no_returns = np.full(params.length, params.empty_range, np.float32).tobytes()
+
+
+def _resolved(params: ProjectionParams, measured: Measured) -> ProjectionParams:
+    """The parameters with as many beams as were measured; a topic without clouds has those of ``angle_increment``."""
+    if params.beams != "auto":
+        return params
+    step = measured.azimuth_step
+    return params.at_resolution(step) if step else dataclasses.replace(params, beams=0)
 
 
 class CloudToScan(Conversion):
@@ -53,20 +72,20 @@ class CloudToScan(Conversion):
         self,
         params: ProjectionParams,
         frames: Frames,
-        timings: Mapping[str, Timing] | None = None,
+        timings: Mapping[str, Measured] | None = None,
         filters: Sequence[Filter] = (),
         output_type: str = LASERSCAN,
     ) -> None:
+        self._timings = timings or {}
         # A scan repeats the cloud's header; what else it has besides ranges and intensities takes less.
-        super().__init__(output_type, OF_CLOUDS[output_type], 1024 + 8 * params.length)
+        longest = max([_resolved(params, each).length for each in self._timings.values()], default=params.length)
+        super().__init__(output_type, OF_CLOUDS[output_type], 1024 + 8 * longest)
         self.params = params
         self._frames = frames
-        self._timings = timings or {}
-        self._default = Timing(
+        self._default = Measured(
             0.0 if params.scan_time == "auto" else params.scan_time,
             0.0 if params.time_increment == "auto" else params.time_increment,
         )
-        self._layout = params.layout
         with np.errstate(over="ignore"):
             # Upstream's default is a float64's largest: once here, it need not be rounded for every scan.
             self._range_max = float(np.float32(params.range_max))
@@ -75,19 +94,20 @@ class CloudToScan(Conversion):
             from .stages.select import Select  # noqa: PLC0415  # only where something is selected
 
             self._select = Select(filters, frames)
-        self._project = Projector(params)
-        self._no_returns = np.full(params.length, params.empty_range, np.float32).tobytes()
+        self._beams = _Beams(params) if params.beams != "auto" else None
 
     def stages(self, topic: str, source: str, source_type: str = "") -> Callable[[Buffer], Result]:
         """Return the stages of one topic's messages, with its timing; see `Conversion`."""
         decode = CLOUDS[source_type or POINTCLOUD2](source)
-        return partial(self._scan, self._timings.get(topic, self._default), decode)
+        measured = self._timings.get(topic, self._default)
+        beams = self._beams or _Beams(_resolved(self.params, measured))
+        return partial(self._scan, measured, beams, decode)
 
-    def _scan(self, timing: Timing, decode: Decode, data: Buffer) -> Result:
+    def _scan(self, timing: Measured, beams: _Beams, decode: Decode, data: Buffer) -> Result:
         points = decode(data)
         place = self._frames.place(points.frame_id, points.stamp_ns)
-        scan = self._projected(points, place)
-        params, layout = self.params, self._layout
+        scan = self._projected(points, place, beams.project)
+        params, layout = self.params, beams.layout
         stamp_ns = points.stamp_ns
         if timing.first_beam_ns:
             # A simulation's time begins at 0, and ROS 1 has none before.
@@ -106,9 +126,9 @@ class CloudToScan(Conversion):
             scan.ranges,
             scan.intensities,
         )
-        return Result(message, scan.counts, scan.ranges.tobytes() == self._no_returns)
+        return Result(message, scan.counts, scan.ranges.tobytes() == beams.no_returns)
 
-    def _projected(self, points: Points, place: Placement) -> ProjectedScan:
+    def _projected(self, points: Points, place: Placement, project: Projector) -> ProjectedScan:
         """Place, select and project; without filters, the loops over points transform and project at once."""
         transform = place.target_from_source
         rejected: dict[str, int] = {}
@@ -116,8 +136,8 @@ class CloudToScan(Conversion):
             points, transform, rejected = self._select(points, place)
         rotation_and_translation = None if transform is None else transform.as_float32()
         name = self.params.intensity_field
-        scan = self._project(*points.xyz(), rotation_and_translation, points.field(name) if name else None)
+        scan = project(*points.xyz(), rotation_and_translation, points.field(name) if name else None)
         if rejected:
             filtered = PointCounts(sum(rejected.values()), **rejected)
-            return replace(scan, counts=scan.counts + filtered)
+            return dataclasses.replace(scan, counts=scan.counts + filtered)
         return scan

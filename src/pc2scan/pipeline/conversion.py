@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from pc2scan.messages.outputs import OutputType
     from pc2scan.model import Buffer
 
-__all__ = ["Conversion", "Converted", "Result", "Timing"]
+__all__ = ["Conversion", "Converted", "Measured", "Result"]
 
 
 class Result(NamedTuple):
@@ -37,8 +37,8 @@ class Converted(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Timing:
-    """When the scans of a topic were measured.
+class Measured:
+    """What was measured of the clouds of a topic before their conversion.
 
     Attributes
     ----------
@@ -46,11 +46,14 @@ class Timing:
         Seconds, as in the message.
     first_beam_ns
         From the cloud's stamp to the scan's.
+    azimuth_step
+        How finely the lidar samples azimuth, radians; 0 where it was not asked for.
     """
 
     scan_time: float
     time_increment: float = 0.0
     first_beam_ns: int = 0
+    azimuth_step: float = 0.0
 
 
 class Conversion(ABC):

@@ -1,10 +1,11 @@
-"""What a conversion has to find out before it begins: when scans and beams were measured, which fields there are.
+"""What a conversion has to find out before it begins: when scans and beams were measured, how finely, which fields.
 
 Only the first clouds of a topic are looked at, so that a conversion stays a single pass over the recording.
 """
 
 from __future__ import annotations
 
+import math
 import statistics
 from itertools import islice
 from typing import TYPE_CHECKING
@@ -12,11 +13,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pc2scan.core.layout import TURN
+from pc2scan.core.resolution import RING_FIELDS, azimuth_step
 from pc2scan.core.timing import TIME_FIELDS, beam_times, fit_sweep, median_interval_ns, point_times
 from pc2scan.errors import MessageError, ParameterError, stamp_text
 from pc2scan.messages.clouds import CLOUDS
 
-from .conversion import Timing
+from .conversion import Measured
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -24,6 +26,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pc2scan.bags.reader import Reader
+    from pc2scan.core.layout import BeamLayout
     from pc2scan.core.params import ProjectionParams
     from pc2scan.core.points import Points
     from pc2scan.core.timing import Sweep
@@ -34,7 +37,7 @@ if TYPE_CHECKING:
 
 __all__ = ["measure"]
 
-#: Clouds whose stamps tell the scan time, and those of them whose points tell the time of a beam.
+#: Clouds whose stamps tell the scan time, and those of them whose points tell the time of a beam and its width.
 FIRST_CLOUDS = 51
 SWEEPS = 11
 
@@ -47,7 +50,7 @@ def measure(
     start_ns: int | None = None,
     stop_ns: int | None = None,
     filters: Sequence[Filter] = (),
-) -> tuple[dict[str, Timing], list[str]]:
+) -> tuple[dict[str, Measured], list[str]]:
     """Look at the first clouds of each topic.
 
     Parameters
@@ -55,7 +58,8 @@ def measure(
     connections
         Those to be converted.
     params
-        ``scan_time`` and ``time_increment`` that are ``auto`` are measured; an ``intensity_field`` has to be there.
+        ``scan_time``, ``time_increment`` and ``beams`` that are ``auto`` are measured; an ``intensity_field`` has to be
+        there.
     frames
         The scans' frame is the one that beams are measured in.
     start_ns, stop_ns
@@ -71,9 +75,10 @@ def measure(
     Raises
     ------
     ParameterError
-        If no cloud of a topic's first ones has the ``intensity_field``, or a field that a filter needs.
+        If no cloud of a topic's first ones has the ``intensity_field``, or a field that a filter needs; if ``beams`` is
+        auto, and they are not in regular rings.
     """
-    timings: dict[str, Timing] = {}
+    timings: dict[str, Measured] = {}
     notes: list[str] = []
     topics: dict[str, list[Connection]] = {}
     for connection in connections:
@@ -81,7 +86,8 @@ def measure(
     for topic, sources in topics.items():
         first = _FirstClouds(params, frames)
         decoders = {c.id: CLOUDS[c.ros_type](c.serialization) for c in sources}
-        wanted = FIRST_CLOUDS if params.scan_time == "auto" else SWEEPS if params.time_increment == "auto" else 1
+        swept = "auto" in {params.time_increment, params.beams}
+        wanted = FIRST_CLOUDS if params.scan_time == "auto" else SWEEPS if swept else 1
         for message in islice(reader.messages(sources, start_ns, stop_ns), wanted):
             try:
                 first.add(decoders[message.connection.id](message.data))
@@ -103,14 +109,38 @@ class _FirstClouds:
         self._fields: dict[str, None] = {}
         self._timed: dict[str, None] = {}
         self._sweeps: list[Sweep] = []
+        self._steps: list[float | None] = []
 
     @np.errstate(all="ignore")  # coordinates and times may be anything: NaNs that signal, the largest numbers
     def add(self, cloud: Points) -> None:
         """Take a cloud."""
         self._stamps.append(cloud.stamp_ns)
         self._fields.update(dict.fromkeys(cloud.fields))
-        if self._params.time_increment != "auto" or len(self._stamps) > SWEEPS:
+        if len(self._stamps) > SWEEPS:
             return
+        if self._params.beams == "auto":
+            self._steps.append(self._step(cloud))
+        if self._params.time_increment == "auto":
+            self._fit(cloud)
+
+    def _step(self, cloud: Points) -> float | None:
+        """The azimuth step of a cloud, around the sensor, in the directions of the scan's frame."""
+        x, y, z = cloud.xyz()
+        transform = self._frames.place(cloud.frame_id, cloud.stamp_ns).target_from_source
+        if transform is not None:
+            shape = x.shape
+            points = np.stack([np.ravel(part).astype(np.float64) for part in (x, y, z)])
+            x, y, z = (part.reshape(shape) for part in transform.matrix @ points)
+        name = next((name for name in RING_FIELDS if name in cloud.fields), None)
+        if name is None:
+            return azimuth_step(x, y, z)
+        rings = np.ravel(cloud.field(name))
+        if rings.dtype.kind not in "iu":
+            rings = np.unique(rings, return_inverse=True)[1]
+        return azimuth_step(x, y, z, rings)
+
+    def _fit(self, cloud: Points) -> None:
+        """Fit a turning lidar to the times of a cloud's points."""
         name = next((name for name in TIME_FIELDS if name in self._fields), None)
         if name is None:
             return
@@ -145,8 +175,10 @@ class _FirstClouds:
                     hint=f"their fields are: {', '.join(self._fields) or 'none'}",
                 )
 
-    def timing(self, topic: str, notes: list[str]) -> Timing:
+    def timing(self, topic: str, notes: list[str]) -> Measured:
         """What to write into the scans."""
+        step = self._resolution(topic, notes) if self._params.beams == "auto" and self._stamps else 0.0
+        layout = (self._params.at_resolution(step) if step else self._params).layout
         scan_time, time_increment, first_beam_ns = self._params.scan_time, self._params.time_increment, 0
         if scan_time == "auto":
             interval = median_interval_ns(self._stamps)
@@ -158,18 +190,36 @@ class _FirstClouds:
                 f"{'its' if len(self._stamps) < FIRST_CLOUDS else 'the first'} {len(self._stamps)} stamps"
             )
         if time_increment == "auto":
-            time_increment, first_beam_ns, found = self._beams()
+            time_increment, first_beam_ns, found = self._beams(layout)
             notes.append(f"{topic}: {found}")
-        return Timing(scan_time, time_increment, first_beam_ns)
+        return Measured(scan_time, time_increment, first_beam_ns, step)
 
-    def _beams(self) -> tuple[float, int, str]:
+    def _resolution(self, topic: str, notes: list[str]) -> float:
+        """How finely the lidar samples azimuth, radians."""
+        known = [step for step in self._steps if step is not None]
+        if 2 * len(known) <= len(self._steps):
+            raise ParameterError(
+                f"beams is auto, but the azimuth resolution of the clouds on {topic} cannot be measured: the points of "
+                f"{len(self._steps) - len(known)} of the first {len(self._steps)} are in no regular rings",
+                name="beams",
+                hint="give a number of `beams`, or an `angle_increment`",
+            )
+        step = statistics.median_low(known)
+        layout = self._params.at_resolution(step).layout
+        notes.append(
+            f"{topic}: beams is {layout.count:,}, angle_increment {layout.angle_increment:.6g} rad: the lidar measures "
+            f"every {math.degrees(step):.4g} deg (median of {len(known)} clouds)"
+        )
+        return step
+
+    def _beams(self, layout: BeamLayout) -> tuple[float, int, str]:
         """Time from beam to beam in seconds, the first beam's after the stamp in nanoseconds, and what to say."""
         if not self._timed:
             return 0.0, 0, f"time_increment is 0, for the clouds have no field {', '.join(TIME_FIELDS)}"
         field = ", ".join(self._timed)
         if not self._sweeps:
             return 0.0, 0, f"time_increment is 0, for the times of the points ({field}) do not follow a turning lidar"
-        found = [times for sweep in self._sweeps if (times := beam_times(sweep, self._params.layout)) is not None]
+        found = [times for sweep in self._sweeps if (times := beam_times(sweep, layout)) is not None]
         if len(found) < len(self._sweeps):
             lowest = statistics.median_low(sweep.lowest for sweep in self._sweeps)
             advice = f"`angle_min={lowest:.4f}` `angle_max={lowest + TURN:.4f}`"

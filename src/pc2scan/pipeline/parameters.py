@@ -163,7 +163,7 @@ _HELP: dict[str, tuple[str, str]] = {
         "",
         "What beam i takes: upstream: what begins there; centered: what is around it; half-open, symmetric: the same.",
     ),
-    "beams": ("", "How many beams the sector has, instead of angle_increment."),
+    "beams": ("", "How many beams the sector has, instead of angle_increment. auto: as finely as the lidar measures."),
     "no_return": ("", "What a beam without a return reads. Left out: use_inf tells."),
     "reduce": (
         "",

@@ -189,7 +189,9 @@ class Report(Shown):
     def conclude(self) -> None:
         """Add what only the whole conversion can tell."""
         layout, asked = self.params.layout, self.params.angle_increment
-        if layout.full_circle and abs(layout.angle_increment - asked) > _NOTABLE_STEP * asked:
+        # Where beams are measured, a note says how many there are.
+        measured = self.params.beams == "auto"
+        if not measured and layout.full_circle and abs(layout.angle_increment - asked) > _NOTABLE_STEP * asked:
             self.notes.append(
                 f"angle_increment is {layout.angle_increment:.7g} rad instead of {asked:.7g}: "
                 f"{layout.count} beams divide the circle evenly"

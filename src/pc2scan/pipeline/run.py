@@ -349,7 +349,7 @@ def prepared(
 
     make = partial(CloudToScan, params, frames, filters=options.filters, output_type=options.made_type)
     needs_fields = params.intensity_field or any(each.fields for each in options.filters)
-    if "auto" not in (params.scan_time, params.time_increment) and not needs_fields:
+    if "auto" not in (params.scan_time, params.time_increment, params.beams) and not needs_fields:
         return make(), others
     from .measure import measure  # noqa: PLC0415  # only where something is left to be measured
 
