@@ -42,7 +42,7 @@ ALLOWED = {
     "compare": {"messages", "bags", "core", "files"},
     "golden": {"compare", "bags", "files"},
     "streams": {"pipeline", "core", "tf", "messages", "bags"},
-    "look": {"pipeline", "inspect", "core", "tf", "messages", "bags", "files"},
+    "look": {"pipeline", "inspect", "compare", "core", "tf", "messages", "bags", "files"},
     # `cli.in_process`: golden cases run the command.
     "api": {"pipeline", "inspect", "compare", "golden", "streams", "core", "tf", "cli.in_process"},
     # `bags.damage`: results have its data classes.

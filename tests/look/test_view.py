@@ -6,9 +6,10 @@ import json
 import re
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pytest
 
-from builders import write_mcap
+from builders import CLOUD, T0, Item, Recording, Stream, cloud, write_mcap
 from e2e.command import run
 from scan_recordings import recording, scans
 from support import ROOT
@@ -115,3 +116,30 @@ def test_wrong_usage_is_told_and_writes_nothing(tmp_path: Path, arguments: list[
     assert told in done.stderr
     assert "Traceback" not in done.stderr
     assert list(tmp_path.iterdir()) == []
+
+
+def test_ten_large_clouds_make_a_page_of_less_than_15_mb(tmp_path: Path) -> None:
+    rng = np.random.default_rng(10)
+    stream = Stream("/points", CLOUD)
+    # Noise does not compress: no lidar is as bad.
+    clouds = [rng.normal(0, 10, (131_072, 4)).astype(np.float32) for _ in range(10)]
+    items = [
+        Item(
+            stream,
+            T0 + n * 100_000_000,
+            {2: cloud(points, 2, stamp_ns=T0 + n * 100_000_000, names=("x", "y", "z", "intensity"))},
+        )
+        for n, points in enumerate(clouds)
+    ]
+    source = write_mcap(tmp_path / "large.mcap", Recording((stream,), tuple(items)))
+    page = tmp_path / "page.html"
+    done = run("view", source, "-o", page)
+    assert done.status == 0
+    assert page.stat().st_size < 15_000_000
+    assert "1 of 2 points is shown" in done.stderr
+    held = description(page)
+    assert "1 of 2 points is shown" in held["notes"][0]
+    (topic,) = held["topics"]
+    assert [(entry["total"], entry["data"]["length"]) for entry in topic["clouds"]] == [(131_072, 65_536)] * 10
+    # Fewer are shown whole.
+    assert run("view", source, "-o", page, "--clouds", "4").stderr == ""

@@ -93,6 +93,13 @@ def diff(
             rich_help_panel=_LIBM,
         ),
     ] = None,
+    view: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="PAGE",
+            help="Also write an HTML page: the scans in which most beams differ, over each other, the beams marked.",
+        ),
+    ] = None,
     as_json: Json = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Tell by the exit status only.")] = False,
 ) -> None:
@@ -121,6 +128,10 @@ def diff(
 
         compared = partial(compared, transforms_of=recorded_transforms, clouds=clouds)
     result = compared()
+    if view is not None:
+        from pc2scan.look.compared import compared_view
+
+        compared_view(a, a if b is None else b, view, topics=pairs, rules=rules, summary=str(result))
     if as_json:
         print_json(result.as_dict())
     elif not quiet:

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from .libm import Lookup
 
-__all__ = ["TopicPair", "diff", "diff_sources", "open_source"]
+__all__ = ["TopicPair", "diff", "diff_sources", "open_source", "paired_streams"]
 
 #: More topics of scans or clouds are read together: one after the other would take too long.
 _MANY_TOPICS = 16
@@ -134,7 +134,7 @@ def diff_sources(
     """
     rules = rules or Rules()
     result = Difference(str(a.path), str(b.path))
-    asked = _asked_streams(a, b, topics) if topics else _sides(a, b, decoded=True)
+    asked = paired_streams(a, b, topics)
     others = [] if topics and not all_topics else _sides(a, b, decoded=False, without=topics)
     for pair in _held(asked) if len(asked) > _MANY_TOPICS else asked:
         _compare([pair], rules, result, clouds)
@@ -149,6 +149,17 @@ def diff_sources(
             hint="`all_topics=True` compares the other topics too, `topics` one of them",
         )
     return result
+
+
+def paired_streams(a: Source, b: Source, topics: Sequence[TopicPair] = ()) -> list[tuple[Stream, Stream]]:
+    """Pair the topics that were asked for, or all that have scans or clouds on either side.
+
+    Raises
+    ------
+    TopicError
+        If a topic that was asked for does not exist.
+    """
+    return _asked_streams(a, b, topics) if topics else _sides(a, b, decoded=True)
 
 
 def _held(pairs: Sequence[tuple[Stream, Stream]]) -> list[tuple[Stream, Stream]]:

@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from pc2scan.bags.topics import find_topic
 from pc2scan.errors import MessageError, RecordingError, TopicError, TransformError, name_list
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
@@ -23,7 +21,7 @@ if TYPE_CHECKING:
     from pc2scan.pipeline.options import ConvertOptions
     from pc2scan.tf.buffer import TransformBuffer
 
-__all__ = ["differing_beams", "findings", "layer", "scan_connections", "scans_page"]
+__all__ = ["findings", "layer", "scan_connections", "scans_page"]
 
 
 #: The pose of a scan that is shown in its own frame.
@@ -184,16 +182,6 @@ def layer(
         "differing": list(differing),
         "data": described(key, columns),
     }
-
-
-def differing_beams(one: LaserScan, other: LaserScan, tolerance: float) -> list[int]:
-    """The beams whose ranges differ by more than a tolerance in metres, or that only one of two scans has."""
-    both = min(len(one.ranges), len(other.ranges))
-    a, b = one.ranges[:both].astype(np.float64), other.ranges[:both].astype(np.float64)
-    with np.errstate(invalid="ignore"):
-        same = (a == b) | (np.isnan(a) & np.isnan(b)) | (np.abs(a - b) <= tolerance)
-    extra = range(both, max(len(one.ranges), len(other.ranges)))
-    return [*np.flatnonzero(~same).tolist(), *extra]
 
 
 def findings(check: Check) -> list[dict[str, Any]]:

@@ -1,0 +1,138 @@
+"""Scans of two recordings over each other, those first in which most beams differ."""
+
+from __future__ import annotations
+
+import heapq
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pc2scan.compare.diff import open_source, paired_streams
+from pc2scan.compare.match import matched
+from pc2scan.core.compare import differing
+from pc2scan.errors import DecodeError, TopicError
+from pc2scan.files.overlap import Input, Output, refuse_overlap
+from pc2scan.files.text_output import text_output
+from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
+
+from .html import BEGINNING, html
+from .moments import moment
+from .scans import layer
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from pathlib import Path
+
+    from pc2scan.compare.diff import TopicPair
+    from pc2scan.compare.match import Stream
+    from pc2scan.compare.rules import Rules
+    from pc2scan.model import RawMessage
+
+__all__ = ["compared_view"]
+
+#: Moments on a page.
+_MOST = 20
+
+
+def compared_view(
+    a: Path,
+    b: Path,
+    destination: Path,
+    *,
+    topics: Sequence[TopicPair],
+    rules: Rules,
+    summary: str,
+    overwrite: bool = False,
+) -> None:
+    """Write a page of the scans that differ most, with the differing beams marked.
+
+    Parameters
+    ----------
+    a, b
+        The recordings.
+    destination
+        The page.
+    topics
+        The topics to compare; empty for all.
+    rules
+        What counts as the same.
+    summary
+        What the comparison found, as text.
+    overwrite
+        Whether something else than such a page may be replaced.
+
+    Raises
+    ------
+    TopicError
+        If neither recording has scans to show.
+    DestinationError, OutputError
+        If the page cannot be written.
+    """
+    refuse_overlap([Input(a), Input(b)], [Output(destination)])
+    with text_output(destination, beginning=BEGINNING, overwrite=overwrite) as deliver:
+        deliver(_page(a, b, topics, rules, summary))
+
+
+def _page(a: Path, b: Path, topics: Sequence[TopicPair], rules: Rules, summary: str) -> str:
+    with ExitStack() as stack:
+        left, right = open_source(a), open_source(b)
+        for source in (left, right):
+            stack.callback(source.close)
+        pairs = (
+            (number, differing_beams(one, other, rules), one, other)
+            for number, (one, other) in enumerate(_scan_pairs(paired_streams(left, right, topics)))
+        )
+        # Of equally many the first ones.
+        worst = heapq.nlargest(_MOST, pairs, key=lambda pair: (len(pair[1]), -pair[0]))
+    if not worst:
+        raise TopicError("there are no scans in both recordings to be shown", path=a)
+    blobs: dict[str, bytes] = {}
+    moments = [
+        {
+            "moment": f"{moment(one.stamp_ns)}, {len(beams)} beams differ",
+            "layers": [
+                layer(f"A: {a.name}", 0, one, blobs, differing=beams),
+                layer(f"B: {b.name}", 1, other, blobs, differing=beams),
+            ],
+        }
+        for _, beams, one, other in sorted(worst, key=lambda pair: pair[0])
+    ]
+    lines = [{"text": line.strip(), "wrong": False} for line in summary.splitlines() if line.strip()]
+    description: dict[str, Any] = {
+        "kind": "diff",
+        "title": f"{a.name} and {b.name}",
+        "subtitle": f"the {len(moments)} scans in which most beams differ" if len(moments) > 1 else "one scan",
+        "notes": [],
+        "moments": moments,
+        "findings": [{"heading": "pc2scan diff", "lines": lines}],
+    }
+    return html(description, blobs)
+
+
+def _scan_pairs(streams: Sequence[tuple[Stream, Stream]]) -> Iterator[tuple[LaserScan, LaserScan]]:
+    """The scans that belong together; those that only one side has, or that cannot be read, are not shown."""
+    for one, other in streams:
+        if not any(c.ros_type == LASERSCAN for c in one.connections):
+            continue
+        for pair in matched(one, other):
+            if pair.a is not None and pair.b is not None:
+                scans = [_decoded(message) for message in (pair.a, pair.b)]
+                if scans[0] is not None and scans[1] is not None:
+                    yield scans[0], scans[1]
+
+
+def _decoded(message: RawMessage) -> LaserScan | None:
+    if message.connection.ros_type != LASERSCAN:
+        return None
+    try:
+        return decode_laserscan(message.data, message.connection.serialization)
+    except DecodeError:
+        return None
+
+
+def differing_beams(one: LaserScan, other: LaserScan, rules: Rules) -> list[int]:
+    """The beams whose ranges differ beyond the tolerance, or that only one of two scans has."""
+    both = min(len(one.ranges), len(other.ranges))
+    differ = differing(one.ranges[:both], other.ranges[:both], rules.tolerance("ranges"))
+    return [*np.flatnonzero(differ).tolist(), *range(both, max(len(one.ranges), len(other.ranges)))]
