@@ -121,7 +121,7 @@ def test_every_parameter_means_the_same(tmp_path: Path) -> None:
     for case, scan, found in zip(cases, expected, json.loads(node(tmp_path, _CODE)), strict=True):
         counts = scan.counts
         assert found["counts"] == [
-            counts.used, counts.nan, counts.height, counts.range, counts.angle, counts.past_end
+            counts.used, counts.nan, counts.height, counts.range, counts.angle, counts.past_end, 0
         ], case["params"]  # fmt: skip
         for name in ("ranges", "intensities"):
             values = np.frombuffer(bytes.fromhex(found[name]), np.float32)

@@ -12,6 +12,7 @@ import pytest
 from builders import CLOUD, T0, Item, Recording, Stream, cloud, write_mcap
 from e2e.command import run
 from look.browser import needs_chromium
+from look.test_page_projects_alike import read_scans
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.presets import PRESETS
 from scan_recordings import GOOD, recording, scans
@@ -52,8 +53,6 @@ def test_the_command_line_makes_what_the_page_shows(hall: Tab, tmp_path: Path) -
     shown = np.array([float(text.replace("Infinity", "inf")) for text in ranges(hall)], np.float32)
     done = run(*words[1:], "--only-scans", "--overwrite", "-o", tmp_path / "scans.mcap")
     assert done.status in (0, 3), done.stderr
-    from look.test_page_projects_alike import read_scans
-
     first = read_scans(tmp_path / "scans.mcap")[0]
     assert len(shown) == 90
     assert np.array_equal(first.ranges, shown, equal_nan=True)
@@ -68,8 +67,6 @@ def test_the_parameter_files_mean_what_the_page_shows(hall: Tab, tmp_path: Path,
     (tmp_path / "params.yaml").write_text(hall.call("(ros) => window.pc2scan.file(ros)", ros))
     done = run("convert", HALL, "-o", tmp_path / "s.mcap", "--only-scans", "--params-file", tmp_path / "params.yaml")
     assert done.status == 0, done.stderr
-    from look.test_page_projects_alike import read_scans
-
     shown = np.array([float(text.replace("Infinity", "inf")) for text in ranges(hall)], np.float32)
     assert np.array_equal(read_scans(tmp_path / "s.mcap")[0].ranges, shown, equal_nan=True)
 
@@ -218,5 +215,21 @@ def test_scans_are_read_back_as_recorded(browser: Any, tmp_path: Path) -> None:
     assert [layer["name"] for layer in found] == ["/scan (laser)", "/other (laser)"]
     assert [float(text) for text in found[0]["ranges"]] == GOOD.ranges.tolist()
     assert "accepted" in tab.page.inner_text("#panel")
+    tab.assert_quiet()
+    tab.page.close()
+
+
+def test_filters_are_counted_and_coloured_and_in_the_command(browser: Any, tmp_path: Path) -> None:
+    filters = ["--where", "ring > 4", "--exclude-box", "lidar -1 6 0 4 -1 1", "--min-height-slope", "0.1"]
+    assert run("view", HALL, "-o", tmp_path / "page.html", "--min-height=-0.3", *filters).status == 0
+    tab = browser()
+    tab.open(tmp_path / "page.html")
+    shown = np.array([float(text.replace("Infinity", "inf")) for text in ranges(tab)], np.float32)
+    words = shlex.split(tab.call("window.pc2scan.command()"))
+    done = run(*words[1:], "--only-scans", "-o", tmp_path / "scans.mcap", "--report", tmp_path / "report.json")
+    assert done.status == 0, done.stderr
+    assert np.array_equal(read_scans(tmp_path / "scans.mcap")[0].ranges, shown, equal_nan=True)
+    assert tab.call("window.pc2scan.scan().counts[6]") > 100
+    assert "rejected by filters" in tab.page.inner_text("#panel")
     tab.assert_quiet()
     tab.page.close()

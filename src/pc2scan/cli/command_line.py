@@ -10,15 +10,18 @@ if TYPE_CHECKING:
 
     from pc2scan.pipeline.options import ConvertOptions, TimeBound
 
+    from .options import Points
+
 __all__ = ["convert_words"]
 
 
-def convert_words(sources: Sequence[Path], options: ConvertOptions, destination: str) -> list[str]:
-    """Return the words of a command that converts the same topics in the same frames.
+def convert_words(sources: Sequence[Path], options: ConvertOptions, points: Points, destination: str) -> list[str]:
+    """Return the words of a command that converts the same points of the same topics in the same frames.
 
     The parameters of the projection are left to the caller.
     """
-    return ["pc2scan", "convert", *map(str, sources), "-o", destination, *_option_words(options)]
+    words = ["pc2scan", "convert", *map(str, sources), "-o", destination]
+    return [*words, *_option_words(options), *_point_words(points)]
 
 
 def _option_words(options: ConvertOptions) -> Iterator[str]:
@@ -44,3 +47,16 @@ def _option_words(options: ConvertOptions) -> Iterator[str]:
 def _time(bound: TimeBound) -> str:
     seconds, rest = divmod(bound.nanoseconds, 1_000_000_000)
     return f"{'@' if bound.absolute else ''}{seconds}.{rest:09d}"
+
+
+def _point_words(points: Points) -> Iterator[str]:
+    texts = {
+        "--where": points.where,
+        "--exclude-box": points.exclude_box,
+        "--exclude-polygon": points.exclude_polygon,
+    }
+    for option, values in texts.items():
+        for value in values:
+            yield from (option, value)
+    if points.min_height_slope is not None:
+        yield f"--min-height-slope={points.min_height_slope!r}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from itertools import islice
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +16,7 @@ from pc2scan.errors import DecodeError, MessageError, RecordingError, TransformE
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.pipeline.parameters import PARAMETERS
 from pc2scan.pipeline.plan import make_plan
+from pc2scan.pipeline.stages.select import Select
 from pc2scan.tf.placing import Frames
 
 from .moments import moment, spread
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from pc2scan.model import Connection, RawMessage
     from pc2scan.pipeline.options import ConvertOptions
     from pc2scan.tf.buffer import TransformBuffer
+    from pc2scan.tf.placing import Placement
 
 __all__ = ["MOST_BYTES", "clouds_page"]
 
@@ -41,6 +43,9 @@ MOST_BYTES = 10_500_000
 #: Fields that are shown besides x, y and z, and frames.
 _MOST_FIELDS = 8
 _MOST_FRAMES = 60
+
+#: A field that no cloud has: the number of each point.
+_NUMBER = "\0number"
 
 #: Parameters that decide nothing about which points a beam reads.
 _NOT_SHOWN = {"target_frame", "transform_tolerance", "scan_time", "queue_size", "time_increment"}
@@ -53,6 +58,8 @@ class _Shot:
 
     topic: str
     columns: Mapping[str, NDArray[Any]]
+    #: (points,) uint8: 1 for what the filters reject; None without filters.
+    filtered: NDArray[np.uint8] | None
     description: dict[str, Any]
 
 
@@ -117,11 +124,19 @@ def clouds_page(
             f"To keep this page small, 1 of {step} points is shown: counts and ranges are those of the thinned clouds. "
             "Fewer clouds are shown whole."
         )
+    if options.filters:
+        notes.append(
+            "What filters reject was decided when this page was made: another mount or min_height does not change it."
+        )
     entries: dict[str, list[dict[str, Any]]] = {}
     for number, shot in enumerate(shots):
         columns = {name: column[::step] for name, column in shot.columns.items()}
-        data = described(_name(number), columns)
-        entries.setdefault(shot.topic, []).append({**shot.description, "data": data})
+        entry = {**shot.description, "data": described(_name(number), columns), "filtered": None}
+        if shot.filtered is not None:
+            named = {"filtered": shot.filtered[::step]}
+            entry["filtered"] = described(f"filtered-{number}", named)
+            blobs[f"filtered-{number}"] = packed(named)
+        entries.setdefault(shot.topic, []).append(entry)
     description = {
         "kind": "clouds",
         "notes": notes,
@@ -190,7 +205,20 @@ def _shot(message: RawMessage, options: ConvertOptions, frames: Frames, buffer: 
         "frames": [] if buffer is None else list(_origins(buffer, place.frame_id, points.stamp_ns)),
         "total": len(columns["x"]),
     }
-    return _Shot(connection.topic, columns, description)
+    return _Shot(connection.topic, columns, _filtered(points, place, options, frames), description)
+
+
+def _filtered(points: Points, place: Placement, options: ConvertOptions, frames: Frames) -> NDArray[np.uint8] | None:
+    """Which points the filters reject."""
+    if not options.filters:
+        return None
+    shape = points.xyz()[0].shape
+    numbers = np.arange(math.prod(shape)).reshape(shape)
+    numbered = replace(points, fields={**points.fields, _NUMBER: numbers})
+    kept = Select(options.filters, frames)(numbered, place).points.field(_NUMBER)
+    filtered = np.ones(numbers.size, np.uint8)
+    filtered[kept.reshape(-1)] = 0
+    return filtered
 
 
 def _columns(points: Points) -> dict[str, NDArray[Any]]:

@@ -30,6 +30,7 @@ import { Unrolled } from "./unrolled.mjs";
  * @property {{name: string, x: number, y: number, z: number}[]} frames
  * @property {number} total points in the recording
  * @property {import("./data.mjs").ArrayData} data
+ * @property {import("./data.mjs").ArrayData | null} filtered
  */
 
 /**
@@ -55,6 +56,7 @@ const OUTCOME_NAMES = {
   range: "outside the ranges",
   angle: "outside the sector",
   past_end: "behind the last beam",
+  filtered: "rejected by filters",
 };
 
 /** Pixels around the edge of the band that grab it. */
@@ -75,6 +77,8 @@ export function showClouds(recording) {
   let mount = null;
   /** @type {Map<string, import("./data.mjs").Column>} */
   let fields = new Map();
+  /** @type {ArrayLike<number> | null} */
+  let filtered = null;
   /** @type {Cloud} in the scan's frame */
   let cloud = { x: new Float32Array(), y: new Float32Array(), z: new Float32Array() };
   /** @type {Scan} */
@@ -145,9 +149,11 @@ export function showClouds(recording) {
     const wanted = topic.clouds[step];
     entry = wanted;
     const found = await columns(wanted.data);
+    const rejected = wanted.filtered && (await columns(wanted.filtered)).get("filtered");
     // A later click may have been quicker.
     if (entry !== wanted) return;
     fields = found;
+    filtered = rejected ?? null;
     place();
   }
 
@@ -176,7 +182,7 @@ export function showClouds(recording) {
     controls.show(params, mount ?? entry.mount, preset);
     if (!problem) {
       const begin = performance.now();
-      scan = project(cloud, params, (params.intensity_field && fields.get(params.intensity_field)) || null);
+      scan = project(cloud, params, (params.intensity_field && fields.get(params.intensity_field)) || null, filtered);
       milliseconds = performance.now() - begin;
       ends = endsOf(scan, isReturn);
     }
@@ -501,7 +507,7 @@ function resultsIn(panel, choice) {
       const colours = outcomeColours(theme());
       const total = Math.max(1, scan.outcomes.length);
       table.replaceChildren(
-        ...OUTCOMES.map((outcome, n) => {
+        ...OUTCOMES.slice(0, entry.filtered ? OUTCOMES.length : -1).map((outcome, n) => {
           const row = document.createElement("tr");
           const name = document.createElement("td");
           const swatch = document.createElement("span");

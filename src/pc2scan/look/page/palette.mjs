@@ -2,8 +2,8 @@
 
 /** Okabe and Ito's colours, which the colour-blind can tell apart; in the order of `OUTCOMES`. */
 const OUTCOME_COLOURS = {
-  light: ["#0072b2", "#000000", "#e69f00", "#cc79a7", "#94a3b1", "#d55e00"],
-  dark: ["#56b4e9", "#f5f5f5", "#e69f00", "#cc79a7", "#5d6b78", "#ff7f3f"],
+  light: ["#0072b2", "#000000", "#e69f00", "#cc79a7", "#94a3b1", "#d55e00", "#009e73"],
+  dark: ["#56b4e9", "#f5f5f5", "#e69f00", "#cc79a7", "#5d6b78", "#ff7f3f", "#2fd3a4"],
 };
 
 /** From low to high, dark to bright: evenly stepped for the eye, and in print. */

@@ -8,9 +8,9 @@ import { layoutOf, ruleOf } from "./rule.mjs";
 /** @typedef {import("./params.mjs").Params} Params */
 /** @typedef {import("./layout.mjs").Layout} Layout */
 
-/** What becomes of a point; the order is that of the checks. */
-export const OUTCOMES = /** @type {const} */ (["used", "nan", "height", "range", "angle", "past_end"]);
-const [USED, IS_NAN, HEIGHT, RANGE, ANGLE, PAST_END] = OUTCOMES.keys();
+/** What becomes of a point; but for filters, which come first, the order is that of the checks. */
+export const OUTCOMES = /** @type {const} */ (["used", "nan", "height", "range", "angle", "past_end", "filtered"]);
+const [USED, IS_NAN, HEIGHT, RANGE, ANGLE, PAST_END, FILTERED] = OUTCOMES.keys();
 
 /**
  * @typedef {object} Cloud
@@ -56,15 +56,16 @@ export function transformed(cloud, transform, into) {
  * @param {Cloud} cloud
  * @param {Params} params without a problem; see `problemOf`
  * @param {ArrayLike<number> | null} values of the intensity field, one for each point
+ * @param {ArrayLike<number> | null} filtered 1 for the points that filters reject
  * @returns {Scan}
  */
-export function project(cloud, params, values = null) {
+export function project(cloud, params, values = null, filtered = null) {
   const layout = layoutOf(params);
   const points = cloud.x.length;
   const outcomes = new Uint8Array(points);
   const bins = new Int32Array(points);
   const squares = new Float64Array(points);
-  const counts = count(cloud, params, layout, outcomes, bins, squares);
+  const counts = count(cloud, params, layout, filtered, outcomes, bins, squares);
   const empty = emptyRange(params);
   const ranges = new Float32Array(layout.count).fill(empty);
   const intensities = values && new Float32Array(layout.count);
@@ -103,12 +104,13 @@ export function project(cloud, params, values = null) {
  * @param {Cloud} cloud
  * @param {Params} params
  * @param {Layout} layout
+ * @param {ArrayLike<number> | null} filtered
  * @param {Uint8Array} outcomes overwritten
  * @param {Int32Array} bins overwritten
  * @param {Float64Array} squares overwritten: the squared ranges
  * @returns {number[]}
  */
-function count(cloud, params, layout, outcomes, bins, squares) {
+function count(cloud, params, layout, filtered, outcomes, bins, squares) {
   const rule = ruleOf(params);
   const { lowest, highest, least, most, first, last, offset, turn, end, skew, increment, closed } = rule;
   const angleOf = params.angle_rounding === "glibc-2.40" ? olderGlibcAngle : correctAngle;
@@ -118,6 +120,10 @@ function count(cloud, params, layout, outcomes, bins, squares) {
     const x = xs[n];
     const y = ys[n];
     const z = zs[n];
+    if (filtered && filtered[n]) {
+      outcomes[n] = FILTERED;
+      continue;
+    }
     if (x !== x || y !== y || z !== z) {
       outcomes[n] = IS_NAN;
       continue;
