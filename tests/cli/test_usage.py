@@ -35,7 +35,7 @@ def said(*arguments: str) -> str:
         (
             ["convert", HALL, "--min-hight", "3"],
             "there is no option --min-hight",
-            "did you mean --max-height or --min-height or --min-points?",
+            "did you mean --max-height or --min-height or --min-height-slope?",
         ),
         (["convert", HALL, "--start"], "--start requires an argument", "pc2scan convert --help shows what it takes"),
         (["tf", HALL, "--lookup", "a"], "--lookup requires 2 arguments", "pc2scan tf --help shows what it takes"),
