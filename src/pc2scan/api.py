@@ -3,40 +3,42 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields, replace
 from typing import TYPE_CHECKING
 
-from .arguments import known_keywords, names_in, path_of, path_text, paths_in, refuse_unknown
-from .core.params import ProjectionParams
+from .arguments import known_keywords, names_in, path_of, paths_in
 from .errors import UsageError
-from .pipeline.options import ConvertOptions, destination_and_folder
-from .tf.options import FrameOptions, StaticTransform
+from .pipeline.options import ConvertOptions
+from .requests import (
+    channels_of,
+    destination_of,
+    filters_of,
+    frames_of,
+    parameter_names,
+    resolved_parameters,
+    selection_of,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
-    from pathlib import Path
     from typing import Any
 
     from .arguments import PathText
     from .compare.result import Difference
+    from .core.params import ProjectionParams
     from .core.unproject import UnprojectParams
     from .golden.result import GoldenReport
     from .inspect.check import Check
     from .inspect.info import Info
     from .inspect.tf import FrameTree
     from .pipeline.options import Time
-    from .pipeline.param_sources import ResolvedSources
     from .pipeline.report import Report
     from .pipeline.run import Progress
     from .pipeline.stages.filters import Filter
     from .streams.clouds import Clouds
     from .streams.scans import Scans
-    from .streams.stream import Selection
+    from .tf.options import FrameOptions, StaticTransform
 
 __all__ = ["check", "clouds", "convert", "diff", "golden", "info", "repair", "scans", "tf"]
-
-#: What the parameters of the projection are said to come from, in errors and reports.
-_HERE = "the call"
 
 #: Words of the command line, and of ROS, for what an argument is called.
 _SYNONYMS = {
@@ -53,11 +55,7 @@ _SYNONYMS = {
 }
 
 
-def _parameters() -> list[str]:
-    return [field.name for field in fields(ProjectionParams)]
-
-
-@known_keywords(further=_parameters, synonyms=_SYNONYMS)
+@known_keywords(further=parameter_names, synonyms=_SYNONYMS)
 def convert(
     sources: PathText | Iterable[PathText],
     destination: PathText | None = None,
@@ -80,6 +78,10 @@ def convert(
     tf_topics: str | Iterable[str] = (),
     source_frame: str = "",
     frames: FrameOptions | None = None,
+    where: str | Iterable[str] = (),
+    exclude_box: str | Iterable[str] = (),
+    exclude_polygon: str | Iterable[str] = (),
+    min_height_slope: float | None = None,
     filters: Iterable[Filter] = (),
     reverse: bool = False,
     deskew: bool = False,
@@ -136,8 +138,12 @@ def convert(
         Frame of the messages to convert, where their own is wrong or empty.
     frames
         All of these in one object, instead of them.
+    where, exclude_box, exclude_polygon, min_height_slope
+        Which points of the clouds are used: those whose fields fulfil conditions (``ring in (3, 4) or intensity > 9``),
+        not those in boxes (``frame x0 x1 y0 y1 z0 z1``) or polygons (``frame x0 y0 x1 y1 x2 y2 ...``), not those below
+        a limit that grows with range.
     filters
-        What selects points of clouds before they are projected, in order.
+        Further filters, as objects.
     reverse, deskew
         Whether LaserScan becomes PointCloud2; whether each beam is transformed by the pose at its own time.
     channels, range_cutoff
@@ -194,14 +200,14 @@ def convert(
     """
     from .pipeline.run import OutputOptions, run  # noqa: PLC0415
 
-    resolved = _resolved(params, preset, params_file, node, parameters, reverse=reverse)
+    resolved = resolved_parameters(params, preset, params_file, node, parameters, reverse=reverse)
     options = ConvertOptions.of(
         params=resolved.params,
         reverse=resolved.reverse,
-        channels=_channels(channels, range_cutoff),
+        channels=channels_of(channels, range_cutoff),
         deskew=deskew,
-        filters=tuple(filters),
-        frames=_frames(frames, static_tf, static_tf_file, write_static_tf, tf_from, tf_topics, source_frame),
+        filters=filters_of(resolved, where, exclude_box, exclude_polygon, min_height_slope, filters),
+        frames=frames_of(frames, static_tf, static_tf_file, write_static_tf, tf_from, tf_topics, source_frame),
         topics=names_in("topics", topics),
         keep=names_in("keep", keep),
         drop=names_in("drop", drop),
@@ -215,7 +221,7 @@ def convert(
         verify=verify,
         strict=strict,
     )
-    path, folder = _destination(destination)
+    path, folder = destination_of(destination)
     output = OutputOptions(
         storage=storage,
         compression=compression,
@@ -281,7 +287,7 @@ def repair(
     """
     from .pipeline.run import OutputOptions, run  # noqa: PLC0415
 
-    path, folder = _destination(destination)
+    path, folder = destination_of(destination)
     output = OutputOptions(
         storage=storage,
         compression=compression,
@@ -345,7 +351,7 @@ def info(
         paths_in("sources", sources),
         samples=samples,
         target_frame=target_frame,
-        frames=_frames(frames, static_tf, tf_from=tf_from, tf_topics=tf_topics, source_frame=source_frame),
+        frames=frames_of(frames, static_tf, tf_from=tf_from, tf_topics=tf_topics, source_frame=source_frame),
     )
 
 
@@ -400,7 +406,7 @@ def check(
         topics=names_in("topics", topics),
         odom_frame=odom_frame,
         base_frame=base_frame,
-        frames=_frames(frames, tf_from=tf_from, tf_topics=tf_topics),
+        frames=frames_of(frames, tf_from=tf_from, tf_topics=tf_topics),
     )
 
 
@@ -436,7 +442,7 @@ def tf(
     """
     from .inspect.tf import frame_tree  # noqa: PLC0415
 
-    return frame_tree(paths_in("sources", sources), _frames(None, static_tf, tf_topics=tf_topics))
+    return frame_tree(paths_in("sources", sources), frames_of(None, static_tf, tf_topics=tf_topics))
 
 
 @known_keywords(synonyms={**_SYNONYMS, "k": "pattern", "dir": "folder"})
@@ -556,7 +562,7 @@ def diff(
     )
 
 
-@known_keywords(further=_parameters, synonyms={**_SYNONYMS, "topics": "topic", "sources": "source"})
+@known_keywords(further=parameter_names, synonyms={**_SYNONYMS, "topics": "topic", "sources": "source"})
 def scans(
     source: PathText | Iterable[PathText],
     topic: str | Iterable[str] | None = None,
@@ -573,6 +579,10 @@ def scans(
     tf_topics: str | Iterable[str] = (),
     source_frame: str = "",
     frames: FrameOptions | None = None,
+    where: str | Iterable[str] = (),
+    exclude_box: str | Iterable[str] = (),
+    exclude_polygon: str | Iterable[str] = (),
+    min_height_slope: float | None = None,
     filters: Iterable[Filter] = (),
     on_error: str = "skip",
     verify: bool = True,
@@ -595,8 +605,10 @@ def scans(
         As for `pc2scan.convert`. Damage that is read around is a `pc2scan.errors.RecordingWarning`.
     params, preset, params_file, node, **parameters
         As for `pc2scan.convert`.
-    static_tf, static_tf_file, tf_from, tf_topics, source_frame, frames, filters
+    static_tf, static_tf_file, tf_from, tf_topics, source_frame, frames
         As for `pc2scan.convert`; for clouds with a ``target_frame``.
+    where, exclude_box, exclude_polygon, min_height_slope, filters
+        As for `pc2scan.convert`.
     on_error
         ``skip``: messages that cannot be used are counted and listed, and a warning says so. ``fail``: the first one is
         an error.
@@ -629,15 +641,16 @@ def scans(
 
     names = names_in("topic", topic)
     framing = (static_tf, static_tf_file, False, tf_from, tf_topics, source_frame)
+    filtering = (where, exclude_box, exclude_polygon, min_height_slope, filters)
     conversion = None
     if parameters or params is not None or preset is not None or params_file is not None:
-        resolved = _resolved(params, preset, params_file, node, parameters)
+        resolved = resolved_parameters(params, preset, params_file, node, parameters)
         if resolved.reverse:
             raise UsageError("the parameter file is for laserscan_to_pointcloud, scans are made of clouds")
         conversion = ConvertOptions.of(
             params=resolved.params,
-            frames=_frames(frames, *framing),
-            filters=tuple(filters),
+            frames=frames_of(frames, *framing),
+            filters=filters_of(resolved, *filtering),
             topics=names,
             only_scans=True,
             start=start,
@@ -645,12 +658,12 @@ def scans(
             verify=verify,
             strict=strict,
         )
-    elif frames is not None or node is not None or any(framing) or filters:
+    elif frames is not None or node is not None or any(framing) or any(filtering):
         raise UsageError(
             "transforms, filters and `node` count only where clouds are converted",
             hint="give parameters: `preset`, `params_file`, or any of them by name, `target_frame=base_link`",
         )
-    return Scans(_selection(source, names, start, end, on_error, verify=verify, strict=strict), conversion)
+    return Scans(selection_of(source, names, start, end, on_error, verify=verify, strict=strict), conversion)
 
 
 @known_keywords(synonyms={**_SYNONYMS, "topics": "topic", "sources": "source"})
@@ -705,130 +718,4 @@ def clouds(
     from .streams.clouds import Clouds  # noqa: PLC0415
 
     names = names_in("topic", topic)
-    return Clouds(_selection(source, names, start, end, on_error, verify=verify, strict=strict))
-
-
-def _resolved(
-    params: ProjectionParams | None,
-    preset: str | None,
-    params_file: PathText | None,
-    node: str | None,
-    parameters: Mapping[str, Any],
-    *,
-    reverse: bool = False,
-) -> ResolvedSources:
-    """Find the parameters of the projection, and where each comes from."""
-    from .pipeline.param_sources import ResolvedSources, resolve_sources  # noqa: PLC0415
-    from .pipeline.parameters import PARAMETERS, Setting  # noqa: PLC0415
-
-    if params is None:
-        settings = [Setting(name, _plain(value), _HERE) for name, value in parameters.items()]
-        file = None if params_file is None else path_of("params_file", params_file)
-        return resolve_sources(settings, file=file, node=node, preset=preset, reverse=reverse)
-    if not isinstance(params, ProjectionParams):
-        raise TypeError(f"params is {type(params).__name__}, it must be ProjectionParams")
-    others = {"preset": preset, "params_file": params_file, "node": node}
-    if given := [f"`{name}`" for name, value in others.items() if value is not None]:
-        raise UsageError(
-            f"params has all parameters, {' and '.join(given)} cannot count",
-            hint="ProjectionParams.preset() and ProjectionParams.from_file() take changes by name",
-        )
-    origins = {name: _HERE if getattr(params, name) != row.default else "default" for name, row in PARAMETERS.items()}
-    return ResolvedSources(replace(params, **parameters), origins | dict.fromkeys(parameters, _HERE), reverse)
-
-
-def params_from_file(path: PathText, node: str | None, changes: Mapping[str, Any]) -> ProjectionParams:
-    """See `pc2scan.ProjectionParams.from_file`."""
-    refuse_unknown("ProjectionParams.from_file", changes, _parameters())
-    resolved = _resolved(None, None, path, node, changes)
-    if resolved.reverse:
-        raise UsageError("its parameters are for laserscan_to_pointcloud", path=path)
-    return resolved.params
-
-
-def _plain(value: object) -> object:
-    """Return NumPy's scalars as Python's."""
-    return value.item() if hasattr(value, "item") and getattr(value, "ndim", None) == 0 else value
-
-
-def _frames(
-    frames: FrameOptions | None,
-    static_tf: str | StaticTransform | Iterable[str | StaticTransform] = (),
-    static_tf_file: PathText | None = None,
-    write_static_tf: bool = False,
-    tf_from: PathText | Iterable[PathText] = (),
-    tf_topics: str | Iterable[str] = (),
-    source_frame: str = "",
-) -> FrameOptions:
-    """Gather what is asked for about frames."""
-    if frames is not None:
-        if static_tf or static_tf_file or write_static_tf or tf_from or tf_topics or source_frame:
-            raise UsageError("frames has all that is asked for about frames; give that, or the arguments one by one")
-        if not isinstance(frames, FrameOptions):
-            raise TypeError(f"frames is {type(frames).__name__}, it must be FrameOptions")
-        return frames
-    static: list[StaticTransform] = []
-    if static_tf_file is not None:
-        from .tf.static_file import load_static_transforms  # noqa: PLC0415
-
-        static += load_static_transforms(path_of("static_tf_file", static_tf_file))
-    for transform in [static_tf] if isinstance(static_tf, str | StaticTransform) else static_tf:
-        static.append(StaticTransform.parse(transform) if isinstance(transform, str) else transform)
-        if not isinstance(static[-1], StaticTransform):
-            raise TypeError(f"static_tf has {transform!r}, it must be a str or a StaticTransform")
-    return FrameOptions(
-        tf_topics=names_in("tf_topics", tf_topics),
-        tf_from=tuple(paths_in("tf_from", tf_from)) if tf_from else (),
-        static=tuple(static),
-        source_frame=source_frame,
-        write_static=write_static_tf,
-    )
-
-
-def _destination(destination: PathText | None) -> tuple[Path | None, Path | None]:
-    """Return where to write to, or into which folder."""
-    # As text: a path that is an object has lost its slash.
-    return destination_and_folder(None if destination is None else path_text("destination", destination))
-
-
-def _channels(
-    channels: str | Iterable[str] | UnprojectParams | None, range_cutoff: float | None
-) -> UnprojectParams | None:
-    """Gather which fields clouds are to have."""
-    if channels is None and range_cutoff is None:
-        return None
-    from .core.unproject import UnprojectParams  # noqa: PLC0415
-
-    if isinstance(channels, UnprojectParams):
-        return channels if range_cutoff is None else replace(channels, range_cutoff=range_cutoff)
-    names = names_in("channels", channels)
-    known = ("distances", "stamps", "viewpoint")
-    for name in names:
-        if name not in known:
-            raise UsageError(f"`channels` has {name!r}, it must be of {', '.join(known)}")
-    wanted = {name: name in names for name in known}
-    return UnprojectParams(**wanted, range_cutoff=-1.0 if range_cutoff is None else range_cutoff)
-
-
-def _selection(
-    source: PathText | Iterable[PathText],
-    topics: tuple[str, ...],
-    start: Time | None,
-    end: Time | None,
-    on_error: str,
-    *,
-    verify: bool,
-    strict: bool,
-) -> Selection:
-    from .streams.stream import Selection  # noqa: PLC0415
-
-    cut = ConvertOptions.of(start=start, end=end)
-    return Selection(
-        paths=tuple(paths_in("source", source)),
-        topics=topics,
-        start=cut.start,
-        end=cut.end,
-        on_error=on_error,
-        verify=verify,
-        strict=strict,
-    )
+    return Clouds(selection_of(source, names, start, end, on_error, verify=verify, strict=strict))

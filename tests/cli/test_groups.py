@@ -81,8 +81,7 @@ def test_the_command_and_the_library_take_the_same() -> None:
     library = set(inspect.signature(pc2scan.convert).parameters)
     command = set(inspect.signature(flat(convert)).parameters)
     # The library says the opposite, has several in one object, or takes parameters by name; its topics are plural.
-    filters = {p.name for p in shared.Points.parameters()}
-    only_here = {"no_verify", "quiet", "verbose", "each", "param", "tf_topic", *PARAMETERS, *filters}
+    only_here = {"no_verify", "quiet", "verbose", "each", "param", "tf_topic", *PARAMETERS}
     only_there = {"params", "frames", "filters", "verify", "progress", "tf_topics", "parameters"}
     assert command - only_here == library - only_there
 

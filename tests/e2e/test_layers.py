@@ -44,7 +44,8 @@ ALLOWED = {
     "streams": {"pipeline", "core", "tf", "messages", "bags"},
     "look": {"pipeline", "inspect", "compare", "core", "tf", "messages", "bags", "files"},
     # `cli.in_process`: golden cases run the command.
-    "api": {"pipeline", "inspect", "compare", "golden", "streams", "core", "tf", "cli.in_process"},
+    "requests": {"pipeline", "core", "streams", "tf"},
+    "api": {"requests", "pipeline", "inspect", "compare", "golden", "streams", "core", "tf", "cli.in_process"},
     # `bags.damage`: results have its data classes.
     "cli": {"pipeline", "inspect", "compare", "golden", "look", "core", "tf", "bags.damage"},
     "pytest_plugin": {"api", "cli", "golden"},
@@ -73,6 +74,7 @@ THIRD_PARTY = {
     "streams": {"numpy"},
     "look": {"numpy"},
     "api": set[str](),
+    "requests": set[str](),
     "cli": {"typer", "rich"},
     "pytest_plugin": {"pytest"},
 }

@@ -102,6 +102,7 @@ def test_scans_are_those_of_the_messages(suffix: str, tmp_path: Path) -> None:
         {"min_height": 0.1, "target_frame": "base_link", "scan_time": "auto", "time_increment": "auto"},
         {"min_height": 0.1, "target_frame": "odom", "start": 0.1, "end": 0.35, "beams": 90, "reduce": "median"},
         {"params": pc2scan.ProjectionParams(min_height=-0.3, intensity_field="intensity"), "range_max": 4.0},
+        {"min_height": -0.3, "where": "ring > 3", "exclude_box": "base_link -5 5 -1 1 -1 2", "min_height_slope": 0.02},
         {"preset": "gmapping", "topics": "/points:=/front", "min_height": -0.3},
         {"target_frame": "map", "static_tf": "map lidar 0 0 2 0 0 0.1", "min_height": 0.5, "max_height": 3},
     ],

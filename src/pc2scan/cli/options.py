@@ -298,20 +298,10 @@ class Points(Group):
     ] = None
 
     def filters(self, min_height: float) -> "Iterator[Filter]":
-        """What the library takes; a conversion without any does not load them."""
-        if self.where:
-            from pc2scan.pipeline.stages.where import Where
+        """What the library takes."""
+        from pc2scan.pipeline.stages.texts import filters_from
 
-            yield from map(Where, self.where)
-        if self.exclude_box or self.exclude_polygon:
-            from pc2scan.pipeline.stages.regions import ExcludeBox, ExcludePolygon
-
-            yield from map(ExcludeBox.parse, self.exclude_box)
-            yield from map(ExcludePolygon.parse, self.exclude_polygon)
-        if self.min_height_slope is not None:
-            from pc2scan.pipeline.stages.height_slope import MinHeightSlope
-
-            yield MinHeightSlope(min_height, self.min_height_slope)
+        return filters_from(self.where, self.exclude_box, self.exclude_polygon, self.min_height_slope, min_height)
 
 
 class TfSources(Group):

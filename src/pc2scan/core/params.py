@@ -213,7 +213,7 @@ class ProjectionParams:
         >>> ProjectionParams.from_file("params.yaml", min_height=-0.5)  # doctest: +SKIP
         """
         # What reads files is above this layer, and imports it.
-        read = import_module("pc2scan.api").params_from_file
+        read = import_module("pc2scan.requests").params_from_file
         params: ProjectionParams = read(path, node, changes)
         return params
 
