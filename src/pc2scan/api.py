@@ -88,6 +88,8 @@ def convert(
     channels: str | Iterable[str] | UnprojectParams | None = None,
     range_cutoff: float | None = None,
     on_error: str = "skip",
+    fail_on: str = "",
+    min_used: float = 0.0,
     storage: str | None = None,
     compression: str | None = None,
     profile: str | None = None,
@@ -151,6 +153,9 @@ def convert(
         as `UnprojectParams`; only returns nearer than ``range_cutoff`` are kept, metres.
     on_error
         ``skip`` counts and lists messages that cannot be converted, ``fail`` makes the first one an error.
+    fail_on, min_used
+        What makes the run fail: ``empty`` (a scan without any return) or ``warning``; and fewer of a topic's points in
+        its scans than this share, 0 to 1.
     storage, compression, profile, metadata_version, to
         The form of the destination. Default: that of its format.
     ros_distro
@@ -186,6 +191,8 @@ def convert(
         With ``strict``, if a source is damaged.
     OutputError
         If the destination cannot be written.
+    ResultError
+        If no message was converted, or the result is not as good as ``fail_on`` and ``min_used`` demand.
     MessageError
         If ``on_error`` is ``fail`` and a message cannot be converted. After any error the destination is as it was.
 
@@ -216,6 +223,8 @@ def convert(
         start=start,
         end=end,
         on_error=on_error,
+        fail_on=fail_on,
+        min_used=min_used,
         ros_distro=ros_distro,
         jobs=jobs,
         verify=verify,

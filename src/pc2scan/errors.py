@@ -10,10 +10,12 @@
     ├── RecordingError             a source cannot be read
     │   ├── MissingError           exit status 2: there is nothing of its name
     │   └── DamageError            bytes of it are missing or wrong; without ``strict``, the rest is recovered
+    ├── ResultError                nothing was converted, or less than was demanded; nothing is written
     ├── OutputError                the destination cannot be written
     └── MessageError               one message cannot be converted (skipped, or fatal with ``fail``)
         ├── DecodeError            its bytes contradict its type
         ├── TransformError         no transform for its frame and stamp
+        │   └── UnconnectedError   no transform for its frame, at whatever stamp
         └── UnwritableError        the destination's format cannot hold its log time or its size
 
 `RecordingWarning` is the category of Python's warnings about recordings that are read all the same.
@@ -40,8 +42,10 @@ __all__ = [
     "Pc2ScanError",
     "RecordingError",
     "RecordingWarning",
+    "ResultError",
     "TopicError",
     "TransformError",
+    "UnconnectedError",
     "UnwritableError",
     "UsageError",
     "name_list",
@@ -188,6 +192,10 @@ class DamageError(RecordingError):
     """Bytes of a source are missing or contradict its format; the rest can be recovered."""
 
 
+class ResultError(Pc2ScanError):
+    """No message was converted, or the result is not as good as was demanded; nothing is written."""
+
+
 class OutputError(Pc2ScanError):
     """The destination cannot be written (no space, no permission, gone)."""
 
@@ -202,6 +210,10 @@ class DecodeError(MessageError):
 
 class TransformError(MessageError):
     """There is no transform between two frames at a stamp."""
+
+
+class UnconnectedError(TransformError):
+    """No transforms connect two frames, at whatever stamp."""
 
 
 class UnwritableError(MessageError):

@@ -22,7 +22,7 @@ def test_the_version_says_if_the_loops_are_not_compiled(compiled: bool, monkeypa
     ("typed", "offered"),
     [
         ("pc2scan rep", {"repair"}),
-        ("pc2scan convert --min", {"--min-height", "--min-height-slope", "--min-points"}),
+        ("pc2scan convert --min-", {"--min-height", "--min-height-slope", "--min-points", "--min-used"}),
         ("pc2scan convert hall.bag --storage ", {"mcap", "sqlite3"}),
         ("pc2scan convert --beams x --use", {"--use-inf"}),
     ],

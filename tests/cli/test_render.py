@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from pc2scan.cli.render import count, error_text, printable, size, table
+from pc2scan.cli.render import count, duration, error_text, printable, size, stamp, table
 from pc2scan.errors import DecodeError, UsageError, stamp_text
 
 
@@ -53,3 +53,27 @@ def test_a_table_lines_up_and_escapes(capsys: pytest.CaptureFixture[str]) -> Non
         "/a\\x1b        1",
         "/longer   1,000",
     ]
+
+
+@pytest.mark.parametrize(
+    ("seconds", "shown"),
+    [
+        (0.0, "under 1 ms"),
+        (0.001, "1 ms"),
+        (0.9994, "999 ms"),
+        (0.9996, "1.0 s"),
+        (59.94, "59.9 s"),
+        (59.96, "1 min 0 s"),
+        (3599.6, "1 h 0 min"),
+        (90061, "25 h 1 min"),
+    ],
+)
+def test_durations(seconds: float, shown: str) -> None:
+    assert duration(seconds) == shown
+
+
+def test_stamps_have_dates_where_they_are_times_of_the_day() -> None:
+    assert stamp(-1) == "-0.000000001"
+    assert stamp(12_000_000_000) == "12.000000000"
+    assert stamp(2**63 - 1) == "9223372036.854775807"
+    assert stamp(1_700_000_000_999_999_999) == "1700000000.999999999 (2023-11-14 22:13:20 UTC)"

@@ -37,6 +37,7 @@ from builders import (
 )
 from e2e.command import run
 from pc2scan.bags.opening import open_recording
+from pc2scan.errors import ResultError, UsageError
 from support import SHARED, needs_shared
 
 if TYPE_CHECKING:
@@ -495,14 +496,22 @@ def cut_of(path: Path, start: float | None, end: float | None) -> tuple[list[Row
     """What a cut passes on, and whether damage is reported."""
     with TemporaryDirectory() as folder:
         target = Path(folder, f"out{path.suffix}")
-        report = pc2scan.convert(
-            path,
-            target,
-            params=pc2scan.ProjectionParams(min_height=-1.0),
-            keep_clouds=True,
-            start=None if start is None else f"{start:.9f}",
-            end=None if end is None else f"{end:.9f}",
-        )
+        try:
+            report = pc2scan.convert(
+                path,
+                target,
+                params=pc2scan.ProjectionParams(min_height=-1.0),
+                keep_clouds=True,
+                start=None if start is None else f"{start:.9f}",
+                end=None if end is None else f"{end:.9f}",
+            )
+        except (ResultError, UsageError):
+            # No cloud is in the cut; what else is there can be read.
+            with closing(open_recording(path)) as reader:
+                begin_ns = reader.summary.start_ns or 0
+                cut = [None if time is None else begin_ns + round(time * SECOND) for time in (start, end)]
+                rows = [(m.connection.topic, m.log_time_ns, bytes(m.data)) for m in reader.messages(None, *cut)]
+                return rows, bool(reader.damage)
         return rows_of(target), bool(report.damage)
 
 

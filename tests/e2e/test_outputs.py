@@ -95,7 +95,7 @@ def test_what_a_killed_run_set_aside_may_be_read(tmp_path: Path) -> None:
     assert refused.status == 2
     assert "needs the name out.pc2scan-old while it is written, which is a source" in refused.stderr
     told = run("info", tmp_path / "out")
-    assert told.status == 1
+    assert told.status == 2
     assert f"mv {left} {tmp_path / 'out'}" in told.stderr
     assert state_of(tmp_path) == before
 
@@ -104,7 +104,7 @@ def test_names_that_are_as_long_as_they_can_be(folder: Path) -> None:
     """With an ending they are too long, to be looked for and to be written."""
     longest = folder / f"{'x' * 251}.bag"
     missing = run("info", longest)
-    assert (missing.status, missing.stderr.splitlines()[0]) == (1, f"error: {longest}: there is nothing of this name")
+    assert (missing.status, missing.stderr.splitlines()[0]) == (2, f"error: {longest}: there is nothing of this name")
     before = state_of(folder)
     for options in (("-o", longest), ("-o", folder / "out.bag", "--report", longest)):
         done = run("convert", folder / "drive.bag", *options)
@@ -292,7 +292,7 @@ def test_links_that_somebody_planted_are_not_followed(output: str, planted: str,
     done = run("convert", folder / "drive.bag", "-o", folder / "out.bag", "--report", folder / "report.json")
     assert done.status in (0, 2), done.stderr
     after = state_of(folder)
-    ours = {output + planted, *(("out.bag", "report.json") if done.status == 0 else ("out.bag",))}
+    ours = {output + planted, "out.bag", "report.json"}
     assert {path for path in {*after, *before} if before.get(path) != after.get(path)} <= ours
     if planted.endswith(".lock"):
         assert "move it away" in done.stderr
@@ -335,14 +335,18 @@ def test_a_report_for_which_there_is_no_room_undoes_nothing(tmp_path: Path) -> N
     assert (tmp_path / "report.json").stat().st_size > limit
 
 
-def test_a_conversion_that_fails_leaves_the_report_that_was_there(folder: Path) -> None:
+def test_a_conversion_that_fails_replaces_the_report_and_nothing_else(folder: Path) -> None:
     report = folder / "report.json"
     assert run("convert", folder / "drive.bag", "-o", folder / "a.bag", "--report", report).status == 0
     before = state_of(folder)
+    del before["report.json"]
     for options in (("--topic", "/missing"), ("--on-error", "fail", "--target-frame", "nowhere")):
         done = run("convert", folder / "drive.bag", "-o", folder / "b.bag", "--report", report, *options)
         assert done.status in (1, 2)
-        assert state_of(folder) == before
+        after = state_of(folder)
+        del after["report.json"]
+        assert after == before
+        assert json.loads(report.read_text())["exit_status"] == done.status
 
 
 # --- Golden cases ---

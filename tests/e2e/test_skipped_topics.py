@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -81,7 +82,9 @@ def test_a_topic_without_messages_is_no_loss(tmp_path: Path) -> None:
 @pytest.mark.parametrize("cut", [("--start", "1.25"), ("--end", "2.0"), ("--start", "0.3", "--end", "3.75")])
 def test_only_messages_of_the_cut_are_counted(form: str, cut: tuple[str, ...], tmp_path: Path) -> None:
     source = tmp_path / "drive.mcap"
-    clouds = SOURCES["mcap-ros1"](tmp_path, CONTENT)
+    (first, *_) = CONTENT.of("/points")
+    items = [replace(first, log_time_ns=T0 + number * 5 * STEP) for number in range(8)]
+    clouds = SOURCES["mcap-ros1"](tmp_path, replace(CONTENT, items=tuple(items)))
     clouds.rename(tmp_path / "clouds.mcap")
     write_json(source, FORMS[form])
     report = tmp_path / "report.json"

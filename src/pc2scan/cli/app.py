@@ -28,7 +28,8 @@ COMMANDS = ("convert", "view", "check", "info", "tf", "repair", "diff", "golden"
 
 EPILOG = (
     "Exit status: 0 done, 1 failed and nothing written, 2 wrong usage or a missing file, "
-    "3 written but with messages skipped, from a damaged source, or without the report. "
+    "3 written but with messages skipped, from a damaged source, or without the report, "
+    "4 written but no scan has a return. "
     "check, diff and golden: 0 accepted or the same, 1 not, 2 could not be judged."
 )
 

@@ -4,15 +4,21 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pc2scan.errors import DestinationError
+from pc2scan.errors import DestinationError, Pc2ScanError
 
 from .options import Conversion, Destination, Output, Reporting
-from .outcome import conclude, show, show_each, show_outcome
+from .outcome import conclude, show, show_each, show_next, show_outcome
 from .progress import progress_bar
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from pc2scan.pipeline.options import ConvertOptions
+    from pc2scan.pipeline.run import OutputOptions
 
 __all__ = ["convert"]
 
@@ -36,33 +42,21 @@ def convert(
     PointCloud2 becomes LaserScan as ROS's pointcloud_to_laserscan does it. Every other topic passes through.
     Nothing is dropped in silence: what could not be converted is counted, listed, and reflected in the exit status.
     """
-    options, origins = conversion.options(ros_distro=output.ros_distro)
-
     from pc2scan.pipeline.options import destination_and_folder
 
     named, folder = destination_and_folder(destination)
     form = output.options(folder=folder, report=reporting.report)
     also_read = conversion.read_files()
-    if output.each:
-        if named is not None:
-            raise DestinationError(
-                "`each` needs a folder to write into", path=named, hint=f"did you mean `destination={named}/`?"
-            )
-        from pc2scan.pipeline.each import run_each
+    try:
+        options, origins = conversion.options(ros_distro=output.ros_distro)
+        if output.each:
+            raise _convert_each(sources, named, options, form, reporting, origins, also_read)
+    except Pc2ScanError as err:
+        from pc2scan.pipeline.report import Failure
+        from pc2scan.pipeline.run import report_failure
 
-        with progress_bar(enabled=not reporting.quiet) as progress:
-            results = run_each(
-                sources,
-                options,
-                form,
-                origins=origins,
-                also_read=also_read,
-                progress=progress,
-                done=partial(show_outcome, verbose=reporting.verbose and not reporting.quiet),
-            )
-        if not reporting.quiet:
-            show_each(results)
-        raise typer.Exit(results.exit_status)
+        report_failure(Failure(err, [str(source) for source in sources], destination), sources, form, also_read)
+        raise
 
     from pc2scan.pipeline.run import run
 
@@ -70,4 +64,38 @@ def convert(
         result = run(sources, named, options, form, origins=origins, also_read=also_read, progress=progress)
     if not reporting.quiet:
         show(result, verbose=reporting.verbose)
-    raise conclude(result, verbose=reporting.verbose)
+    end = conclude(result, verbose=reporting.verbose)
+    if not reporting.quiet:
+        show_next(result)
+    raise end
+
+
+def _convert_each(
+    sources: Sequence[Path],
+    named: Path | None,
+    options: ConvertOptions,
+    form: OutputOptions,
+    reporting: Reporting,
+    origins: Mapping[str, str],
+    also_read: Mapping[str, Path],
+) -> typer.Exit:
+    """Convert each recording by itself; return the end of the command, to be raised."""
+    from pc2scan.pipeline.each import run_each
+
+    if named is not None:
+        raise DestinationError(
+            "`each` needs a folder to write into", path=named, hint=f"did you mean `destination={named}/`?"
+        )
+    with progress_bar(enabled=not reporting.quiet) as progress:
+        results = run_each(
+            sources,
+            options,
+            form,
+            origins=origins,
+            also_read=also_read,
+            progress=progress,
+            done=partial(show_outcome, verbose=reporting.verbose and not reporting.quiet),
+        )
+    if not reporting.quiet:
+        show_each(results)
+    return typer.Exit(results.exit_status)

@@ -8,11 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pc2scan.errors import stamp_text
-
 from .damage import show_damage
 from .options import Json, StaticTf, TfSources
-from .render import count, print_json, printable, show_parts, size, table, warn
+from .render import count, print_json, printable, show_parts, size, stamp, table, warn
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -87,10 +85,9 @@ def _show(result: Info) -> None:
         kind = " ".join(filter(None, (file.container, file.storage, file.profile)))
         typer.echo(printable(f"{file.path}: {kind}, {'+'.join(file.compression) or 'empty'}, {size(file.size_bytes)}"))
     if result.start_ns is not None and result.end_ns is not None:
-        typer.echo(
-            f"from {stamp_text(result.start_ns)} to {stamp_text(result.end_ns)}: "
-            f"{result.duration_ns / 1e9:.3f} s, {result.messages:,} messages"
-        )
+        typer.echo(f"from {stamp(result.start_ns)}")
+        typer.echo(f"to   {stamp(result.end_ns)}")
+        typer.echo(f"{result.duration_ns / 1e9:.3f} s, {result.messages:,} messages")
     else:
         typer.echo("no messages")
     typer.echo()

@@ -440,6 +440,22 @@ class Running(Group):
             rich_help_panel=_RUN,
         ),
     ] = "skip"
+    fail_on: Annotated[
+        Literal["empty", "warning"] | None,
+        typer.Option(
+            help="Fail, and write nothing, if a scan has no return (empty), or if there is any warning, skipped "
+            "message or damage (warning).",
+            rich_help_panel=_RUN,
+        ),
+    ] = None
+    min_used: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SHARE",
+            help="Fail, and write nothing, if less than this share of a topic's points is in its scans: 0.05 or 5%.",
+            rich_help_panel=_RUN,
+        ),
+    ] = None
     jobs: Annotated[
         int,
         typer.Option(
@@ -469,6 +485,16 @@ class Running(Group):
             rich_help_panel=_RUN,
         ),
     ] = False
+
+
+def _share(text: str | None) -> float:
+    """Read a share: ``0.05`` or ``5%``."""
+    if text is None:
+        return 0.0
+    try:
+        return float(text.removesuffix("%")) / (100 if text.endswith("%") else 1)
+    except ValueError as err:
+        raise UsageError(f"`min_used`: {text!r} is not a share", hint="write 0.05 or 5%") from err
 
 
 class Conversion(Group):
@@ -518,6 +544,8 @@ class Conversion(Group):
             start=topics.start,
             end=topics.end,
             on_error=running.on_error,
+            fail_on=running.fail_on or "",
+            min_used=_share(running.min_used),
             ros_distro=ros_distro,
             jobs=running.jobs,
             verify=not running.no_verify,

@@ -6,18 +6,18 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from pc2scan.errors import stamp_text
 from pc2scan.pipeline.parameters import PARAMETERS
 
 from .damage import SHOWN, show_recovery
-from .render import count, error_text, message, printable, size, table, warn
+from .next_command import next_command
+from .render import count, duration, error_text, message, printable, size, stamp, table, warn
 from .spelling import as_typed
 
 if TYPE_CHECKING:
     from pc2scan.pipeline.each import Each, Outcome
     from pc2scan.pipeline.report import Report, Skipped
 
-__all__ = ["conclude", "show", "show_each", "show_outcome"]
+__all__ = ["conclude", "show", "show_each", "show_next", "show_outcome"]
 
 
 def show(report: Report, *, verbose: bool = False) -> None:
@@ -67,12 +67,17 @@ def show(report: Report, *, verbose: bool = False) -> None:
     typer.echo()
     for note in report.notes:
         typer.echo(message(f"note: {note}"))
-    typer.echo(
-        printable(
-            f"{report.destination}: {size(report.bytes_written)} from {size(report.bytes_read)} "
-            f"in {report.seconds:.1f} s"
-        )
-    )
+    written, read = size(report.bytes_written), size(report.bytes_read)
+    typer.echo(printable(f"{report.destination}: {written} from {read} in {duration(report.seconds)}"))
+    if report.container == "mcap":
+        # Its name does not say.
+        hint = ": --profile ros2 for ros2 tools" if converted and report.ros_version == 1 else ""
+        typer.echo(f"MCAP, ROS {report.ros_version} profile{hint}")
+
+
+def show_next(report: Report) -> None:
+    """Print the command that most users run next; the last line of all."""
+    typer.echo(printable(f"next: {next_command(report)}"))
 
 
 def _show_skipped(report: Report, limit: int) -> None:
@@ -83,9 +88,9 @@ def _show_skipped(report: Report, limit: int) -> None:
     shown = 0
     for (topic, reason), entries in list(reasons.items())[:limit]:
         first = entries[0]
-        stamp = "unknown" if first.stamp_ns is None else stamp_text(first.stamp_ns)
+        when = "unknown" if first.stamp_ns is None else stamp(first.stamp_ns)
         several = f" and {len(entries) - 1} more" if len(entries) > 1 else ""
-        typer.echo(message(f"skipped: {topic}, stamp {stamp}{several}: {reason}"), err=True)
+        typer.echo(message(f"skipped: {topic}, stamp {when}{several}: {reason}"), err=True)
         shown += len(entries)
     # Topics that are left out as a whole have a warning of their own.
     single = sum(topic.skipped for topic in report.topics if topic.action != "left out")

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from .options import Compression, Destination, Storage
-from .outcome import conclude, show
+from .outcome import conclude, show, show_next
 from .render import print_json
 
 __all__ = ["repair"]
@@ -55,4 +55,7 @@ def repair(
         print_json(result.as_dict())
     elif not quiet:
         show(result)
-    raise conclude(result)
+    end = conclude(result)
+    if not (as_json or quiet):
+        show_next(result)
+    raise end

@@ -13,6 +13,7 @@ from pc2scan.errors import DestinationError, Pc2ScanError, UsageError
 from pc2scan.files.overlap import Input, Output, refuse_overlap
 from pc2scan.version import __version__
 
+from .report import Failure
 from .run import report_file, run
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 __all__ = ["Each", "Outcome", "run_each"]
 
 #: Exit statuses, from good to bad.
-_STATUSES = (0, 3, 2, 1)
+_STATUSES = (0, 3, 4, 2, 1)
 
 
 @dataclass(slots=True)
@@ -52,15 +53,13 @@ class Outcome:
         return self.report.exit_status if self.report is not None else 0
 
     def as_dict(self) -> dict[str, Any]:
-        """Return it as JSON's types: the keys of a report, or ``error`` in their place."""
+        """Return it as JSON's types: the keys of a report, or those of a `Failure`."""
         if self.report is not None:
             return self.report.as_dict()
-        return {
-            "exit_status": self.exit_status,
-            "sources": [str(self.source)],
-            "destination": None if self.destination is None else str(self.destination),
-            "error": None if self.error is None else self.error.as_dict(),
-        }
+        if self.error is None:
+            return {}
+        destination = None if self.destination is None else str(self.destination)
+        return Failure(self.error, [str(self.source)], destination).as_dict()
 
 
 @dataclass(slots=True)

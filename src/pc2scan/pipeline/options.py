@@ -270,6 +270,11 @@ class ConvertOptions:
     strict
         Whether damage of a source is an error; otherwise everything readable is recovered, and the report tells the
         rest.
+    fail_on
+        What makes the whole run fail, so that nothing is written: ``empty`` (a scan without any return), or ``warning``
+        (that, and any other warning, skipped message or damage); empty for neither.
+    min_used
+        The share of the points of each topic, 0 to 1, that have to be in its scans; otherwise the run fails.
     repair
         Convert nothing: everything passes through as it is, byte for byte.
     """
@@ -293,11 +298,17 @@ class ConvertOptions:
     jobs: int = 0
     verify: bool = True
     strict: bool = False
+    fail_on: str = ""
+    min_used: float = 0.0
     repair: bool = False
 
     def __post_init__(self) -> None:
         if self.on_error not in ("skip", "fail"):
             raise UsageError(f"on_error is {self.on_error!r}, it must be skip or fail")
+        if self.fail_on not in ("", "empty", "warning"):
+            raise UsageError(f"fail_on is {self.fail_on!r}, it must be empty or warning")
+        if not 0 <= self.min_used <= 1:
+            raise UsageError(f"`min_used` is {self.min_used:g}, it must be a share from 0 to 1")
         if self.jobs < 0:
             raise UsageError(f"jobs is {self.jobs}, it must not be negative")
         if self.only_scans and (self.keep or self.keep_clouds):

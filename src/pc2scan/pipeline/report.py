@@ -21,10 +21,11 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from pc2scan.bags.damage import Damage
+    from pc2scan.errors import Pc2ScanError
 
     from .stages.filters import Filter
 
-__all__ = ["BEGINNING", "Report", "Skipped", "TopicReport"]
+__all__ = ["BEGINNING", "Failure", "Report", "Skipped", "TopicReport"]
 
 #: What every report begins with as JSON: such a file may be replaced by another report.
 BEGINNING = b'{\n  "pc2scan": "'
@@ -44,6 +45,37 @@ _NOTABLE_SHARE = 0.25
 
 #: A change of the increment, as a share of it, that is more than a rounding.
 _NOTABLE_STEP = 1e-5
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """A conversion that failed before anything was known but what was asked for.
+
+    Attributes
+    ----------
+    error
+        Why.
+    sources, destination
+        Paths as they were given; None for no destination.
+    """
+
+    error: Pc2ScanError
+    sources: list[str]
+    destination: str | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it as JSON's types: some of the keys of a report."""
+        return {
+            "pc2scan": __version__,
+            "exit_status": self.error.exit_status,
+            "error": self.error.as_dict(),
+            "sources": self.sources,
+            "destination": self.destination,
+        }
+
+    def as_json(self) -> str:
+        """Return it as the text of a report's file."""
+        return _json(self.as_dict())
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +153,11 @@ class Report(Shown):
     Attributes
     ----------
     sources, destination
-        Paths as they were given.
+        Paths as they were given; no destination where it was not known yet when the run failed.
+    error
+        Why the run failed and wrote nothing; None if it did not.
+    container, ros_version
+        Of the destination: ``rosbag1``, ``rosbag2`` or ``mcap``, and 1 or 2; empty and 0 where they are not known yet.
     params
         The projection's parameters.
     origins
@@ -160,6 +196,9 @@ class Report(Shown):
     messages_read: int = 0
     messages_declared: int | None = None
     undelivered: bool = False
+    error: Pc2ScanError | None = None
+    container: str = ""
+    ros_version: int = 0
     bytes_read: int = 0
     bytes_written: int = 0
     seconds: float = 0.0
@@ -171,11 +210,24 @@ class Report(Shown):
 
     @property
     def exit_status(self) -> int:
-        """0 if all is well, 3 if the recording is written but something is not.
+        """The exit status of the run.
 
-        A source is damaged, messages of it are missing in the destination, or the report is not written.
+        0 if all is well; 4 if the recording is written, but none of its scans has a return; 3 if it is written, but a
+        source is damaged, messages of it are missing in the destination, or the report is not written. The status of
+        the error if the run failed.
         """
+        if self.error is not None:
+            return self.error.exit_status
+        if self.all_empty:
+            return 4
         return 3 if self.damage or self.skipped_count or self._lost_topics() or self.undelivered else 0
+
+    @property
+    def all_empty(self) -> bool:
+        """Whether messages were converted, and none of them has a return or a point."""
+        converted = [topic for topic in self.topics if topic.action == "converted"]
+        made = sum(topic.messages_out for topic in converted)
+        return made > 0 and sum(topic.empty_scans for topic in converted) == made
 
     def _lost_topics(self) -> list[TopicReport]:
         """Topics of which messages are missing because they cannot be carried over."""
@@ -296,8 +348,11 @@ class Report(Shown):
         return {
             "pc2scan": __version__,
             "exit_status": self.exit_status,
+            "error": None if self.error is None else self.error.as_dict(),
             "sources": self.sources,
-            "destination": self.destination,
+            "destination": self.destination or None,
+            "container": self.container or None,
+            "ros_version": self.ros_version or None,
             "params": json_value(asdict(self.params)),
             "param_origins": self.origins,
             "filters": [json_value(as_dict(each)) for each in self.filters],
@@ -322,9 +377,13 @@ class Report(Shown):
 
     def as_json(self) -> str:
         """Return the report as the text of its file."""
-        import json  # noqa: PLC0415  # only where it is asked for
+        return _json(self.as_dict())
 
-        return json.dumps(self.as_dict(), indent=2) + "\n"
+
+def _json(document: dict[str, Any]) -> str:
+    import json  # noqa: PLC0415  # only where it is asked for
+
+    return json.dumps(document, indent=2) + "\n"
 
 
 def _loss_warning(topics: Sequence[TopicReport]) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shlex
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -30,6 +30,7 @@ from pc2scan.errors import (
     MissingError,
     OutputError,
     ParameterError,
+    Pc2ScanError,
     RecordingError,
     TopicError,
     UsageError,
@@ -39,15 +40,18 @@ from pc2scan.files.source import state_of
 from pc2scan.files.staging import made_folder, staged
 from pc2scan.files.text_output import text_output
 from pc2scan.messages.laserscan import LASERSCAN
+from pc2scan.tf.options import FrameOptions
 from pc2scan.tf.placing import Frames
 from pc2scan.tf.reading import read_transforms
 from pc2scan.threads import Threads
 
 from .acceptance import ghosts, refusal
+from .beforehand import refuse_no_messages
 from .declarations import Declarations
+from .demands import refuse_nothing, refuse_unsatisfied
 from .idle import doubts, refuse_unusable
 from .plan import make_plan
-from .report import BEGINNING, Report
+from .report import BEGINNING, Failure, Report
 from .routes import (
     OpenRoute,
     bind,
@@ -73,7 +77,7 @@ if TYPE_CHECKING:
     from .options import ConvertOptions
     from .plan import Plan
 
-__all__ = ["OutputOptions", "Progress", "prepared", "report_file", "run", "span_of"]
+__all__ = ["OutputOptions", "Progress", "prepared", "report_failure", "report_file", "run", "span_of"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -134,69 +138,168 @@ def run(
     began = time.monotonic()
     if not sources:
         raise UsageError("no source given")
+    report = Report(
+        [str(source) for source in sources],
+        str(destination or ""),
+        options.params,
+        dict(origins or {}),
+        options.filters,
+    )
     with ExitStack() as stack:
-        inputs = (*sources, *options.frames.tf_from)
-        states = [state_of(path) for path in inputs]
-        _refuse_missing_destination(sources, destination, output)
-        refuse_unusable(options)
-        readers = open_recordings(sources, stack, verify=options.verify, strict=options.strict)
-        reader = as_one(readers)
-        plan = _plan(reader, options)
-        summaries = [opened.summary for opened in readers]
-        mark = "_repaired" if options.repair else "_scan"
-        path = destination or default_destination(sources, summaries, mark, folder=output.folder, to=output.to)
-        check_to(path, output.to)
-        target = _target(path, destination is not None, reader, summaries, options, output)
-        report = Report(
-            [str(source) for source in sources], str(path), options.params, dict(origins or {}), options.filters
-        )
-        report.warnings += (*overlap_warnings(readers), *plan.warnings, *doubts(options, report.origins))
-        _refuse_overlap(sources, options, also_read or {}, path, output)
-        deliver = report_file(output, stack)
-        if output.folder is not None:
-            stack.enter_context(made_folder(output.folder))
-        with staged(path, overwrite=output.overwrite, beside_recording=beside_recording) as unfinished:
-            span = span_of(reader, options)
-            conversion, others = prepared(reader, plan, options, span, stack, report)
-            writer = open_writer(target, unfinished, path.name)
-            try:
-                copying = target.chunks == chunk_format(reader.summary) != ""
-                if copying:
-                    writer.keep_ids(reader.connections)
-                same_kind = target.same_kind(reader.summary)
-                declared = Declarations()
-                routes = open_routes(plan.routes, conversion, target, same_kind, options, declared, report)
-                added = declared.add(static_connection(target)) if options.frames.write_static else None
-                handles = declared.declare(writer, one_a_topic=target.format.one_a_topic)
-                bind(routes.values(), handles)
-                routes = count_skipped(routes, reader, span.start_ns, span.stop_ns)
-                if not options.only_scans:
-                    carry_extras(reader, target, writer, report)
-                if added is not None:
-                    earliest_ns, latest_ns = target.times_ns
-                    begin_ns = max(earliest_ns, min(span.first_ns, latest_ns))
-                    write_static(options.frames, begin_ns, handles[added], target, writer, report)
-                pool = _threads(options, stack)
-                if pool is not None:
-                    writer.compress_ahead(pool)
-                rule = chunk_rule(routes, target, writer) if copying else None
-                stream(reader, routes, options, span, rule, pool, writer, report, progress)
-                if conversion.output_type == LASERSCAN:
-                    report.warnings += [*ghosts(options.params), *_refusals(routes.values(), target.serialization)]
-                _refuse_changed(inputs, states)
-                report.damage += [damage for each in (reader, *others) for damage in each.damage]
-                _compare_counts(reader, routes, options, report)
-                writer.finish()
-            except BaseException:
-                writer.abort()
-                raise
-            report.bytes_written = _size(unfinished)
-        report.bytes_read = reader.summary.size_bytes
-        report.conclude()
+        files = _Files(sources, destination, options.frames, also_read or {}, output)
+        try:
+            _run(files, options, output, stack, report, progress)
+        except Exception as err:
+            report.error = err if isinstance(err, Pc2ScanError) else Pc2ScanError(f"{type(err).__name__}: {err}")
+            report.seconds = time.monotonic() - began
+            files.deliver_failure(report)
+            raise
         report.seconds = time.monotonic() - began
-        if deliver is not None:
-            _deliver(report, deliver)
+        files.deliver(report)
     return report
+
+
+def report_failure(
+    failure: Failure, sources: Sequence[Path], output: OutputOptions, also_read: Mapping[str, Path]
+) -> None:
+    """Write the report of a run that failed before its options were known."""
+    _Files(sources, None, FrameOptions(), also_read, output).deliver_failure(failure)
+
+
+class _Files:
+    """What a run reads and writes by name, and its report.
+
+    Attributes
+    ----------
+    sources, destination
+        ``destination`` is None until it is known.
+    """
+
+    def __init__(
+        self,
+        sources: Sequence[Path],
+        destination: Path | None,
+        frames: FrameOptions,
+        also_read: Mapping[str, Path],
+        output: OutputOptions,
+    ) -> None:
+        self.sources = sources
+        self.destination = destination
+        self.read = (*sources, *frames.tf_from)
+        named = [*(("`tf_from`", other) for other in frames.tf_from), *also_read.items()]
+        self._inputs = [*map(Input, sources), *(Input(file, f"file of {option}") for option, file in named)]
+        self._states = [state_of(path) for path in self.read]
+        self._output = output
+        self._write_report: Callable[[str], None] | None = None
+
+    def open_report(self, stack: ExitStack) -> None:
+        """Make sure that nothing that is read is written over, and that the report can be written."""
+        report = [] if self._output.report is None else [Output(self._output.report, "`report`")]
+        destination = [] if self.destination is None else [Output(self.destination)]
+        refuse_overlap(self._inputs, [*destination, *report])
+        self._write_report = report_file(self._output, stack)
+
+    def deliver(self, report: Report) -> None:
+        """Write the report. The recording is there by now, and stays; that its report is not there is reported."""
+        if self._write_report is None:
+            return
+        try:
+            self._write_report(report.as_json())
+        except (DestinationError, OutputError) as err:
+            report.undelivered = True
+            report.warnings.append(f"{err.path}: the report is not written: {err.message}; {report.destination} is")
+
+    def deliver_failure(self, report: Report | Failure) -> None:
+        """Write the report of a run that failed, if that is possible: the user knows of the error in any case."""
+        if self._output.report is None:
+            return
+        with suppress(DestinationError, OutputError), ExitStack() as stack:
+            if self._write_report is None:
+                self.open_report(stack)
+            if self._write_report is not None:
+                self._write_report(report.as_json())
+
+    def refuse_changed(self) -> None:
+        """Raise if a source was changed: what was read while it was written may be a bit of both."""
+        for source, state in zip(self.read, self._states, strict=True):
+            if state_of(source) != state:
+                raise RecordingError(
+                    "was changed while it was read",
+                    path=source,
+                    hint="wait until the recording is complete, or copy it",
+                )
+
+
+def _run(
+    files: _Files,
+    options: ConvertOptions,
+    output: OutputOptions,
+    stack: ExitStack,
+    report: Report,
+    progress: Progress | None,
+) -> None:
+    """Do everything but the report's file."""
+    _refuse_missing_destination(files.sources, files.destination, output)
+    refuse_unusable(options)
+    readers = open_recordings(files.sources, stack, verify=options.verify, strict=options.strict)
+    reader = as_one(readers)
+    report.bytes_read = reader.summary.size_bytes
+    plan = _plan(reader, options)
+    summaries = [opened.summary for opened in readers]
+    mark = "_repaired" if options.repair else "_scan"
+    is_named = files.destination is not None
+    path = files.destination or default_destination(files.sources, summaries, mark, folder=output.folder, to=output.to)
+    files.destination = path
+    report.destination = str(path)
+    check_to(path, output.to)
+    target = _target(path, is_named, reader, summaries, options, output)
+    report.container, report.ros_version = target.container, target.ros_version
+    report.warnings += (*overlap_warnings(readers), *plan.warnings, *doubts(options, report.origins))
+    if output.folder is not None:
+        stack.enter_context(made_folder(output.folder))
+    files.open_report(stack)
+    with staged(path, overwrite=output.overwrite, beside_recording=beside_recording) as unfinished:
+        span = span_of(reader, options)
+        converted = [route.connection for route in plan.routes if route.targets]
+        refuse_no_messages(reader, converted, span.start_ns, span.stop_ns)
+        conversion, others = prepared(reader, plan, options, span, stack, report)
+        writer = open_writer(target, unfinished, path.name)
+        try:
+            copying = target.chunks == chunk_format(reader.summary) != ""
+            if copying:
+                writer.keep_ids(reader.connections)
+            same_kind = target.same_kind(reader.summary)
+            declared = Declarations()
+            routes = open_routes(plan.routes, conversion, target, same_kind, options, declared, report)
+            added = declared.add(static_connection(target)) if options.frames.write_static else None
+            handles = declared.declare(writer, one_a_topic=target.format.one_a_topic)
+            bind(routes.values(), handles)
+            routes = count_skipped(routes, reader, span.start_ns, span.stop_ns)
+            if not options.only_scans:
+                carry_extras(reader, target, writer, report)
+            if added is not None:
+                earliest_ns, latest_ns = target.times_ns
+                begin_ns = max(earliest_ns, min(span.first_ns, latest_ns))
+                write_static(options.frames, begin_ns, handles[added], target, writer, report)
+            pool = _threads(options, stack)
+            if pool is not None:
+                writer.compress_ahead(pool)
+            rule = chunk_rule(routes, target, writer) if copying else None
+            stream(reader, routes, options, span, rule, pool, writer, report, progress)
+            if conversion.output_type == LASERSCAN:
+                report.warnings += [*ghosts(options.params), *_refusals(routes.values(), target.serialization)]
+            files.refuse_changed()
+            report.damage += [damage for each in (reader, *others) for damage in each.damage]
+            _compare_counts(reader, routes, options, report)
+            report.conclude()
+            if not options.repair:
+                refuse_nothing(report)
+                refuse_unsatisfied(report, options)
+            writer.finish()
+        except BaseException:
+            writer.abort()
+            raise
+        report.bytes_written = _size(unfinished)
 
 
 def _refuse_missing_destination(sources: Sequence[Path], destination: Path | None, output: OutputOptions) -> None:
@@ -209,20 +312,6 @@ def _refuse_missing_destination(sources: Sequence[Path], destination: Path | Non
     )
 
 
-def _refuse_overlap(
-    sources: Sequence[Path],
-    options: ConvertOptions,
-    also_read: Mapping[str, Path],
-    path: Path,
-    output: OutputOptions,
-) -> None:
-    """Compare everything that is read with everything that is written."""
-    named = [*(("`tf_from`", other) for other in options.frames.tf_from), *also_read.items()]
-    inputs = [*map(Input, sources), *(Input(file, f"file of {option}") for option, file in named)]
-    report = [] if output.report is None else [Output(output.report, "`report`")]
-    refuse_overlap(inputs, [Output(path), *report])
-
-
 def report_file(output: OutputOptions, stack: ExitStack) -> Callable[[str], None] | None:
     """Make sure that the report can be written, before anything else is; returns what writes it."""
     if output.report is None:
@@ -232,24 +321,6 @@ def report_file(output: OutputOptions, stack: ExitStack) -> Callable[[str], None
     except (DestinationError, OutputError) as err:
         err.message = f"the report cannot go there: {err.message}"
         raise
-
-
-def _deliver(report: Report, deliver: Callable[[str], None]) -> None:
-    """Write the report. The recording is there by now, and stays; that its report is not there is reported."""
-    try:
-        deliver(report.as_json())
-    except (DestinationError, OutputError) as err:
-        report.undelivered = True
-        report.warnings.append(f"{err.path}: the report is not written: {err.message}; {report.destination} is")
-
-
-def _refuse_changed(sources: Sequence[Path], states: Sequence[object]) -> None:
-    """What was read while it was written may be a bit of both."""
-    for source, state in zip(sources, states, strict=True):
-        if state_of(source) != state:
-            raise RecordingError(
-                "was changed while it was read", path=source, hint="wait until the recording is complete, or copy it"
-            )
 
 
 def _plan(reader: Reader, options: ConvertOptions) -> Plan:

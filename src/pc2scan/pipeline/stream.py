@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from pc2scan.errors import MessageError, UnwritableError
 from pc2scan.model import StoredChunk, own, owned
 
+from .beforehand import Unconnected
 from .report import Report, Skipped
 from .scheduler import Later, schedule
 
@@ -74,6 +75,7 @@ def stream(
     total = reader.summary.size_bytes
     outcomes = _outcomes(reader, routes, options, span, rule, pool)
     steps = 0
+    unconnected = Unconnected(route.connection for route in routes.values() if route.convert is not None)
     # Closed before the pool is waited for, so that an error gives up what has not begun.
     with closing(outcomes):
         for outcome in outcomes:
@@ -81,6 +83,8 @@ def stream(
                 _write_chunk(outcome, routes, writer)
             else:
                 _write(outcome, writer, report, options.on_error)
+                if unconnected.is_possible and outcome.route.convert is not None:
+                    unconnected.note(outcome.route.connection, outcome.error)
             if progress is not None:
                 steps += _PROGRESS_EVERY if isinstance(outcome, StoredChunk) else 1
                 if steps >= _PROGRESS_EVERY:

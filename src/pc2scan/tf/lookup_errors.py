@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pc2scan.errors import TransformError, name_list, stamp_text
+from pc2scan.errors import TransformError, UnconnectedError, name_list, stamp_text
 from pc2scan.names import did_you_mean
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ _SEE_TF = "`pc2scan tf` shows the frames of a recording and their times"
 
 def empty_name(role: str, stamp_ns: int) -> TransformError:
     """One of the names is empty."""
-    return TransformError(
+    return UnconnectedError(
         f"the {_ROLES[role]} frame has no name",
         stamp_ns=stamp_ns,
         hint="`source_frame` names the frame of clouds whose frame_id is empty",
@@ -50,7 +50,7 @@ def unknown_frame(
         there_are += f"; [{rejected.child}] in [{rejected.parent}] was rejected: {rejected.reason}"
     near = did_you_mean(name, sorted(frames))
     advice = "`static_tf` or `tf_from` adds a transform, `source_frame` corrects a wrong frame_id"
-    return TransformError(
+    return UnconnectedError(
         f"no transform has the {_ROLES[role]} frame {name!r}; {there_are}",
         stamp_ns=stamp_ns,
         hint=f"{near} {advice}".strip(),
@@ -86,7 +86,8 @@ def unconnected(
         if source_tree is not target_tree
         else f"at this time [{query.target}] leads up to [{target_top}], [{query.source}] to [{source_top}]"
     )
-    return TransformError(
+    kind = TransformError if source_tree is target_tree else UnconnectedError
+    return kind(
         f"no transforms connect [{query.source}] with [{query.target}]: {where}",
         stamp_ns=query.stamp_ns,
         hint=f"`static_tf` or `tf_from` adds what connects them; {_SEE_TF}",

@@ -1,0 +1,37 @@
+"""What most users run next, after a recording was written."""
+
+from __future__ import annotations
+
+import shlex
+from typing import TYPE_CHECKING
+
+from pc2scan.pipeline.parameters import from_preset
+
+if TYPE_CHECKING:
+    from pc2scan.pipeline.report import Report
+
+__all__ = ["next_command"]
+
+
+def next_command(report: Report) -> str:
+    """Return the command: quoted for a shell, and right for the destination's container and ROS version."""
+    destination = _quoted(report.destination)
+    if report.all_empty:
+        return f"pc2scan info {_quoted(report.sources[0])}"
+    consumer = next((origin.split()[-1] for origin in report.origins.values() if from_preset(origin)), "")
+    if consumer:
+        return f"pc2scan check {destination} --for {consumer}"
+    if not any(topic.action == "converted" for topic in report.topics):
+        return f"pc2scan info {destination}"
+    if report.container == "rosbag1":
+        return f"rosbag play --clock {destination}"
+    if report.container == "rosbag2":
+        return f"ros2 bag play {destination} --clock"
+    if report.ros_version == 2:
+        return f"ros2 bag play -s mcap {destination} --clock"
+    # No player of ROS 1 reads MCAP.
+    return f"pc2scan check {destination}"
+
+
+def _quoted(path: str) -> str:
+    return shlex.quote(f"./{path}" if path.startswith("-") else path)

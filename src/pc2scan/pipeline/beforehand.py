@@ -1,0 +1,113 @@
+"""Whether anything can be converted at all, as far as that is known before, or from the first messages."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from typing import TYPE_CHECKING
+
+from pc2scan.errors import TopicError, UnconnectedError, UsageError, name_list, stamp_text
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from pc2scan.bags.reader import Reader
+    from pc2scan.errors import MessageError
+    from pc2scan.model import Connection
+
+__all__ = ["Unconnected", "refuse_no_messages"]
+
+#: The first messages of each connection that have to fail.
+_LOOKED_AT = 10
+
+
+def refuse_no_messages(
+    reader: Reader, converted: Sequence[Connection], start_ns: int | None, stop_ns: int | None
+) -> None:
+    """Raise if the topics to convert have no messages, or none in the cut.
+
+    What the index says is looked at first, and then whether it is true: recordings with a wrong index exist.
+
+    Raises
+    ------
+    UsageError
+        If the cut lies outside of the recording.
+    TopicError
+        If there are no messages in it.
+    """
+    if not converted:
+        return
+    counts = reader.counts(converted, start_ns, stop_ns)
+    outside = _outside(reader, start_ns, stop_ns)
+    if outside is None and any(counts.get(connection.id) != 0 for connection in converted):
+        return
+    with closing(reader.messages(converted, start_ns, stop_ns)) as messages:
+        if next(messages, None) is not None:
+            return
+    # Where there is damage, it is the damage that is to be reported.
+    if reader.damage:
+        return
+    if outside is not None:
+        raise outside
+    topics = name_list(sorted({connection.topic for connection in converted}))
+    is_cut = start_ns is not None or stop_ns is not None
+    raise TopicError(
+        f"there is nothing to convert: no messages on {topics}{' in the cut' if is_cut else ''}",
+        hint="see `start` and `end`" if is_cut else "pc2scan info lists the topics, and how many messages they have",
+    )
+
+
+def _outside(reader: Reader, start_ns: int | None, stop_ns: int | None) -> UsageError | None:
+    """The error for a cut outside of the recording; None if it is not, as far as is known."""
+    first_ns, last_ns = reader.summary.start_ns, reader.summary.end_ns
+    if first_ns is None or last_ns is None or not reader.summary.message_count:
+        return None
+    late = start_ns is not None and start_ns > last_ns
+    early = stop_ns is not None and stop_ns <= first_ns
+    if not late and not early:
+        return None
+    name, time_ns = ("start", start_ns) if late else ("end", stop_ns)
+    seconds = (last_ns - first_ns) / 1e9
+    return UsageError(
+        f"the cut is outside of the recording: `{name}` is {stamp_text(time_ns or 0)}, the recording is from "
+        f"{stamp_text(first_ns)} to {stamp_text(last_ns)}",
+        path=reader.path,
+        hint=f"its {seconds:.3f} s are `start=0` to `end={seconds + 0.001:.3f}`",
+    )
+
+
+class Unconnected:
+    """Notices, while messages are converted, that no transforms connect their frames with the target frame.
+
+    That is known when the first messages of every topic to convert have failed for this reason, and none was converted.
+
+    Parameters
+    ----------
+    converted
+        The connections to convert.
+    """
+
+    def __init__(self, converted: Iterable[Connection]) -> None:
+        counts = {connection.id: connection.message_count for connection in converted}
+        self._left = {key: min(count or _LOOKED_AT, _LOOKED_AT) for key, count in counts.items() if count != 0}
+
+    def note(self, connection: Connection, error: MessageError | None) -> None:
+        """Take note of what became of a message.
+
+        Raises
+        ------
+        TransformError
+            If nothing can be converted.
+        """
+        if not isinstance(error, UnconnectedError):
+            self._left.clear()
+        elif self._left.get(connection.id):
+            self._left[connection.id] -= 1
+            if not any(self._left.values()):
+                raise UnconnectedError(
+                    f"nothing can be converted: {error.message}", topic=connection.topic, hint=error.hint
+                )
+
+    @property
+    def is_possible(self) -> bool:
+        """Whether it may still be that nothing can be converted."""
+        return bool(self._left)

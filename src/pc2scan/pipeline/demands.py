@@ -1,0 +1,81 @@
+"""Whether the result of a conversion is worth writing."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import TYPE_CHECKING
+
+from pc2scan.errors import ResultError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from .options import ConvertOptions
+    from .report import Report, TopicReport
+
+__all__ = ["refuse_nothing", "refuse_unsatisfied"]
+
+
+def refuse_nothing(report: Report) -> None:
+    """Raise if no message was converted.
+
+    Raises
+    ------
+    ResultError
+        With the most frequent reason.
+    """
+    converted = _converted(report)
+    if any(topic.messages_out for topic in converted):
+        return
+    read = sum(topic.messages_in for topic in converted)
+    if not read:
+        raise ResultError("no message was converted: there was none to convert", hint="see `topics`, `start` and `end`")
+    reasons = Counter(entry.reason for entry in report.skipped)
+    hints = {entry.reason: entry.hint for entry in report.skipped}
+    ((reason, count),) = reasons.most_common(1) or [("", 0)]
+    which = "all" if count == read else f"{count:,} of {read:,}"
+    raise ResultError(
+        f"no message was converted: {which} were skipped: {reason}" if count else "no message was converted",
+        hint=hints.get(reason) or None,
+    )
+
+
+def refuse_unsatisfied(report: Report, options: ConvertOptions) -> None:
+    """Raise if the result is not as good as the options demand.
+
+    Raises
+    ------
+    ResultError
+        With the numbers, and the option.
+    """
+    for topic in _converted(report):
+        if options.fail_on and topic.empty_scans:
+            raise ResultError(
+                f"{topic.empty_scans:,} of {topic.messages_out:,} scans on {topic.target} have no return "
+                f"(`fail_on={options.fail_on}`)",
+                hint=_first(report.warnings, f"on {topic.target} "),
+            )
+        share = topic.points.used / topic.points.total if topic.points.total else 0.0
+        if share < options.min_used:
+            raise ResultError(
+                f"{share:.3%} of the points of {topic.topic} are in the scans on {topic.target}, less than "
+                f"{options.min_used:.3%} (`min_used`)"
+            )
+    if options.fail_on != "warning":
+        return
+    if report.damage:
+        raise ResultError("a source is damaged (`fail_on=warning`)", path=report.damage[0].path)
+    if report.skipped_count:
+        raise ResultError(f"{report.skipped_count:,} messages were skipped (`fail_on=warning`)")
+    if report.warnings:
+        raise ResultError(f"{report.warnings[0]} (`fail_on=warning`)")
+
+
+def _converted(report: Report) -> list[TopicReport]:
+    return [topic for topic in report.topics if topic.action == "converted"]
+
+
+def _first(warnings: Sequence[str], part: str) -> str | None:
+    """What a warning says behind its first colon."""
+    found = next((warning for warning in warnings if part in warning), "")
+    return found.partition(": ")[2] or None

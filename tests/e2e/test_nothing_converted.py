@@ -1,0 +1,214 @@
+"""Runs that convert nothing, or nothing of use, and how strict a run can be asked to be."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from builders import CONTENT, POINTS, Recording, cloud, item, points_of, write_mcap, write_rosbag1, write_rosbag2
+from e2e.command import run
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from e2e.command import Finished
+
+HEIGHTS = ("--min-height", "-2", "--max-height", "2")
+SOURCES = {"bag": "drive.bag", "mcap": "drive.mcap", "rosbag2": "drive"}
+WRITERS: dict[str, Callable[[Path, Recording], Path]] = {
+    "bag": write_rosbag1,
+    "mcap": write_mcap,
+    "rosbag2": write_rosbag2,
+}
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    write_rosbag1(tmp_path / "drive.bag", CONTENT)
+    return tmp_path
+
+
+def convert(folder: Path, *options: str | Path, status: int, source: str = "drive.bag") -> tuple[Finished, Any]:
+    """Run with a report; nothing else may have appeared if it failed."""
+    before = {path.name for path in folder.iterdir()} - {"report.json"}
+    done = run("convert", source, "-o", "out/", "--report", "report.json", *options, cwd=folder)
+    assert "Traceback" not in done.stderr
+    assert done.status == status, done.stderr
+    report = json.loads((folder / "report.json").read_text())
+    assert report["exit_status"] == status
+    after = {path.name for path in folder.iterdir()} - {"report.json"}
+    assert after == before | ({"out"} if status in (0, 3, 4) else set())
+    return done, report
+
+
+def silent(*topics: str) -> Recording:
+    """The recording without the messages of some topics."""
+    return replace(CONTENT, items=tuple(entry for entry in CONTENT.items if entry.stream.topic not in topics))
+
+
+# --- What is known beforehand ---
+
+
+def test_a_target_frame_that_nothing_connects(folder: Path) -> None:
+    done, report = convert(folder, "--target-frame", "moon", status=1)
+    assert "error: /points: nothing can be converted: " in done.stderr
+    assert '"moon"' in done.stderr or "'moon'" in done.stderr or "[moon]" in done.stderr
+    assert "--static-tf" in done.stderr
+    assert report["error"]["class"] == "UnconnectedError"
+    assert report["error"]["place"] == "/points"
+    # Known in the tree, but in another part of it.
+    convert(folder, "--target-frame", "moon", "--static-tf", "moon crater 0 0 0 0 0 0", status=1)
+    convert(folder, "--target-frame", "base_link", "--source-frame", "sun", status=1)
+    convert(folder, "--target-frame", "base_link", *HEIGHTS, status=0)
+
+
+@pytest.mark.parametrize("kind", ["bag", "mcap", "rosbag2"])
+@pytest.mark.parametrize(
+    ("cut", "words"),
+    [
+        (("--start", "3600"), "the cut is outside of the recording: --start is "),
+        (("--end", "@1000000000"), "the cut is outside of the recording: --end is 1000000000.000000000"),
+        (("--start", "0.21"), "the cut is outside of the recording: --start"),
+        (("--start", "0.12", "--end", "0.15"), "no messages on /points in the cut"),
+    ],
+)
+def test_a_cut_without_clouds(kind: str, cut: tuple[str, ...], words: str, tmp_path: Path) -> None:
+    source = SOURCES[kind]
+    WRITERS[kind](tmp_path / source, CONTENT)
+    done, report = convert(tmp_path, *cut, status=2, source=source)
+    assert words in done.stderr
+    assert report["error"]["exit_status"] == 2
+
+
+@pytest.mark.parametrize("kind", ["bag", "mcap", "rosbag2"])
+def test_a_topic_without_messages(kind: str, tmp_path: Path) -> None:
+    source = SOURCES[kind]
+    WRITERS[kind](tmp_path / source, silent("/points"))
+    for options in ((), ("--topic", "/points")):
+        done, report = convert(tmp_path, *options, status=2, source=source)
+        assert "there is nothing to convert" in done.stderr or "no PointCloud2 topic" in done.stderr
+        assert report["error"]["class"] == "TopicError"
+
+
+# --- What turns out in the end ---
+
+
+def test_clouds_that_all_are_skipped(folder: Path) -> None:
+    """Stamps before all transforms: known message by message only."""
+    clouds = [
+        item(POINTS, entry.log_time_ns, lambda g, s: cloud(points_of(s), g, seq=s, stamp_ns=5))
+        for entry in CONTENT.of("/points")
+    ]
+    others = [entry for entry in CONTENT.items if entry.stream.topic != "/points"]
+    items = sorted([*others, *clouds], key=lambda entry: entry.log_time_ns)
+    write_rosbag1(folder / "early.bag", replace(CONTENT, items=tuple(items)))
+    done, report = convert(folder, "--target-frame", "odom", status=1, source="early.bag")
+    assert "error: no message was converted: all were skipped: " in done.stderr
+    assert report["error"]["class"] == "ResultError"
+    assert report["skipped_count"] == 3
+    assert [topic["messages_out"] for topic in report["topics"] if topic["action"] == "converted"] == [0]
+
+
+def test_one_converted_message_is_enough(folder: Path) -> None:
+    first, *rest = CONTENT.of("/points")
+    broken = [replace(entry, data={1: entry.data[1][:40], 2: entry.data[2][:40]}) for entry in rest]
+    others = [entry for entry in CONTENT.items if entry.stream.topic != "/points"]
+    items = sorted([*others, first, *broken], key=lambda entry: entry.log_time_ns)
+    write_rosbag1(folder / "broken.bag", replace(CONTENT, items=tuple(items)))
+    convert(folder, *HEIGHTS, status=3, source="broken.bag")
+    convert(folder, *HEIGHTS, "--fail-on", "empty", "--overwrite", status=3, source="broken.bag")
+    done, _ = convert(folder, *HEIGHTS, "--fail-on", "warning", "--overwrite", status=1, source="broken.bag")
+    assert "2 messages were skipped (--fail-on warning)" in done.stderr
+
+
+# --- Scans without returns ---
+
+
+def test_scans_that_all_are_empty_have_a_status_of_their_own(folder: Path) -> None:
+    done, report = convert(folder, "--min-height", "50", status=4)
+    assert "3 of 3 scans on /scan have no return" in done.stderr
+    assert report["error"] is None
+    assert (folder / "out" / "drive_scan.bag").exists()
+    again = run("convert", "--each", "drive.bag", "--min-height", "50", "-q", cwd=folder)
+    assert again.status == 4
+
+
+@pytest.mark.parametrize("strictness", ["empty", "warning"])
+def test_empty_scans_can_be_made_an_error(strictness: str, folder: Path) -> None:
+    done, report = convert(folder, "--min-height", "50", "--fail-on", strictness, status=1)
+    assert f"3 of 3 scans on /scan have no return (--fail-on {strictness})" in done.stderr
+    assert report["error"]["class"] == "ResultError"
+    convert(folder, *HEIGHTS, "--fail-on", strictness, status=0)
+
+
+def test_warnings_can_be_made_an_error(folder: Path) -> None:
+    convert(folder, *HEIGHTS, "--keep", "/nothing", status=0)
+    done, _ = convert(folder, *HEIGHTS, "--keep", "/nothing", "--fail-on", "warning", "--overwrite", status=1)
+    assert "--keep /nothing matches no topic (--fail-on warning)" in done.stderr
+    (folder / "cut.bag").write_bytes((folder / "drive.bag").read_bytes()[:-100])
+    done, _ = convert(folder, *HEIGHTS, "--fail-on", "warning", status=1, source="cut.bag")
+    assert "cut.bag: a source is damaged (--fail-on warning)" in done.stderr
+
+
+@pytest.mark.parametrize(("share", "status"), [("0.1", 0), ("1%", 0), ("99.9%", 1), ("1", 1)])
+def test_a_share_of_the_points_can_be_demanded(share: str, status: int, folder: Path) -> None:
+    done, report = convert(folder, *HEIGHTS, "--min-used", share, status=status)
+    if status:
+        assert "of the points of /points are in the scans on /scan, less than" in done.stderr
+        assert report["error"]["class"] == "ResultError"
+
+
+@pytest.mark.parametrize("share", ["1.5", "-1", "200%", "half", "nan", "%"])
+def test_shares_that_cannot_be(share: str, folder: Path) -> None:
+    done, _ = convert(folder, f"--min-used={share}", status=2)
+    assert "--min-used" in done.stderr
+
+
+# --- The report of a run that failed ---
+
+
+@pytest.mark.parametrize(
+    ("options", "kind", "status"),
+    [
+        (("--topic", "/nothing"), "TopicError", 2),
+        (("--angle-min", "x"), "ParameterError", 2),
+        (("--min-height", "2", "--max-height", "1"), "ParameterError", 2),
+        (("--params-file", "missing.yaml"), "UsageError", 2),
+        (("--start", "yesterday"), "UsageError", 2),
+        (("--storage", "mcap"), "DestinationError", 2),
+        (("--tf-from", "missing.bag", "--target-frame", "odom"), "MissingError", 2),
+        (("--static-tf", "a b c"), "UsageError", 2),
+    ],
+)
+def test_the_report_of_a_failure(options: tuple[str, ...], kind: str, status: int, folder: Path) -> None:
+    done, report = convert(folder, *options, status=status)
+    error = report["error"]
+    assert error["exit_status"] == status
+    assert set(error) == {"class", "message", "place", "hint", "exit_status"}
+    assert error["class"] in (kind, "ParameterError", "UsageError", "MissingError")
+    assert report["sources"] == ["drive.bag"]
+    assert done.stderr.startswith("error: ")
+
+
+def test_the_report_of_a_source_that_is_none(folder: Path) -> None:
+    (folder / "notes.bag").write_text("no bag")
+    _, report = convert(folder, status=1, source="notes.bag")
+    assert report["error"]["class"] == "RecordingError"
+    assert report["error"]["place"] == "notes.bag"
+    assert report["destination"] is None
+
+
+def test_a_report_of_a_failure_is_written_over_nothing_of_the_users(folder: Path) -> None:
+    (folder / "thesis.tex").write_text("three years of work")
+    before = (folder / "drive.bag").read_bytes()
+    for report in ("drive.bag", "thesis.tex"):
+        done = run("convert", "drive.bag", "-o", "out.bag", "--topic", "/nothing", "--report", report, cwd=folder)
+        assert done.status == 2
+        assert "/nothing" in done.stderr
+    assert (folder / "drive.bag").read_bytes() == before
+    assert (folder / "thesis.tex").read_text() == "three years of work"
+    assert {path.name for path in folder.iterdir()} == {"drive.bag", "thesis.tex"}
