@@ -113,7 +113,7 @@ def test_compressed_data_without_its_end_is_refused(tmp_path: Path, compression:
 @pytest.mark.parametrize(
     ("payload", "expected"),
     [
-        (message(1, identity=7), "a message of connection 7, which the index does not know"),
+        (message(1, identity=7), "a message of connection 7, which is not in the index"),
         (message(1, order=("conn", "op", "time"))[:-1], "a message reaches to byte 50 of a chunk of 49"),
         (message(1)[:-1], "a record reaches to byte 50 of a chunk of 49"),
         (message(1)[:20], "a record reaches to byte 42 of a chunk of 20"),

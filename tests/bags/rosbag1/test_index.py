@@ -152,4 +152,4 @@ def test_a_damaged_index_is_refused(tmp_path: Path, info: bytes, expected: str) 
 
 def test_an_unknown_compression_is_refused(tmp_path: Path) -> None:
     path = simple_bag(tmp_path / "a.bag", message(1), compression="zstd")
-    assert "compressed with 'zstd', a ROS 1 bag knows none, bz2, lz4" in fails(path, hint="`strict`")
+    assert "compressed with 'zstd', allowed are none, bz2, lz4" in fails(path, hint="`strict`")

@@ -220,7 +220,7 @@ def test_an_index_that_counts_too_few_chunks(tmp_path: Path) -> None:
     (tmp_path / "a.bag").write_bytes(data)
     rows, (damage,) = recovered(tmp_path / "a.bag")
     assert len(rows) == len(ROWS)
-    assert "it goes on at byte" in damage.what
+    assert "it continues at byte" in damage.what
 
 
 @pytest.mark.parametrize("compression", ["lz4", "bz2"])

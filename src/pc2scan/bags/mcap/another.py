@@ -1,4 +1,4 @@
-"""Searching an MCAP file for another one that begins in it, as ``cat a.mcap b.mcap`` makes it."""
+"""Searches an MCAP file for another one that begins in it, as in the result of ``cat a.mcap b.mcap``."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ __all__ = ["refuse_another"]
 #: Bytes that are searched at a time.
 _WINDOW = 1 << 20
 
-#: No Header has more bytes: a profile's name and a library's.
+#: Limit of a Header's size: it has the names of a profile and of a library.
 _MAX_HEADER = 1 << 16
 
 
 def refuse_another(file: RecordFile, start: int, stop: int) -> None:
-    """Raise if another file begins in this stretch: the magic of its beginning, and a Header."""
+    """Raise if another file begins in this part of the file, with the magic and a Header."""
     overlap = len(MAGIC) + RECORD.size - 1
     for begin in range(start, stop, _WINDOW):
         window = file.read(begin, min(_WINDOW + overlap, file.size - begin))

@@ -1,4 +1,4 @@
-"""MCAP's chunks: where one lies, and its records, decompressed."""
+"""Reads and decompresses the chunks of MCAP files."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ __all__ = ["CHUNK_HEAD_SIZE", "ChunkSegment", "chunk_at", "payload", "stored_chu
 
 _Result = TypeVar("_Result")
 
-# No compression has a longer name; a longer one is garbage.
+# Limit of the name of a compression; a longer one is damaged.
 _MAX_COMPRESSION_NAME = 64
 
 CHUNK_HEAD_SIZE = RECORD.size + CHUNK.size + _MAX_COMPRESSION_NAME + UINT64.size
@@ -34,14 +34,14 @@ CHUNK_HEAD_SIZE = RECORD.size + CHUNK.size + _MAX_COMPRESSION_NAME + UINT64.size
 
 @dataclass(frozen=True, slots=True)
 class ChunkSegment(Segment):
-    """A chunk. `crc` is that of a chunk whose header was read, else 0; loading goes by the header itself.
+    """A chunk. `crc` is 0 until its header is read; loading uses the CRC in the header.
 
     Attributes
     ----------
     record_offset
-        Where the chunk's record begins in the file.
+        Offset of the chunk's record in the file.
     index_length
-        Bytes of the message indexes behind it; 0 when unknown.
+        Bytes of the message indexes after it; 0 if unknown.
     """
 
     record_offset: int = 0
@@ -51,7 +51,7 @@ class ChunkSegment(Segment):
 def chunk_at(data: Buffer, position: int, record_offset: int, file: RecordFile, *, exact: bool = True) -> ChunkSegment:
     """Read the header of the chunk whose record begins at ``data[position]``.
 
-    ``exact`` asks that its payload ends where its record does.
+    With ``exact``, its payload must end where its record ends.
     """
     malformed = f"the chunk at byte {record_offset} has a malformed header"
     try:
@@ -82,12 +82,12 @@ def chunk_at(data: Buffer, position: int, record_offset: int, file: RecordFile, 
 
 
 def payload(file: RecordFile, segment: Segment, *, verify: bool = True) -> memoryview:
-    """Read a segment's records, decompressed.
+    """Read and decompress a segment's records.
 
     Raises
     ------
     RecordingError
-        If the bytes are not there, do not decompress to the declared size, or fail their CRC.
+        If bytes are missing, do not decompress to the declared size, or fail their CRC.
     """
     return with_payload(file, segment, lambda data: memoryview(own(data)), verify=verify)
 
@@ -95,7 +95,7 @@ def payload(file: RecordFile, segment: Segment, *, verify: bool = True) -> memor
 def with_payload(
     file: RecordFile, segment: Segment, callback: Callable[[memoryview], _Result], *, verify: bool = True
 ) -> _Result:
-    """Call ``callback`` with what `payload` returns; they may be borrowed only, see `SourceFile.borrow`."""
+    """Call ``callback`` with the result of `payload`, which may be borrowed; see `SourceFile.borrow`."""
     if not isinstance(segment, ChunkSegment):
         return file.borrow(segment.offset, segment.length, callback)
     head = segment.offset - segment.record_offset
@@ -113,17 +113,17 @@ def stored_chunk(file: RecordFile, segment: ChunkSegment, more: int = 0) -> tupl
     Parameters
     ----------
     more
-        Bytes behind the chunk's records to read with them.
+        Bytes after the chunk's records to read with them.
 
     Returns
     -------
     tuple[ChunkSegment, memoryview]
-        What the chunk's own header says, and its compressed records with what is ``more``.
+        The chunk by its own header, and its compressed records with the further bytes.
 
     Raises
     ------
     RecordingError
-        If the bytes are not there, or the header is not what the index says.
+        If bytes are missing, or the header differs from the index.
     """
     head = segment.offset - segment.record_offset
     record = memoryview(file.read(segment.record_offset, head + segment.length + more))
@@ -131,7 +131,7 @@ def stored_chunk(file: RecordFile, segment: ChunkSegment, more: int = 0) -> tupl
 
 
 def _confirmed(record: memoryview, segment: ChunkSegment, file: RecordFile) -> ChunkSegment:
-    """What a chunk's own header says, that comes with the same read: an index has no CRC, the header does."""
+    """Return the chunk by its own header, which has a CRC, after comparing it with the index."""
     chunk = chunk_at(record, 0, segment.record_offset, file)
     if record[0] != OP_CHUNK or _storage(chunk) != _storage(segment):
         raise file.damage(f"the index and the chunk at byte {segment.record_offset} contradict each other")
@@ -139,7 +139,7 @@ def _confirmed(record: memoryview, segment: ChunkSegment, file: RecordFile) -> C
 
 
 def unpacked_chunk(file: RecordFile, chunk: ChunkSegment, data: memoryview, *, verify: bool = True) -> memoryview:
-    """Decompress a chunk's records, and compare them with the CRC that it has; see `payload`."""
+    """Decompress a chunk's records, and compare their CRC; see `payload`."""
     unpacked = memoryview(_decompressed(data, chunk, file))
     if verify and chunk.crc and (actual := crc32(unpacked)) != chunk.crc:
         raise file.damage(

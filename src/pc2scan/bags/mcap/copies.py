@@ -1,4 +1,4 @@
-"""Chunks of MCAP files that can be written again as a whole: their messages told without taking them out."""
+"""Reads chunks of MCAP files that can be copied as a whole, and indexes their messages."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ __all__ = ["agreed", "whole_by_content", "whole_by_index"]
 
 
 def agreed(index: McapIndex, rule: ChunkRule) -> frozenset[int]:
-    """Find the channels that the destination declares as this file does: a chunk may repeat that unseen."""
+    """Find the channels that the destination declares as this file does, so that a chunk may repeat the declaration."""
     found = []
     for channel_id in rule.connection_ids & index.channels.keys():
         channel = index.channels[channel_id]
@@ -41,18 +41,18 @@ def agreed(index: McapIndex, rule: ChunkRule) -> frozenset[int]:
 
 
 def whole_by_index(file: RecordFile, segment: ChunkSegment, rule: ChunkRule) -> StoredChunk | None:
-    """Read a chunk and the message indexes behind it, and decompress nothing.
+    """Read a chunk and the message indexes after it, without decompressing it.
 
     Returns
     -------
     StoredChunk | None
-        None if it cannot keep its compression, its messages are not sorted by log time, the indexes do not tell of all
-        of them, or there may be declarations of others in front of the first one.
+        None if it cannot keep its compression, its messages are not sorted by log time, the indexes do not have all
+        of them, or there may be other declarations before the first one.
 
     Raises
     ------
     RecordingError
-        If the bytes are not there, or the chunk's header is not what the index says.
+        If bytes are missing, or the chunk's header differs from the index.
     """
     if not 0 < segment.index_length <= MAX_TOGETHER * 16 or segment.compression not in rule.compressions:
         return None
@@ -86,7 +86,7 @@ def whole_by_content(
     verify: bool,
     compare: Callable[[memoryview, int], object] | None = None,
 ) -> StoredChunk | memoryview:
-    """Read a chunk, and decompress it to compare its CRC and to see what is in it.
+    """Read a chunk, and decompress it to compare its CRC and to index its messages.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ def whole_by_content(
     Returns
     -------
     StoredChunk | memoryview
-        Its records, decompressed, if ``rule`` does not allow to copy it or its messages are not sorted by log time.
+        Its decompressed records, if ``rule`` does not allow to copy it or its messages are not sorted by log time.
 
     Raises
     ------
@@ -117,7 +117,7 @@ def whole_by_content(
 
 
 def _index_of(records: memoryview, segment: ChunkSegment, declarations: Collection[bytes]) -> Index | None:
-    """Find a chunk's messages; None if there is anything but those, in order, and these declarations."""
+    """Index a chunk's messages; None if they are not in order, or it has any other record than these declarations."""
     index: Index = {}
     times = []
     position, size = 0, len(records)
@@ -130,7 +130,7 @@ def _index_of(records: memoryview, segment: ChunkSegment, declarations: Collecti
             if bytes(records[position:following]) not in declarations:
                 return None
         elif following - position < MESSAGE.size or records[position + MESSAGE.size : following][:4] == ZSTD_MAGIC:
-            # Messages that are packed one by one are unpacked, not copied.
+            # Messages that are compressed one by one are decompressed, not copied.
             return None
         else:
             _, _, channel_id, _, log_time_ns, _ = MESSAGE.unpack_from(records, position)
@@ -143,7 +143,7 @@ def _index_of(records: memoryview, segment: ChunkSegment, declarations: Collecti
 
 
 def _in_order(times: list[int], segment: ChunkSegment) -> bool:
-    """Whether log times are sorted, and within those that are declared."""
+    """Whether log times are sorted, and within the declared ones."""
     return segment.start_ns <= times[0] and times[-1] <= segment.end_ns and times == sorted(times)
 
 

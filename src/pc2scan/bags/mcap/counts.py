@@ -1,4 +1,4 @@
-"""What the message indexes behind the chunks of an MCAP file say of their messages: how many there are, and when."""
+"""Counts the messages of an MCAP file, and finds their times, in the message indexes after the chunks."""
 
 from __future__ import annotations
 
@@ -67,6 +67,6 @@ def indexed_span(file: RecordFile, segment: ChunkSegment) -> tuple[int, int] | N
 
 
 def _indexed(file: RecordFile, segment: ChunkSegment) -> Iterator[tuple[int, Iterator[int]]]:
-    """Yield each message index behind a chunk: the channel, and the log times of its messages."""
+    """Yield each message index after a chunk: the channel, and the log times of its messages."""
     for channel_id, entries in index_entries(file, segment):
         yield channel_id, (time_ns for time_ns, _ in _ENTRY.iter_unpack(entries))

@@ -1,6 +1,6 @@
-"""The CRC of an MCAP file's whole data section, put together from those of its stretches as they are read.
+"""Compares the CRC of an MCAP file's data section, combined from the CRCs of the segments as they are read.
 
-It is compared where nothing else protects the messages: in files without chunks, once all of them were read.
+It is compared in files without chunks, which have no other CRC for messages, when all messages were read.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 __all__ = ["DataCrc", "data_crc"]
 
-#: What lies between messages is read in pieces of so many bytes.
+#: Bytes between messages are read in pieces of this size.
 _PIECE = 4 << 20
 
 
@@ -37,13 +37,13 @@ class DataCrc:
     file
         The file.
     segments
-        All stretches with messages.
+        All segments with messages.
     stop
-        Where the data section ends.
+        The end of the data section.
     recorded
-        Its CRC.
+        Its recorded CRC.
     log
-        Takes note if it is another one.
+        Gets a difference.
     """
 
     def __init__(self, file: RecordFile, segments: Sequence[Segment], stop: int, recorded: int, log: DamageLog) -> None:
@@ -56,16 +56,16 @@ class DataCrc:
         self._lock = Lock()
 
     def add(self, segment: Segment, data: Buffer) -> None:
-        """Take the CRC of a stretch that was read; may be called on any thread, and again."""
+        """Add a segment that was read; may be called on any thread, and again."""
         self._found[segment.offset] = crc32(data)
 
     def compare(self) -> None:
-        """Compare, once all stretches were read.
+        """Compare the CRC when all segments were read.
 
         Raises
         ------
         DamageError
-            If it is another CRC, and damage is an error.
+            If it differs, and damage is an error.
         """
         with self._lock:
             if len(self._found) < len(self._segments):
@@ -88,7 +88,7 @@ class DataCrc:
 
 
 def data_crc(file: RecordFile, index: McapIndex, log: DamageLog) -> DataCrc | None:
-    """Return what compares the CRC; None if the file has none, or its chunks have their own."""
+    """Return the comparison for a file; None if it has no CRC, or its chunks have their own."""
     if index.data_end is None or not index.segments:
         return None
     stop, recorded = index.data_end

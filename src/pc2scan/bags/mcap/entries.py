@@ -1,4 +1,4 @@
-"""The message indexes behind a chunk of an MCAP file, compared with the chunk."""
+"""Compares the message indexes after a chunk of an MCAP file with the chunk."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ __all__ = ["index_entries", "index_trouble"]
 #: A message index up to its entries: opcode and length, the channel, and how many bytes of entries follow.
 _HEAD = struct.Struct("<BQHI")
 
-#: Log time as it is stored, and the place in the chunk, of one message. A message has its channel behind opcode and
+#: An entry is a message's stored log time and its place in the chunk. A message has its channel after opcode and
 #: length, then a sequence number, then the log time.
 _FORM = EntryForm(struct.Struct("<8sQ"), struct.Struct("<H"), RECORD.size, RECORD.size + 2 + 4)
 
-#: Bytes that are read at a time where nothing says how many there are.
+#: Bytes that are read at a time if their number is unknown.
 _AHEAD = 4096
 
 
 def index_entries(file: RecordFile, segment: ChunkSegment) -> Iterator[tuple[int, memoryview]]:
-    """Yield each message index behind a chunk: the channel, and its entries as they are stored.
+    """Yield each message index after a chunk: the channel, and its stored entries.
 
     Raises
     ------
@@ -40,7 +40,7 @@ def index_entries(file: RecordFile, segment: ChunkSegment) -> Iterator[tuple[int
         If an index contradicts its own lengths.
     """
     position = segment.offset + segment.length
-    # One call reads all of them, as a rule.
+    # Usually, one call reads all of them.
     origin, ahead = position, memoryview(b"")
     while position + _HEAD.size <= file.size:
         if position + _HEAD.size > origin + len(ahead):
@@ -62,18 +62,18 @@ def index_entries(file: RecordFile, segment: ChunkSegment) -> Iterator[tuple[int
 def index_trouble(
     file: RecordFile, segment: ChunkSegment, records: Buffer, ids: Container[int], found: int | None
 ) -> str | None:
-    """How the message indexes behind a chunk differ from it; None if they do not, or if there are none.
+    """Describe how the message indexes after a chunk differ from it; None if they do not, or if there are none.
 
     Parameters
     ----------
     file, segment
-        Where the chunk is.
+        The chunk.
     records
-        What it holds.
+        Its records.
     ids
-        The channels that are compared.
+        The channels to compare.
     found
-        How many messages of these it has; None if they were not all looked for.
+        Number of their messages in the chunk; None if not all were counted.
     """
     try:
         groups = list(index_entries(file, segment))

@@ -34,7 +34,7 @@ __all__ = ["RUN_SIZE", "McapIndex", "RecordWalk", "find_declarations", "find_ind
 
 _FOOTER_SIZE = RECORD.size + 20
 
-#: More are not compared: they would take more room than they do in the file.
+#: Limit of compared entries: they take more memory than space in the file.
 _MAX_EXTRA_INDEXES = 10_000
 
 ExtraIndex = records.AttachmentIndex | records.MetadataIndex
@@ -43,7 +43,7 @@ _EXTRA_INDEXES: dict[int, type[ExtraIndex]] = {
     Opcode.METADATA_INDEX: records.MetadataIndex,
 }
 
-#: Messages outside chunks are read in stretches of about this size, bytes.
+#: Messages outside chunks are read in segments of about this size, bytes.
 RUN_SIZE = 4 << 20
 
 
@@ -58,27 +58,27 @@ class McapIndex:
     schemas, channels
         By id, in the order found.
     segments
-        Chunks and runs of messages outside chunks, in the order found.
+        Chunks, and segments of messages outside chunks, in the order found.
     attachments, metadata
-        Where these records begin in the file.
+        Offsets of these records in the file.
     extra_indexes
-        What the summary says of them, by the place where it says that they begin.
+        The summary's indexes of them, by the offset that the summary declares.
     statistics
         The summary's, if it has them.
     counts
         Messages by channel, as far as they were counted.
     all_counted
-        Whether `counts` tells of every message.
+        Whether `counts` has every message.
     channels_listed
         Whether the summary repeats the channels.
     summarized
-        Whether a summary names the chunks.
+        Whether a summary has the chunks.
     verified
-        Whether the summary has the CRC that is recorded for it.
+        Whether the summary's CRC was compared.
     data_end
-        Where the data section of a sound file ends, and its CRC (0: none); None if there is no DataEnd.
+        The end of the data section of a sound file, and its CRC (0: none); None if there is no DataEnd.
     differing
-        Schemas and channels that are declared again, and differently: what and where.
+        Schemas and channels that are declared again differently: names and offsets.
     """
 
     profile: str = ""
@@ -98,7 +98,7 @@ class McapIndex:
     differing: dict[str, int] = field(default_factory=dict)
 
     def declare(self, opcode: int, content: Buffer, offset: int, file: RecordFile) -> None:
-        """Remember a Schema or a Channel; other records are ignored. The first of an id is kept."""
+        """Add a Schema or a Channel; other records are ignored. The first of an id is kept."""
         if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL):
             return
         record = _declared(opcode, content, offset, file)
@@ -108,7 +108,7 @@ class McapIndex:
             self._differs(_name_of(record), offset)
 
     def contradicted_by(self, opcode: int, content: Buffer, offset: int, file: RecordFile) -> str | None:
-        """Name the schema or channel that this record declares otherwise than what is known; None if it does not."""
+        """Return the name of the schema or channel that this record declares differently; None if it does not."""
         record = _declared(opcode, content, offset, file)
         known: dict[int, Any] = self.schemas if opcode == Opcode.SCHEMA else self.channels
         return _name_of(record) if known.get(record.id, record) != record else None
@@ -129,7 +129,7 @@ def _name_of(record: records.Schema | records.Channel) -> str:
 
 
 def find_index(file: RecordFile, *, verify: bool = True) -> McapIndex:
-    """Find out what is where in a sound file, but for channels that only chunks declare.
+    """Index a sound file, without channels that only chunks declare.
 
     Parameters
     ----------
@@ -145,7 +145,7 @@ def find_index(file: RecordFile, *, verify: bool = True) -> McapIndex:
     DamageError
         If it is cut off, or contradicts itself.
     AnotherBeginsError
-        If another file begins behind its data.
+        If another file follows its data.
     """
     index = McapIndex()
     start = read_header(file, index)
@@ -159,7 +159,7 @@ def find_index(file: RecordFile, *, verify: bool = True) -> McapIndex:
 
 
 def read_header(file: RecordFile, index: McapIndex) -> int:
-    """Check the magic, note the profile, and return where the first record behind the header begins."""
+    """Check the magic, read the profile, and return the offset of the first record after the header."""
     magic = file.read(0, min(len(MAGIC), file.size))
     if magic != MAGIC:
         raise file.error(
@@ -171,13 +171,13 @@ def read_header(file: RecordFile, index: McapIndex) -> int:
 
 
 def read_summary(file: RecordFile, index: McapIndex, *, verify: bool) -> tuple[int, dict[int, int]]:
-    """Read what the end of the file tells.
+    """Read the summary at the end of the file.
 
     Returns
     -------
     tuple[int, dict[int, int]]
-        Where the data section ends, and for each chunk of it that the summary accounts for, its place
-        and the place of the record to look at next.
+        The end of the data section, and for each chunk in the summary its offset and the offset of the record after
+        its message indexes.
     """
     footer_offset = file.size - len(MAGIC) - _FOOTER_SIZE
     tail = file.read(footer_offset, _FOOTER_SIZE + len(MAGIC)) if footer_offset > len(MAGIC) else b""
@@ -192,7 +192,7 @@ def read_summary(file: RecordFile, index: McapIndex, *, verify: bool) -> tuple[i
         raise file.damage(f"the footer places the summary at byte {start}, allowed is up to {footer_offset}")
     data = file.read(start, footer_offset - start)
     if verify and footer.summary_crc:
-        # The footer counts too, up to the CRC itself.
+        # The CRC includes the footer up to the CRC itself.
         actual = crc32(tail[: _FOOTER_SIZE - 4], crc32(data))
         if actual != footer.summary_crc:
             raise file.damage(f"the summary's CRC is {actual:08x}, recorded is {footer.summary_crc:08x}")
@@ -207,8 +207,8 @@ def read_summary(file: RecordFile, index: McapIndex, *, verify: bool) -> tuple[i
         elif kind == Opcode.STATISTICS:
             index.statistics = parse(records.Statistics, content, start, file)
         elif kind in (Opcode.ATTACHMENT_INDEX, Opcode.METADATA_INDEX):
-            # Attachments and metadata are found by the walk: it costs little, and the index that @mcap/core
-            # 2.2.2 writes for files without chunks has wrong offsets.
+            # Attachments and metadata are found by the walk, because it takes little time and the index that
+            # @mcap/core 2.2.2 writes for files without chunks has wrong offsets.
             if len(index.extra_indexes) < _MAX_EXTRA_INDEXES:
                 entry = parse(_EXTRA_INDEXES[kind], content, start, file)
                 index.extra_indexes[entry.offset] = entry
@@ -223,7 +223,7 @@ def read_summary(file: RecordFile, index: McapIndex, *, verify: bool) -> tuple[i
 
 def _indexed_chunk(content: memoryview, origin: int, file: RecordFile) -> tuple[ChunkSegment, int]:
     """Read a ChunkIndex; returns the chunk and where its message indexes end."""
-    # Parsed here: the library's parser is many times slower, and a long recording has 100,000 of them.
+    # Not with the library's parser, which is many times slower: a long recording has 100,000 of them.
     try:
         start_ns, end_ns, offset, length, offsets_size = struct.unpack_from("<QQQQI", content)
         position = 36 + offsets_size
@@ -242,7 +242,7 @@ def _indexed_chunk(content: memoryview, origin: int, file: RecordFile) -> tuple[
         crc=0,
         start_ns=start_ns,
         end_ns=end_ns,
-        # Nothing listed: either there are no message indexes or no messages.
+        # Without entries, there are either no message indexes or no messages.
         connection_ids=ids or None,
         record_offset=offset,
         index_length=message_index_size,
@@ -255,7 +255,7 @@ def _indexed_chunk(content: memoryview, origin: int, file: RecordFile) -> tuple[
 
 
 class _Window:
-    """A stretch of the file that moves along with a walk, so that small records cost no system call each."""
+    """A buffered part of the file that follows a walk, so that small records need no system call each."""
 
     def __init__(self, file: RecordFile) -> None:
         self._file = file
@@ -263,11 +263,11 @@ class _Window:
         self.data = b""
 
     def locate(self, offset: int, length: int) -> int:
-        """Return where in `data` the bytes from ``offset`` on are (as many as the file has of ``length``)."""
+        """Return the position in `data` of the bytes from ``offset`` on (at most as many as the file has)."""
         position = offset - self._start
         length = min(length, self._file.size - offset)
         if position < 0 or position + length > len(self.data):
-            # After a jump over a large record probably comes another one: little is read ahead.
+            # After a large record that was skipped, another one is likely: little is read ahead.
             ahead = (1 << 18) if position <= len(self.data) else (1 << 12)
             self.data = self._file.read(offset, min(max(length, ahead), self._file.size - offset))
             self._start = offset
@@ -276,7 +276,7 @@ class _Window:
 
 
 class _Run:
-    """Messages one behind the other outside any chunk, while a walk collects them."""
+    """Consecutive messages outside any chunk, collected by a walk."""
 
     __slots__ = ("end", "end_ns", "ids", "start", "start_ns")
 
@@ -297,16 +297,16 @@ class _Run:
 
 
 class RecordWalk:
-    """The linear pass: from record header to record header, without reading what lies between.
+    """A walk over the headers of records, without reading their contents.
 
     Parameters
     ----------
     file
         The open file.
     index
-        Is completed. If the pass fails it holds everything in front of the damage.
+        Gets the results. If the walk fails, it has everything before the damage.
     accounted
-        Chunks that are known already: their place, and the place of the record to look at next.
+        Chunks that are known already: their offsets, and the offset of the record after each.
     """
 
     def __init__(self, file: RecordFile, index: McapIndex, accounted: Mapping[int, int] | None = None) -> None:
@@ -316,11 +316,11 @@ class RecordWalk:
         self._run: _Run | None = None
         self._chunk: ChunkSegment | None = None
         self._indexed: Counter[int] = Counter()
-        #: The record looked at, and the one before it: where a pass that failed was.
+        #: Offsets of the current record and the one before it, for a walk that failed.
         self.offset = self.previous = 0
 
     def run(self, offset: int, end: int) -> int:
-        """Walk from the record at byte ``offset`` until DataEnd or byte ``end``; returns where that ends.
+        """Walk from the record at byte ``offset`` to DataEnd or byte ``end``; returns the end.
 
         Raises
         ------
@@ -382,9 +382,9 @@ class RecordWalk:
         self._index.counts[channel_id] += 1
 
     def _other(self, opcode: int, window: _Window, offset: int, following: int) -> None:
-        """Take note of a record that is not a message."""
+        """Add a record that is not a message."""
         if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            # These may lie between messages of one run; loading the run steps over them.
+            # These may be between messages of one segment; loading it skips them.
             content = self._file.read(offset + RECORD.size, following - offset - RECORD.size)
             self._index.declare(opcode, content, offset, self._file)
         elif opcode == OP_MESSAGE_INDEX:
@@ -404,7 +404,7 @@ class RecordWalk:
                 self._index.metadata.append(offset)
 
     def _close(self, *, complete: bool = True) -> None:
-        """Finish the run or the chunk; message indexes are ``complete`` if another record follows."""
+        """Finish the run or the chunk; its message indexes are ``complete`` if another record follows."""
         index = self._index
         if self._run is not None:
             index.segments.append(self._run.segment())
@@ -424,12 +424,12 @@ def find_declarations(
     records_of: Callable[[ChunkSegment], Iterable[tuple[int, Buffer]]],
     log: DamageLog,
 ) -> None:
-    """Look for channels and schemas inside chunks, as far as they were not found outside.
+    """Find channels and schemas inside chunks that were not found outside.
 
-    ``records_of`` gives the opcodes and contents of a chunk's records; ``log`` takes note of those that are malformed.
+    ``records_of`` returns the opcodes and contents of a chunk's records; ``log`` gets malformed ones.
 
-    Chunks are opened in the order of the file, first those with messages of unknown channels, and no
-    more of them than needed. Without a summary, a channel that has no messages may stay unknown.
+    Chunks are read in the order of the file, those with messages of unknown channels first, and only as many as
+    needed. Without a summary, a channel that has no messages may stay unknown.
     """
     chunks = [segment for segment in index.segments if isinstance(segment, ChunkSegment)]
     chunks.sort(key=lambda chunk: chunk.offset)

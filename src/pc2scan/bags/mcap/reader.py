@@ -1,4 +1,4 @@
-"""Reading MCAP files, one chunk at a time."""
+"""Reads MCAP files, one chunk at a time."""
 
 from __future__ import annotations
 
@@ -70,20 +70,20 @@ def open_reader(path: Path, options: ReadOptions) -> Reader:
 
 
 class McapReader(PartReader):
-    """An open MCAP file; see `pc2scan.bags.reader.Reader`.
+    """Reads an open MCAP file; see `pc2scan.bags.reader.Reader`.
 
-    Channels become connections one to one: two channels of one topic stay two. Types, definitions
-    and metadata are passed on as recorded, whatever the profile.
+    Each channel becomes a connection: two channels of one topic stay two. Types, definitions and metadata are
+    returned as recorded, whatever the profile.
 
     Parameters
     ----------
     path
         The file.
     verify
-        Whether to compare the CRCs of the summary, the chunks and the attachments, and in a file without chunks that of
-        the data section, where recorded. The last is compared when all messages were read.
+        Whether to compare the recorded CRCs of the summary, the chunks and the attachments, and in a file without
+        chunks that of the data section. The last is compared when all messages were read.
     strict
-        Whether damage is an error; otherwise it is read around, and told by `damage`.
+        Whether damage is an error; otherwise it is in `damage`, and the rest is recovered.
 
     Raises
     ------
@@ -99,7 +99,7 @@ class McapReader(PartReader):
         self._verify = verify
         self._bytes_read = 0
         self._connections: tuple[Connection, ...] = ()
-        #: Whether nothing is damaged but, perhaps, what is in the chunks.
+        #: Whether nothing is damaged outside of the chunks.
         self._is_whole = False
         #: Declarations in chunks that agree with those of the file.
         self._agreed: set[bytes] = set()
@@ -125,14 +125,14 @@ class McapReader(PartReader):
             self._spans.compare_ends()
             sound = verify and not self._log.found
             self._data_crc = data_crc(self._file, self._index, self._log) if sound else None
-            self._summary = _summary(self._index, self._file, self._log)
+            self._summary = _summary_of(self._index, self._file, self._log)
             self._is_whole = not self._log.found
         except BaseException:
             self._file.close()
             raise
 
     def _found_index(self) -> McapIndex:
-        """Find out what is where in the file, whether it is sound or not."""
+        """Index the file, sound or damaged."""
         try:
             return find_index(self._file, verify=self._verify)
         except DamageError as err:
@@ -143,22 +143,22 @@ class McapReader(PartReader):
 
     @property
     def next_start(self) -> int | None:
-        """Where in the file another MCAP file begins, behind this one."""
+        """Offset of the MCAP file that follows this one in the file."""
         return self._file.next_start
 
     @property
     def path(self) -> Path:
-        """Where it was opened."""
+        """The path of the file."""
         return self._file.path
 
     @property
     def connections(self) -> Sequence[Connection]:
-        """One for each channel, in the order of the summary or, without one, of the file."""
+        """A connection for each channel, in the order of the summary or, without one, of the file."""
         return self._connections
 
     @property
     def summary(self) -> Summary:
-        """What is known without reading messages."""
+        """The summary, made without reading messages."""
         return self._summary
 
     @property
@@ -173,9 +173,9 @@ class McapReader(PartReader):
         stop_ns: int | None = None,
         rule: ChunkRule | None = None,
     ) -> list[Unit]:
-        """Chunks, and runs of records outside chunks, by start; see `pc2scan.bags.reader.Reader`.
+        """Return chunks, and segments of records outside chunks, by start; see `pc2scan.bags.reader.Reader`.
 
-        Without verifying, chunks whose message indexes tell everything are not decompressed where they are whole.
+        Without verification, whole chunks with complete message indexes are not decompressed.
         """
         known = {connection.id: connection for connection in self._connections}
         wanted = known
@@ -228,7 +228,7 @@ class McapReader(PartReader):
             self._bytes_read += segment.length
             seen: StoredChunk | memoryview | None = None
             if rule and whole and isinstance(segment, ChunkSegment):
-                # What is damaged is not copied.
+                # Damaged chunks are not copied.
                 with suppress(DamageError):
                     if segment.connection_ids and segment.connection_ids <= blindly:
                         seen = whole_by_index(self._file, segment, rule)
@@ -243,7 +243,7 @@ class McapReader(PartReader):
                 unpacked = unpacked_messages(sound(segment, data), intolerant, segment.offset, self._file.path)
                 return mapped(callback, unpacked)
 
-            # What is damaged is read again, to see what is left of it.
+            # A damaged segment is read again to recover its messages.
             with suppress(DamageError):
                 return with_payload(self._file, segment, taken, verify=self._verify) if seen is None else taken(seen)
             data, problem = self._prefix(segment)
@@ -271,7 +271,7 @@ class McapReader(PartReader):
             return payload_prefix(self._file, segment, err)
 
     def _packs(self, segment: Segment) -> bool:
-        """Whether messages are zstd frames of their own; one segment tells for all."""
+        """Whether messages are single zstd frames, which one segment shows for all."""
         data, _ = self._prefix(segment)
         known = {connection.id: connection for connection in self._connections}
         return any(map(is_frame, _messages_in(data, known, 0, 1 << 64).messages))
@@ -294,7 +294,7 @@ class McapReader(PartReader):
     def _compare_index(
         self, segment: ChunkSegment, ids: Container[int], records: memoryview, found: int | None
     ) -> None:
-        """Take note if the indexes behind a chunk are not those of its messages; of a damaged file they need not be."""
+        """Note wrong message indexes after a chunk; those of a damaged file are not compared."""
         if self._is_whole and (trouble := index_trouble(self._file, segment, records, ids, found)):
             self._log.note(
                 self._file.damage(
@@ -308,7 +308,7 @@ class McapReader(PartReader):
             )
 
     def _compare_declaration(self, data: memoryview, chunk: ChunkSegment, position: int) -> None:
-        """Take note if a chunk declares a schema or a channel otherwise than the rest of the file.
+        """Note a schema or a channel that a chunk declares differently from the rest of the file.
 
         Raises
         ------
@@ -335,7 +335,7 @@ class McapReader(PartReader):
             self._agreed.add(record)
 
     def _compare_extras(self) -> None:
-        """Take note of everything but messages that the summary counts or places otherwise than the file has it."""
+        """Note wrong counts and offsets in the summary, of everything but messages."""
         index = self._index
         statistics = index.statistics
         if self._log.found:
@@ -349,12 +349,12 @@ class McapReader(PartReader):
                     error = f"the statistics count {declared} {kind}, {len(places)} were found"
                     self._log.note(self._file.damage(error), key=kind)
             for kind, declared, fewest, most in _declarations_counted(index, statistics):
-                # Some writers count nothing, some only what messages use, and some what they wrote nowhere.
+                # Some writers count nothing, some only declarations with messages, and some unwritten ones, too.
                 if declared and not (fewest <= declared and (declared <= most or not index.channels_listed)):
                     error = f"the statistics count {declared} {kind}, {most} were found"
                     self._log.note(self._file.damage(error), key=kind, messages_lost=0)
         begun = {*index.attachments, *index.metadata}
-        # The index that @mcap/core 2.2.2 writes for files without chunks has wrong places.
+        # The index that @mcap/core 2.2.2 writes for files without chunks has wrong offsets.
         for offset, entry in index.extra_indexes.items() if index.summarized else ():
             if offset not in begun:
                 kind = "attachment" if isinstance(entry, records.AttachmentIndex) else "metadata record"
@@ -367,7 +367,7 @@ class McapReader(PartReader):
             self._log.note(error, offset=offset, key=what, messages_lost=0)
 
     def _indexed_span(self, segment: Segment) -> tuple[int, int] | None:
-        """The log times of a chunk's messages by the records behind it, or by its own header; see `SpanCheck`."""
+        """Return the log times of a chunk's messages by its message indexes, or by its header; see `SpanCheck`."""
         if not isinstance(segment, ChunkSegment):
             return segment.start_ns, segment.end_ns
         from .counts import indexed_span  # noqa: PLC0415
@@ -381,7 +381,7 @@ class McapReader(PartReader):
         return span
 
     def _contained_span(self, segment: Segment) -> tuple[int, int] | None:
-        """The log times of a chunk's messages by themselves."""
+        """Read a chunk and return the log times of its messages."""
         data, problem = self._prefix(segment)
         known = {connection.id: connection for connection in self._connections}
         messages = _messages_in(data, known, 0, 1 << 64).messages
@@ -389,7 +389,7 @@ class McapReader(PartReader):
         return (min(times), max(times)) if times and problem is None else None
 
     def _salvaged(self, segment: Segment, data: memoryview, problem: DamageError) -> Salvaged:
-        """Take note of a damaged segment, and find the messages that are left of it."""
+        """Note a damaged segment, and recover its messages."""
         if self._log.strict:
             raise problem
         from .recovery import salvaged_messages  # noqa: PLC0415
@@ -402,13 +402,13 @@ class McapReader(PartReader):
 
     @property
     def damage(self) -> tuple[Damage, ...]:
-        """What is damaged, as far as it was read."""
+        """The damage in the parts that were read."""
         return self._log.found
 
     def counts(
         self, connections: Collection[Connection], start_ns: int | None = None, stop_ns: int | None = None
     ) -> dict[int, int]:
-        """Count by the statistics, or for a part of the time by message indexes; see `pc2scan.bags.reader.Reader`."""
+        """Count by the statistics, or for a cut by message indexes; see `pc2scan.bags.reader.Reader`."""
         declared = declared_counts(connections) if start_ns is None and stop_ns is None else {}
         ids = frozenset(connection.id for connection in connections) - declared.keys()
         if not ids:
@@ -418,12 +418,12 @@ class McapReader(PartReader):
         return declared | counts_between(self._file, self._index.segments, ids, start_ns, stop_ns)
 
     def attachments(self) -> Iterator[Attachment]:
-        """Attachments in the order of the file, each read when it is asked for."""
+        """Yield attachments in the order of the file; each is read when it is needed."""
         for offset in sorted(self._index.attachments):
             content = self._file.record(offset, Opcode.ATTACHMENT)
             try:
                 record = parse(records.Attachment, content, offset, self._file)
-                # The CRC is behind the data, which are behind two times, two strings and their own length.
+                # The CRC follows the data, which follow two times, two strings and their own length.
                 texts = len(record.name.encode()) + len(record.media_type.encode())
                 covered = 8 + 8 + 4 + 4 + texts + 8 + len(record.data)
                 (crc,) = struct.unpack_from("<I", content, covered)
@@ -435,7 +435,7 @@ class McapReader(PartReader):
                     self._file.damage(f"attachment {record.name!r} has CRC {actual:08x}, recorded is {crc:08x}"),
                     offset=offset,
                 )
-            told = records.AttachmentIndex(
+            expected = records.AttachmentIndex(
                 offset=offset,
                 length=RECORD.size + len(content),
                 log_time=record.log_time,
@@ -444,11 +444,11 @@ class McapReader(PartReader):
                 name=record.name,
                 media_type=record.media_type,
             )
-            self._compare_extra(offset, told, record.name)
+            self._compare_extra(offset, expected, record.name)
             yield Attachment(record.name, record.media_type, record.log_time, record.create_time, record.data)
 
     def metadata(self) -> Iterator[Metadata]:
-        """Metadata records in the order of the file."""
+        """Yield metadata records in the order of the file."""
         for offset in sorted(self._index.metadata):
             content = self._file.record(offset, Opcode.METADATA)
             try:
@@ -456,14 +456,14 @@ class McapReader(PartReader):
             except DamageError as err:
                 self._log.note(err, offset=offset, bytes_lost=len(content))
                 continue
-            told = records.MetadataIndex(offset, RECORD.size + len(content), record.name)
-            self._compare_extra(offset, told, record.name)
+            expected = records.MetadataIndex(offset, RECORD.size + len(content), record.name)
+            self._compare_extra(offset, expected, record.name)
             yield Metadata(record.name, record.metadata)
 
-    def _compare_extra(self, offset: int, told: ExtraIndex, name: str) -> None:
-        """Take note if the summary says something else of an attachment or a metadata record."""
-        if self._index.extra_indexes.get(offset, told) != told:
-            kind = "attachment" if isinstance(told, records.AttachmentIndex) else "metadata record"
+    def _compare_extra(self, offset: int, expected: ExtraIndex, name: str) -> None:
+        """Note an attachment or a metadata record that the summary contradicts."""
+        if self._index.extra_indexes.get(offset, expected) != expected:
+            kind = "attachment" if isinstance(expected, records.AttachmentIndex) else "metadata record"
             error = self._file.damage(f"the summary contradicts the {kind} {name!r:.80} at byte {offset}")
             self._log.note(error, offset=offset, key="index", messages_lost=0)
 
@@ -473,7 +473,7 @@ class McapReader(PartReader):
 
 
 def _declarations_counted(index: McapIndex, statistics: records.Statistics) -> Iterator[tuple[str, int, int, int]]:
-    """For channels, schemas and chunks: how many the statistics count, and the fewest and the most that are right."""
+    """Yield for channels, schemas and chunks the count of the statistics, and the smallest and largest right count."""
     used = {number for number, count in statistics.channel_message_counts.items() if count}
     channels = [index.channels[number] for number in used if number in index.channels]
     schemas = {channel.schema_id for channel in channels} - {0}
@@ -484,25 +484,25 @@ def _declarations_counted(index: McapIndex, statistics: records.Statistics) -> I
 
 
 def _declared_span(segment: Segment) -> tuple[int, int] | None:
-    """The first and the last log time that a chunk declares; None if it does not."""
+    """Return the first and the last log time that a chunk declares; None if it declares none."""
     if isinstance(segment, ChunkSegment) and 0 < segment.start_ns <= segment.end_ns:
         return segment.start_ns, segment.end_ns
     return None
 
 
 class _Scan(NamedTuple):
-    """What is in a stretch of records.
+    """The result of scanning records for messages.
 
     Attributes
     ----------
     messages
-        The wanted ones, in the order of the file.
+        The wanted messages, in the order of the file.
     others
-        Further channels that have messages.
+        Other channels with messages.
     size
-        How many bytes are sound.
+        Number of sound bytes.
     astray
-        The log time of a wanted message outside of the declared times.
+        Log time of a wanted message outside of the declared times.
     """
 
     messages: Messages
@@ -521,7 +521,7 @@ def _messages_in(
 ) -> _Scan:
     """Scan records for messages; those outside of ``span``, the declared log times, are skipped.
 
-    ``further`` is called with the place of every record that is no message.
+    ``further`` is called with the offset of every other record.
     """
     scan = _stretch_of(data, wanted, start_ns, stop_ns, span, further, 0)
     if scan.size + MESSAGE.size > len(data):
@@ -569,12 +569,12 @@ def _stretch_of(
     """Scan records from a place on for so many bytes that they can be no more than `MAX_TOGETHER` messages."""
     astray: int | None = None
     first_ns, last_ns = span
-    # One comparison for both: which of them fails is found out only then.
+    # One comparison for cut and span; only if it fails, the two are distinguished.
     start_ns, stop_ns = max(start_ns, first_ns), min(stop_ns, last_ns + 1)
     found: list[RawMessage] = []
     others: set[int] = set()
     append, unpack = found.append, MESSAGE.unpack_from
-    # The class's own constructor takes twice as long, and this is where readers of small messages wait.
+    # The class's constructor takes twice as long, which matters for small messages.
     new: Callable[[type[RawMessage], tuple[object, ...]], RawMessage] = tuple.__new__
     size = len(data)
     last = min(size, position + MAX_TOGETHER * MESSAGE.size) - MESSAGE.size
@@ -597,7 +597,7 @@ def _stretch_of(
         elif further is not None:
             further(position)
         position = following
-    # What is left is too short for a message, but may be another record.
+    # The rest is too short for a message, but may be another record.
     while position + 9 <= size and data[position] != OP_MESSAGE:
         following = position + 9 + RECORD.unpack_from(data, position)[1]
         if following > size:
@@ -647,13 +647,13 @@ def _message_count(channel_id: int, index: McapIndex) -> int | None:
     statistics = index.statistics
     if statistics is None:
         return index.counts[channel_id] if index.all_counted else None
-    # Writers may leave the counts by channel out.
+    # Writers may omit the counts by channel.
     if statistics.message_count and not statistics.channel_message_counts:
         return None
     return statistics.channel_message_counts.get(channel_id, 0)
 
 
-def _summary(index: McapIndex, file: RecordFile, log: DamageLog) -> Summary:
+def _summary_of(index: McapIndex, file: RecordFile, log: DamageLog) -> Summary:
     statistics = index.statistics
     if statistics is not None:
         count: int | None = statistics.message_count
@@ -673,7 +673,7 @@ def _summary(index: McapIndex, file: RecordFile, log: DamageLog) -> Summary:
             key="statistics",
             messages_lost=0,
         )
-    # Of a damaged recording the statistics know more.
+    # For a damaged recording, the statistics are more complete.
     times = times if covers and log.found else found or times
     return Summary(
         container="mcap",

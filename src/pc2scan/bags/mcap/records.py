@@ -1,4 +1,4 @@
-"""MCAP's records: their fixed parts, a file that they are read from, and taking them apart.
+"""Reads and parses the records of MCAP files.
 
 Source of the format: https://mcap.dev/spec and https://mcap.dev/spec/registry.
 """
@@ -46,7 +46,7 @@ __all__ = [
 MAGIC = FORMATS["mcap"].magic
 COMPRESSIONS = FORMATS["mcap"].compressions
 
-# Opcode and length of the content: how every record begins.
+# Opcode and length of the content: the beginning of every record.
 RECORD = struct.Struct("<BQ")
 # The same with a message's channel id, sequence, log time and publish time.
 MESSAGE = struct.Struct("<BQHIQQ")
@@ -57,15 +57,15 @@ UINT64 = struct.Struct("<Q")
 # Plain integers: comparing an IntEnum member costs a method call for each message.
 OP_MESSAGE, OP_CHUNK, OP_MESSAGE_INDEX = 0x05, 0x06, 0x07
 
-#: Opcodes from here on are anyone's.
+#: Opcodes from here on are for private records.
 FIRST_PRIVATE = 0x80
 
 
 class RecordFile(SourceFile):
-    """An MCAP file that records are read from; whatever fails is a `RecordingError`."""
+    """Reads records of an MCAP file; all errors are `RecordingError`."""
 
     def damage(self, message: str) -> DamageError:
-        """Make the error for a file that is damaged."""
+        """Make the error for a damaged file."""
         return DamageError(self.located(message), path=self.path, hint=RECOVER)
 
     def record(self, offset: int, opcode: Opcode) -> bytes:
@@ -79,7 +79,7 @@ class RecordFile(SourceFile):
 
 
 class _Fields(ReadDataStream):
-    """The content of one record for the library's parsers, which take short reads for granted otherwise."""
+    """The content of one record for the library's parsers, which do not check for short reads."""
 
     def __init__(self, content: Buffer) -> None:
         super().__init__(BytesIO())
@@ -108,7 +108,7 @@ def parse(kind: type[_Record], content: Buffer, offset: int, file: RecordFile) -
 
 
 def split(data: memoryview, origin: int, file: RecordFile) -> Iterator[tuple[int, memoryview]]:
-    """Split a sequence of records into opcodes and contents; ``origin`` is its place, for the error."""
+    """Split consecutive records into opcodes and contents; ``origin`` is their place, for the error."""
     position = 0
     while position < len(data):
         start = position + RECORD.size

@@ -1,7 +1,7 @@
-"""What is where in a damaged MCAP file, and which messages are left in a damaged chunk.
+"""Recovers the records of a damaged MCAP file, and the messages of a damaged chunk.
 
-Where the walk over the records loses its way, the file is searched for the next place that can only be a
-record; likewise inside a chunk. What no record accounts for is noted as lost.
+If the walk over the records fails, the file is searched for the next certain beginning of a record; the same is done
+inside chunks. Bytes that belong to no record are noted as lost.
 """
 
 from __future__ import annotations
@@ -43,14 +43,14 @@ __all__ = ["payload_prefix", "recovered_index", "salvaged_messages", "salvaged_r
 #: Bytes that are searched at a time.
 _WINDOW = 1 << 20
 
-#: Opcodes up to here are the specification's.
+#: The last opcode of the specification.
 _LAST_OPCODE = 0x0F
 
 # An opcode and a length below 2^32 (messages) or 2^36 (all others).
 _MESSAGE_HEAD = re.compile(rb"(?=\x05[\s\S]{4}\0\0\0\0)")
 _RECORD_HEAD = re.compile(rb"(?=[\x03-\x07\x09\x0c][\s\S]{4}[\0-\x0f]\0\0\0)")
 
-#: Records that can be told from everything that a chunk may hold.
+#: Records that cannot be in a chunk.
 _OUTSIDE_CHUNKS = frozenset({OP_CHUNK, OP_MESSAGE_INDEX, int(Opcode.ATTACHMENT), int(Opcode.METADATA)})
 _ANYWHERE = _OUTSIDE_CHUNKS | {OP_MESSAGE, int(Opcode.SCHEMA), int(Opcode.CHANNEL)}
 
@@ -59,7 +59,7 @@ _INSIDE_CHUNKS = frozenset({OP_MESSAGE, int(Opcode.SCHEMA), int(Opcode.CHANNEL)}
 
 
 class _Gap(NamedTuple):
-    """A stretch of the file that no record accounts for, and why."""
+    """A part of the file that belongs to no record, and why."""
 
     start: int
     stop: int
@@ -67,23 +67,23 @@ class _Gap(NamedTuple):
 
 
 def recovered_index(file: RecordFile, problem: DamageError, log: DamageLog, *, verify: bool) -> McapIndex:
-    """Find out what is left in a damaged file.
+    """Index a damaged file.
 
     Parameters
     ----------
     file
         The open file.
     problem
-        Why it is not sound.
+        The error of indexing it as a sound file.
     log
-        Takes note of the damage.
+        Gets the damage.
     verify
-        Whether a summary with a wrong CRC is distrusted.
+        Whether a summary with a wrong CRC is ignored.
 
     Returns
     -------
     McapIndex
-        Chunks among its segments may reach to the end of the file and be cut off there.
+        Chunks may be cut off at the end of the file.
     """
     if log.strict:
         raise problem
@@ -101,7 +101,7 @@ def recovered_index(file: RecordFile, problem: DamageError, log: DamageLog, *, v
         end, _ = read_summary(file, summary, verify=verify)
     except DamageError as err:
         noted.append(err)
-        # A walk over the records of a summary does no harm, and finds channels.
+        # The walk then includes the records of the summary, and finds channels there.
         summary = McapIndex()
     index.statistics = summary.statistics
     gaps = list(_walked(file, index, summary, start, end))
@@ -124,7 +124,7 @@ def _ends_with_magic(file: RecordFile) -> bool:
 
 
 def _walked(file: RecordFile, index: McapIndex, summary: McapIndex, start: int, end: int) -> Iterator[_Gap]:
-    """Walk, and where that fails go on at the next record; yields what lies between."""
+    """Walk over the records; if that fails, continue at the next one, and yield the gap."""
     position = start
     while position < end:
         walk = RecordWalk(file, index)
@@ -145,10 +145,10 @@ def _walked(file: RecordFile, index: McapIndex, summary: McapIndex, start: int, 
             index.segments.append(replace(chunk, length=min(chunk.length, position - chunk.offset)))
             index.all_counted = False
             if position < chunk.offset + chunk.length:
-                # The chunk's own damage is noted when it is read; here only that it is not whole.
+                # The damage of the chunk's contents is noted when it is read; here only that it is cut off.
                 yield _Gap(failed, failed, error)
             continue
-        # A record with a wrong length may have swallowed others, unless it is a chunk, whose lengths agree.
+        # A record with a wrong length may include others, unless it is a chunk with consistent lengths.
         if previous and file.read(previous, 1)[0] != OP_CHUNK:
             again = _next_record(file, previous + 1, end, known, limit=failed)
             if again < failed:
@@ -162,7 +162,7 @@ def _walked(file: RecordFile, index: McapIndex, summary: McapIndex, start: int, 
 
 
 def _forget(index: McapIndex, offset: int) -> None:
-    """Take back what was noted of the record that begins here, the last one of the walk."""
+    """Remove the record that begins here, the last one of the walk, from the index."""
     for places in (index.attachments, index.metadata):
         if offset in places:
             places.remove(offset)
@@ -174,7 +174,7 @@ def _forget(index: McapIndex, offset: int) -> None:
 
 
 def _behind_data_end(file: RecordFile, offset: int, end: int) -> int | None:
-    """Where to go on if the walk ended at a DataEnd before ``end``: a summary without a footer follows."""
+    """Return where to continue if the walk ended at a DataEnd before ``end``: a summary without a footer follows."""
     with suppress(DamageError):
         opcode, length = RECORD.unpack(file.read(offset, RECORD.size))
         if opcode == Opcode.DATA_END and offset + RECORD.size + length < end:
@@ -183,7 +183,7 @@ def _behind_data_end(file: RecordFile, offset: int, end: int) -> int | None:
 
 
 def _chunk_in_front(file: RecordFile, offset: int, end: int) -> ChunkSegment | None:
-    """The chunk whose record begins here, if its header makes sense though its length does not."""
+    """Return the chunk whose record begins here, if its header is plausible and only its length is wrong."""
     size = min(CHUNK_HEAD_SIZE, end - offset)
     if size < RECORD.size:
         return None
@@ -198,7 +198,7 @@ def _chunk_in_front(file: RecordFile, offset: int, end: int) -> ChunkSegment | N
 
 
 def _end_of_chunk(file: RecordFile, chunk: ChunkSegment, end: int, known: Collection[int]) -> int:
-    """Where the record behind a chunk with contradicting lengths begins."""
+    """Return the offset of the record after a chunk with contradicting lengths."""
     _, length = RECORD.unpack(file.read(chunk.record_offset, RECORD.size))
     for stop in (chunk.offset + chunk.length, chunk.record_offset + RECORD.size + length):
         if stop == end or (chunk.offset < stop < end and _is_record(file, stop, end)):
@@ -223,7 +223,7 @@ def _next_record(
     *,
     limit: int | None = None,
 ) -> int:
-    """Search, up to ``limit``, for a place where a record certainly begins; ``end`` if there is none."""
+    """Search, up to ``limit``, for the certain beginning of a record; ``end`` if there is none."""
     overlap = RECORD.size - 1
     stop = end if limit is None else min(end, limit + overlap)
     while start < stop:
@@ -240,7 +240,7 @@ def _next_record(
 
 
 def _certain(file: RecordFile, opcode: int, offset: int, length: int, end: int, known: Collection[int]) -> bool:
-    """Whether what looks like a record's beginning is one."""
+    """Whether a possible beginning of a record is certain."""
     if opcode == OP_CHUNK:
         head = _chunk_in_front(file, offset, end)
         return head is not None and bool(head.offset + head.length == offset + RECORD.size + length)
@@ -257,7 +257,7 @@ def _certain(file: RecordFile, opcode: int, offset: int, length: int, end: int, 
             return False
         _, size = struct.unpack("<HI", file.read(offset + RECORD.size, 6))
         return bool(size == length - 6 and size % 16 == 0)
-    # A parser allocates what lengths declare: nothing large is tried but attachments.
+    # A parser allocates the declared lengths: no large records are tried but attachments.
     if not (following == end or _is_record(file, following, end)) or (length > _WINDOW and opcode != Opcode.ATTACHMENT):
         return False
     if opcode == Opcode.ATTACHMENT:
@@ -271,7 +271,7 @@ def _certain(file: RecordFile, opcode: int, offset: int, length: int, end: int, 
 
 
 def _adopt(index: McapIndex, indexed: Iterable[Segment], gaps: list[_Gap]) -> None:
-    """Take chunks from the summary's index that the walk found nothing of: their headers are damaged."""
+    """Add chunks of the summary's index that the walk did not find, because their headers are damaged."""
     found = sorted(index.segments, key=attrgetter("offset"))
     for segment in indexed:
         stop = segment.offset + segment.length
@@ -281,7 +281,7 @@ def _adopt(index: McapIndex, indexed: Iterable[Segment], gaps: list[_Gap]) -> No
         index.all_counted = False
         for number, gap in enumerate(gaps):
             if gap.start <= segment.offset and stop <= gap.stop:
-                # Its header is known from the index: nothing is lost here.
+                # The index has its header, so nothing is lost here.
                 gaps[number] = gap._replace(stop=gap.start)
 
 
@@ -289,7 +289,7 @@ def _adopt(index: McapIndex, indexed: Iterable[Segment], gaps: list[_Gap]) -> No
 
 
 def payload_prefix(file: RecordFile, segment: Segment, problem: DamageError) -> tuple[memoryview, DamageError]:
-    """Read the records of a damaged segment as far as they can be decompressed, and tell better what the problem is."""
+    """Read the records of a damaged segment as far as they can be decompressed, and improve the error."""
     chunk: Segment = segment
     if isinstance(segment, ChunkSegment):
         head = file.read(segment.record_offset, min(CHUNK_HEAD_SIZE, file.size - segment.record_offset))
@@ -300,7 +300,7 @@ def payload_prefix(file: RecordFile, segment: Segment, problem: DamageError) -> 
                 problem = file.damage(
                     f"the chunk at byte {segment.record_offset} is cut off: it has {there} of {found.length} bytes"
                 )
-            # A header that agrees with itself is right; another one is worth less than what was found otherwise.
+            # A consistent header is right; otherwise the segment is used as it was found.
             if head[0] == OP_CHUNK and found.compression in COMPRESSIONS and found.offset + found.length <= file.size:
                 chunk = found
     data = file.read(chunk.offset, min(chunk.length, file.size - chunk.offset))
@@ -336,7 +336,7 @@ def salvaged_messages(data: memoryview, known: Mapping[int, Connection], span: t
 
 
 def salvaged_records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
-    """Split what is left of a chunk into opcodes and contents."""
+    """Yield the opcodes and contents of the records recovered from a chunk."""
     for start, stop, sound in _framed(data, None, None):
         if sound:
             yield data[start], data[start + RECORD.size : stop]
@@ -345,13 +345,13 @@ def salvaged_records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
 def _framed(
     data: memoryview, known: Collection[int] | None, span: tuple[int, int] | None
 ) -> Iterator[tuple[int, int, bool]]:
-    """Records and what lies between them: start, stop, and whether it is a record.
+    """Yield records and the gaps between them: start, stop, and whether it is a record.
 
-    ``known`` None means that no channel is known as yet, and any is plausible.
+    ``known`` None means that no channel is known yet, and any is plausible.
     """
     size = len(data)
     position = 0
-    # A record is held back until the next one begins where it ends: its length may be the damaged part.
+    # A record is kept back until the next one begins at its end: its length may be damaged.
     held: tuple[int, int] | None = None
     while position < size:
         stop = _record_end(data, position)
@@ -378,7 +378,7 @@ def _framed(
 
 
 def _record_end(data: memoryview, position: int) -> int | None:
-    """Where the record that begins here ends; None if none does."""
+    """Return the end of the record that begins here; None if none does."""
     if position + RECORD.size > len(data):
         return None
     opcode, length = RECORD.unpack_from(data, position)
@@ -391,7 +391,7 @@ def _record_end(data: memoryview, position: int) -> int | None:
 def _next_message(
     data: memoryview, start: int, end: int, known: Collection[int] | None, span: tuple[int, int] | None
 ) -> int | None:
-    """Search for a place before ``end`` where a message certainly begins."""
+    """Search for the certain beginning of a message before ``end``."""
     for match in _MESSAGE_HEAD.finditer(data, start):
         position = match.start()
         if position >= end:

@@ -1,4 +1,4 @@
-"""Writing MCAP files: chunks with CRCs, all indexes and a summary."""
+"""Writes MCAP files: chunks with CRCs, all indexes and a summary."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def open_writer(path: Path, options: WriteOptions) -> McapWriter:
 
 
 class McapWriter:
-    """An MCAP file being written, with CRCs, all indexes and a summary; see `pc2scan.model.Writer`.
+    """Writes an MCAP file with CRCs, all indexes and a summary; see `pc2scan.model.Writer`.
 
     The same calls write the same bytes: nothing of the machine or the moment is recorded.
 
@@ -114,7 +114,7 @@ class McapWriter:
         self._counts: dict[int, int] = {}
         self._first_ns: int | None = None
         self._last_ns = 0
-        # What the summary will repeat or index, encoded.
+        # Encoded records and indexes of the summary.
         self._groups: dict[Opcode, list[bytes]] = {opcode: [] for opcode in _SUMMARY_GROUPS}
         self._ahead = WriteAhead()
         self._spare: list[BytesIO] = []
@@ -128,7 +128,7 @@ class McapWriter:
             self.add_metadata(record)
 
     def keep_ids(self, connections: Collection[Connection]) -> None:
-        """Let these keep their channels' and schemas' ids when they are declared, and no other one have them."""
+        """Reserve the ids of these channels and their schemas, so that they keep them when they are declared."""
         self._keeping = True
         self._channel_ids.keep([connection.id for connection in connections])
         # 0 stands for no schema, and is no id.
@@ -153,7 +153,7 @@ class McapWriter:
         if channel_id > _MAX_CHANNELS:
             raise OutputError(f"MCAP has room for {_MAX_CHANNELS} channels, one more is needed", path=self._path)
         connection = connection.in_utf8
-        # Declared outside the chunks: readers without the index find them without decompressing anything.
+        # Declared outside the chunks, so that readers without the index find them without decompressing.
         channel = records.Channel(
             id=channel_id,
             topic=connection.topic,
@@ -167,10 +167,10 @@ class McapWriter:
         return channel_id
 
     def _schema_id(self, connection: Connection) -> int:
-        """Write the connection's schema unless the same is there; 0 stands for none."""
+        """Write the connection's schema unless it is written already; returns its id, 0 for none."""
         name = _schema_name(connection)
         definition = connection.definition
-        # A name without a definition is worth keeping: rosbag2 writes it for types that it cannot find.
+        # A name without a definition is kept: rosbag2 writes it for types that it cannot find.
         if not name and not definition.encoding:
             return 0
         equal = self._schemas.setdefault((name, definition.encoding, definition.data), {})
@@ -189,11 +189,11 @@ class McapWriter:
         self._groups[opcode].append(packed)
 
     def declarations(self) -> frozenset[bytes]:
-        """The records of all schemas and channels declared so far."""
+        """Return the records of all schemas and channels declared so far."""
         return frozenset((*self._groups[Opcode.SCHEMA], *self._groups[Opcode.CHANNEL]))
 
     def write(self, handle: int, log_time_ns: int, data: Buffer, publish_time_ns: int, sequence: int = 0) -> None:
-        """Append a message; its data are copied.
+        """Append a message; ``data`` is copied.
 
         Raises
         ------
@@ -217,7 +217,7 @@ class McapWriter:
             self._finish_chunk()
 
     def write_chunk(self, chunk: StoredChunk) -> None:
-        """Append a whole chunk, compressed if it is not yet, with message indexes of its own."""
+        """Append a whole chunk, compressed if it is not yet, with its message indexes."""
         self._finish_chunk()
         for channel_id, entries in chunk.index.items():
             self._counts[channel_id] += len(entries)
@@ -227,7 +227,7 @@ class McapWriter:
             self._ahead.put(partial(self._repacked, chunk), self._put_chunk, chunk.size)
 
     def _finish_chunk(self) -> None:
-        """Hand the open chunk on to be compressed and written, and begin another one."""
+        """Queue the open chunk to be compressed and written, and begin another one."""
         chunk = self._chunk
         if chunk.size:
             self._ahead.put(partial(self._packed, chunk), partial(self._put_packed, chunk), chunk.size)
@@ -332,17 +332,17 @@ class McapWriter:
                 offsets.append(encoded(records.SummaryOffset(opcode, position, len(packed))))
                 position += len(packed)
         tail = b"".join((*summary, *offsets, encoded(records.Footer(start, position, 0))))
-        # The footer's last field is the CRC of the summary and of the footer in front of it.
+        # The footer's last field is the CRC of the summary and of the footer's other fields.
         self._file.put(tail[:-4], struct.pack("<I", crc32(tail[:-4])), MAGIC)
         self._file.finish()
 
     def abort(self) -> None:
-        """Release the file; what was written is left for the caller to remove."""
+        """Release the file; the caller removes it."""
         self._ahead.cancel()
         self._file.abort()
 
     def _put(self, data: bytes) -> int:
-        """Write at the end, behind all chunks that are complete; returns where that was."""
+        """Write at the end, after all complete chunks; returns the offset."""
         self._ahead.finish()
         return self._file.put(data)
 
@@ -361,7 +361,7 @@ class McapWriter:
 
 
 class _OpenChunk:
-    """The messages that will become the next chunk.
+    """The messages of the next chunk.
 
     Parameters
     ----------
@@ -391,7 +391,7 @@ def _schema_name(connection: Connection) -> str:
 
 
 def _channel_metadata(connection: Connection) -> dict[str, str]:
-    """The connection's metadata, completed by what it knows from another container."""
+    """Return the connection's metadata, completed by values from another container."""
     known = {}
     if connection.ros_version == 1:
         if connection.callerid is not None:

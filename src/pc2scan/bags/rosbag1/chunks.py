@@ -1,7 +1,7 @@
-"""The chunks of ROS 1 bags: decompressing them, and finding the records and messages in them.
+"""Decompresses the chunks of ROS 1 bags, and finds their records and messages.
 
-Messages are found by walking through a chunk. The INDEX DATA records behind it are never looked at: they hold
-nothing that the chunk does not, and some recorders get their length wrong.
+Messages are found by walking through a chunk. The INDEX DATA records after it are not used: they have no further
+information, and some recorders write wrong lengths.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def payload(file: BagFile, segment: Segment) -> bytes:
 
 
 def with_payload(file: BagFile, segment: Segment, callback: Callable[[Buffer], _Result]) -> _Result:
-    """Call ``callback`` with a chunk, decompressed; it may be borrowed only, see `SourceFile.borrow`."""
+    """Call ``callback`` with a decompressed chunk, which may be borrowed; see `SourceFile.borrow`."""
 
     def unpacked(data: memoryview) -> _Result:
         return callback(decompressed(file, segment, data))
@@ -72,7 +72,7 @@ def with_payload(file: BagFile, segment: Segment, callback: Callable[[Buffer], _
 
 
 def decompressed(file: BagFile, segment: Segment, data: Buffer) -> Buffer:
-    """Decompress a chunk's ``data`` to the size that it declares; one byte more shows an excess."""
+    """Decompress a chunk's ``data`` to its declared size."""
     compression, size = segment.compression, segment.uncompressed_size
     if size > (allowed := allowed_bytes(file.size)):
         raise Damaged(f"it declares {size} bytes, in a bag of {file.size} at most {allowed} may be")
@@ -82,18 +82,14 @@ def decompressed(file: BagFile, segment: Segment, data: Buffer) -> Buffer:
         raise Damaged(f"its {compression} data cannot be decompressed: {err}") from err
     if not complete and len(unpacked) <= size:
         raise Damaged(f"its {compression} data ends early, {size} bytes are declared")
-    return _checked(unpacked, size)
-
-
-def _checked(data: Buffer, size: int) -> Buffer:
-    if len(data) != size:
-        observed = f"more than {size}" if len(data) > size else str(len(data))
+    if len(unpacked) != size:
+        observed = f"more than {size}" if len(unpacked) > size else str(len(unpacked))
         raise Damaged(f"it holds {observed} bytes when decompressed, {size} are declared")
-    return data
+    return unpacked
 
 
 def _record(data: memoryview, position: int) -> tuple[dict[bytes, bytes], int, int]:
-    """Take a record of a chunk: its fields, and where its body starts and stops."""
+    """Return a record of a chunk: its fields, and start and stop of its body."""
     lengths = []
     for _ in range(2):
         if position + 4 > len(data):
@@ -109,7 +105,7 @@ def _record(data: memoryview, position: int) -> tuple[dict[bytes, bytes], int, i
 
 
 def records_in(data: memoryview) -> Iterator[tuple[dict[bytes, bytes], memoryview]]:
-    """All records of a chunk, as fields and body."""
+    """Yield all records of a chunk, as fields and body."""
     position = 0
     while position < len(data):
         fields, start, position = _record(data, position)
@@ -119,8 +115,8 @@ def records_in(data: memoryview) -> Iterator[tuple[dict[bytes, bytes], memoryvie
 class _Layout(NamedTuple):
     """A message record up to its body, its three fields in one of six orders.
 
-    Everything but the values is literal, so that one `struct` call takes the record apart, and comparing the
-    literals says whether it really was laid out so.
+    Everything but the values is literal: one `struct` call splits the record, and the literals show whether the record
+    has this layout.
     """
 
     layout: struct.Struct
@@ -130,7 +126,7 @@ class _Layout(NamedTuple):
     seconds: int
 
 
-def _layout(order: Sequence[bytes]) -> _Layout:
+def _layout_of(order: Sequence[bytes]) -> _Layout:
     pieces = {
         b"conn": (b"\x09\0\0\0conn=", "I"),
         b"op": (b"\x04\0\0\0op=\x02", ""),
@@ -153,16 +149,16 @@ def _layout(order: Sequence[bytes]) -> _Layout:
     return _Layout(struct.Struct(code), itemgetter(0, 3, 5), tuple(expected), 4, 1)
 
 
-_LAYOUTS = {order: _layout(order) for order in permutations((b"conn", b"op", b"time"))}
+_LAYOUTS = {order: _layout_of(order) for order in permutations((b"conn", b"op", b"time"))}
 
 USUAL_LAYOUT = _LAYOUTS[b"conn", b"op", b"time"]
 
 
 @dataclass(slots=True)
 class Places:
-    """Where in a chunk its messages begin, all of them, and which connections it describes.
+    """Offsets of all messages in a chunk, and the connections that it describes.
 
-    ``contradicts`` tells whether one of these is described otherwise in the index.
+    ``contradicts`` is true if the index describes one of these differently.
     """
 
     messages: list[int] = field(default_factory=list)
@@ -187,28 +183,28 @@ def messages_in(
     chunk
         Its records; the messages' data are views into it.
     wanted
-        For every connection that there is, itself, or None if its messages are to be passed over.
+        Every connection by id, or None to skip its messages.
     start_ns, stop_ns
         Only messages with ``start_ns <= log_time_ns < stop_ns``.
     span
-        The first and the last log time that the index declares, if it does.
+        The first and the last log time in the index, if it has them.
     places
-        Gets the place of every message, if given.
+        Gets the offset of every message, if given.
     describe
         Called with the fields and the body of each connection that the chunk describes.
 
     Raises
     ------
     Damaged
-        If a record does not fit, is no message or connection, or is of a connection not in ``wanted``, or if a wanted
-        message lies outside of ``span``.
+        If a record does not fit, is not a message or connection, or has a connection not in ``wanted``, or if a wanted
+        message is outside of ``span``.
     """
     data = memoryview(chunk)
     end = len(data)
     low = 0 if start_ns is None else start_ns
     high = _LATEST_NS if stop_ns is None else stop_ns
     first, last = span or (0, _LATEST_NS)
-    # One comparison for both: which of them fails is found out only then.
+    # One comparison for cut and span; only if it fails, the two are distinguished.
     low, high = max(low, first), min(high, last + 1)
     position, count = 0, 0
     messages: list[RawMessage] = []
@@ -254,7 +250,7 @@ def _stretch_of(
                 raise Damaged(f"a message reaches to byte {position} of a chunk of {end} bytes")
         else:
             fields, start, following = _record(data, position)
-            # A writer keeps to its order of fields: follow it, and look at this record again.
+            # Writers use one order of fields: use it from now on, and read this record again.
             other = _LAYOUTS.get(tuple(fields), current)
             if other is not current and kind_of(fields) == MESSAGE:
                 layout, literals, expected, at_connection, at_seconds = current = other
@@ -265,13 +261,13 @@ def _stretch_of(
                     describe(fields, data[start:position])
                 continue
             if kind_of(fields) != MESSAGE:
-                raise Damaged(f"a record of kind {kind_of(fields)} lies where only messages and connections may")
+                raise Damaged(f"a record of kind {kind_of(fields)} is in it, allowed are messages and connections")
             identity = uint32_field(fields, "conn")
             stamp = time_field(fields, "time")
         try:
             connection = wanted[identity]
         except KeyError:
-            raise Damaged(f"it has a message of connection {identity}, which the index does not know") from None
+            raise Damaged(f"it has a message of connection {identity}, which is not in the index") from None
         if places is not None:
             places.append(origin)
         if connection is None:

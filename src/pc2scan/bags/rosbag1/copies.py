@@ -1,4 +1,4 @@
-"""Chunks of ROS 1 bags that can be written again as a whole."""
+"""Finds chunks of ROS 1 bags that can be copied as a whole."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ __all__ = ["first_uses", "whole_chunk"]
 
 
 def first_uses(segments: Collection[Segment], start_ns: int | None) -> dict[Segment, frozenset[int]]:
-    """Find the connections that chunks have to describe, because no chunk that is written before does.
+    """Find the connections that each chunk has to describe, because no earlier chunk does.
 
-    ROS 1's ``rosbag reindex`` knows a connection by its description in the chunk where it is first used.
+    ROS 1's ``rosbag reindex`` needs a connection's description in the chunk of its first message.
 
     Parameters
     ----------
     segments
-        All that are read.
+        All segments to read.
     start_ns
-        Where the cut begins: of chunks across it no one can tell without reading what will be written.
+        The start of the cut: a chunk across it may be written without its first messages.
     """
     uses = {}
     seen: frozenset[int] = frozenset()
@@ -51,14 +51,14 @@ def whole_chunk(
     rule: ChunkRule,
     needed: Collection[int],
 ) -> StoredChunk | None:
-    """Make a chunk to be copied of one that was read.
+    """Return a chunk that was read as one to copy.
 
     Parameters
     ----------
     stored, records
-        Its records, compressed and not.
+        Its records, compressed and decompressed.
     messages, places
-        What was found in it.
+        Its messages and their offsets.
     needed
         The connections that it has to describe.
 
@@ -66,7 +66,7 @@ def whole_chunk(
     -------
     StoredChunk | None
         None if ``rule`` does not allow to copy it, its messages are not sorted by log time, or it contradicts the
-        index. What ROS 1's own reader would refuse does not keep its compression.
+        index. LZ4 frames that ROS 1's own reader refuses are compressed again.
     """
     if places.contradicts:
         return None

@@ -1,4 +1,4 @@
-"""What the index records behind the chunks of a ROS 1 bag say of their messages: how many there are, and when."""
+"""Counts the messages of a ROS 1 bag, and finds their times, in the index records after the chunks."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def counts_between(
                 origin = position
                 fields, start, position = file.record(origin, INDEX_DATA)
                 read += position - origin
-                # Chunks of a hostile bag may share their index records, which would take the square of their number.
+                # Chunks of a hostile bag may share their index records, which would take quadratic time.
                 if read > file.size:
                     return {}
                 identity = uint32_field(fields, "conn")

@@ -1,4 +1,4 @@
-"""The index records behind a chunk of a ROS 1 bag, compared with the chunk."""
+"""Compares the index records after a chunk of a ROS 1 bag with the chunk."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = ["index_entries", "index_trouble"]
 
-#: Seconds and nanoseconds as they are stored, and the place in the chunk, of one message.
+#: The stored seconds and nanoseconds of one message, and its place in the chunk.
 _ENTRY = struct.Struct("<8sI")
 
 _OP = bytes([INDEX_DATA])
@@ -29,12 +29,12 @@ _LONGEST_HEADER = 256
 #: Bytes that are read at a time.
 _AHEAD = 4096
 
-#: Bytes that the fields of a message's header take, with their lengths.
+#: Sizes of the fields of a message's header, with their lengths, bytes.
 _FIELDS = {b"conn": 13, b"op": 8, b"time": 17}
 
 
 def _form(order: Sequence[bytes]) -> EntryForm:
-    """Of messages whose header has its fields in this order, behind its length; before a value is ``conn=``."""
+    """Return the form for messages whose header has its fields in this order."""
     at = {name: 4 + 9 + sum(_FIELDS[other] for other in order[: order.index(name)]) for name in order}
     return EntryForm(_ENTRY, UINT32, at[b"conn"], at[b"time"])
 
@@ -44,7 +44,7 @@ _USUAL_FORM = _FORMS[b"conn", b"op", b"time"]
 
 
 def index_entries(file: BagFile, segment: Segment) -> Iterator[tuple[int, bytes]]:
-    """Yield each index record behind a chunk: the connection, and its entries as they are stored.
+    """Yield each index record after a chunk: the connection, and its stored entries.
 
     May be called on any thread.
 
@@ -66,7 +66,7 @@ def index_entries(file: BagFile, segment: Segment) -> Iterator[tuple[int, bytes]
 
     while position + 4 <= file.size:
         (length,) = UINT32.unpack(taken(position, 4))
-        # No header of an index record is longer; another record follows the last one.
+        # Index records have no longer header: this is another record.
         if not 0 < length <= _LONGEST_HEADER:
             return
         fields = parsed_fields(taken(position + 4, length))
@@ -83,23 +83,23 @@ def index_entries(file: BagFile, segment: Segment) -> Iterator[tuple[int, bytes]
 def index_trouble(
     file: BagFile, segment: Segment, chunk: Buffer, ids: Collection[int], found: int | None
 ) -> str | None:
-    """How the index records behind a chunk differ from it; None if they do not, or if there are none.
+    """Describe how the index records after a chunk differ from it; None if they do not, or if there are none.
 
-    Records that contradict their own lengths are ignored: a recorder is known that writes such, behind sound chunks.
+    Records that contradict their own lengths are ignored: a known recorder writes them after sound chunks.
 
     Parameters
     ----------
     file, segment
-        Where the chunk is.
+        The chunk.
     chunk
         Its records.
     ids
-        The connections that are compared.
+        The connections to compare.
     found
-        How many messages of these it has; None if they were not all looked for.
+        Number of their messages in the chunk; None if not all were counted.
     """
     groups: list[tuple[int, bytes]] = []
-    # Every record that is looked at takes time: behind those of all connections comes another chunk.
+    # To save time, no further records are read after those of all connections.
     awaited = set(segment.connection_ids or ())
     try:
         for identity, entries in index_entries(file, segment):
@@ -109,7 +109,7 @@ def index_trouble(
                 break
         mine = [(identity, entries) for identity, entries in groups if identity in ids]
         total = sum(len(entries) for _, entries in mine) // _ENTRY.size
-        # Most messages have their fields in one order; others are looked at one by one.
+        # If the fields are not all in one order, entries are compared one by one.
         form = _form_of(chunk, mine)
         astray = entries_astray(chunk, mine, form) if form else total
         astray = astray and _astray(memoryview(chunk), mine)
@@ -123,7 +123,7 @@ def index_trouble(
 
 
 def _form_of(chunk: Buffer, groups: Sequence[tuple[int, bytes]]) -> EntryForm | None:
-    """How the first message of the chunk that an entry is about is written."""
+    """Return the form of the first message with an entry."""
     for _, entries in groups:
         for _, place in _ENTRY.iter_unpack(entries[: _ENTRY.size]):
             if chunk[place + 8 : place + 13] == b"conn=" and chunk[place + 21 : place + 25] == b"op=\x02":
@@ -133,7 +133,7 @@ def _form_of(chunk: Buffer, groups: Sequence[tuple[int, bytes]]) -> EntryForm | 
 
 
 def _header(chunk: memoryview, place: int) -> dict[bytes, bytes]:
-    """The fields of a record in a chunk; none where there is no record."""
+    """Return the fields of a record in a chunk; none if there is no record."""
     if place + 4 > len(chunk):
         return {}
     (length,) = UINT32.unpack_from(chunk, place)
@@ -144,7 +144,7 @@ def _header(chunk: memoryview, place: int) -> dict[bytes, bytes]:
 
 
 def _astray(chunk: memoryview, groups: Sequence[tuple[int, bytes]]) -> int:
-    """Count the entries of no message, or of the message of another one, whatever the order of fields."""
+    """Count the wrong entries as `entries_astray` does, for any order of fields."""
     astray = 0
     seen = set()
     for identity, entries in groups:

@@ -36,14 +36,14 @@ if TYPE_CHECKING:
 
     from .records import BagFile
 
-__all__ = ["BagIndex", "Copies", "chunk_segment", "contained_span", "read_index"]
+__all__ = ["BagIndex", "ConnectionCheck", "chunk_segment", "contained_span", "read_index"]
 
 
 @dataclass(frozen=True, slots=True)
 class BagIndex:
-    """What a bag holds, whichever way it was found out.
+    """The connections and chunks of a bag.
 
-    ``unlisted`` are the connections that have messages and are not in the index.
+    ``unlisted`` are the connections with messages that are not in the bag's index.
     """
 
     connections: dict[int, Connection]
@@ -51,22 +51,22 @@ class BagIndex:
     unlisted: frozenset[int] = frozenset()
 
 
-class Copies:
-    """Compares what chunks say of connections with what the index says.
+class ConnectionCheck:
+    """Compares the connections in chunks with those in the index.
 
     Parameters
     ----------
     connections
-        Those of the index.
+        The connections of the index.
     """
 
     def __init__(self, connections: Mapping[int, Connection]) -> None:
         self._connections = connections
-        # What was equal is compared byte by byte from then on: some recorders repeat it in every chunk.
+        # Equal records, to compare bytes only: some recorders repeat connections in every chunk.
         self._equal: dict[int, tuple[bytes | None, bytes]] = {}
 
     def difference(self, fields: Mapping[bytes, bytes], body: Buffer) -> str | None:
-        """Say what is different in a chunk's copy of a connection; None if nothing is."""
+        """Describe the difference of a chunk's copy of a connection; None if there is none."""
         try:
             identity = uint32_field(fields, "conn")
             record = (fields.get(b"topic"), bytes(body))
@@ -76,7 +76,7 @@ class Copies:
         except Damaged as err:
             return f"it describes a connection that cannot be read: {err}"
         if known is None:
-            return f"it describes connection {identity}, which the index does not know"
+            return f"it describes connection {identity}, which is not in the index"
         if known == replace(copy, message_count=known.message_count):
             self._equal[identity] = record
             return None
@@ -90,7 +90,7 @@ class Copies:
 
 
 def read_index(file: BagFile) -> BagIndex:
-    """Find out what a bag holds from its index."""
+    """Read the index of a bag."""
     position, connection_count, chunk_count = _read_bag_header(file)
     if connection_count > MAX_CONNECTIONS:
         raise Damaged(f"{connection_count} connections are declared, at most {MAX_CONNECTIONS} are allowed")
@@ -102,7 +102,7 @@ def read_index(file: BagFile) -> BagIndex:
 
     counts = dict.fromkeys(connections, 0)
     located = []
-    # Most chunks have the same connections: one set serves them all.
+    # Most chunks have the same connections, and share one set.
     sets: dict[frozenset[int], frozenset[int]] = {}
     for _ in range(chunk_count):
         fields, start, position = file.record(position, CHUNK_INFO)
@@ -130,7 +130,7 @@ def read_index(file: BagFile) -> BagIndex:
     ]
     _refuse_overlaps(placed, file.size)
     for segment in placed:
-        # Zeros of a recorder that did not know are found out by looking.
+        # Some recorders write zeros for unknown times: the chunk is read then.
         known = segment if segment.end_ns else _with_times(file, segment)
         if known:
             segments.append(known)
@@ -144,17 +144,17 @@ def read_index(file: BagFile) -> BagIndex:
 
 
 def _end_behind_index(file: BagFile, position: int) -> None:
-    """Look at what follows the index, which is nothing in a sound bag."""
+    """Check the bytes after the index; a sound bag has none."""
     from .search import another_bag, record_behind  # noqa: PLC0415  # only damaged bags pay for it
 
     if (start := another_bag(file, position, file.size)) is not None:
         file.end_at(start)
     if (found := record_behind(file, position)) is not None:
-        raise Damaged(f"it goes on at byte {found}, behind what the bag header counts")
+        raise Damaged(f"it continues at byte {found}, after the records that the bag header counts")
 
 
 def _read_bag_header(file: BagFile) -> tuple[int, int, int]:
-    """Read where the index is, and how many connections and chunks it holds."""
+    """Read the offset of the index, and its numbers of connections and chunks."""
     first = file.head(len(FIRST_LINE))
     if first != FIRST_LINE:
         if first.startswith((b"#ROSBAG V1", b"#ROSRECORD")):
@@ -185,22 +185,21 @@ def _segment(file: BagFile, chunk_pos: int) -> Segment:
 
 
 def chunk_segment(fields: Mapping[bytes, bytes], chunk_pos: int, start: int, stop: int) -> Segment:
-    """Make a segment of a chunk's record, as yet without times and connections."""
+    """Make a segment from a chunk's record, without times and connections."""
     compression = text_of(field_of(fields, "compression"))
     if compression not in COMPRESSIONS:
         raise Damaged(
-            f"the chunk at byte {chunk_pos} is compressed with {compression!r}, a ROS 1 bag knows "
-            f"{', '.join(COMPRESSIONS)}"
+            f"the chunk at byte {chunk_pos} is compressed with {compression!r}, allowed are {', '.join(COMPRESSIONS)}"
         )
     size = uint32_field(fields, "size")
     return Segment(start, stop - start, compression, size, crc=0, start_ns=0, end_ns=0)
 
 
 def _refuse_overlaps(segments: Sequence[Segment], size: int) -> None:
-    """A short file could otherwise hold its chunks as often as its index likes."""
+    """Raise if chunks overlap: otherwise the index of a short file could repeat its chunks without limit."""
     if len({segment.offset for segment in segments}) < len(segments):
         raise Damaged("the index names a chunk twice")
-    # One damaged length may reach into the next chunk, but not all of them.
+    # One damaged length may reach into the next chunk, but not all lengths.
     if (stored := sum(segment.length for segment in segments)) > 2 * size:
         raise Damaged(f"the chunks have {stored} bytes together, in a bag of {size}")
 
@@ -213,7 +212,7 @@ def contained_span(file: BagFile, segment: Segment) -> tuple[int, int] | None:
 
 
 def _with_times(file: BagFile, segment: Segment) -> Segment | None:
-    """Find out a chunk's times by reading it; None if it has no messages."""
+    """Set a chunk's times by reading it; None if it has no messages."""
     span = contained_span(file, segment)
     return replace(segment, start_ns=span[0], end_ns=span[1]) if span else None
 
@@ -221,7 +220,7 @@ def _with_times(file: BagFile, segment: Segment) -> Segment | None:
 def _find_connections(
     file: BagFile, segments: Sequence[Segment], missing: set[int]
 ) -> Iterator[tuple[int, Connection]]:
-    """Look inside the chunks for connections that have messages and are not in the index."""
+    """Find connections in the chunks that have messages and are not in the index."""
     for segment in segments:
         if not missing:
             return

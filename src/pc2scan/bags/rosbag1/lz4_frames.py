@@ -1,4 +1,4 @@
-"""The LZ4 frames that ROS 1's own reader takes: independent blocks, no content size, and a checksum at the end.
+"""Writes and detects the LZ4 frames that ROS 1's own reader accepts: independent blocks, no content size, a checksum.
 
 Source: ``roslz4/src/lz4s.c`` in ros_comm, and https://github.com/lz4/lz4/blob/dev/doc/lz4_Frame_format.md.
 """
@@ -25,7 +25,7 @@ _HEADER_SIZE = 7
 
 
 def packed(data: Buffer) -> bytes:
-    """Compress into such a frame."""
+    """Compress data into such a frame."""
     import lz4.frame  # noqa: PLC0415  # heavy
 
     frame: bytes = lz4.frame.compress(
@@ -39,7 +39,7 @@ def packed(data: Buffer) -> bytes:
 
 
 def ros1_reads(data: Buffer) -> bool:
-    """Whether these bytes, which some reader can decompress, are one such frame and nothing else."""
+    """Whether these bytes are exactly one such frame."""
     if len(data) < _HEADER_SIZE or data[:4] != LZ4_MAGIC or data[4] != _FLAGS or data[5] not in _BLOCK_SIZES:
         return False
     limit = _BLOCK_SIZES[data[5]]

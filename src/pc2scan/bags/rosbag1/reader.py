@@ -1,4 +1,4 @@
-"""Reading ROS 1 bags, one chunk at a time."""
+"""Reads ROS 1 bags, one chunk at a time."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pc2scan.model import StoredChunk, Summary, declared_counts
 from .chunks import Places, decompressed, messages_in, with_payload
 from .copies import first_uses, whole_chunk
 from .entries import index_trouble
-from .index import Copies, contained_span, read_index
+from .index import ConnectionCheck, contained_span, read_index
 from .records import BagFile, Damaged, uint32_field
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ def open_reader(path: Path, options: ReadOptions) -> Reader:
 
 
 class Rosbag1Reader(PartReader):
-    """An open ROS 1 bag; a `Reader`.
+    """Reads an open ROS 1 bag.
 
     Opening reads the index and the headers of the chunks. Chunks are read and decompressed one at a time,
     when their first message is due, and their messages are views into them.
@@ -53,8 +53,8 @@ class Rosbag1Reader(PartReader):
         A bag of format 2.0.
 
     strict
-        Whether damage is an error; otherwise it is read around, and told by `damage`. Of a bag without an index that
-        can be used, the chunks whose own index records cannot be either are then read to open it.
+        Whether damage is an error; otherwise it is in `damage`, and the rest is recovered. Without a usable index,
+        opening a bag reads the chunks whose own index records are not usable either.
 
     Raises
     ------
@@ -69,7 +69,7 @@ class Rosbag1Reader(PartReader):
         self._log = DamageLog(strict=strict, start=start)
         self._file = BagFile(path, start)
         self._bytes_read = 0
-        #: Whether nothing is damaged but, perhaps, what is in the chunks.
+        #: Whether nothing is damaged outside of the chunks.
         self._is_whole = False
         try:
             try:
@@ -81,7 +81,7 @@ class Rosbag1Reader(PartReader):
             for identity in sorted(self._index.unlisted):
                 error = f"connection {identity} has messages, and only chunks describe it"
                 self._log.note(self._file.damage_error(error), key=("unlisted", identity), messages_lost=0)
-            self._copies = Copies(self._index.connections)
+            self._connection_check = ConnectionCheck(self._index.connections)
             self._spans = SpanCheck(
                 self._index.segments, self._indexed_span, self._contained_span, self._file, self._log, trusted=False
             )
@@ -92,7 +92,7 @@ class Rosbag1Reader(PartReader):
             raise
 
     def _found_index(self) -> BagIndex:
-        """Find out what the bag holds, from its index or without it."""
+        """Index the bag, by its own index or without it."""
         try:
             return read_index(self._file)
         except Damaged as err:
@@ -103,22 +103,22 @@ class Rosbag1Reader(PartReader):
 
     @property
     def next_start(self) -> int | None:
-        """Where in the file another bag begins, behind this one."""
+        """Offset of the bag that follows this one in the file."""
         return self._file.next_start
 
     @property
     def path(self) -> Path:
-        """Where it was opened."""
+        """The path of the file."""
         return self._path
 
     @property
     def connections(self) -> Sequence[Connection]:
-        """Every connection, in the order of the index; those that only chunks describe come last."""
+        """All connections, in the order of the index; those that only chunks describe come last."""
         return tuple(self._index.connections.values())
 
     @property
     def summary(self) -> Summary:
-        """What the index tells."""
+        """The summary, made from the index."""
         segments = self._index.segments
         counts = [connection.message_count for connection in self.connections]
         return Summary(
@@ -143,7 +143,7 @@ class Rosbag1Reader(PartReader):
         stop_ns: int | None = None,
         rule: ChunkRule | None = None,
     ) -> list[Unit]:
-        """Chunks by start; see `pc2scan.bags.reader.Reader`. They are decompressed to see whether they can be whole."""
+        """Return chunks by start; see `pc2scan.bags.reader.Reader`. Whole chunks are decompressed to be checked."""
         rule = rule if rule and rule.container == "rosbag1" else None
         known = self._index.connections
         ids = None if connections is None else frozenset(connection.id for connection in connections)
@@ -177,7 +177,7 @@ class Rosbag1Reader(PartReader):
         def load(segment: Segment, callback: Callable[[RawMessage], Item], *, whole: bool) -> Loaded[Item]:
             self._bytes_read += segment.length
             if rule and whole:
-                # What is damaged is not copied.
+                # Damaged chunks are not copied.
                 with suppress(Damaged):
                     found = load_whole(segment, rule)
                     return found if isinstance(found, StoredChunk) else mapped(callback, found)
@@ -198,15 +198,15 @@ class Rosbag1Reader(PartReader):
         return units_of(due, load, alone, self._file)
 
     def _compare_index(self, segment: Segment, chunk: Buffer, ids: frozenset[int], found: int | None) -> None:
-        """Take note if the index behind a chunk is not that of its messages; of a damaged bag it need not be."""
+        """Note wrong index records after a chunk; those of a damaged bag are not compared."""
         if self._is_whole and (trouble := index_trouble(self._file, segment, chunk, ids, found)):
             error = f"the index behind the chunk with data at byte {segment.offset} contradicts it: {trouble}"
             span = {"first_ns": segment.start_ns, "last_ns": segment.end_ns}
             self._log.note(self._file.damage_error(error), offset=segment.offset, key="index", messages_lost=0, **span)
 
     def _agrees(self, segment: Segment, fields: Mapping[bytes, bytes], body: Buffer) -> bool:
-        """Whether a chunk describes a connection as the index does; takes note if not."""
-        difference = self._copies.difference(fields, body)
+        """Whether a chunk describes a connection as the index does; notes it if not."""
+        difference = self._connection_check.difference(fields, body)
         if difference is not None:
             error = f"the chunk with data at byte {segment.offset} contradicts the index: {difference}"
             self._log.note(self._file.damage_error(error), offset=segment.offset, key=difference, messages_lost=0)
@@ -224,7 +224,7 @@ class Rosbag1Reader(PartReader):
             return None
 
     def _salvaged(self, segment: Segment, problem: Damaged) -> Salvaged:
-        """Take note of a damaged chunk, and find the messages that are left of it."""
+        """Note a damaged chunk, and recover its messages."""
         error = self._file.damage_error(f"the chunk with data at byte {segment.offset} cannot be read: {problem}")
         if self._log.strict:
             raise error from problem
@@ -238,7 +238,7 @@ class Rosbag1Reader(PartReader):
     def counts(
         self, connections: Collection[Connection], start_ns: int | None = None, stop_ns: int | None = None
     ) -> dict[int, int]:
-        """Count by the index, or for a part of the time by the chunks' own; see `pc2scan.bags.reader.Reader`."""
+        """Count by the index, or for a cut by the chunks' index records; see `pc2scan.bags.reader.Reader`."""
         declared = declared_counts(connections) if start_ns is None and stop_ns is None else {}
         ids = frozenset(connection.id for connection in connections) - declared.keys()
         if not ids:
@@ -249,7 +249,7 @@ class Rosbag1Reader(PartReader):
 
     @property
     def damage(self) -> tuple[Damage, ...]:
-        """What is damaged, as far as it was read."""
+        """The damage in the parts that were read."""
         return self._log.found
 
     def close(self) -> None:

@@ -1,19 +1,19 @@
-"""The records of ROS 1 bags, format 2.0, and a file that they are read from.
+"""Reads and parses the records of ROS 1 bags, format 2.0.
 
-A bag is a line of magic and a run of records; a record is a header of named fields and a body, each behind
-a uint32 length. Messages lie in chunks, in which records are packed and compressed together. Behind the
-chunks stands the index: every connection, and for every chunk its place, times and counts.
+A bag is a first line and records; a record is a header of named fields and a body, each after its uint32 length.
+Messages are in chunks, in which records are compressed together. After the chunks follows the index: every connection,
+and for every chunk its place, times and counts.
 
 ::
 
     #ROSBAG V2.0
-    BAG HEADER                         padded to 4096 bytes; says where the index is
+    BAG HEADER                         padded to 4096 bytes; has the offset of the index
     CHUNK { CONNECTION | MESSAGE }*    followed by an INDEX DATA record for each connection in it
     ...
     CONNECTION ...                     the index
     CHUNK INFO ...
 
-Source: http://wiki.ros.org/Bags/Format/2.0, and where that is silent, what ROS 1's own reader accepts.
+Source: http://wiki.ros.org/Bags/Format/2.0, and for details missing there, ROS 1's own reader.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ _KINDS = {
     CONNECTION: "connection",
 }
 
-#: Fields of a connection's header that have a place of their own in `Connection`.
+#: Fields of a connection's header with an attribute in `Connection`.
 OWN_FIELDS = frozenset({"callerid", "latching", "md5sum", "message_definition", "topic", "type"})
 
 UINT32_MAX = 0xFFFF_FFFF
@@ -86,11 +86,11 @@ PAIR = struct.Struct("<II")
 
 
 class Damaged(Exception):  # noqa: N818  # it never leaves the reader
-    """Bytes that break the format; the reader adds the place and makes it a DamageError."""
+    """Bytes contradict the format; the reader adds the place and raises a DamageError."""
 
 
 def parsed_fields(raw: Buffer) -> dict[bytes, bytes]:
-    """Take a header apart: each field is a uint32 length and ``name=value``."""
+    """Split a header into fields; each is a uint32 length and ``name=value``."""
     raw = bytes(raw)
     fields = {}
     position = 0
@@ -110,7 +110,7 @@ def parsed_fields(raw: Buffer) -> dict[bytes, bytes]:
 
 
 def field_of(fields: Mapping[bytes, bytes], name: str, size: int | None = None) -> bytes:
-    """One field that must be there, of ``size`` bytes if given."""
+    """Return a required field, of ``size`` bytes if given."""
     value = fields.get(name.encode())
     if value is None:
         raise Damaged(f"a record's header has no field '{name}'")
@@ -120,35 +120,35 @@ def field_of(fields: Mapping[bytes, bytes], name: str, size: int | None = None) 
 
 
 def uint32_field(fields: Mapping[bytes, bytes], name: str) -> int:
-    """One field with a number of 32 bits."""
+    """Return a field with a number of 32 bits."""
     value: int = UINT32.unpack(field_of(fields, name, 4))[0]
     return value
 
 
 def uint64_field(fields: Mapping[bytes, bytes], name: str) -> int:
-    """One field with a number of 64 bits."""
+    """Return a field with a number of 64 bits."""
     value: int = UINT64.unpack(field_of(fields, name, 8))[0]
     return value
 
 
 def time_field(fields: Mapping[bytes, bytes], name: str) -> int:
-    """One field with a time, as nanoseconds."""
+    """Return a field with a time, as nanoseconds."""
     seconds, nanoseconds = PAIR.unpack(field_of(fields, name, 8))
     return int(seconds) * SECOND_NS + int(nanoseconds)
 
 
 def kind_of(fields: Mapping[bytes, bytes]) -> int:
-    """What kind of record has these fields."""
+    """Return the kind of a record with these fields."""
     return field_of(fields, "op", 1)[0]
 
 
 def text_of(value: bytes) -> str:
-    """Text in UTF-8; bytes that are not survive being written again."""
+    """Decode UTF-8; other bytes become surrogates, which are written as the same bytes."""
     return value.decode("utf-8", "surrogateescape")
 
 
 def parsed_connection(fields: Mapping[bytes, bytes], body: Buffer) -> Connection:
-    """Make a connection of its record. The body is a header of its own: the publisher's."""
+    """Make a connection from its record. The body is a header itself: the publisher's."""
     topic = text_of(field_of(fields, "topic"))
     header = parsed_fields(body)
     texts = {text_of(name): text_of(value) for name, value in header.items() if name != b"message_definition"}
@@ -173,7 +173,7 @@ def parsed_connection(fields: Mapping[bytes, bytes], body: Buffer) -> Connection
 
 
 class BagFile(SourceFile):
-    """A bag that records are read from; records in a row cost no system call each."""
+    """Reads records of a bag; consecutive records need no system call each."""
 
     def __init__(self, path: Path, start: int = 0) -> None:
         super().__init__(path, start)
@@ -181,11 +181,11 @@ class BagFile(SourceFile):
         self._ahead = b""
 
     def damage(self, message: str) -> Damaged:
-        """Make the error for a bag that is damaged; the reader adds the place."""
+        """Make the error for a damaged bag; the reader adds the place."""
         return Damaged(message)
 
     def damage_error(self, message: str) -> DamageError:
-        """Make the error that leaves the reader."""
+        """Make the error that the reader raises."""
         return DamageError(self.located(message), path=self.path, hint=RECOVER)
 
     def head(self, length: int) -> bytes:
@@ -193,7 +193,7 @@ class BagFile(SourceFile):
         return self.read(0, min(length, self.size))
 
     def record(self, offset: int, kind: int) -> tuple[dict[bytes, bytes], int, int]:
-        """Take a record that must be of a kind: its fields, and where its body starts and stops."""
+        """Return a record of a required kind: its fields, and start and stop of its body."""
         (length,) = UINT32.unpack(self.nearby(offset, 4))
         body = offset + 4 + length + 4
         fields = parsed_fields(self.nearby(offset + 4, length))
@@ -214,7 +214,7 @@ class BagFile(SourceFile):
         return self.nearby(start, stop - start)
 
     def nearby(self, offset: int, length: int) -> bytes:
-        """Read a little, and ahead: an index is many small records in a row."""
+        """Read a few bytes, and read ahead: an index has many small consecutive records."""
         start = offset - self._ahead_start
         if start < 0 or start + length > len(self._ahead):
             ahead = min(max(length, _READ_AHEAD), max(self.size - offset, length))

@@ -1,8 +1,8 @@
-"""What is left of a damaged ROS 1 bag: its records found without the index, and the messages of a damaged chunk.
+"""Recovers the records of a damaged ROS 1 bag without its index, and the messages of a damaged chunk.
 
-The chunks are visited one after the other. Where the next record does not begin where it should, the file is searched
-for the next place that can only be a record. A bag that was never closed (``.bag.active``) has no index either,
-and is read in the same way.
+Records are read in the order of the file. If no record begins where one should, the file is searched for the next
+certain beginning of one. A bag that was never closed (``.bag.active``) has no index either, and is read in the same
+way.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
 __all__ = ["payload_prefix", "recovered_index", "salvaged_messages"]
 
-#: Messages outside chunks, which only damage puts there, are read in stretches of about this size, bytes.
+#: Messages outside chunks, which only damaged bags have, are read in segments of about this size, bytes.
 _RUN_SIZE = 4 << 20
 
 # --- The file ---
@@ -53,7 +53,7 @@ _RUN_SIZE = 4 << 20
 
 @dataclass(slots=True)
 class _Found:
-    """What the pass over the file finds."""
+    """The results of the pass over the file."""
 
     connections: dict[int, Connection] = field(default_factory=dict)
     counts: dict[int, int] = field(default_factory=dict)
@@ -62,7 +62,7 @@ class _Found:
 
 
 class _Stamps:
-    """The log times and connections of a stretch of messages."""
+    """The log times and connections of consecutive messages."""
 
     def __init__(self) -> None:
         self.first_ns = self.last_ns = 0
@@ -76,21 +76,21 @@ class _Stamps:
 
 
 def recovered_index(file: BagFile, problem: DamageError, log: DamageLog) -> BagIndex:
-    """Find out what a bag holds without its index.
+    """Index a bag without its own index.
 
     Parameters
     ----------
     file
         The open file.
     problem
-        Why its index cannot be used.
+        Why its own index cannot be used.
     log
-        Takes note of it, and of whatever no record accounts for.
+        Gets this, and all bytes that belong to no record.
 
     Returns
     -------
     BagIndex
-        The connections have no counts: how many messages there were is what the index would tell.
+        Its connections have no counts, because only the bag's own index has them.
 
     Raises
     ------
@@ -103,7 +103,7 @@ def recovered_index(file: BagFile, problem: DamageError, log: DamageLog) -> BagI
     position = _next_after_header(file)
     loose = _Stamps()
     loose_start = position
-    # What the index records behind the last chunk say of it; None if they cannot be relied on.
+    # The index records after the last chunk; None if they cannot be used.
     index: _Stamps | None = None
     previous: tuple[int, Record] | None = None
 
@@ -123,7 +123,7 @@ def recovered_index(file: BagFile, problem: DamageError, log: DamageLog) -> BagI
             end_run(position)
             index = None
             since = position if previous is None else previous[0]
-            # The record in front may have the wrong length: then it swallowed others, or is itself too short.
+            # The record before it may have a wrong length: it may include others, or be too short.
             if previous is not None and record is None:
                 if previous[1].kind != CHUNK:
                     again = next_record(file.nearby, previous[0] + 1, file.size, ANYWHERE, position)
@@ -157,7 +157,7 @@ def recovered_index(file: BagFile, problem: DamageError, log: DamageLog) -> BagI
             if record.kind == INDEX_DATA:
                 index = _with_entries(index, file, record)
             else:
-                # Whole only if another record follows; then it spares reading the chunk to know its times.
+                # The index records are complete if another record follows; then the chunk's times are known.
                 _set_times(found, index)
                 _note_record(file, found, position, record)
                 noted = record.kind == CHUNK and found.segments and found.segments[-1].offset == record.start
@@ -171,7 +171,7 @@ def recovered_index(file: BagFile, problem: DamageError, log: DamageLog) -> BagI
 
 
 def _next_after_header(file: BagFile) -> int:
-    """Where the records behind the bag header begin."""
+    """Return the offset of the first record after the bag header."""
     header = record_at(file.nearby, len(FIRST_LINE), file.size)
     if header is not None and header.kind == BAG_HEADER and header.stop <= file.size:
         return header.stop
@@ -191,7 +191,7 @@ def _note_record(file: BagFile, found: _Found, position: int, record: Record) ->
 
 
 def _with_entries(index: _Stamps | None, file: BagFile, record: Record) -> _Stamps | None:
-    """Add what one index record says: times and places of a connection's messages, 12 bytes each."""
+    """Add the entries of an index record: times and places of a connection's messages, 12 bytes each."""
     count = uint32_field(record.fields, "count")
     if index is None or 12 * count != record.stop - record.start or uint32_field(record.fields, "ver") != 1:
         return None
@@ -203,7 +203,7 @@ def _with_entries(index: _Stamps | None, file: BagFile, record: Record) -> _Stam
 
 
 def _set_times(found: _Found, index: _Stamps | None) -> None:
-    """Let the last chunk have the times that its index records have."""
+    """Set the last chunk's times to those in its index records."""
     if index is not None and index.counts and found.segments and not found.segments[-1].end_ns:
         found.segments[-1] = replace(
             found.segments[-1],
@@ -223,7 +223,7 @@ def _add_chunk(file: BagFile, found: _Found, position: int, stop: int) -> None:
 
 
 def _is_sound(file: BagFile, found: _Found, record: Record) -> bool:
-    """Whether the last chunk decompresses to what it declares."""
+    """Whether the last chunk decompresses to its declared size."""
     segment = found.segments[-1] if found.segments else None
     if segment is None or segment.offset != record.start:
         return True
@@ -234,13 +234,13 @@ def _is_sound(file: BagFile, found: _Found, record: Record) -> bool:
 
 
 def _set_end(found: _Found, record: Record, stop: int) -> None:
-    """Let the last chunk end where the next record was found."""
+    """Set the end of the last chunk to the next record."""
     if found.segments and found.segments[-1].offset == record.start:
         found.segments[-1] = replace(found.segments[-1], length=stop - record.start)
 
 
 def _find_times(file: BagFile, found: _Found, log: DamageLog) -> None:
-    """Read the chunks whose times no index tells, or that may describe connections which nothing else does."""
+    """Read the chunks whose times are not in index records, or that may describe unknown connections."""
     segments = []
     for segment in found.segments:
         if segment.end_ns and segment.connection_ids is not None and segment.connection_ids <= found.connections.keys():
@@ -273,7 +273,7 @@ def _find_times(file: BagFile, found: _Found, log: DamageLog) -> None:
             )
         elif len(data) != segment.uncompressed_size:
             log.note(
-                file.damage_error(f"in the chunk with data at byte {segment.offset} no message is whole"),
+                file.damage_error(f"the chunk with data at byte {segment.offset} has no complete message"),
                 offset=segment.offset,
                 bytes_lost=segment.uncompressed_size,
                 **times_around(segments)(segment.offset, segment.offset),
@@ -308,7 +308,7 @@ def salvaged_messages(chunk: bytes, known: Mapping[int, Connection], span: tuple
     known
         Every connection.
     span
-        The first and the last log time that the index gives the chunk; see `settled`.
+        The first and the last log time of the chunk in the index; see `settled`.
     """
     data = memoryview(chunk)
     found = FoundMessages()
@@ -328,9 +328,9 @@ def salvaged_messages(chunk: bytes, known: Mapping[int, Connection], span: tuple
 
 
 def framed(chunk: bytes) -> Iterator[tuple[Fields, int, int, bool]]:
-    """Records of a chunk (fields, and where the body starts and stops) and what lies between them.
+    """Yield the records of a chunk (fields, and start and stop of the body) and the gaps between them.
 
-    The last value tells which it is.
+    The last value is true for a record.
     """
     inside = frozenset({MESSAGE, CONNECTION})
 
@@ -339,7 +339,7 @@ def framed(chunk: bytes) -> Iterator[tuple[Fields, int, int, bool]]:
 
     size = len(chunk)
     position = 0
-    # A record is held back until another begins where it ends: its length may be the damaged part.
+    # A record is kept back until the next one begins at its end: its length may be damaged.
     held: tuple[int, Record] | None = None
     while position < size:
         record = record_at(read, position, size)

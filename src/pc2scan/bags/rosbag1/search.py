@@ -1,4 +1,4 @@
-"""Searching a ROS 1 bag for places where a record, or another bag, can only begin."""
+"""Searches a ROS 1 bag for the certain beginning of a record or of another bag."""
 
 from __future__ import annotations
 
@@ -41,18 +41,18 @@ __all__ = [
 #: Bytes that are searched at a time.
 _WINDOW = 1 << 20
 
-#: No header of a record is longer, but for connections whose topic is.
+#: Limit of a record's header, except for connections with longer topics.
 _MAX_HEADER = 4096
 
-# The field that says of what kind a record is; the fields in front of it are few and short.
+# The field with the kind of a record; the fields before it are few and short.
 _OP = re.compile(rb"\x04\0\0\0op=[\x02-\x07]")
 _REACH = 72
 
 ANYWHERE = frozenset({MESSAGE, INDEX_DATA, CHUNK, CHUNK_INFO, CONNECTION})
-#: Records that no chunk holds.
+#: Records that cannot be in a chunk.
 OUTSIDE_CHUNKS = frozenset({INDEX_DATA, CHUNK, CHUNK_INFO})
 
-#: The fields that a record of each kind must have, so that no text is taken for one.
+#: The required fields of each kind of record, so that other text is not detected as a record.
 _NEEDED = {
     MESSAGE: {b"conn", b"time"},
     INDEX_DATA: {b"ver", b"conn", b"count"},
@@ -66,7 +66,7 @@ Fields = dict[bytes, bytes]
 
 
 class Record(NamedTuple):
-    """A record: its fields, and where its body starts and stops."""
+    """A record: its fields, and start and stop of its body."""
 
     fields: Fields
     start: int
@@ -74,11 +74,11 @@ class Record(NamedTuple):
 
     @property
     def kind(self) -> int:
-        """Which kind of record it is."""
+        """The kind of the record."""
         return self.fields[b"op"][0]
 
 
-def _checked(fields: Fields) -> bool:
+def _are_complete(fields: Fields) -> bool:
     kind = fields.get(b"op", b"")
     if len(kind) != 1 or not _NEEDED.get(kind[0], {b""}) <= fields.keys():
         return False
@@ -86,7 +86,7 @@ def _checked(fields: Fields) -> bool:
 
 
 def record_at(read: Callable[[int, int], bytes], position: int, size: int) -> Record | None:
-    """The record that begins here, if one does; its body may reach beyond ``size``."""
+    """Return the record that begins here, if one does; its body may reach beyond ``size``."""
     if position + 8 > size:
         return None
     (length,) = UINT32.unpack(read(position, 4))
@@ -96,7 +96,7 @@ def record_at(read: Callable[[int, int], bytes], position: int, size: int) -> Re
         fields = parsed_fields(read(position + 4, length))
     except Damaged:
         return None
-    if not _checked(fields):
+    if not _are_complete(fields):
         return None
     (body,) = UINT32.unpack(read(position + 4 + length, 4))
     start = position + 8 + length
@@ -104,8 +104,8 @@ def record_at(read: Callable[[int, int], bytes], position: int, size: int) -> Re
 
 
 def _record_in(window: bytes, op_at: int) -> int | None:
-    """Where the record whose ``op`` field is here begins."""
-    # The usual places first: ``op`` is the header's first field, or behind ``conn``, ``compression``...
+    """Return the beginning of the record whose ``op`` field is here."""
+    # The usual places first: ``op`` is the header's first field, or after ``conn``, ``compression``...
     for start in range(op_at - 4, max(-1, op_at - _REACH), -1):
         (length,) = struct.unpack_from("<I", window, start)
         if op_at - start + 5 <= length + 4 <= _MAX_HEADER and start + 8 + length <= len(window):
@@ -113,7 +113,7 @@ def _record_in(window: bytes, op_at: int) -> int | None:
                 fields = parsed_fields(window[start + 4 : start + 4 + length])
             except Damaged:
                 continue
-            if _checked(fields):
+            if _are_complete(fields):
                 return start
     return None
 
@@ -121,7 +121,7 @@ def _record_in(window: bytes, op_at: int) -> int | None:
 def next_record(
     read: Callable[[int, int], bytes], start: int, size: int, kinds: frozenset[int], limit: int | None = None
 ) -> int:
-    """Search, before ``limit``, for a place where a record begins; ``size`` if there is none."""
+    """Search, before ``limit``, for the beginning of a record; ``size`` if there is none."""
     stop = size if limit is None else min(size, limit + _REACH)
     begin = start
     while begin < stop:
@@ -135,7 +135,7 @@ def next_record(
                 if limit is not None and position >= limit:
                     return size
                 record = record_at(read, position, size)
-                # A chunk may be cut off by the end of the file; everything else must be whole.
+                # A chunk may be cut off by the end of the file; all other records must be whole.
                 if record is not None and (record.stop <= size or record.kind == CHUNK):
                     return position
         if begin + len(window) >= size:
@@ -145,7 +145,7 @@ def next_record(
 
 
 def another_bag(file: BagFile, start: int, stop: int) -> int | None:
-    """Search a stretch of the file for the beginning of another bag: its first line, and its header."""
+    """Search a part of the file for the beginning of another bag: its first line, and its header."""
     overlap = len(FIRST_LINE) - 1
     for begin in range(start, stop, _WINDOW):
         window = file.read(begin, min(_WINDOW + overlap, file.size - begin))
@@ -159,12 +159,12 @@ def another_bag(file: BagFile, start: int, stop: int) -> int | None:
 
 
 def record_behind(file: BagFile, start: int) -> int | None:
-    """Search the rest of the file for a record; returns where the first one begins."""
+    """Search the rest of the file for a record; returns the beginning of the first one."""
     found = next_record(file.nearby, start, file.size, ANYWHERE)
     return found if found < file.size else None
 
 
 def refuse_another(file: BagFile, start: int, stop: int) -> None:
-    """Raise if another bag begins in this stretch of the file."""
+    """Raise if another bag begins in this part of the file."""
     if (found := another_bag(file, start, stop)) is not None:
         raise AnotherBeginsError(found)

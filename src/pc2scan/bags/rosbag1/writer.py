@@ -1,4 +1,4 @@
-"""Writing ROS 1 bags that ROS 1's own tools read."""
+"""Writes ROS 1 bags that ROS 1's own tools read."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def open_writer(path: Path, options: WriteOptions) -> Rosbag1Writer:
 
 
 class Rosbag1Writer:
-    """A ROS 1 bag being written; a `Writer`.
+    """Writes a ROS 1 bag; see `pc2scan.model.Writer`.
 
     One chunk is held in memory, and a small record for each that was written. The same calls make the
     same bytes.
@@ -99,7 +99,7 @@ class Rosbag1Writer:
         self._file.put(FIRST_LINE, _pack_bag_header(0, 0, 0))
 
     def keep_ids(self, connections: Collection[Connection]) -> None:
-        """Let these keep their ids when they are declared, and no other one have them."""
+        """Reserve the ids of these connections, so that they keep them when they are declared."""
         self._ids.keep([connection.id for connection in connections])
 
     def compress_ahead(self, pool: Threads) -> None:
@@ -146,11 +146,11 @@ class Rosbag1Writer:
         return handle
 
     def declarations(self) -> frozenset[bytes]:
-        """None: nothing compares what chunks say of their connections."""
+        """Return none: connections in chunks are not compared."""
         return frozenset()
 
     def write(self, handle: int, log_time_ns: int, data: Buffer, publish_time_ns: int, sequence: int = 0) -> None:
-        """Append a message. ``data`` is not referred to after the call.
+        """Append a message; ``data`` is copied.
 
         Parameters
         ----------
@@ -199,11 +199,11 @@ class Rosbag1Writer:
             chunk.append(data)
             self._flush()
         else:
-            # A view would keep alive the whole chunk that it was read from, and may change under us.
+            # A view would keep the whole chunk in memory, and its bytes may change.
             chunk.append(bytes(data))
 
     def write_chunk(self, chunk: StoredChunk) -> None:
-        """Append a whole chunk, compressed if it is not yet, with an index of its own."""
+        """Append a whole chunk, compressed if it is not yet, with its index records."""
         self._flush()
         self._declared.update(chunk.index)
         if chunk.compression:
@@ -233,7 +233,7 @@ class Rosbag1Writer:
         self._file.abort()
 
     def _flush(self) -> None:
-        """Hand the open chunk on to be compressed and written, if it has anything in it."""
+        """Queue the open chunk to be compressed and written, if it is not empty."""
         chunk = self._chunk
         if not chunk.parts:
             return
@@ -262,7 +262,7 @@ class Rosbag1Writer:
 
 @dataclass(slots=True)
 class _OpenChunk:
-    """A chunk being filled; ``index`` has the log times and places of the messages of each connection."""
+    """The chunk that is being filled; ``index`` has the log times and places of the messages of each connection."""
 
     parts: list[Buffer] = field(default_factory=list)
     size: int = 0
@@ -274,18 +274,18 @@ class _OpenChunk:
 
 
 def _compressed(data: Buffer, compression: str) -> Buffer:
-    """Compress a chunk so that ROS 1's own reader takes it."""
+    """Compress a chunk so that ROS 1's own reader accepts it."""
     return rosbag1_lz4.packed(data) if compression == "lz4" else compress(compression, data)
 
 
 def _pack_fields(fields: Mapping[str, bytes]) -> bytes:
-    """Put a header together, its fields in alphabetical order as ROS 1's recorder has them."""
+    """Pack a header, its fields in alphabetical order as ROS 1's recorder has them."""
     packed = [name.encode("utf-8", "surrogateescape") + b"=" + fields[name] for name in sorted(fields)]
     return b"".join(UINT32.pack(len(item)) + item for item in packed)
 
 
 def _pack_header(kind: int, fields: Mapping[str, bytes]) -> bytes:
-    """Put a record's header together, with its length."""
+    """Pack a record's header, with its length."""
     header = _pack_fields({"op": bytes((kind,)), **fields})
     return UINT32.pack(len(header)) + header
 
@@ -299,25 +299,25 @@ def _pack_time(time_ns: int) -> bytes:
 
 
 def _pack_bag_header(index_pos: int, connection_count: int, chunk_count: int) -> bytes:
-    """Put the bag header together; padding makes its length the same whatever the numbers."""
+    """Pack the bag header; padding gives it a fixed length."""
     fields = {
         "chunk_count": UINT32.pack(chunk_count),
         "conn_count": UINT32.pack(connection_count),
         "index_pos": UINT64.pack(index_pos),
     }
-    # Header and padding make 4096 bytes together, not counting their two lengths.
+    # Header and padding have 4096 bytes together, without their two lengths.
     padding = 4096 - (len(_pack_header(BAG_HEADER, fields)) - 4)
     return _pack_record(BAG_HEADER, fields, b" " * padding)
 
 
 def _pack_connection(identity: int, connection: Connection) -> bytes:
-    """Put a connection's record together; the counterpart of `parsed_connection`."""
+    """Pack a connection's record; the inverse of `parsed_connection`."""
     metadata = {name: value for name, value in connection.metadata.items() if name not in OWN_FIELDS}
     header = {
         **metadata,
         "topic": connection.metadata.get("topic", connection.topic),
         "type": ros1_type(connection.msgtype),
-        # ROS 1's word for any type.
+        # ROS 1's md5sum for any type.
         "md5sum": connection.digest or "*",
     }
     if connection.callerid is not None:
@@ -333,7 +333,7 @@ def _pack_connection(identity: int, connection: Connection) -> bytes:
 
 
 def _pack_index(handle: int, entries: Sequence[tuple[int, int]]) -> bytes:
-    """Put the index of one connection in one chunk together: times and places, by time."""
+    """Pack the index record of one connection in one chunk: times and places, by time."""
     return _pack_record(
         INDEX_DATA,
         {"conn": UINT32.pack(handle), "count": UINT32.pack(len(entries)), "ver": UINT32.pack(1)},
@@ -342,7 +342,7 @@ def _pack_index(handle: int, entries: Sequence[tuple[int, int]]) -> bytes:
 
 
 def _pack_chunk_info(chunk: StoredChunk, chunk_pos: int) -> bytes:
-    """Put the entry of a chunk in the bag's index together."""
+    """Pack the entry of a chunk in the bag's index."""
     start_ns, end_ns = chunk.span_ns()
     fields = {
         "chunk_pos": UINT64.pack(chunk_pos),
