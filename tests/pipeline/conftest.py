@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 
 @pytest.fixture
 def load(tmp_path: Path) -> Load:
-    def write_and_load(text: str | bytes, **options: str) -> ParamsFile:
+    def write_and_load(text: str | bytes, *, node: str | None = None) -> ParamsFile:
         path = tmp_path / "params.yaml"
         path.write_bytes(text if isinstance(text, bytes) else text.encode())
-        return load_params_file(path, **options)
+        return load_params_file(path, node=node)
 
     return write_and_load

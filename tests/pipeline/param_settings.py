@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 class Load(Protocol):
     """The fixture `load`: writes a file and loads it."""
 
-    def __call__(self, text: str | bytes, **options: str) -> ParamsFile: ...
+    def __call__(self, text: str | bytes, *, node: str | None = None) -> ParamsFile: ...
 
 
 def values(file: ParamsFile) -> dict[str, object]:

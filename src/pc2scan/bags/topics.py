@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import re
+from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import TopicError, name_list
 from pc2scan.names import did_you_mean
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
-__all__ = ["find_topic", "short_types"]
+__all__ = ["find_topic", "find_topics", "is_glob", "matches", "renamed", "short_types"]
 
 
 def find_topic(asked: str, types: dict[str, set[str]], candidates: list[str], *kinds: str) -> str:
@@ -40,6 +42,61 @@ def find_topic(asked: str, types: dict[str, set[str]], candidates: list[str], *k
             raise TopicError(f"topic {name} is {', '.join(sorted(types[name]))}, not {' or '.join(kinds)}", hint=there)
     near = did_you_mean(asked, candidates)
     raise TopicError(f"no topic {asked} in the recording", hint=f"{near} {there}".strip())
+
+
+def find_topics(asked: str, types: dict[str, set[str]], candidates: list[str], *kinds: str) -> list[str]:
+    """Return the topics that a name or a glob (``/lidar*``) means; see `find_topic`.
+
+    Raises
+    ------
+    TopicError
+        As `find_topic` does, and if a glob matches no topic of the type.
+    """
+    if asked in types or not is_glob(asked):
+        return [find_topic(asked, types, candidates, *kinds)]
+    found = [topic for topic in candidates if matches(topic, (asked,))]
+    if not found:
+        there = f"{short_types(kinds)} topics: {name_list(candidates)}"
+        near = did_you_mean(re.sub(r"[*?\[\]]", "", asked), candidates)
+        raise TopicError(f"no {short_types(kinds)} topic matches {asked}", hint=f"{near} {there}".strip())
+    return found
+
+
+def is_glob(name: str) -> bool:
+    """Whether a name has the characters of a glob; no topic of ROS has."""
+    return any(character in name for character in "*?[")
+
+
+def matches(topic: str, patterns: Sequence[str]) -> bool:
+    """Whether a topic is one of the names or globs; a leading slash is no difference."""
+    return any(
+        topic == pattern or fnmatchcase(topic.removeprefix("/"), pattern.removeprefix("/")) for pattern in patterns
+    )
+
+
+def renamed(topic: str, pattern: str, target: str) -> str:
+    """Return ``target`` with each ``*`` in it replaced by what the ``*`` in ``pattern`` matched, in their order.
+
+    >>> renamed("/lidar_left/points", "/lidar_*/points", "/scan_*")
+    '/scan_left'
+
+    Raises
+    ------
+    TopicError
+        If ``target`` has more of them.
+    """
+    count = target.count("*")
+    if not count:
+        return target
+    parts = [re.escape(part).replace(r"\?", ".") for part in pattern.removeprefix("/").split("*")]
+    found = re.fullmatch("(.*)".join(parts), topic.removeprefix("/"))
+    if found is None or len(found.groups()) < count:
+        raise TopicError(
+            f"{pattern}:={target} has more * on the right than on the left",
+            hint="each * on the right is what one on the left matches: '/lidar_*/points:=/scan_*'",
+        )
+    pieces = target.split("*")
+    return pieces[0] + "".join(text + piece for text, piece in zip(found.groups(), pieces[1:], strict=False))
 
 
 def short_types(kinds: Iterable[str]) -> str:

@@ -10,7 +10,7 @@ import typer
 
 from pc2scan.errors import DestinationError, Pc2ScanError
 
-from .options import Conversion, Destination, Output, Reporting
+from .options import Conversion, Destination, Output, Reporting, ros_arguments
 from .outcome import conclude, show, show_each, show_next, show_outcome
 from .progress import progress_bar
 
@@ -42,6 +42,9 @@ def convert(
     PointCloud2 becomes LaserScan as ROS's pointcloud_to_laserscan does it. Every other topic passes through.
     Nothing is dropped in silence: what could not be converted is counted, listed, and reflected in the exit status.
     """
+    sources, remaps, parameters = ros_arguments(sources)
+    conversion.projection.remap += remaps
+    conversion.projection.param += parameters
     from pc2scan.pipeline.options import destination_and_folder
 
     named, folder = destination_and_folder(destination)
@@ -49,6 +52,8 @@ def convert(
     also_read = conversion.read_files()
     try:
         options, origins = conversion.options(ros_distro=output.ros_distro)
+        # Now those are known, too, that a launch file names.
+        also_read = conversion.read_files()
         if output.each:
             raise _convert_each(sources, named, options, form, reporting, origins, also_read)
     except Pc2ScanError as err:

@@ -3,7 +3,7 @@
 No ``from __future__ import annotations`` here: see `pc2scan.cli.groups.Group`.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from enum import StrEnum
 from inspect import Parameter
 from pathlib import Path
@@ -38,6 +38,7 @@ __all__ = [
     "Storage",
     "TfSources",
     "TfTopics",
+    "ros_arguments",
 ]
 
 Storage = Literal["mcap", "sqlite3"]
@@ -221,15 +222,25 @@ class Projection(Group):
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="ROS 2 parameter file or ROS 1 YAML, the file that ran the robot.",
+            help="The file that ran the robot: a ROS 2 parameter file, a ROS 1 YAML, or an XML launch file of either, "
+            "with its remappings.",
             rich_help_panel=_PARAMS,
         ),
     ] = None
+    launch_args: Annotated[
+        list[str],
+        typer.Option(
+            "--arg",
+            metavar="NAME:=VALUE",
+            help="An argument of the launch file. Repeatable.",
+            rich_help_panel=_PARAMS,
+        ),
+    ]
     node: Annotated[
         str | None,
         typer.Option(
             metavar="NAME",
-            help="Whose section of the parameter file, if it has several.",
+            help="Whose section of the parameter file, or which node of the launch file, if there are several.",
             rich_help_panel=_PARAMS,
         ),
     ] = None
@@ -243,6 +254,19 @@ class Projection(Group):
             rich_help_panel=_PARAMS,
         ),
     ]
+    remap: Annotated[
+        list[str],
+        typer.Option(
+            "--remap",
+            "-r",
+            metavar="FROM:=TO",
+            help="ROS's remapping: cloud_in:=/points and scan:=/scan are --topic /points:=/scan. Repeatable.",
+            rich_help_panel=_TOPICS,
+        ),
+    ]
+    ros_args: Annotated[
+        bool, typer.Option("--ros-args", help="ROS 2's marker in front of -r and -p; changes nothing.", hidden=True)
+    ] = False
     preset: Annotated[
         str | None,
         typer.Option(
@@ -497,6 +521,24 @@ def _share(text: str | None) -> float:
         raise UsageError(f"`min_used`: {text!r} is not a share", hint="write 0.05 or 5%") from err
 
 
+def ros_arguments(words: Iterable[Path]) -> tuple[list[Path], list[str], list[str]]:
+    """Part what stands where recordings stand into these, remappings and parameters, as ``rosrun`` takes them.
+
+    >>> ros_arguments(map(Path, ["a.bag", "cloud_in:=/points", "_min_height:=0.1", "__name:=front"]))
+    ([PosixPath('a.bag')], ['cloud_in:=/points'], ['_min_height:=0.1'])
+    """
+    sources, remaps, parameters = [], [], []
+    for word in words:
+        text = str(word)
+        if ":=" not in text:
+            sources.append(word)
+        elif not text.startswith("_"):
+            remaps.append(text)
+        elif not text.startswith("__"):
+            parameters.append(text)
+    return sources, remaps, parameters
+
+
 class Conversion(Group):
     """Everything that decides what is converted, and into what; not how it is written, nor what is reported."""
 
@@ -506,6 +548,9 @@ class Conversion(Group):
     frames: Frames
     reverse: Reverse
     running: Running
+
+    #: What a launch file names; found with the options.
+    files = tuple[Path, ...]()
 
     def options(self, *, ros_distro: str = "") -> "tuple[ConvertOptions, Mapping[str, str]]":
         """What the library takes, and where each parameter comes from.
@@ -520,23 +565,41 @@ class Conversion(Group):
             assignments=asked.param,
             file=asked.params_file,
             node=asked.node,
+            launch_args=asked.launch_args,
             preset=asked.preset,
             reverse=self.reverse.reverse,
         )
+        self.files = resolved.files
         for origin in resolved.ignored:
             warn(f"not a parameter of the projection, ignored: {origin}")
 
         from pc2scan.pipeline.options import ConvertOptions
 
         topics, running = self.topics, self.running
+        frames = self.frames.options()
+        names = topics.topics
+        if asked.remap and names:
+            raise UsageError(
+                "--topic and --remap say the same in two ways; give one of them", hint="--topic /points:=/scan is both"
+            )
+        if asked.remap or resolved.remaps:
+            from dataclasses import replace
+
+            from pc2scan.pipeline.remaps import remapped
+
+            typed = [text for text in asked.remap if not text.startswith("__")]
+            moved = remapped((*resolved.remaps, *typed), reverse=resolved.reverse)
+            names = names or list(moved.topics)
+            if moved.tf_topics and not frames.tf_topics:
+                frames = replace(frames, tf_topics=moved.tf_topics)
         options = ConvertOptions.of(
             params=resolved.params,
             reverse=resolved.reverse,
             channels=self.reverse.fields(),
             deskew=self.reverse.deskew,
             filters=tuple(self.points.filters(resolved.params.min_height)),
-            frames=self.frames.options(),
-            topics=topics.topics,
+            frames=frames,
+            topics=names,
             keep=topics.keep,
             drop=topics.drop,
             keep_clouds=topics.keep_clouds,
@@ -556,7 +619,8 @@ class Conversion(Group):
     def read_files(self) -> dict[str, Path]:
         """The files that are read for the options, by option; the library knows of the recordings itself."""
         named = {"--params-file": self.projection.params_file, "--static-tf-file": self.frames.static_tf_file}
-        return {option: path for option, path in named.items() if path is not None}
+        further = {f"{path.name} (from --params-file)": path for path in self.files}
+        return {option: path for option, path in named.items() if path is not None} | further
 
 
 class Output(Group):

@@ -33,6 +33,7 @@ OPTIONS = {
     "ignore": "--ignore",
     "keep": "--keep",
     "keep_clouds": "--keep-clouds",
+    "launch_args": "--arg",
     "metadata_version": "--metadata-version",
     "min_height_slope": "--min-height-slope",
     "min_used": "--min-used",

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from pc2scan.bags.merged import as_one
 from pc2scan.bags.opening import open_recordings
-from pc2scan.bags.topics import find_topic
+from pc2scan.bags.topics import find_topics
 from pc2scan.core.consumers import CONSUMERS, OUTCOMES, Outcome
 from pc2scan.errors import DecodeError, TopicError, UsageError, stamp_text
 from pc2scan.json_types import json_value
@@ -318,7 +318,8 @@ def _scan_connections(connections: Sequence[Connection], topics: tuple[str, ...]
             scans.setdefault(connection.topic, []).append(connection)
     if not scans:
         raise TopicError("the recording has no LaserScan topic", hint="pc2scan convert makes scans of its clouds")
-    names = {find_topic(topic, types, sorted(scans), LASERSCAN) for topic in topics} or scans.keys()
+    asked = (find_topics(topic, types, sorted(scans), LASERSCAN) for topic in topics)
+    names = {name for found in asked for name in found} or scans.keys()
     return {name: scans[name] for name in sorted(names)}
 
 

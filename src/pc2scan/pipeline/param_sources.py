@@ -32,12 +32,25 @@ class ResolvedSources:
         Whether scans become clouds.
     ignored
         Where the parameter file has something that is no parameter of the projection.
+    remaps, files
+        As those of `pc2scan.pipeline.params_file.ParamsFile`.
     """
 
     params: ProjectionParams
     origin: Mapping[str, str]
     reverse: bool
     ignored: tuple[str, ...] = ()
+    remaps: tuple[str, ...] = ()
+    files: tuple[Path, ...] = ()
+
+    @property
+    def topics(self) -> tuple[str, ...]:
+        """The topics that a launch file remaps, as `pc2scan.pipeline.options.TopicRequest` reads them."""
+        if not self.remaps:
+            return ()
+        from .remaps import remapped  # noqa: PLC0415  # only where a launch file is given
+
+        return remapped(self.remaps, reverse=self.reverse).topics
 
 
 def resolve_sources(
@@ -46,6 +59,7 @@ def resolve_sources(
     assignments: Sequence[str] = (),
     file: Path | None = None,
     node: str | None = None,
+    launch_args: Sequence[str] = (),
     preset: str | None = None,
     reverse: bool = False,
 ) -> ResolvedSources:
@@ -58,7 +72,9 @@ def resolve_sources(
     assignments
         As `pc2scan.pipeline.param_assignment.parse_param` reads them; a later one beats an earlier one.
     file, node
-        A parameter file, and whose section of it.
+        A parameter file or a launch file, and whose section of it.
+    launch_args
+        Arguments of a launch file, ``name:=value``.
     preset
         The name of a consumer.
     reverse
@@ -73,9 +89,13 @@ def resolve_sources(
         raise UsageError(
             "`node` chooses a section of a parameter file, and none is given", hint=f"`params_file=FILE` `node={node}`"
         )
+    if launch_args and file is None:
+        raise UsageError("`launch_args` are those of a launch file, and none is given", hint="`params_file=FILE`")
     # Only what is given is loaded: a process that converts a small recording spends most of its time on loading.
     found = list(settings)
     ignored: tuple[str, ...] = ()
+    remaps: tuple[str, ...] = ()
+    files: tuple[Path, ...] = ()
     if assignments:
         from .param_assignment import parse_param  # noqa: PLC0415
 
@@ -83,9 +103,9 @@ def resolve_sources(
     if file is not None:
         from .params_file import load_params_file  # noqa: PLC0415
 
-        loaded = load_params_file(file, node=node)
+        loaded = load_params_file(file, node=node, arguments=_arguments(launch_args))
         found += loaded.settings
-        ignored = loaded.ignored
+        ignored, remaps, files = loaded.ignored, loaded.remaps, loaded.files
         if reverse and loaded.direction == "pointcloud_to_laserscan":
             raise UsageError(f"{loaded.node} is for pointcloud_to_laserscan, `reverse=True` is not", path=file)
         reverse = reverse or loaded.direction == "laserscan_to_pointcloud"
@@ -93,4 +113,15 @@ def resolve_sources(
         found += preset_settings(preset)
     direction: Direction = "laserscan_to_pointcloud" if reverse else "pointcloud_to_laserscan"
     resolved = resolve(found, direction=direction)
-    return ResolvedSources(resolved.params, resolved.origin, reverse, ignored)
+    return ResolvedSources(resolved.params, resolved.origin, reverse, ignored, remaps, files)
+
+
+def _arguments(texts: Sequence[str]) -> dict[str, str]:
+    """Read arguments of a launch file; a later one beats an earlier one."""
+    arguments = {}
+    for text in texts:
+        name, assigned, value = text.partition(":=")
+        if not assigned or not name:
+            raise UsageError(f"`launch_args`: {text!r} is not an argument", hint="write `launch_args=name:=value`")
+        arguments[name] = value
+    return arguments

@@ -1,9 +1,10 @@
-"""Parameter files: reading ROS 2's and ROS 1's, and writing ROS 2's."""
+"""Parameter files: reading ROS 2's and ROS 1's, and launch files, and writing ROS 2's."""
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 from pc2scan.errors import ParameterError
@@ -11,6 +12,7 @@ from pc2scan.files.nearby import missing_hint
 from pc2scan.files.source import opened_bytes
 from pc2scan.names import did_you_mean
 
+from .launch_file import is_launch_xml, launch_node
 from .parameters import (
     ALIASES,
     PARAMETERS,
@@ -22,13 +24,15 @@ from .parameters import (
     shown,
     unknown_parameter,
 )
+from .ros_scalars import plain_scalar
 from .yaml_nodes import compose, is_empty, is_mapping, is_scalar, place_of, scalar_value
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator
-    from pathlib import Path
+    from collections.abc import Collection, Iterable, Iterator, Mapping
 
     from pc2scan.core.params import ProjectionParams
+
+    from .launch_file import LaunchParam
 
 __all__ = ["ParamsFile", "load_params_file", "render_params_file"]
 
@@ -58,16 +62,22 @@ class ParamsFile:
     ignored
         Origins of what was read and left aside: names of topics, wildcard parameters that are
         another node's, a ``concurrency_level`` beside a ``queue_size``. Worth telling the user.
+    remaps
+        Of a launch file: ``cloud_in:=/points``, of the node's own topics and of the transforms'.
+    files
+        Further files that a launch file names, and that were read.
     """
 
     direction: Direction | None
     settings: tuple[Setting, ...]
     node: str
     ignored: tuple[str, ...] = ()
+    remaps: tuple[str, ...] = ()
+    files: tuple[Path, ...] = ()
 
 
-def load_params_file(path: Path, *, node: str | None = None) -> ParamsFile:
-    """Read a ROS 2 parameter file or a ROS 1 YAML.
+def load_params_file(path: Path, *, node: str | None = None, arguments: Mapping[str, str] | None = None) -> ParamsFile:
+    """Read a ROS 2 parameter file, a ROS 1 YAML, or an XML launch file of either.
 
     A file with ``ros__parameters`` in it is ROS 2's: nodes by their names, with namespaces in the name or
     around it, ``/**`` and ``/*`` as wildcards. Anything else is ROS 1's: parameters, flat or
@@ -85,6 +95,8 @@ def load_params_file(path: Path, *, node: str | None = None) -> ParamsFile:
         The file: UTF-8, at most 1 MB.
     node
         Name of the node whose section is wanted, with or without its namespace.
+    arguments
+        Of a launch file; see `pc2scan.pipeline.launch_file`.
 
     Returns
     -------
@@ -97,7 +109,20 @@ def load_params_file(path: Path, *, node: str | None = None) -> ParamsFile:
         If the file cannot be read or is not YAML (with line and column), a key is there twice, no section
         or several could be meant, a parameter is unknown to the node, or a value is not a scalar.
     """
+    if path.suffix == ".py":
+        raise ParameterError(
+            f"{path}: is a Python program, which is not executed",
+            hint="give the parameter file that it names; of a running node `ros2 param dump` writes one",
+        )
     text = _read_text(path)
+    if is_launch_xml(text):
+        return _from_launch(text, path, node, arguments or {})
+    if arguments:
+        raise ParameterError(f"{path}: only XML launch files have arguments", hint="leave `launch_args` out")
+    return _from_yaml(text, path, node)
+
+
+def _from_yaml(text: str, path: Path, node: str | None) -> ParamsFile:
     root = compose(text, str(path))
     if root is None or is_empty(root):
         raise ParameterError(f"{path}: the file is empty")
@@ -115,6 +140,76 @@ def load_params_file(path: Path, *, node: str | None = None) -> ParamsFile:
     if ros1:
         sections = _with_nested(sections, target)
     return _merged(sections, target, ros1=ros1)
+
+
+def _from_launch(text: str, path: Path, node: str | None, arguments: Mapping[str, str]) -> ParamsFile:
+    """Read a node's parameters out of a launch file; of two values for one, the later counts."""
+    found = launch_node(text, path, arguments, node)
+    settings: dict[str, Setting] = {}
+    ignored = list(found.ignored)
+    files: list[Path] = []
+    for param in found.params:
+        place = f"{path}, line {param.line}"
+        if param.kind == "file":
+            file = Path(param.value)
+            inner = _read_text(file)
+            if is_launch_xml(inner):
+                raise ParameterError(f"{file}: is a launch file, where parameters are expected (from {place})")
+            files.append(file)
+            loaded = _section_for(found.name, inner, file)
+            ignored += loaded.ignored
+            settings |= {setting.name: setting for setting in loaded.settings}
+            continue
+        if param.kind == "yaml":
+            root = compose(param.value, place)
+            if root is None or not is_mapping(root):
+                raise ParameterError(f"{place}: expected parameters as 'name: value' in <rosparam>")
+            values = [
+                (
+                    ".".join(leaf.path),
+                    scalar_value(leaf.node, leaf.path[-1], f"{place}, {'.'.join(leaf.path)}", ros1=True),
+                )
+                for leaf in _leaves(root, path, ())
+            ]
+        else:
+            values = [(param.name, _launch_value(param))]
+        for written, value in values:
+            name, origin = ALIASES.get(written, written), f"{place}, {written}"
+            if _is_every_nodes(written):
+                continue
+            if name in names_of(found.direction):
+                settings[name] = Setting(name, _as_bool(name, value), origin, "file")
+            elif written in TOPICS:
+                ignored.append(origin)
+            else:
+                raise unknown_parameter(written, origin, found.direction)
+    return ParamsFile(found.direction, tuple(settings.values()), found.name, tuple(ignored), found.remaps, tuple(files))
+
+
+def _section_for(node: str, text: str, file: Path) -> ParamsFile:
+    """The section of a node that a launch file starts, or what would be taken without a launch file."""
+    try:
+        return _from_yaml(text, file, node)
+    except ParameterError:
+        return _from_yaml(text, file, None)
+
+
+def _launch_value(param: LaunchParam) -> object:
+    text = param.value.strip()
+    quoted = re.fullmatch(r"'(.*)'|\"(.*)\"", text)
+    if quoted:
+        return quoted[1] if quoted[1] is not None else quoted[2]
+    parameter = PARAMETERS.get(ALIASES.get(param.name, param.name))
+    if param.type in {"str", "string"} or (parameter and parameter.kind == "str"):
+        return param.value
+    return plain_scalar(text)
+
+
+def _as_bool(name: str, value: object) -> object:
+    """Take 0 and 1 for a truth value, as roscpp does."""
+    if PARAMETERS[name].kind == "bool" and isinstance(value, int) and value in {0, 1}:
+        return bool(value)
+    return value
 
 
 def _read_text(path: Path) -> str:
@@ -373,10 +468,8 @@ def _merged(sections: _Sections, target: str, *, ros1: bool) -> ParamsFile:
 
 def _file_setting(name: str, leaf: _Leaf, *, ros1: bool) -> Setting:
     value = scalar_value(leaf.node, name, leaf.origin, ros1=ros1)
-    # roscpp takes 0 and 1 for a bool; rclcpp refuses them.
-    if ros1 and PARAMETERS[name].kind == "bool" and isinstance(value, int) and value in {0, 1}:
-        value = bool(value)
-    return Setting(name, value, leaf.origin, "file")
+    # rclcpp refuses 0 and 1 for a bool.
+    return Setting(name, _as_bool(name, value) if ros1 else value, leaf.origin, "file")
 
 
 def render_params_file(params: ProjectionParams, *, direction: Direction = "pointcloud_to_laserscan") -> str:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING
 
-from pc2scan.bags.topics import find_topic, short_types
+from pc2scan.bags.topics import find_topics, matches, renamed, short_types
 from pc2scan.errors import TopicError, name_list
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN
@@ -85,9 +84,11 @@ def _targets(connections: Sequence[Connection], options: ConvertOptions) -> dict
     if options.topics:
         requests: dict[str, list[str | None]] = {}
         for request in options.topics:
-            requests.setdefault(find_topic(request.source, types, candidates, *convertible), []).append(request.target)
+            for topic in find_topics(request.source, types, candidates, *convertible):
+                target = request.target and renamed(topic, request.source, request.target)
+                requests.setdefault(topic, []).append(target)
     else:
-        requests = {topic: [None] for topic in candidates if not _matches(topic, options.drop)}
+        requests = {topic: [None] for topic in candidates if not matches(topic, options.drop)}
         if not requests:
             raise TopicError(_nothing_to_convert(types, candidates, convertible), hint=_other_direction(types, options))
     single = len(requests) == 1
@@ -153,7 +154,7 @@ def _idle_patterns(
     idle = []
     for name, patterns in (("keep", options.keep), ("drop", options.drop)):
         for pattern in patterns:
-            matched = {topic for topic in topics if _matches(topic, (pattern,))}
+            matched = {topic for topic in topics if matches(topic, (pattern,))}
             if not matched:
                 near = did_you_mean(pattern, sorted(topics))
                 idle.append(f"`{name}={pattern}` matches no topic" + (f"; {near}" if near else ""))
@@ -166,14 +167,7 @@ def _idle_patterns(
 
 
 def _chosen(topic: str, keep: Sequence[str], drop: Sequence[str]) -> bool:
-    return (not keep or _matches(topic, keep)) and not _matches(topic, drop)
-
-
-def _matches(topic: str, patterns: Sequence[str]) -> bool:
-    """Whether a topic is one of the names or globs; a leading slash is no difference."""
-    return any(
-        topic == pattern or fnmatchcase(topic.removeprefix("/"), pattern.removeprefix("/")) for pattern in patterns
-    )
+    return (not keep or matches(topic, keep)) and not matches(topic, drop)
 
 
 def _types_by_topic(connections: Sequence[Connection]) -> dict[str, set[str]]:

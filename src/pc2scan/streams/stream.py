@@ -11,7 +11,7 @@ from weakref import WeakSet, finalize
 
 from pc2scan.bags.merged import as_one
 from pc2scan.bags.opening import open_recordings
-from pc2scan.bags.topics import find_topic, short_types
+from pc2scan.bags.topics import find_topics, short_types
 from pc2scan.bags.units import in_time_order
 from pc2scan.errors import MessageError, RecordingWarning, TopicError, UsageError, name_list
 from pc2scan.pipeline.report import MAX_LISTED, Skipped
@@ -103,7 +103,8 @@ class Selection:
                 hint=f'choose: topic="{min(found)}", or a list of several',
             )
         try:
-            names = [find_topic(topic, types, sorted(found), *kinds) for topic in self.topics] or list(found)
+            asked = [find_topics(topic, types, sorted(found), *kinds) for topic in self.topics]
+            names = list(dict.fromkeys(name for several in asked for name in several)) or list(found)
         except TopicError as err:
             err.path = reader.path
             if names_a_type := hint(reader):

@@ -1,0 +1,420 @@
+"""Launch files: the parameters and remappings of the pointcloud_to_laserscan nodes in ROS 1's and ROS 2's XML.
+
+Nothing is launched, and nothing in a file is executed. A file may come from anywhere: it has a bounded size and depth,
+and document types, with which entities could be declared, are refused.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, NoReturn
+
+from pc2scan.errors import ParameterError, name_list
+from pc2scan.names import did_you_mean
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from .parameters import Direction
+
+__all__ = ["LaunchNode", "LaunchParam", "is_launch_xml", "launch_node"]
+
+#: Deeper nesting than any launch file has.
+_MAX_DEPTH = 50
+
+#: So many substitutions in one text, one in another, are a mistake.
+_MAX_SUBSTITUTIONS = 100
+
+_SUBSTITUTION = re.compile(r"\$\(([a-z-]+)\s*([^()$]*)\)")
+
+#: Topics whose remappings count.
+_TOPICS: dict[Direction, frozenset[str]] = {
+    "pointcloud_to_laserscan": frozenset({"cloud_in", "scan", "tf", "tf_static"}),
+    "laserscan_to_pointcloud": frozenset({"scan_in", "cloud", "tf", "tf_static"}),
+}
+
+_TRUE, _FALSE = frozenset({"1", "true", "True", "yes"}), frozenset({"0", "false", "False", "no", ""})
+
+
+@dataclass(slots=True)
+class _Element:
+    tag: str
+    attributes: dict[str, str]
+    line: int
+    children: list[_Element] = field(default_factory=list)
+    text: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class LaunchParam:
+    """One parameter element of a node.
+
+    Attributes
+    ----------
+    name
+        As written; empty for a file or a block of YAML.
+    value
+        Text, substituted.
+    kind
+        ``value``; ``yaml``, a block of YAML; or ``file``, the path of one.
+    line
+        Of the element.
+    type
+        ROS 1's, empty where there is none.
+    """
+
+    name: str
+    value: str
+    kind: str
+    line: int
+    type: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class LaunchNode:
+    """A node of a launch file.
+
+    Attributes
+    ----------
+    name
+        Fully qualified.
+    direction
+        Which of the two nodes it is.
+    params
+        In the order of the file.
+    remaps
+        ``cloud_in:=/points``, as they apply to the node.
+    ignored
+        What was not read, with its place: ``include`` elements, since they may set parameters.
+    """
+
+    name: str
+    direction: Direction
+    params: tuple[LaunchParam, ...]
+    remaps: tuple[str, ...]
+    ignored: tuple[str, ...] = ()
+
+
+def is_launch_xml(text: str) -> bool:
+    """Whether the text of a parameter file is XML: no YAML of parameters begins like that."""
+    return re.match(r"\s*<[?!a-zA-Z]", text) is not None
+
+
+def launch_node(text: str, path: Path, arguments: Mapping[str, str], node: str | None) -> LaunchNode:
+    """Find the node of a launch file that is replayed.
+
+    Parameters
+    ----------
+    text, path
+        The file.
+    arguments
+        Values of its arguments; the others have the defaults in the file.
+    node
+        Name of the node, with or without its namespace; None: the only one there is.
+
+    Raises
+    ------
+    ParameterError
+        If it is no launch file, an argument has no value, there is no node of pointcloud_to_laserscan, or several.
+    """
+    reader = _Reader(path, dict(arguments))
+    nodes = list(reader.nodes(_parsed(text, path)))
+    if not nodes:
+        raise ParameterError(
+            f"{path}: no node of pointcloud_to_laserscan in it",
+            hint="includes are not followed: name the file that has the node" if reader.ignored else None,
+        )
+    names = [name for name, *_ in nodes]
+    if node is not None:
+        chosen = [entry for entry in nodes if entry[0] == "/" + node.strip("/") or entry[0].endswith(f"/{node}")]
+        if not chosen:
+            near = did_you_mean(node, names) or None
+            raise ParameterError(f"{path}: no node {node!r} (from `node`); found {name_list(names)}", hint=near)
+    else:
+        chosen = nodes
+    if len(chosen) > 1:
+        raise ParameterError(
+            f"{path}: several nodes could be meant: {name_list([name for name, *_ in chosen])}",
+            hint=f"choose one, for example `node={chosen[0][0]}`",
+        )
+    ((name, element, scope),) = chosen
+    found = reader.node(name, element, scope)
+    if unused := sorted(arguments.keys() - reader.declared):
+        raise ParameterError(
+            f"{path}: it has no argument {unused[0]!r}",
+            hint=f"{did_you_mean(unused[0], sorted(reader.declared))} "
+            f"its arguments are {name_list(sorted(reader.declared))}".strip(),
+        )
+    return found
+
+
+def _parsed(text: str, path: Path) -> _Element:
+    """The root element. Not ElementTree, which tells neither lines nor, before it is too late, of entities."""
+    from xml.parsers import expat  # noqa: PLC0415  # only where a launch file is given
+
+    root = _Element("", {}, 0)
+    stack = [root]
+    parser = expat.ParserCreate()
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        if len(stack) > _MAX_DEPTH:
+            raise ParameterError(f"{path}, line {parser.CurrentLineNumber}: nested more than {_MAX_DEPTH} levels deep")
+        element = _Element(tag, attributes, parser.CurrentLineNumber)
+        stack[-1].children.append(element)
+        stack.append(element)
+
+    def end(_tag: str) -> None:
+        stack.pop()
+
+    def characters(data: str) -> None:
+        stack[-1].text += data
+
+    def refuse(*_declared: object) -> None:
+        raise ParameterError(
+            f"{path}, line {parser.CurrentLineNumber}: a document type is declared, which is not read",
+            hint="remove the <!DOCTYPE ...>; launch files need none",
+        )
+
+    parser.buffer_text = True
+    parser.StartElementHandler = start
+    parser.EndElementHandler = end
+    parser.CharacterDataHandler = characters
+    parser.StartDoctypeDeclHandler = refuse
+    try:
+        parser.Parse(text, True)
+    except expat.ExpatError as err:
+        raise ParameterError(f"{path}, line {err.lineno}: not valid XML: {expat.ErrorString(err.code)}") from err
+    if root.children[0].tag != "launch":
+        raise ParameterError(f"{path}: is not a launch file: its root is <{root.children[0].tag}>, not <launch>")
+    return root.children[0]
+
+
+@dataclass(frozen=True, slots=True)
+class _Scope:
+    """What holds where an element stands."""
+
+    namespace: str = ""
+    remaps: tuple[str, ...] = ()
+
+
+_Found = tuple[str, _Element, _Scope]
+
+
+class _Reader:
+    """Walks a file, with the values of its arguments."""
+
+    def __init__(self, path: Path, arguments: dict[str, str]) -> None:
+        self.path = path
+        self.given = arguments
+        #: Arguments of the file, with a value or None.
+        self.arguments: dict[str, str | None] = {}
+        self.ignored: list[str] = []
+
+    @property
+    def declared(self) -> set[str]:
+        return set(self.arguments)
+
+    def nodes(self, parent: _Element, scope: _Scope | None = None) -> Iterator[_Found]:
+        """The nodes of pointcloud_to_laserscan below an element."""
+        scope = scope or _Scope()
+        for element in parent.children:
+            tag = element.tag
+            if tag in {"arg", "let"}:
+                if self._applies(element):
+                    self._declare(element)
+            elif tag == "include":
+                self.ignored.append(f"{self._place(element)}, <include file={element.attributes.get('file', '')!r}>")
+            elif tag in {"remap", "set_remap"} and self._applies(element):
+                scope = _Scope(scope.namespace, (*scope.remaps, self._remap(element)))
+            elif tag in {"push-ros-namespace", "push_ros_namespace"} and self._applies(element):
+                scope = _Scope(_joined(scope.namespace, self._read(element, "namespace")), scope.remaps)
+            elif tag in {"group", "node_container", "load_composable_node"}:
+                if self._applies(element):
+                    space = self._read(element, "ns") if tag == "group" else ""
+                    yield from self.nodes(element, _Scope(_joined(scope.namespace, space), scope.remaps))
+            elif tag in {"node", "composable_node"} and _is_ours(element) and self._applies(element):
+                space = self._read(element, "ns") or self._read(element, "namespace")
+                inner = _Scope(_joined(scope.namespace, space), scope.remaps)
+                own = self._read(element, "name") or _direction(element)
+                yield _joined(inner.namespace, own), element, inner
+
+    def node(self, name: str, element: _Element, scope: _Scope) -> LaunchNode:
+        """Read a node."""
+        remaps = list(scope.remaps)
+        params: list[LaunchParam] = []
+        for child in element.children:
+            if child.tag in {"param", "rosparam", "remap"} and not self._applies(child):
+                continue
+            if child.tag == "remap":
+                remaps.append(self._remap(child))
+            elif child.tag == "param":
+                params += self._params(child)
+            elif child.tag == "rosparam":
+                params.append(self._rosparam(child))
+        # roslaunch's and ros2's arguments: _name:=value, -p name:=value, -r from:=to, from:=to.
+        words = re.findall(r"(?:(-[pr]|--param|--remap)\s+)?(\S+:=\S*)", self._read(element, "args"))
+        for option, word in words:
+            left, _, right = word.partition(":=")
+            if option in {"-p", "--param"} or (left.startswith("_") and not left.startswith("__")):
+                params.append(LaunchParam(left.lstrip("_"), right, "value", element.line))
+            elif not left.startswith("__"):
+                remaps.append(word)
+        own = _TOPICS[_direction(element)]
+        resolved = tuple(
+            _resolved(remap, scope.namespace) for remap in remaps if remap.partition(":=")[0].strip("~/") in own
+        )
+        return LaunchNode(name, _direction(element), tuple(params), resolved, tuple(self.ignored))
+
+    def _params(self, element: _Element, above: str = "") -> Iterator[LaunchParam]:
+        source = self._read(element, "from")
+        if source:
+            yield LaunchParam("", str(self._file(source)), "file", element.line)
+            return
+        name = above + self._read(element, "name")
+        if element.children:
+            for child in element.children:
+                yield from self._params(child, f"{name}.")
+            return
+        if "value" not in element.attributes:
+            raise ParameterError(
+                f"{name}: <param> has no value here (from {self._place(element)})",
+                name=name,
+                hint=f"textfile, binfile and command are not read; give it by itself: `{name}=...`"
+                if name.isidentifier()
+                else None,
+            )
+        value = self._read(element, "value")
+        yield LaunchParam(name, value, "value", element.line, self._read(element, "type"))
+
+    def _rosparam(self, element: _Element) -> LaunchParam:
+        command = element.attributes.get("command", "load")
+        if command != "load":
+            raise ParameterError(f"<rosparam command={command!r}> is not read (from {self._place(element)})")
+        if "file" in element.attributes:
+            return LaunchParam("", str(self._file(self._read(element, "file"))), "file", element.line)
+        substituted = element.attributes.get("subst_value", "").lower() in {"1", "true"}
+        text = self._substituted(element.text, element) if substituted else element.text
+        name = self._read(element, "param")
+        return LaunchParam(name, text, "value" if name else "yaml", element.line)
+
+    def _file(self, text: str) -> Path:
+        found = Path(text)
+        return found if found.is_absolute() else self.path.parent / found
+
+    def _declare(self, element: _Element) -> None:
+        name = self._read(element, "name")
+        if element.tag == "let" or "value" in element.attributes:
+            self.arguments[name] = self._read(element, "value")
+        elif name in self.given:
+            self.arguments[name] = self.given[name]
+        elif "default" in element.attributes:
+            self.arguments[name] = self._read(element, "default")
+        else:
+            self.arguments.setdefault(name, None)
+
+    def _applies(self, element: _Element) -> bool:
+        for attribute, wanted in (("if", True), ("unless", False)):
+            if attribute in element.attributes:
+                text = self._read(element, attribute).strip()
+                if text not in _TRUE | _FALSE:
+                    raise ParameterError(
+                        f"{attribute}={text!r} is neither true nor false (from {self._place(element)})"
+                    )
+                if (text in _TRUE) is not wanted:
+                    return False
+        return True
+
+    def _remap(self, element: _Element) -> str:
+        return f"{self._read(element, 'from')}:={self._read(element, 'to')}"
+
+    def _place(self, element: _Element) -> str:
+        return f"{self.path}, line {element.line}"
+
+    def _read(self, element: _Element, attribute: str) -> str:
+        return self._substituted(element.attributes.get(attribute, ""), element)
+
+    def _substituted(self, text: str, element: _Element) -> str:
+        """Replace ``$(arg ...)`` and its kind, the innermost first."""
+        for _ in range(_MAX_SUBSTITUTIONS):
+            found = _SUBSTITUTION.search(text)
+            if found is None:
+                if "$(" in text:
+                    self._refuse(text[text.index("$(") :], element)
+                return text
+            value = self._value(found[1], found[2].strip(), element)
+            text = text[: found.start()] + value + text[found.end() :]
+            if len(text) > 10_000:
+                break
+        raise ParameterError(f"too many substitutions (from {self._place(element)})")
+
+    def _value(self, kind: str, rest: str, element: _Element) -> str:
+        name, *more = rest.split()[:2] or [""]
+        name, default = name.strip("'\""), " ".join(more).strip("'\"")
+        match kind:
+            case "arg" | "var":
+                value = self.arguments.get(name, self.given.get(name))
+                if value is None:
+                    self.arguments.setdefault(name, None)
+                    raise ParameterError(
+                        f"{self.path}: needs a value for its argument {name!r} (from {self._place(element)})",
+                        hint=f"`launch_args={name}:=VALUE`",
+                    )
+                return value
+            case "env" | "optenv":
+                value = os.environ.get(name, default if more or kind == "optenv" else None)
+                if value is None:
+                    raise ParameterError(
+                        f"{self.path}: needs the environment variable {name} (from {self._place(element)})",
+                        hint=f"{name}=VALUE pc2scan ...",
+                    )
+                return value
+            case "dirname":
+                return str(self.path.parent)
+            case "find" | "find-pkg-share":
+                return str(self._package(name, element))
+            case "anon":
+                return name
+        return self._refuse(f"$({kind} {rest})", element)
+
+    def _package(self, name: str, element: _Element) -> Path:
+        """Where a package is: the one that the file is in. Others would need a ROS installation."""
+        for folder in self.path.resolve().parents:
+            if folder.name == name or (folder / "package.xml").exists():
+                return folder
+        raise ParameterError(
+            f"{self.path}: where is the package {name!r}? (from {self._place(element)})",
+            hint="give the parameter file in it by itself: `params_file=FILE`",
+        )
+
+    def _refuse(self, text: str, element: _Element) -> NoReturn:
+        raise ParameterError(
+            f"{text[:80]!r} cannot be computed without ROS (from {self._place(element)})",
+            hint="write its value into a copy of the file",
+        )
+
+
+def _is_ours(element: _Element) -> bool:
+    said = [element.attributes.get(name, "") for name in ("pkg", "type", "exec", "plugin", "args")]
+    return any("pointcloud_to_laserscan" in text or "laserscan_to_pointcloud" in text for text in said)
+
+
+def _direction(element: _Element) -> Direction:
+    said = "".join(element.attributes.get(name, "") for name in ("type", "exec", "plugin", "args"))
+    said = said.lower().replace("_", "").replace("pointcloudtolaserscan/", "").replace("pointcloudtolaserscan::", "")
+    return "laserscan_to_pointcloud" if "laserscantopointcloud" in said else "pointcloud_to_laserscan"
+
+
+def _joined(above: str, name: str) -> str:
+    """A name below a namespace."""
+    if name.startswith("/"):
+        return name.rstrip("/")
+    return "/".join(filter(None, (above, name.strip("/")))) if above else f"/{name}".rstrip("/")
+
+
+def _resolved(remap: str, namespace: str) -> str:
+    """A remapping whose right side is the whole name."""
+    left, _, right = remap.partition(":=")
+    return f"{left}:={_joined(namespace, right)}"
