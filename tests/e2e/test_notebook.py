@@ -40,7 +40,7 @@ def test_the_notebook_is_small_and_well_formed() -> None:
 
 
 def test_cells_are_run_as_jupyter_runs_them() -> None:
-    cells = [{"source": ["x = 1\n", "print(x)\n", "x + 1"]}, {"source": "None"}, {"source": "x"}]
+    cells: list[dict[str, Any]] = [{"source": ["x = 1\n", "print(x)\n", "x + 1"]}, {"source": "None"}, {"source": "x"}]
     first, second, third = outputs_of(cells)
     assert [output["output_type"] for output in first] == ["stream", "execute_result"]
     assert first[0]["text"] == ["1\n"]
