@@ -101,6 +101,21 @@ def test_a_preset_is_accepted_by_its_consumer(consumer: str, tmp_path: Path) -> 
     assert (done.status, done.stdout.splitlines()[-1]) == (0, f"ok: accepted by {consumer}")
 
 
+def test_convert_warns_for_the_preset_that_was_chosen(tmp_path: Path) -> None:
+    def warned(*options: str) -> str:
+        done = run("convert", HALL, "-o", tmp_path / "out.mcap", "--overwrite", "--min-height", "-0.3", *options)
+        assert done.status == 0, done.stderr
+        return done.stderr
+
+    # slam_toolbox would refuse these, but they are not made for it.
+    assert warned("--preset", "gmapping", "--angle-min", "-1.5", "--angle-max", "1.5") == ""
+    walls = warned("--preset", "slam_toolbox", "--range-max", "20", "--no-return", "range-max-minus")
+    assert walls.startswith("warning: /scan: slam_toolbox would place ranges of these scans where nothing is:")
+    assert "--no-return inf, or --range-max 100.0" in walls
+    assert "gmapping turns the beams" in warned("--preset", "gmapping", "--geometry", "centered")
+    assert "gmapping would abort" in warned("--preset", "gmapping", "--range-max", "inf", "--no-return", "inf")
+
+
 def test_a_sector_to_one_side_cannot_be_made_for_mrpt(tmp_path: Path) -> None:
     done = run(
         "convert", HALL, "-o", tmp_path / "out.mcap", "--preset", "mrpt", "--angle-min", "0", "--angle-max", "1.5"

@@ -10,10 +10,20 @@ from pc2scan.messages.consumed import consumed_scan
 from pc2scan.messages.laserscan import decode_laserscan
 
 if TYPE_CHECKING:
+    from pc2scan.core.consumers import Outcome, Verdict
     from pc2scan.core.params import ProjectionParams
     from pc2scan.model import Buffer
 
 __all__ = ["ghosts", "refusal"]
+
+
+#: What a consumer does with scans that it does not accept.
+_DOES: dict[Outcome, str] = {
+    "shifted": "turns the beams of these scans by a part of one",
+    "misplaced": "would place ranges of these scans where nothing is",
+    "ignored": "would refuse these scans",
+    "aborts": "would abort at these scans",
+}
 
 
 def ghosts(params: ProjectionParams) -> list[str]:
@@ -24,11 +34,12 @@ def ghosts(params: ProjectionParams) -> list[str]:
     return [f"{found}8 % of the returns in a simulated hall. `reduce=surface` is as smooth, without them"]
 
 
-def refusal(data: Buffer, serialization: str) -> str:
+def refusal(data: Buffer, serialization: str, consumer: str = "") -> str:
     """Who would ignore scans like this one, or abort: a sentence for a warning; empty if nobody.
 
-    Only what a scan advertises counts. What its ranges do is left to `pc2scan check`: infinite ranges with an infinite
-    range_max, as upstream's own defaults have them, are misplaced by most consumers, and gmapping aborts.
+    Of a consumer that the scans are made for, everything counts. Of the others only what a scan advertises: what its
+    ranges do is left to `pc2scan check`. Infinite ranges with an infinite range_max, as upstream's own defaults have
+    them, are misplaced by most consumers, and gmapping aborts.
 
     Parameters
     ----------
@@ -36,14 +47,22 @@ def refusal(data: Buffer, serialization: str) -> str:
         A serialised LaserScan.
     serialization
         ``ros1`` or ``cdr``.
+    consumer
+        Whose preset was chosen; empty: nobody's.
     """
-    scan = replace(consumed_scan(decode_laserscan(data, serialization)), infinite=0, short=0)
+    scan = consumed_scan(decode_laserscan(data, serialization))
+    if consumer:
+        verdict = judge(consumer, scan)
+        return "" if verdict.outcome == "accepted" else f"{consumer} {_DOES[verdict.outcome]}: {_why(verdict)}"
+    scan = replace(scan, infinite=0, short=0)
     verdicts = [verdict for consumer in CONSUMERS if (verdict := judge(consumer, scan)).refused]
     if not verdicts:
         return ""
     first = verdicts[0]
     others = f" (so would {', '.join(verdict.consumer for verdict in verdicts[1:])})" if verdicts[1:] else ""
-    return (
-        f"{first.consumer} would refuse these scans{others}: {first.observed} where it allows {first.allowed}. "
-        f"{first.cure[:1].upper()}{first.cure[1:]}"
-    )
+    return f"{first.consumer} would refuse these scans{others}: {_why(first)}"
+
+
+def _why(verdict: Verdict) -> str:
+    """What a scan has, what it should have, and what to do."""
+    return f"{verdict.observed} where it allows {verdict.allowed}. {verdict.cure[:1].upper()}{verdict.cure[1:]}"

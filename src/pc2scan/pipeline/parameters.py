@@ -38,6 +38,7 @@ __all__ = [
     "from_option",
     "from_preset",
     "names_of",
+    "preset_of",
     "preset_settings",
     "resolve",
     "shown",
@@ -425,6 +426,11 @@ def preset_settings(consumer: str) -> list[Setting]:
 def from_preset(origin: str) -> bool:
     """Whether a parameter with this origin was chosen by a preset."""
     return origin.startswith("--preset ")
+
+
+def preset_of(origin: str) -> str:
+    """The preset in the origin of a parameter that one chose."""
+    return origin.removeprefix("--preset ")
 
 
 def from_option(origin: str) -> bool:

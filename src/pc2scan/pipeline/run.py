@@ -50,6 +50,7 @@ from .beforehand import refuse_no_messages
 from .declarations import Declarations
 from .demands import refuse_nothing, refuse_unsatisfied
 from .idle import doubts, refuse_unusable
+from .parameters import from_preset, preset_of
 from .plan import make_plan
 from .report import BEGINNING, Failure, Report
 from .routes import (
@@ -287,7 +288,8 @@ def _run(
             rule = chunk_rule(routes, target, writer) if copying else None
             stream(reader, routes, options, span, rule, pool, writer, report, progress)
             if conversion.output_type == LASERSCAN:
-                report.warnings += [*ghosts(options.params), *_refusals(routes.values(), target.serialization)]
+                report.warnings += ghosts(options.params)
+                report.warnings += _refusals(routes.values(), target.serialization, report)
             files.refuse_changed()
             report.damage += [damage for each in (reader, *others) for damage in each.damage]
             _compare_counts(reader, routes, options, report)
@@ -459,11 +461,12 @@ def span_of(reader: Reader, options: ConvertOptions) -> Span:
     return Span(start, stop, beginning if start is None else max(start, beginning))
 
 
-def _refusals(routes: Iterable[OpenRoute], serialization: str) -> list[str]:
+def _refusals(routes: Iterable[OpenRoute], serialization: str, report: Report) -> list[str]:
     """Who would refuse the scans that were written, topics of one answer together."""
+    chosen = next((preset_of(origin) for origin in report.origins.values() if from_preset(origin)), "")
     topics: dict[str, dict[str, None]] = {}
     for output in (output for route in routes for output in route.outputs):
-        if output.sample and (text := refusal(output.sample, serialization)):
+        if output.sample and (text := refusal(output.sample, serialization, chosen)):
             topics.setdefault(text, {})[output.report.target or ""] = None
     return [f"{', '.join(names)}: {text}" for text, names in topics.items()]
 
