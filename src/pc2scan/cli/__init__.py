@@ -1,4 +1,4 @@
-"""The command line: parse, call one function of the library, render. One module a command."""
+"""The command line: each command is a module that parses, calls one function of the library, and shows the result."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The application: its commands, and the one place that turns errors into messages and exit statuses."""
+"""The application: its commands, and the conversion of errors to messages and exit statuses."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _INTERRUPTED = 128 + signal.SIGINT
 
 
 class _Command(TyperCommand):
-    """Help in sections as plain text: typer's own sections need rich, which takes as long to import as all the rest."""
+    """Shows help in sections as plain text; Typer's own sections need rich, whose import is slow."""
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write the options of each section, in the order in which the sections first occur."""
@@ -54,16 +54,16 @@ class _Command(TyperCommand):
 
 
 class _Group(TyperGroup):
-    """Errors are handled here, inside the group, so that a test's CliRunner sees what a user sees."""
+    """Handles errors inside the group, so that a test's CliRunner sees the same as a user."""
 
     def make_context(self, info_name: Any, args: list[str], *rest: Any, **extra: Any) -> Any:
-        """Read the options in front of the command."""
+        """Read the options before the command."""
         with _usage_errors(args):
             return super().make_context(info_name, args, *rest, **extra)
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command; user errors become a message and an exit status, bugs keep their traceback."""
-        # A termination must unwind the stack, so that nothing half-written stays behind.
+        # A termination must unwind the stack, so that no partial output stays.
         previous = _handle_termination()
         words = [*ctx._protected_args, *ctx.args]  # noqa: SLF001  # as the base class reads them
         try:
@@ -81,8 +81,8 @@ class _Group(TyperGroup):
 
 @contextmanager
 def _usage_errors(typed: Sequence[str]) -> Iterator[None]:
-    """What Typer finds wrong is shown as all other errors are."""
-    # Copied, since Typer takes arguments out of its list as it reads them.
+    """Show Typer's errors like all others."""
+    # Copied, because Typer removes arguments from its list as it reads them.
     typed = tuple(typed)
     try:
         yield
@@ -100,7 +100,7 @@ def _handle_termination() -> Any:
     try:
         return signal.signal(signal.SIGTERM, terminate)
     except ValueError:
-        # Only the main thread may; elsewhere (an embedding program) the signal is not ours.
+        # Only the main thread may set handlers; in another thread, the embedding program handles signals.
         return None
 
 
@@ -124,9 +124,9 @@ def root(
 
 
 def application(command: str | None = None) -> typer.Typer:
-    """Make the application, with one of `COMMANDS` alone if that is what is going to run, else with all of them.
+    """Make the application, with only one of `COMMANDS` if that one is going to run, else with all of them.
 
-    Loading a command, and building its options, takes some milliseconds, which others should not wait for.
+    Loading a command and building its options takes some milliseconds.
     """
     app = typer.Typer(
         cls=_Group,

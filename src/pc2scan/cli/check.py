@@ -16,7 +16,7 @@ __all__ = ["check"]
 
 
 class Consumer(StrEnum):
-    """Those who read scans, as in `pc2scan.core.consumers.CONSUMERS`."""
+    """The consumers of scans, as in `pc2scan.core.consumers.CONSUMERS`."""
 
     slam_toolbox = "slam_toolbox"
     cartographer = "cartographer"
@@ -33,23 +33,23 @@ _SHOWN = 5
 def check(
     sources: Annotated[
         list[Path],
-        typer.Argument(metavar="SRC...", help="Recordings with scans; several are one, merged in time order."),
+        typer.Argument(metavar="SRC...", help="Recordings with scans; several are merged in time order."),
     ],
     consumers: Annotated[
         list[Consumer],
         typer.Option(
             "--for",
             metavar="CONSUMER",
-            help=f"Whose verdict makes the exit status: {', '.join(Consumer)}. Repeatable. "
+            help=f"Consumer that decides the exit status: {', '.join(Consumer)}. Repeatable. "
             "Default: all, and general defects count too.",
         ),
     ] = [],  # noqa: B006 - typer reads the default and never hands it out
     topics: Annotated[
         list[str],
-        typer.Option("--topic", "-t", metavar="TOPIC", help="LaserScan topic to look at. Repeatable. Default: all."),
+        typer.Option("--topic", "-t", metavar="TOPIC", help="LaserScan topic to check. Repeatable. Default: all."),
     ] = [],  # noqa: B006
     odom_frame: Annotated[
-        str, typer.Option(metavar="FRAME", help="The odometry's frame, which scans must be connected with.")
+        str, typer.Option(metavar="FRAME", help="The odometry's frame; scans must be connected with it.")
     ] = "odom",
     base_frame: Annotated[
         str,
@@ -63,12 +63,12 @@ def check(
     transforms: TfSources,
     as_json: Json = False,
 ) -> None:
-    """Check whether SLAM and navigation would take a recording's scans.
+    """Check whether SLAM and navigation accept a recording's scans.
 
-    For each LaserScan topic and consumer: accepted; shifted (taken, but turned by up to one beam); misplaced (taken,
-    but with beams or ranges where nothing is); ignored; or aborts (the consumer ends). With the rule, the numbers and
-    the cure. Then what is wrong whoever reads the scans: frames and transforms, stamps, rates, lengths, ranges.
-    Defects, or merely worth a notice.
+    For each LaserScan topic and consumer: accepted; shifted (accepted, but turned by up to one beam); misplaced
+    (accepted, but with beams or ranges in wrong places); ignored; or aborts (the consumer ends). With the rule, the
+    numbers and a remedy. Then problems for all consumers, as defects or notices: frames and transforms, stamps, rates,
+    lengths, ranges.
 
     Exit status: 0 all accepted (without --for: or shifted, and no defect), 1 not, 2 wrong usage.
     """

@@ -28,7 +28,7 @@ def convert(
         list[Path],
         typer.Argument(
             metavar="SRC...",
-            help="ROS 1 bag, rosbag2 directory, .db3 or .mcap file. Several are one recording, merged in time order.",
+            help="ROS 1 bag, rosbag2 directory, .db3 or .mcap file. Several are merged in time order.",
         ),
     ],
     destination: Destination = None,
@@ -39,8 +39,8 @@ def convert(
 ) -> None:
     """Convert recorded clouds to laser scans, or back.
 
-    PointCloud2 becomes LaserScan as ROS's pointcloud_to_laserscan does it. Every other topic passes through.
-    Nothing is dropped in silence: what could not be converted is counted, listed, and reflected in the exit status.
+    PointCloud2 becomes LaserScan, with the results of ROS's pointcloud_to_laserscan. All other topics are copied.
+    Messages that cannot be converted are counted, listed, and reflected in the exit status.
     """
     sources, remaps, parameters = ros_arguments(sources)
     conversion.projection.remap += remaps

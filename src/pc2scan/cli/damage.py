@@ -1,4 +1,4 @@
-"""Telling of damaged recordings, on standard error."""
+"""Shows the damage of recordings on standard error."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 
 __all__ = ["SHOWN", "show_damage", "show_recovery"]
 
-#: Damaged places, and reasons for skipping, that are shown unless --verbose asks for all that are listed.
+#: Damaged places, and reasons for skipping, that are shown without --verbose.
 SHOWN = 5
 
 
 def show_damage(damage: Sequence[Damage], *, limit: int = SHOWN) -> None:
-    """Tell what is damaged, where, and what is lost there."""
+    """Show the damage, its place, and what is lost there."""
     for place in damage[:limit]:
         typer.echo(printable(f"damaged: {place}"), err=True)
     if len(damage) > limit:
@@ -31,7 +31,7 @@ def show_damage(damage: Sequence[Damage], *, limit: int = SHOWN) -> None:
 
 
 def show_recovery(report: Report, *, limit: int = SHOWN) -> None:
-    """Tell what is damaged in a run's sources, and how much was recovered all the same."""
+    """Show the damage of a run's sources, and how much was recovered."""
     if not report.damage:
         return
     show_damage(report.damage, limit=limit)
@@ -47,7 +47,7 @@ def show_recovery(report: Report, *, limit: int = SHOWN) -> None:
 
 
 def _spanned(damage: Sequence[Damage]) -> str:
-    """From when to when messages may be missing, all places together."""
+    """Return the times between which messages may be missing, of all places together."""
     firsts = [place.first_ns for place in damage]
     lasts = [place.last_ns for place in damage]
     first = min((time for time in firsts if time is not None), default=None)

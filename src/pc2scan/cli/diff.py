@@ -13,15 +13,15 @@ from .render import message, print_json
 
 __all__ = ["diff"]
 
-_RULES = "What counts as the same"
-_LIBM = "What another libm explains"
+_RULES = "Tolerances"
+_LIBM = "Differences of libm"
 
 
 def diff(
     a: Annotated[Path, typer.Argument(metavar="A", help="A recording, the reference.")],
     b: Annotated[
         Path | None,
-        typer.Argument(metavar="[B]", help="The recording to compare with it. Left out: A itself, see --topic."),
+        typer.Argument(metavar="[B]", help="The recording to compare with it. Default: A itself, see --topic."),
     ] = None,
     *,
     topics: Annotated[
@@ -30,7 +30,7 @@ def diff(
             "--topic",
             "-t",
             metavar="A[:=B]",
-            help="Topic to compare, and its name in B where that is another. Repeatable. "
+            help="Topic to compare, and its name in B if that differs. Repeatable. "
             "Default: every LaserScan and PointCloud2 topic.",
         ),
     ] = [],  # noqa: B006 - typer reads the default and never hands it out
@@ -43,7 +43,7 @@ def diff(
         typer.Option(
             "--atol",
             metavar="[NAME=]X",
-            help="Absolute tolerance: of all values, or of ranges, intensities or a field of the clouds. Repeatable.",
+            help="Absolute tolerance of all values, or of ranges, intensities or a field of the clouds. Repeatable.",
             rich_help_panel=_RULES,
         ),
     ] = [],  # noqa: B006
@@ -52,7 +52,7 @@ def diff(
         typer.Option(
             "--rtol",
             metavar="[NAME=]X",
-            help="Tolerance relative to A's value; the two add up. Repeatable.",
+            help="Tolerance relative to A's value; the two are added. Repeatable.",
             rich_help_panel=_RULES,
         ),
     ] = [],  # noqa: B006
@@ -80,8 +80,8 @@ def diff(
         bool,
         typer.Option(
             "--explain",
-            help="Find out how many differing beams of scans another libm explains: exactly, by the clouds of the "
-            "scans in A or B or --clouds; or at most, by the scans alone.",
+            help="Count the differing beams of scans that another libm explains: exactly, from the clouds of the "
+            "scans in A or B or --clouds; or an upper limit, from the scans alone.",
             rich_help_panel=_LIBM,
         ),
     ] = False,
@@ -89,7 +89,7 @@ def diff(
         Path | None,
         typer.Option(
             metavar="SRC",
-            help="The recording with the clouds that the scans were made of, and the transforms; implies --explain.",
+            help="Recording with the clouds of the scans, and the transforms; implies --explain.",
             rich_help_panel=_LIBM,
         ),
     ] = None,
@@ -97,17 +97,17 @@ def diff(
         Path | None,
         typer.Option(
             metavar="PAGE",
-            help="Also write an HTML page: the scans in which most beams differ, over each other, the beams marked.",
+            help="Also write an HTML page that shows the scans with most differing beams on top of each other.",
         ),
     ] = None,
     as_json: Json = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Tell by the exit status only.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing; only set the exit status.")] = False,
 ) -> None:
-    """Show what differs between two recordings.
+    """Show the differences between two recordings.
 
     Scans and clouds are compared message by message, matched by their header's stamp: repeated stamps in order,
-    messages without a stamp by log time. Everything is compared to the bit unless a tolerance is given. Container,
-    compression and ROS version make no difference.
+    messages without a stamp by log time. All bits must be equal unless a tolerance is given. Container, compression
+    and ROS version are not compared.
 
     Exit status: 0 the same, 1 different, 2 not comparable.
     """

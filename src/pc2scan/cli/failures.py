@@ -1,4 +1,4 @@
-"""Errors as the command shows them, and the exit statuses that they end with."""
+"""Shows errors, and returns their exit statuses."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = ["VERDICTS", "StdoutError", "end_without_output", "guarded", "show_failure"]
 
-#: Commands whose status 1 is a verdict, so that whatever cannot be judged is 2.
+#: Commands whose status 1 is a verdict; if they cannot judge, it is 2.
 VERDICTS = frozenset({"check", "diff", "golden"})
 
 #: Commands that write a recording before they print anything.
@@ -65,7 +65,7 @@ class StdoutError(Exception):
 
 
 class _Guarded:
-    """A text stream whose failures are `StdoutError`, so that no other error is taken for one."""
+    """A text stream that raises `StdoutError`, so that its errors are distinguished from others."""
 
     def __init__(self, stream: Any) -> None:
         self._stream = stream
@@ -87,7 +87,7 @@ class _Guarded:
 
 
 def guarded(stream: Any) -> Any:
-    """The stream, with failures that can be told from those of other files; None stays None."""
+    """Return the stream with distinguishable errors; None stays None."""
     return None if stream is None else _Guarded(stream)
 
 

@@ -23,7 +23,7 @@ def golden(
     pattern: Annotated[
         str,
         typer.Option(
-            "-k", metavar="PATTERN", help="Only cases with this in their name; may be a glob.", show_default=False
+            "-k", metavar="PATTERN", help="Run only cases with this in their name; may be a glob.", show_default=False
         ),
     ] = "",
     *,
@@ -35,7 +35,7 @@ def golden(
         Path | None, typer.Option(metavar="FILE", help="Write the results as JUnit XML, for CI systems.")
     ] = None,
     overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace the file of --junit, whatever it is.")
+        bool, typer.Option("--overwrite", help="Replace the file of --junit, whatever its content.")
     ] = False,
     as_json: Json = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Do not show cases that passed.")] = False,

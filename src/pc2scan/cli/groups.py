@@ -28,7 +28,7 @@ class Group(SimpleNamespace):
 
     @classmethod
     def parameters(cls) -> Iterable[Parameter]:
-        """One keyword-only parameter for each option, those of the groups in it included."""
+        """Return a keyword-only parameter for each option, including those of nested groups."""
         for name, kind in cls.__annotations__.items():
             if _is_group(kind):
                 yield from kind.parameters()
@@ -38,7 +38,7 @@ class Group(SimpleNamespace):
 
     @classmethod
     def gathered(cls, values: Mapping[str, Any]) -> Self:
-        """Make the group of the values that were typed; other names in ``values`` are ignored."""
+        """Make the group from the typed values; other names in ``values`` are ignored."""
         kinds = cls.__annotations__.items()
         return cls(**{name: kind.gathered(values) if _is_group(kind) else values[name] for name, kind in kinds})
 
@@ -48,7 +48,7 @@ def _is_group(kind: object) -> TypeGuard[type[Group]]:
 
 
 def flat(command: Callable[..., None]) -> Callable[..., None]:
-    """Return a function that takes an option a parameter, and calls ``command`` with its groups."""
+    """Return a function with one parameter for each option, which calls ``command`` with its groups."""
     hints = get_type_hints(command, include_extras=True)
     parameters: list[Parameter] = []
     for parameter in signature(command).parameters.values():

@@ -1,4 +1,4 @@
-"""The command line within this process: what golden cases run their conversions with."""
+"""Runs the command line within this process, for golden cases."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 __all__ = ["run_command"]
 
 
-#: Options of ``convert`` beside those of `Conversion` that decide what is written, and not where.
+#: Further options of ``convert``, besides those of `Conversion`, that decide what is written, but not where.
 _FORM = ("storage", "compression", "profile", "metadata_version", "ros_distro")
 
 
@@ -57,7 +57,7 @@ def run_command(arguments: Sequence[str], chosen: Sequence[str] = ()) -> Ended:
 
 
 def _refuse_others(name: str, chosen: Sequence[str]) -> None:
-    """Raise unless these are options that decide what is converted, as the command's own parser reads them."""
+    """Raise if any of these, read by the command's own parser, does not decide what is converted."""
     from .app import application
     from .options import Conversion
 

@@ -24,15 +24,15 @@ __all__ = ["info"]
 def info(
     sources: Annotated[
         list[Path],
-        typer.Argument(metavar="SRC...", help="Recordings; several are one, merged in time order."),
+        typer.Argument(metavar="SRC...", help="Recordings; several are merged in time order."),
     ],
     samples: Annotated[
-        int, typer.Option(min=1, help="Clouds and scans of each topic to look at, spread over the recording.")
+        int, typer.Option(min=1, help="Clouds and scans of each topic to read, spread over the recording.")
     ] = 10,
     target_frame: Annotated[
         str,
         typer.Option(
-            metavar="FRAME", help="Show heights in this frame, as convert --target-frame sees them.", show_default=False
+            metavar="FRAME", help="Show heights in this frame, as convert --target-frame uses it.", show_default=False
         ),
     ] = "",
     static_tf: StaticTf = [],  # noqa: B006 - typer reads the default and never hands it out
@@ -40,16 +40,16 @@ def info(
     transforms: TfSources,
     source_frame: Annotated[
         str,
-        typer.Option(metavar="FRAME", help="Frame of the clouds, where their own is wrong.", show_default=False),
+        typer.Option(metavar="FRAME", help="Frame of the clouds, if their own is wrong.", show_default=False),
     ] = "",
     as_json: Json = False,
 ) -> None:
-    """Show what is in a recording, its clouds and its scans.
+    """Describe a recording, its clouds and its scans.
 
     For each PointCloud2 topic: fields, points, frame, NaN, the spread of x, y, z and range, and a histogram
-    of heights, since heights are what conversions get wrong. For each LaserScan topic: beams, sector and increment,
-    limits, the share of returns, and which consumers would take them. Then where floor and ceiling are, whether the
-    clouds are tilted, upside down or in a camera's optical frame, and the convert command that suits them.
+    of heights, which conversions often need to limit. For each LaserScan topic: beams, sector and increment,
+    limits, the share of returns, and the consumers that accept them. Then the heights of floor and ceiling, whether the
+    clouds are tilted, upside down or in a camera's optical frame, and a convert command for them.
     """
     from pc2scan.inspect.info import info as look
     from pc2scan.tf.options import FrameOptions, StaticTransform

@@ -1,4 +1,4 @@
-"""Ctrl-C while nothing can be undone yet: when modules are loaded, and when the command is done."""
+"""Handles Ctrl-C while modules are loaded, and after the command is done."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def quiet_interrupts() -> Iterator[None]:
 
 @contextmanager
 def interruptible() -> Iterator[None]:
-    """Let an interruption raise KeyboardInterrupt, so that nothing half-written stays behind."""
+    """Let an interruption raise KeyboardInterrupt, so that no partial output stays."""
     ours = signal.getsignal(signal.SIGINT) is _end
     if ours:
         signal.signal(signal.SIGINT, signal.default_int_handler)

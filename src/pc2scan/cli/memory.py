@@ -15,7 +15,7 @@ _M_TRIM_THRESHOLD = -1
 _M_TOP_PAD = -2
 _M_MMAP_THRESHOLD = -3
 
-#: More than a cloud or a chunk needs, as a rule. Larger buffers would leave holes of their size.
+#: More than most clouds and chunks need. Freed larger buffers would fragment the memory.
 _MMAP_FROM_BYTES = 20 << 20
 _KEPT_BYTES = 64 << 20
 _GROWN_BY_BYTES = 16 << 20

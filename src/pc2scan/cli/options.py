@@ -1,4 +1,4 @@
-"""The options that commands share, in groups, and what each group means to the library.
+"""The options that commands share, in groups, and their conversion to the library's options.
 
 No ``from __future__ import annotations`` here: see `pc2scan.cli.groups.Group`.
 """
@@ -54,10 +54,10 @@ _RUN = "Run"
 _OUTPUT = "Output"
 _REPORT = "Report"
 
-#: How the numbers of parameters are read.
+#: The functions that read the numbers of parameters.
 _NUMBERS: Mapping[str, Callable[[str], float]] = {"int": int, "float": float}
 
-#: DST as it was typed: a slash at its end says that it is a folder.
+#: DST as typed: with a slash at its end it is a folder.
 Destination = Annotated[
     str | None,
     typer.Option(
@@ -76,8 +76,8 @@ StaticTf = Annotated[
     typer.Option(
         "--static-tf",
         metavar="TRANSFORM",
-        help="A transform that the recording lacks: 'parent child x y z qx qy qz qw' or "
-        "'parent child x y z roll pitch yaw' (m, rad; or 20cm, 90deg). Repeatable; beats the recording's.",
+        help="Add a transform: 'parent child x y z qx qy qz qw' or 'parent child x y z roll pitch yaw' "
+        "(m, rad; or 20cm, 90deg). Repeatable; replaces the recording's.",
         rich_help_panel=_FRAMES,
     ),
 ]
@@ -86,14 +86,14 @@ TfTopics = Annotated[
     typer.Option(
         "--tf-topic",
         metavar="TOPIC",
-        help="Where the transforms are, if not on /tf and /tf_static. Repeatable.",
+        help="Topic of the transforms, if not /tf and /tf_static. Repeatable.",
         rich_help_panel=_FRAMES,
     ),
 ]
 
 
 class Topics(Group):
-    """Which topics are converted, which are written, and from when to when."""
+    """Options that choose topics and times."""
 
     topics: Annotated[
         list[str],
@@ -111,7 +111,7 @@ class Topics(Group):
         typer.Option(
             "--keep",
             metavar="TOPIC",
-            help="Of the topics that are not converted, write only these (names or globs). Repeatable.",
+            help="Of all topics that are not converted, write only these (names or globs). Repeatable.",
             rich_help_panel=_TOPICS,
         ),
     ]
@@ -120,28 +120,28 @@ class Topics(Group):
         typer.Option(
             "--drop",
             metavar="TOPIC",
-            help="Leave these topics out (names or globs). Repeatable.",
+            help="Do not write these topics (names or globs). Repeatable.",
             rich_help_panel=_TOPICS,
         ),
     ]
     keep_clouds: Annotated[
         bool, typer.Option("--keep-clouds", help="Write the converted clouds too.", rich_help_panel=_TOPICS)
     ] = False
-    only_scans: Annotated[
-        bool, typer.Option("--only-scans", help="Write nothing but the scans.", rich_help_panel=_TOPICS)
-    ] = False
+    only_scans: Annotated[bool, typer.Option("--only-scans", help="Write only the scans.", rich_help_panel=_TOPICS)] = (
+        False
+    )
     start: Annotated[
         str | None,
         typer.Option(
             metavar="TIME",
-            help="Begin here: seconds from the beginning, @seconds since 1970, or a date and time (ISO 8601). "
-            "Latched and static-transform messages from before are kept.",
+            help="Start time: seconds from the beginning, @seconds since 1970, or a date and time (ISO 8601). "
+            "Earlier latched and static-transform messages are kept.",
             rich_help_panel=_TOPICS,
         ),
     ] = None
     end: Annotated[
         str | None,
-        typer.Option(metavar="TIME", help="End before this time; like --start.", rich_help_panel=_TOPICS),
+        typer.Option(metavar="TIME", help="End time (exclusive), in the form of --start.", rich_help_panel=_TOPICS),
     ] = None
 
 
@@ -151,18 +151,18 @@ class ParameterOptions(Group):
     Attributes
     ----------
     settings
-        What was typed, and as which option; the rest is unset, so that files can speak.
+        The parameters that were typed, with their options; files may set the others.
     """
 
     settings: tuple[Setting, ...]
 
     @classmethod
     def parameters(cls) -> Iterator[Parameter]:
-        """The options, as `PARAMETERS` has them."""
+        """Yield the options of `PARAMETERS`."""
         for name, parameter in PARAMETERS.items():
             boolean = parameter.kind == "bool"
             default = str(parameter.default).lower() if boolean else str(parameter.default)
-            # There 0 means that another parameter counts.
+            # For these, 0 means that another parameter is used.
             shown = default and name not in {"beams", "kth"}
             metavar = {"float": parameter.unit.upper(), "int": "N", "str": "NAME"}.get(parameter.kind)
             if name == "target_frame":
@@ -178,24 +178,24 @@ class ParameterOptions(Group):
                 metavar=metavar,
                 rich_help_panel=_PARAMS if parameter.upstreams else _SLAM,
             )
-            # Numbers are read below, so that one that is wrong is reported as one in a file is.
+            # Numbers are read below, so that wrong ones are reported like those in a file.
             yield Parameter(name, Parameter.KEYWORD_ONLY, default=option, annotation=bool if boolean else str)
 
     @classmethod
     def gathered(cls, values: Mapping[str, Any]) -> Self:
-        """Take the options that were typed."""
+        """Collect the options that were typed."""
         settings = []
         for name, parameter in PARAMETERS.items():
             value = values[name]
             if value is not None:
                 option = parameter.negation if value is False else parameter.option
                 number = _NUMBERS.get(parameter.kind)
-                settings.append(Setting(name, _read(number, value) if number else value, option))
+                settings.append(Setting(name, _number(number, value) if number else value, option))
         return cls(settings=tuple(settings))
 
 
-def _read(number: Callable[[str], float], text: str) -> object:
-    """Read a number as Python does, or else as a parameter file does."""
+def _number(number: Callable[[str], float], text: str) -> object:
+    """Read a number like Python, or else like a parameter file."""
     try:
         return number(text)
     except ValueError:
@@ -203,7 +203,7 @@ def _read(number: Callable[[str], float], text: str) -> object:
 
 
 def _length(option: str, text: str) -> float:
-    """Metres of an option; raises `UsageError` for what is no length."""
+    """Read an option's length in metres; raises `UsageError` if it is not one."""
     from pc2scan.core.quantities import EXAMPLES, quantity
 
     try:
@@ -216,7 +216,7 @@ def _length(option: str, text: str) -> float:
 
 
 class Projection(Group):
-    """The parameters of the projection, wherever they are given."""
+    """Options with parameters of the projection."""
 
     params_file: Annotated[
         Path | None,
@@ -250,7 +250,7 @@ class Projection(Group):
             "--param",
             "-p",
             metavar="NAME:=VALUE",
-            help="A parameter in ROS's notation. Repeatable; beats the file, and an option below beats it.",
+            help="A parameter in ROS's notation. Repeatable; overrides the file, and the options below override it.",
             rich_help_panel=_PARAMS,
         ),
     ]
@@ -271,8 +271,8 @@ class Projection(Group):
         str | None,
         typer.Option(
             metavar="CONSUMER",
-            help="Choose what suits a consumer of the scans: slam_toolbox, cartographer, gmapping, amcl, nav2, mrpt. "
-            "Every parameter that is given, here or in a file, beats it.",
+            help="Parameters for a consumer of the scans: slam_toolbox, cartographer, gmapping, amcl, nav2, mrpt. "
+            "Parameters given here or in a file override them.",
             rich_help_panel=_SLAM,
         ),
     ] = None
@@ -322,35 +322,35 @@ class Points(Group):
     ] = None
 
     def filters(self, min_height: float) -> "Iterator[Filter]":
-        """What the library takes."""
+        """Return the library's options."""
         from pc2scan.pipeline.stages.texts import filters_from
 
         return filters_from(self.where, self.exclude_box, self.exclude_polygon, self.min_height_slope, min_height)
 
 
 class TfSources(Group):
-    """Where transforms are."""
+    """Options about the sources of transforms."""
 
     tf_from: Annotated[
         list[Path],
         typer.Option(
             "--tf-from",
             metavar="FILE",
-            help="Take transforms from this recording too. Repeatable.",
+            help="Read transforms from this recording too. Repeatable.",
             rich_help_panel=_FRAMES,
         ),
     ]
     tf_topic: TfTopics
 
     def options(self) -> "FrameOptions":
-        """What the library takes."""
+        """Return the library's options."""
         from pc2scan.tf.options import FrameOptions
 
         return FrameOptions(tf_topics=tuple(self.tf_topic), tf_from=tuple(self.tf_from))
 
 
 class Frames(Group):
-    """Frames, and the transforms between them."""
+    """Options about frames and transforms."""
 
     static_tf: StaticTf
     static_tf_file: Annotated[
@@ -370,14 +370,14 @@ class Frames(Group):
         str,
         typer.Option(
             metavar="FRAME",
-            help="Frame of the messages to convert, where their own frame_id is wrong or empty.",
+            help="Frame of the messages to convert, if their own frame_id is wrong or empty.",
             show_default=False,
             rich_help_panel=_FRAMES,
         ),
     ] = ""
 
     def options(self) -> "FrameOptions":
-        """What the library takes."""
+        """Return the library's options."""
         from pc2scan.tf.options import FrameOptions, StaticTransform
 
         static: list[StaticTransform] = []
@@ -404,7 +404,7 @@ class Channel(StrEnum):
 
 
 class Reverse(Group):
-    """The way back, from scans to clouds."""
+    """Options for converting scans to clouds."""
 
     reverse: Annotated[
         bool,
@@ -441,7 +441,7 @@ class Reverse(Group):
     ] = None
 
     def fields(self) -> "UnprojectParams | None":
-        """The fields of the clouds; None where nothing was asked for, which is cheaper to start."""
+        """Return the options of the clouds' fields; None for the defaults, which load faster."""
         if not self.channels and self.range_cutoff is None:
             return None
         from pc2scan.core.unproject import UnprojectParams
@@ -455,12 +455,12 @@ class Reverse(Group):
 
 
 class Running(Group):
-    """How the work is done."""
+    """Options about the run."""
 
     on_error: Annotated[
         Literal["skip", "fail"],
         typer.Option(
-            help="What a message that cannot be converted does: skip counts and lists it, fail ends the run.",
+            help="For messages that cannot be converted: skip counts and lists them, fail ends the run.",
             rich_help_panel=_RUN,
         ),
     ] = "skip"
@@ -487,7 +487,7 @@ class Running(Group):
             "-j",
             min=0,
             metavar="N",
-            help="Threads; the output does not depend on it.  [default: the cores]",
+            help="Number of threads; the output does not depend on it.  [default: number of cores]",
             show_default=False,
             rich_help_panel=_RUN,
         ),
@@ -496,7 +496,7 @@ class Running(Group):
         bool,
         typer.Option(
             "--no-verify",
-            help="Do not compare the CRCs of an MCAP source: faster, but damage may go unnoticed.",
+            help="Do not compare the CRCs of an MCAP source: faster, but damage may not be detected.",
             rich_help_panel=_RUN,
         ),
     ] = False
@@ -504,8 +504,8 @@ class Running(Group):
         bool,
         typer.Option(
             "--strict",
-            help="Refuse a damaged source. Without it everything readable is recovered, the rest is reported, "
-            "and the exit status is 3.",
+            help="Refuse a damaged source. Without this option, everything readable is recovered, the damage is "
+            "reported, and the exit status is 3.",
             rich_help_panel=_RUN,
         ),
     ] = False
@@ -540,7 +540,7 @@ def ros_arguments(words: Iterable[Path]) -> tuple[list[Path], list[str], list[st
 
 
 class Conversion(Group):
-    """Everything that decides what is converted, and into what; not how it is written, nor what is reported."""
+    """All options that decide what is converted, but not how it is written or reported."""
 
     topics: Topics
     projection: Projection
@@ -553,9 +553,9 @@ class Conversion(Group):
     files = tuple[Path, ...]()
 
     def options(self, *, ros_distro: str = "") -> "tuple[ConvertOptions, Mapping[str, str]]":
-        """What the library takes, and where each parameter comes from.
+        """Return the library's options, and the origin of each parameter.
 
-        What a parameter file has besides the projection's parameters is reported on standard error.
+        Other entries of a parameter file are reported on standard error.
         """
         from pc2scan.pipeline.param_sources import resolve_sources
 
@@ -617,14 +617,14 @@ class Conversion(Group):
         return options, resolved.origin
 
     def read_files(self) -> dict[str, Path]:
-        """The files that are read for the options, by option; the library knows of the recordings itself."""
+        """Return the files that were read for the options, by option, without recordings."""
         named = {"--params-file": self.projection.params_file, "--static-tf-file": self.frames.static_tf_file}
         further = {f"{path.name} (from --params-file)": path for path in self.files}
         return {option: path for option, path in named.items() if path is not None} | further
 
 
 class Output(Group):
-    """How the destination is written."""
+    """Options about the destination."""
 
     each: Annotated[
         bool,
@@ -637,7 +637,7 @@ class Output(Group):
     to: Annotated[
         Literal["bag", "mcap", "rosbag2"] | None,
         typer.Option(
-            help="Format of DST where -o does not name a file.  [default: SRC's]",
+            help="Format of DST, if -o does not name a file.  [default: SRC's]",
             show_default=False,
             rich_help_panel=_OUTPUT,
         ),
@@ -650,7 +650,7 @@ class Output(Group):
         Compression | None,
         typer.Option(
             help="Bags: lz4 (default), none, bz2. MCAP: zstd (default), none, lz4. sqlite3: none (default), zstd. "
-            "Left out, chunks that are copied whole keep theirs.",
+            "By default, chunks that are copied as a whole keep theirs.",
             show_default=False,
             rich_help_panel=_OUTPUT,
         ),
@@ -673,7 +673,7 @@ class Output(Group):
         str,
         typer.Option(
             metavar="NAME",
-            help="Whose message definitions stand in for those that a recording lacks.  [default: noetic, jazzy]",
+            help="ROS distribution with the message definitions that a recording lacks.  [default: noetic, jazzy]",
             show_default=False,
             rich_help_panel=_OUTPUT,
         ),
@@ -686,7 +686,7 @@ class Output(Group):
     ] = False
 
     def options(self, *, folder: Path | None = None, report: Path | None = None) -> "OutputOptions":
-        """What the library takes."""
+        """Return the library's options."""
         from pc2scan.pipeline.run import OutputOptions
 
         return OutputOptions(
@@ -702,13 +702,13 @@ class Output(Group):
 
 
 class Reporting(Group):
-    """What is shown and written about a conversion."""
+    """Options about the report and the output on screen."""
 
     report: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Write what happened as JSON; over an older report, but over no other file.",
+            help="Write a report as JSON; it replaces an older report, but no other file.",
             rich_help_panel=_REPORT,
         ),
     ] = None

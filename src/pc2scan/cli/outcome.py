@@ -1,4 +1,4 @@
-"""What a conversion did, as tables on standard output and as notes on standard error."""
+"""Shows the result of a conversion: tables on standard output, notes on standard error."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ __all__ = ["conclude", "show", "show_each", "show_next", "show_outcome"]
 
 
 def show(report: Report, *, verbose: bool = False) -> None:
-    """Print what happened."""
+    """Print the result."""
     if verbose:
         table(
             ("parameter", "value", "from"),
@@ -81,7 +81,7 @@ def show_next(report: Report) -> None:
 
 
 def _show_skipped(report: Report, limit: int) -> None:
-    """List skipped messages, those of one reason together, and what to do about the first."""
+    """List skipped messages by reason, with a hint for the first."""
     reasons: dict[tuple[str, str], list[Skipped]] = {}
     for entry in report.skipped:
         reasons.setdefault((entry.topic, entry.reason), []).append(entry)
@@ -102,7 +102,7 @@ def _show_skipped(report: Report, limit: int) -> None:
 
 
 def conclude(report: Report, *, verbose: bool = False) -> typer.Exit:
-    """Show what the user should know whatever was asked for; return the end of the command, to be raised."""
+    """Show warnings and damage; return the exception that ends the command."""
     _show_skipped(report, limit=len(report.skipped) if verbose else SHOWN)
     show_recovery(report, limit=len(report.damage) if verbose else SHOWN)
     for warning in report.warnings:
@@ -111,7 +111,7 @@ def conclude(report: Report, *, verbose: bool = False) -> typer.Exit:
 
 
 def show_outcome(outcome: Outcome, *, verbose: bool = False) -> None:
-    """Show what the user should know of one of several conversions, under the name of its source."""
+    """Show the warnings and damage of one of several conversions, under the name of its source."""
     if outcome.error is not None:
         typer.echo(error_text(outcome.error), err=True)
     elif (report := outcome.report) is not None:
@@ -123,7 +123,7 @@ def show_outcome(outcome: Outcome, *, verbose: bool = False) -> None:
 
 
 def show_each(each: Each) -> None:
-    """Print what became of several recordings, a line for each."""
+    """Print the results of several recordings, a line for each."""
     rows = []
     for outcome in each.outcomes:
         report = outcome.report

@@ -1,4 +1,4 @@
-"""What is shown: errors, tables and numbers, safe for a terminal whatever a recording holds."""
+"""Formats errors, tables and numbers, with text of untrusted recordings escaped for the terminal."""
 
 from __future__ import annotations
 
@@ -58,23 +58,23 @@ def printable(text: str) -> str:
 
 
 def message(text: str) -> str:
-    """A message of the library, for a terminal: its options as they are typed."""
+    """Return a message of the library for the terminal, with options as they are typed."""
     return printable(as_typed(text))
 
 
 def _ascii_only() -> bool:
-    """Whether the text may go to a file or terminal that cannot show everything."""
+    """Whether the output file or terminal cannot show every character."""
     encodings = (getattr(stream, "encoding", None) or "ascii" for stream in (sys.stdout, sys.stderr))
     return any(not encoding.lower().startswith("utf") for encoding in encodings)
 
 
 def _cut(cell: str) -> str:
-    """Shorten a cell; one long name would otherwise make every line of its table as long."""
+    """Shorten a cell, because one long name would widen every line of its table."""
     return cell if len(cell) <= _MAX_CELL else f"{cell[:_MAX_CELL]}... ({len(cell)} chars)"
 
 
 def error_text(err: Pc2ScanError) -> str:
-    """Render an error: where, what was wrong, and what to do."""
+    """Format an error: where, what was wrong, and what to do."""
     lines = [f"error: {message(str(err))}"]
     if err.hint:
         lines.append(f"hint: {message(err.hint)}")
@@ -94,12 +94,12 @@ def print_json(document: object) -> None:
 
 
 def count(number: int) -> str:
-    """Render a count; a zero is a dash, so that what is there catches the eye."""
+    """Format a count; zero is a dash."""
     return f"{number:,}" if number else "-"
 
 
 def size(number: float) -> str:
-    """Render a number of bytes: ``680.5 kB``."""
+    """Format a number of bytes: ``680.5 kB``."""
     for unit in ("B", "kB", "MB", "GB"):
         if number < 1000:
             return f"{number:.0f} {unit}" if unit == "B" else f"{number:.1f} {unit}"
@@ -164,7 +164,7 @@ def table(columns: Sequence[str], rows: Sequence[Sequence[str]], *, left: Sequen
 
 
 def show_parts(parts: Iterable[str | Table]) -> None:
-    """Print what a result shows of itself."""
+    """Print the parts of a result."""
     for part in parts:
         if isinstance(part, Table):
             table(part.columns, part.rows, left=part.left)

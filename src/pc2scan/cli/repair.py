@@ -32,9 +32,9 @@ def repair(
     no_verify: Annotated[bool, typer.Option("--no-verify", help="Do not compare the CRCs of an MCAP source.")] = False,
     report: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Write what happened as JSON; over an older report, but over no other file."),
+        typer.Option(metavar="FILE", help="Write a report as JSON; it replaces an older report, but no other file."),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print what happened as JSON.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Show damage, warnings and errors only.")] = False,
 ) -> None:
     """Make a sound recording of a damaged one: everything that can be recovered, of any type, byte for byte.

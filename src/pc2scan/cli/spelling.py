@@ -14,7 +14,7 @@ __all__ = ["OPTIONS", "as_typed"]
 
 _NAMED = re.compile(r"`([a-z_]+)(?:=([^`]*))?`")
 
-#: Options that messages name, as the library and as the command line calls them.
+#: Options in messages, as the library and as the command line names them.
 OPTIONS = {
     **{name: parameter.option for name, parameter in PARAMETERS.items()},
     "all_topics": "--all-topics",

@@ -20,18 +20,16 @@ if TYPE_CHECKING:
 
 __all__ = ["tf"]
 
-#: Deeper than this the drawing is no longer readable, and a chain may be a million frames long.
+#: Limit of the depth of the drawing: a chain may have a million frames.
 _MAX_DEPTH = 60
 _MAX_LINES = 500
 
 
 def tf(
-    sources: Annotated[
-        list[Path], typer.Argument(metavar="SRC...", help="Recordings; their transforms count together.")
-    ],
+    sources: Annotated[list[Path], typer.Argument(metavar="SRC...", help="Recordings; their transforms are merged.")],
     frames: Annotated[
         tuple[str, str] | None,
-        typer.Option("--lookup", metavar="TARGET SOURCE", help="Print the transform that takes SOURCE to TARGET."),
+        typer.Option("--lookup", metavar="TARGET SOURCE", help="Print the transform from SOURCE to TARGET."),
     ] = None,
     at: Annotated[
         str | None,
@@ -138,7 +136,7 @@ def _show(tree: FrameTree) -> None:
 
 
 def _drawn(roots: tuple[str, ...], children: dict[str, list[FrameInfo]]) -> list[str]:
-    """The tree as indented lines; walks a stack, since a hostile tree may be very deep, and stops at loops."""
+    """Yield the tree as indented lines; uses a stack, because a hostile tree may be very deep, and stops at loops."""
     lines: list[str] = []
     seen: set[str] = set()
     stack = [(root, 0, "") for root in reversed(roots)]

@@ -1,4 +1,4 @@
-"""What Typer finds wrong with a command line, in the words and the form of all other errors."""
+"""Turns Typer's usage errors into errors of the same style as all others."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 __all__ = ["NoArgsIsHelpError", "TyperUsageError", "in_our_words"]
 
-#: Typer's words for what a value is not, and ours.
+#: Typer's names of types, and ours.
 _KINDS = {
     "a valid int": "a whole number",
     "a valid int range": "a whole number",
@@ -27,7 +27,7 @@ _KINDS = {
 
 
 def in_our_words(err: TyperUsageError, typed: Sequence[str]) -> UsageError:
-    """Make one of our errors of one of Typer's; ``typed`` are the arguments, the command's name included."""
+    """Turn an error of Typer into one of ours; ``typed`` are the arguments, including the command's name."""
     # Where the parser itself gives up, Typer does not say for which command.
     command = err.ctx.command_path if err.ctx else " ".join(("pc2scan", *typed[:1]))
     hint = f"{command} --help shows what it takes"
@@ -50,7 +50,7 @@ def in_our_words(err: TyperUsageError, typed: Sequence[str]) -> UsageError:
 
 
 def _spelling(spellings: Sequence[str], typed: Sequence[str]) -> str:
-    """The spelling of an option that was typed last, since the last one counts: ``-j``, ``-j4``, ``--jobs=4``."""
+    """Return the last spelling of an option, which is the one that counts: ``-j``, ``-j4``, ``--jobs=4``."""
     for word in reversed(typed):
         for spelling in spellings:
             joined = spelling + "=" if spelling.startswith("--") else spelling

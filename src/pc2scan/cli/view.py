@@ -24,9 +24,7 @@ _DAMAGED = 3
 def view(
     sources: Annotated[
         list[Path],
-        typer.Argument(
-            metavar="SRC...", help="Recordings with clouds or scans; several are one, merged in time order."
-        ),
+        typer.Argument(metavar="SRC...", help="Recordings with clouds or scans; several are merged in time order."),
     ],
     destination: Annotated[
         Path | None,
@@ -34,7 +32,7 @@ def view(
             "--output",
             "-o",
             metavar="PAGE",
-            help="The page, an HTML file. Default: beside SRC, with _view.html in its name.",
+            help="The page, an HTML file. Default: next to SRC, with _view.html in its name.",
         ),
     ] = None,
     clouds: Annotated[
@@ -44,12 +42,14 @@ def view(
     at: Annotated[
         list[str],
         typer.Option(
-            "--at", metavar="TIME", help="Show the first cloud at or after this time, as --start takes it. Repeatable."
+            "--at",
+            metavar="TIME",
+            help="Show the first cloud at or after this time, in the form of --start. Repeatable.",
         ),
     ] = [],  # noqa: B006 - typer reads the default and never hands it out
     open_page: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
     overwrite: Annotated[
-        bool, typer.Option(help="Replace a file of that name, whatever it is; an older page is replaced anyway.")
+        bool, typer.Option(help="Replace any file of that name; an older page is always replaced.")
     ] = False,
     *,
     conversion: Conversion,
@@ -88,7 +88,7 @@ def view(
 
 
 def _beside(sources: Sequence[Path]) -> Path:
-    """The page of the first source, beside it."""
+    """Return the path of the page, next to the first source."""
     first = sources[0]
     # What ".." and "." are called decides the name of the page.
     named = first if first.name and first.name != ".." else first.resolve()
@@ -96,7 +96,7 @@ def _beside(sources: Sequence[Path]) -> Path:
 
 
 def _open(path: Path) -> None:
-    """Open a file in the browser. Where there is none, the page is there all the same."""
+    """Open a file in the browser, if there is one."""
     import webbrowser
 
     if not webbrowser.open(path.resolve().as_uri()):
