@@ -44,7 +44,7 @@ def view(
         typer.Option(
             "--at",
             metavar="TIME",
-            help="Show the first cloud at or after this time, in the form of --start. Repeatable.",
+            help="Show the first cloud at or after this time (see convert --start). Repeatable.",
         ),
     ] = [],  # noqa: B006 - typer reads the default and never hands it out
     open_page: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
