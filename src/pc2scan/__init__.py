@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from .api import repair as repair
     from .api import scans as scans
     from .api import tf as tf
+    from .api import view as view
     from .compare.result import Difference as Difference
     from .core.counts import PointCounts as PointCounts
     from .core.params import ProjectionParams as ProjectionParams
@@ -53,6 +54,7 @@ if TYPE_CHECKING:
     from .inspect.check import Check as Check
     from .inspect.info import Info as Info
     from .inspect.tf import FrameTree as FrameTree
+    from .look.view import Page as Page
     from .pipeline.report import Report as Report
     from .pipeline.stages.height_slope import MinHeightSlope as MinHeightSlope
     from .pipeline.stages.regions import ExcludeBox as ExcludeBox
@@ -78,6 +80,7 @@ _HOMES = {
     "GoldenReport": "golden.result",
     "Info": "inspect.info",
     "MinHeightSlope": "pipeline.stages.height_slope",
+    "Page": "look.view",
     "Pc2ScanError": "errors",
     "PointCounts": "core.counts",
     "ProjectedScan": "core.project",
@@ -101,6 +104,7 @@ _HOMES = {
     "repair": "api",
     "scans": "api",
     "tf": "tf",
+    "view": "api",
 }
 
 __all__ = [
@@ -115,6 +119,7 @@ __all__ = [
     "GoldenReport",
     "Info",
     "MinHeightSlope",
+    "Page",
     "Pc2ScanError",
     "PointCounts",
     "ProjectedScan",
@@ -137,6 +142,7 @@ __all__ = [
     "repair",
     "scans",
     "tf",
+    "view",
 ]
 
 

@@ -13,6 +13,7 @@ from .requests import (
     destination_of,
     filters_of,
     frames_of,
+    moments_of,
     parameter_names,
     resolved_parameters,
     selection_of,
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from .inspect.check import Check
     from .inspect.info import Info
     from .inspect.tf import FrameTree
+    from .look.view import Page
     from .pipeline.options import Time
     from .pipeline.report import Report
     from .pipeline.run import Progress
@@ -38,7 +40,7 @@ if TYPE_CHECKING:
     from .streams.scans import Scans
     from .tf.options import FrameOptions, StaticTransform
 
-__all__ = ["check", "clouds", "convert", "diff", "golden", "info", "repair", "scans", "tf"]
+__all__ = ["check", "clouds", "convert", "diff", "golden", "info", "repair", "scans", "tf", "view"]
 
 #: Words of the command line, and of ROS, for what an argument is called.
 _SYNONYMS = {
@@ -361,6 +363,94 @@ def info(
         samples=samples,
         target_frame=target_frame,
         frames=frames_of(frames, static_tf, tf_from=tf_from, tf_topics=tf_topics, source_frame=source_frame),
+    )
+
+
+@known_keywords(further=parameter_names, synonyms=_SYNONYMS)
+def view(
+    sources: PathText | Iterable[PathText],
+    *,
+    clouds: int = 10,
+    at: Time | Iterable[Time] = (),
+    params: ProjectionParams | None = None,
+    preset: str | None = None,
+    params_file: PathText | None = None,
+    node: str | None = None,
+    topics: str | Iterable[str] = (),
+    start: Time | None = None,
+    end: Time | None = None,
+    static_tf: str | StaticTransform | Iterable[str | StaticTransform] = (),
+    static_tf_file: PathText | None = None,
+    tf_from: PathText | Iterable[PathText] = (),
+    tf_topics: str | Iterable[str] = (),
+    source_frame: str = "",
+    frames: FrameOptions | None = None,
+    where: str | Iterable[str] = (),
+    exclude_box: str | Iterable[str] = (),
+    exclude_polygon: str | Iterable[str] = (),
+    min_height_slope: float | None = None,
+    filters: Iterable[Filter] = (),
+    verify: bool = True,
+    strict: bool = False,
+    **parameters: Any,
+) -> Page:
+    """Show a recording as a page, as ``pc2scan view`` does: its clouds and the scan that comes of them, to be tuned.
+
+    Parameters
+    ----------
+    sources
+        A recording, or several that are one: ROS 1 bag, rosbag2 directory, ``.db3`` or ``.mcap``.
+    clouds
+        How many moments of each topic are on the page, evenly spread over the recording.
+    at
+        A moment to show instead, or several, as ``start`` takes it.
+    params, preset, params_file, node, topics, start, end, **parameters
+        As for `pc2scan.convert`.
+    static_tf, static_tf_file, tf_from, tf_topics, source_frame, frames
+        As for `pc2scan.convert`.
+    where, exclude_box, exclude_polygon, min_height_slope, filters, verify, strict
+        As for `pc2scan.convert`.
+
+    Returns
+    -------
+    Page
+        Notebooks show it in their cell; ``save`` writes it to a file.
+
+    Raises
+    ------
+    UsageError
+        If the request contradicts itself or the recording.
+    RecordingError
+        If a source cannot be read, or nothing of it can be shown.
+
+    Examples
+    --------
+    >>> import pc2scan
+    >>> pc2scan.view("drive.bag", preset="slam_toolbox", min_height=-0.3).save("page.html")  # doctest: +SKIP
+    """
+    from .cli.command_line import convert_words  # noqa: PLC0415
+    from .look.view import page_of  # noqa: PLC0415
+
+    resolved = resolved_parameters(params, preset, params_file, node, parameters)
+    options = ConvertOptions.of(
+        params=resolved.params,
+        reverse=resolved.reverse,
+        filters=filters_of(resolved, where, exclude_box, exclude_polygon, min_height_slope, filters),
+        frames=frames_of(frames, static_tf, static_tf_file, False, tf_from, tf_topics, source_frame),
+        topics=names_in("topics", topics),
+        start=start,
+        end=end,
+        verify=verify,
+        strict=strict,
+    )
+    paths = paths_in("sources", sources)
+    return page_of(
+        paths,
+        options,
+        clouds=clouds,
+        at=moments_of(at),
+        preset=preset or "",
+        command=convert_words(paths, options, "scans.mcap"),
     )
 
 

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import fields, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from .arguments import names_in, path_of, path_text, paths_in, refuse_unknown
 from .core.params import ProjectionParams
 from .errors import UsageError
-from .pipeline.options import ConvertOptions, destination_and_folder
+from .pipeline.options import ConvertOptions, TimeBound, destination_and_folder
 from .tf.options import FrameOptions, StaticTransform
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Mapping
     from pathlib import Path
     from typing import Any
 
@@ -28,6 +29,7 @@ __all__ = [
     "destination_of",
     "filters_of",
     "frames_of",
+    "moments_of",
     "parameter_names",
     "params_from_file",
     "resolved_parameters",
@@ -190,3 +192,10 @@ def filters_of(
 
     asked = filters_from(conditions, boxes, polygons, min_height_slope, resolved.params.min_height)
     return (*asked, *filters)
+
+
+def moments_of(at: Time | Iterable[Time]) -> list[TimeBound]:
+    """Read one moment, or several."""
+    if isinstance(at, Iterable) and not isinstance(at, str) and getattr(at, "ndim", 1):
+        return [TimeBound.of(time) for time in at]
+    return [TimeBound.of(cast("Time", at))]

@@ -43,9 +43,12 @@ ALLOWED = {
     "golden": {"compare", "bags", "files"},
     "streams": {"pipeline", "core", "tf", "messages", "bags"},
     "look": {"pipeline", "inspect", "compare", "core", "tf", "messages", "bags", "files"},
-    # `cli.in_process`: golden cases run the command.
+    # `cli.in_process`: golden cases run the command. `cli.command_line`: pages show the one that means the same.
     "requests": {"pipeline", "core", "streams", "tf"},
-    "api": {"requests", "pipeline", "inspect", "compare", "golden", "streams", "core", "tf", "cli.in_process"},
+    "api": {
+        *("requests", "pipeline", "inspect", "compare", "golden", "streams", "look", "core", "tf"),
+        *("cli.in_process", "cli.command_line"),
+    },
     # `bags.damage`: results have its data classes.
     "cli": {"pipeline", "inspect", "compare", "golden", "look", "core", "tf", "bags.damage"},
     "pytest_plugin": {"api", "cli", "golden"},

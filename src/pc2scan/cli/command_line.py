@@ -9,19 +9,20 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pc2scan.pipeline.options import ConvertOptions, TimeBound
-
-    from .options import Points
+    from pc2scan.pipeline.stages.filters import Filter
 
 __all__ = ["convert_words"]
 
 
-def convert_words(sources: Sequence[Path], options: ConvertOptions, points: Points, destination: str) -> list[str]:
+def convert_words(sources: Sequence[Path], options: ConvertOptions, destination: str) -> list[str]:
     """Return the words of a command that converts the same points of the same topics in the same frames.
 
-    The parameters of the projection are left to the caller.
+    The parameters of the projection are left to the caller, and so are filters that the command line does not have.
     """
-    words = ["pc2scan", "convert", *map(str, sources), "-o", destination]
-    return [*words, *_option_words(options), *_point_words(points)]
+    words = ["pc2scan", "convert", *map(str, sources), "-o", destination, *_option_words(options)]
+    for chosen in options.filters:
+        words += _filter_words(chosen)
+    return words
 
 
 def _option_words(options: ConvertOptions) -> Iterator[str]:
@@ -49,14 +50,19 @@ def _time(bound: TimeBound) -> str:
     return f"{'@' if bound.absolute else ''}{seconds}.{rest:09d}"
 
 
-def _point_words(points: Points) -> Iterator[str]:
-    texts = {
-        "--where": points.where,
-        "--exclude-box": points.exclude_box,
-        "--exclude-polygon": points.exclude_polygon,
-    }
-    for option, values in texts.items():
-        for value in values:
-            yield from (option, value)
-    if points.min_height_slope is not None:
-        yield f"--min-height-slope={points.min_height_slope!r}"
+def _filter_words(chosen: Filter) -> list[str]:
+    from pc2scan.pipeline.stages.height_slope import MinHeightSlope
+    from pc2scan.pipeline.stages.regions import ExcludeBox, ExcludePolygon
+    from pc2scan.pipeline.stages.where import Where
+
+    match chosen:
+        case Where():
+            return ["--where", chosen.condition]
+        case ExcludeBox():
+            return ["--exclude-box", " ".join((chosen.frame, *map(repr, (*chosen.x, *chosen.y, *chosen.z))))]
+        case ExcludePolygon():
+            numbers = [value for corner in chosen.corners for value in corner]
+            return ["--exclude-polygon", " ".join((chosen.frame, *map(repr, numbers)))]
+        case MinHeightSlope():
+            return [f"--min-height-slope={chosen.slope!r}"]
+    return []

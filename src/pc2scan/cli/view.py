@@ -75,7 +75,7 @@ def view(
         clouds=clouds,
         at=[TimeBound.parse(time) for time in at],
         preset=conversion.projection.preset or "",
-        command=convert_words(sources, options, conversion.points, "scans.mcap"),
+        command=convert_words(sources, options, "scans.mcap"),
         overwrite=overwrite,
     )
     for note in page.notes:

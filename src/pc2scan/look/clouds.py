@@ -14,6 +14,7 @@ from pc2scan.core.params import ProjectionParams
 from pc2scan.core.presets import PRESETS
 from pc2scan.errors import DecodeError, MessageError, RecordingError, TransformError
 from pc2scan.messages.clouds import CLOUDS
+from pc2scan.pipeline.measure import measure
 from pc2scan.pipeline.parameters import PARAMETERS
 from pc2scan.pipeline.plan import make_plan
 from pc2scan.pipeline.stages.select import Select
@@ -107,6 +108,11 @@ def clouds_page(
         if route.targets:
             topics.setdefault(route.connection.topic, []).append(route.connection)
     frames = _frames(buffer, options)
+    params = options.params
+    notes: list[str] = []
+    if params.beams == "auto":
+        params, note = _at_measured_resolution(reader, topics, options, frames)
+        notes.append(note)
     shots: list[_Shot] = []
     failed: list[str] = []
     for message in _messages(reader, topics, options, count, at_ns):
@@ -117,7 +123,7 @@ def clouds_page(
     if not shots:
         why = f"no cloud can be shown; {failed[0]}" if failed else f"no clouds on {', '.join(topics)}"
         raise RecordingError(why, path=reader.path)
-    notes = [f"{len(failed)} of {len(failed) + len(shots)} clouds are not shown; {failed[0]}."] if failed else []
+    notes += [f"{len(failed)} of {len(failed) + len(shots)} clouds are not shown; {failed[0]}."] if failed else []
     step, blobs = _packed_to_fit(shots)
     if step > 1:
         notes.append(
@@ -140,7 +146,7 @@ def clouds_page(
     description = {
         "kind": "clouds",
         "notes": notes,
-        "params": _shown(options.params),
+        "params": _shown(params),
         "base": _shown(ProjectionParams(**PRESETS[preset])) if preset else _shown(ProjectionParams()),  # type: ignore[arg-type]
         "defaults": _shown(ProjectionParams()),
         "presets": {name: {k: v for k, v in values.items() if k in _SHOWN} for name, values in PRESETS.items()},
@@ -167,6 +173,21 @@ def _frames(buffer: TransformBuffer | None, options: ConvertOptions) -> Frames:
     if buffer is None or not params.target_frame:
         return Frames(source_frame=asked.source_frame)
     return Frames(params.target_frame, asked.source_frame, buffer, round(params.transform_tolerance * 1e9))
+
+
+def _at_measured_resolution(
+    reader: Reader, topics: Mapping[str, Sequence[Connection]], options: ConvertOptions, frames: Frames
+) -> tuple[ProjectionParams, str]:
+    """The parameters with as many beams as the first topic's lidar has, and what is said about it."""
+    first, connections = next(iter(topics.items()))
+    only_beams = replace(options.params, scan_time=0.0, time_increment=0.0, intensity_field="")
+    measured, _ = measure(reader, connections, only_beams, frames)
+    step = measured[first].azimuth_step
+    params = options.params.at_resolution(step) if step else replace(options.params, beams=0)
+    return (
+        params,
+        f"Beams, measured on {first}: {params.length}, by {math.degrees(params.layout.angle_increment):.4g} deg.",
+    )
 
 
 def _messages(

@@ -6,6 +6,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from pc2scan.arguments import path_of
 from pc2scan.bags.merged import as_one
 from pc2scan.bags.opening import open_recordings
 from pc2scan.errors import UsageError
@@ -33,9 +34,9 @@ if TYPE_CHECKING:
 __all__ = ["Page", "page_of", "view"]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Page:
-    """A page, and what is worth saying about it.
+    """A page, and what is worth saying about it. Notebooks show it in their cell.
 
     Attributes
     ----------
@@ -50,6 +51,31 @@ class Page:
     html: str
     notes: tuple[str, ...]
     damage: tuple[Damage, ...]
+
+    def __repr__(self) -> str:
+        return f"<pc2scan.Page of {len(self.html):,} characters>"
+
+    def _repr_html_(self) -> str:
+        """Return the page in a frame of its own, with its own policy; nothing of it reaches the notebook."""
+        from html import escape  # noqa: PLC0415  # only notebooks need it
+
+        frame = 'sandbox="allow-scripts" style="width: 100%; height: 860px; border: 0"'
+        return f'<iframe {frame} srcdoc="{escape(self.html)}"></iframe>'
+
+    def save(self, destination: str | Path, *, overwrite: bool = False) -> Path:
+        """Write the page; an older page of that name is replaced, anything else only with ``overwrite``.
+
+        Raises
+        ------
+        DestinationError
+            If something else is there.
+        OutputError
+            If it cannot be written.
+        """
+        path = path_of("destination", destination)
+        with text_output(path, beginning=BEGINNING, overwrite=overwrite) as deliver:
+            deliver(self.html)
+        return path
 
 
 def view(
