@@ -196,6 +196,7 @@ def filters_of(
 
 def moments_of(at: Time | Iterable[Time]) -> list[TimeBound]:
     """Read one moment, or several."""
-    if isinstance(at, Iterable) and not isinstance(at, str) and getattr(at, "ndim", 1):
+    # An array of no dimensions is one moment.
+    if isinstance(at, Iterable) and not isinstance(at, str) and getattr(at, "shape", True) != ():
         return [TimeBound.of(time) for time in at]
     return [TimeBound.of(cast("Time", at))]

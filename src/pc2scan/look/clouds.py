@@ -184,10 +184,8 @@ def _at_measured_resolution(
     measured, _ = measure(reader, connections, only_beams, frames)
     step = measured[first].azimuth_step
     params = options.params.at_resolution(step) if step else replace(options.params, beams=0)
-    return (
-        params,
-        f"Beams, measured on {first}: {params.length}, by {math.degrees(params.layout.angle_increment):.4g} deg.",
-    )
+    degrees = math.degrees(params.layout.angle_increment)
+    return params, f"Beams, measured on {first}: {params.length}, by {degrees:.4g} deg."
 
 
 def _messages(
