@@ -119,7 +119,7 @@ def test_exit_statuses_are_told_alike() -> None:
     help_text = run("--help").stdout
     table = README[README.index("| status | `convert`") :].split("\n\n")[0]
     told = re.findall(r"^\| (\d) \|", table, re.MULTILINE)
-    assert told == ["0", "1", "2", "3"]
+    assert told == ["0", "1", "2", "3", "4"]
     for status in told:
         assert re.search(rf"\b{status}\b", help_text[help_text.index("Exit status") :])
 
