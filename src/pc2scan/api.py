@@ -100,6 +100,7 @@ def convert(
     to: str | None = None,
     overwrite: bool = False,
     report: PathText | None = None,
+    dry_run: bool = False,
     jobs: int = 0,
     verify: bool = True,
     strict: bool = False,
@@ -166,6 +167,8 @@ def convert(
         Whether an existing destination is replaced, and whatever is in the report's place.
     report
         A file to write the report to, as JSON.
+    dry_run
+        Whether nothing is written, the report neither: the numbers of messages and bytes are estimates then.
     jobs
         Threads; 0 means as many as there are cores. The output does not depend on it.
     verify
@@ -241,6 +244,7 @@ def convert(
         overwrite=overwrite,
         folder=folder,
         to=to,
+        dry_run=dry_run,
         report=None if report is None else path_of("report", report),
     )
     files = {"`params_file`": params_file, "`static_tf_file`": static_tf_file}

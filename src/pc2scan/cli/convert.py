@@ -70,7 +70,7 @@ def convert(
     if not reporting.quiet:
         show(result, verbose=reporting.verbose)
     end = conclude(result, verbose=reporting.verbose)
-    if not reporting.quiet:
+    if not reporting.quiet and not result.dry_run:
         show_next(result)
     raise end
 

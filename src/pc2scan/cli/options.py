@@ -626,6 +626,15 @@ class Conversion(Group):
 class Output(Group):
     """Options about the destination."""
 
+    dry_run: Annotated[
+        bool,
+        typer.Option(
+            "--dry-run",
+            "-n",
+            help="Write nothing; show what would be written, and from what.",
+            rich_help_panel=_OUTPUT,
+        ),
+    ] = False
     each: Annotated[
         bool,
         typer.Option(
@@ -698,6 +707,7 @@ class Output(Group):
             report=report,
             folder=folder,
             to=self.to,
+            dry_run=self.dry_run,
         )
 
 

@@ -20,12 +20,22 @@ if TYPE_CHECKING:
 __all__ = ["conclude", "show", "show_each", "show_next", "show_outcome"]
 
 
+#: What users call containers.
+_CONTAINERS = {"rosbag1": "ROS 1 bag", "rosbag2": "rosbag2 directory", "mcap": "MCAP file"}
+
+
 def show(report: Report, *, verbose: bool = False) -> None:
-    """Print the result."""
-    if verbose:
+    """Print the result, or that of a dry run."""
+    if report.dry_run:
+        typer.echo(printable(f"dry run, nothing is written: {', '.join(report.sources)}"))
+        typer.echo()
+    names = [
+        name for name in PARAMETERS if verbose or (report.dry_run and report.origins.get(name, "default") != "default")
+    ]
+    if names:
         table(
             ("parameter", "value", "from"),
-            [(name, str(getattr(report.params, name)), report.origins.get(name, "default")) for name in PARAMETERS],
+            [(name, str(getattr(report.params, name)), report.origins.get(name, "default")) for name in names],
             left=("parameter", "from"),
         )
         typer.echo()
@@ -68,7 +78,12 @@ def show(report: Report, *, verbose: bool = False) -> None:
     for note in report.notes:
         typer.echo(message(f"note: {note}"))
     written, read = size(report.bytes_written), size(report.bytes_read)
-    typer.echo(printable(f"{report.destination}: {written} from {read} in {duration(report.seconds)}"))
+    if report.dry_run:
+        frame = f"{report.params.target_frame!r}" if report.params.target_frame else "each message's own"
+        typer.echo(printable(f"frame: {frame}; points: those of the first messages"))
+        typer.echo(printable(f"{report.destination}: {_CONTAINERS[report.container]}, about {written} from {read}"))
+    else:
+        typer.echo(printable(f"{report.destination}: {written} from {read} in {duration(report.seconds)}"))
     if report.container == "mcap":
         # Its name does not say.
         hint = ": --profile ros2 for ros2 tools" if converted and report.ros_version == 1 else ""
@@ -141,4 +156,8 @@ def show_each(each: Each) -> None:
     table(("source", "to", "converted", "empty", "skipped", "status"), rows, left=("source", "to"))
     written = sum(outcome.report is not None for outcome in each.outcomes)
     failed = len(each.outcomes) - written
-    typer.echo(f"\n{written} of {len(each.outcomes)} recordings converted" + (f", {failed} failed" if failed else ""))
+    dry_run = any(outcome.report is not None and outcome.report.dry_run for outcome in each.outcomes)
+    typer.echo(
+        f"\n{written} of {len(each.outcomes)} recordings {'would be ' if dry_run else ''}converted"
+        + (f", {failed} failed" if failed else "")
+    )

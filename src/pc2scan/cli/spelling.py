@@ -25,6 +25,7 @@ OPTIONS = {
     "deskew": "--deskew",
     "destination": "-o",
     "drop": "--drop",
+    "dry_run": "--dry-run",
     "each": "--each",
     "end": "--end",
     "exclude_box": "--exclude-box",

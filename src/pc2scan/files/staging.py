@@ -16,7 +16,17 @@ if TYPE_CHECKING:
     #: Returns what a directory has in it beside a recording; empty for nothing.
     _Beside = Callable[[Path], str]
 
-__all__ = ["LEFTOVERS", "made_folder", "prepared", "staged", "sync_directory", "sync_file", "working_names"]
+__all__ = [
+    "LEFTOVERS",
+    "check_destination",
+    "check_place",
+    "made_folder",
+    "prepared",
+    "staged",
+    "sync_directory",
+    "sync_file",
+    "working_names",
+]
 
 _PARTIAL = ".pc2scan-partial"
 _OLD = ".pc2scan-old"
@@ -74,6 +84,33 @@ def staged(dst: Path, *, overwrite: bool, beside_recording: _Beside | None = Non
         commit()
 
 
+def check_destination(
+    dst: Path, *, overwrite: bool, beside_recording: _Beside | None = None, folder: Path | None = None
+) -> None:
+    """Raise what `staged` would raise at its beginning, as far as that is known without writing anything.
+
+    Parameters
+    ----------
+    dst, overwrite, beside_recording
+        See `staged`.
+    folder
+        The folder that `dst` is in, if it is made for it.
+
+    Raises
+    ------
+    DestinationError, OutputError
+        See `staged` and `made_folder`.
+    """
+    if folder is not None and not folder.is_dir():
+        _check_new_folder(folder)
+        return
+    check_place(dst)
+    if not overwrite and os.path.lexists(dst.with_name(dst.name + _OLD)):
+        # An interrupted run has set it aside, and it would be restored first.
+        raise _exists(dst)
+    _check_existing(dst, overwrite=overwrite, beside_recording=beside_recording)
+
+
 @contextmanager
 def prepared(
     dst: Path, check: Callable[[], bool], beside_recording: _Beside | None = None
@@ -100,7 +137,7 @@ def prepared(
     DestinationError, OutputError
         See `staged`.
     """
-    _check_parent(dst)
+    check_place(dst)
     partial = dst.with_name(dst.name + _PARTIAL)
     with _only_run(dst):
         # A partial file that exists now is of a run that died: a running one holds the lock.
@@ -128,9 +165,7 @@ def made_folder(folder: Path) -> Iterator[None]:
     if folder.is_dir():
         yield
         return
-    if os.path.lexists(folder):
-        raise DestinationError("is not a folder", path=folder, hint="choose another name")
-    _check_parent(folder)
+    _check_new_folder(folder)
     try:
         folder.mkdir()
     except OSError as err:
@@ -141,6 +176,12 @@ def made_folder(folder: Path) -> Iterator[None]:
         with suppress(OSError):
             folder.rmdir()
         raise
+
+
+def _check_new_folder(folder: Path) -> None:
+    if os.path.lexists(folder):
+        raise DestinationError("is not a folder", path=folder, hint="choose another name")
+    check_place(folder)
 
 
 def sync_file(path: Path) -> None:
@@ -161,7 +202,8 @@ def sync_directory(path: Path) -> None:
         os.close(descriptor)
 
 
-def _check_parent(dst: Path) -> None:
+def check_place(dst: Path) -> None:
+    """Raise if nothing of this name can be written."""
     if dst.name in {"", ".."}:
         raise DestinationError("is not a name that a recording can have", path=dst)
     parent = dst.parent

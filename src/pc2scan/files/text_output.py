@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 from pc2scan.errors import DestinationError, OutputError
 
 from .source import NewFile
-from .staging import prepared
+from .staging import check_place, prepared
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
-__all__ = ["text_output"]
+__all__ = ["check_text_output", "text_output"]
 
 
 @contextmanager
@@ -67,6 +67,12 @@ def text_output(path: Path, *, beginning: bytes, overwrite: bool) -> Iterator[Ca
             yield write
         finally:
             file.abort()
+
+
+def check_text_output(path: Path, *, beginning: bytes, overwrite: bool) -> None:
+    """Raise what `text_output` would raise at its beginning, without writing anything."""
+    check_place(path)
+    _may_replace(path, beginning, overwrite=overwrite)
 
 
 def _may_replace(path: Path, beginning: bytes, *, overwrite: bool) -> bool:

@@ -156,6 +156,8 @@ class Report(Shown):
         Paths as they were given; no destination where it was not known yet when the run failed.
     error
         Why the run failed and wrote nothing; None if it did not.
+    dry_run
+        Whether nothing was written: counts and sizes are estimates, and points those of the first messages.
     container, ros_version
         Of the destination: ``rosbag1``, ``rosbag2`` or ``mcap``, and 1 or 2; empty and 0 where they are not known yet.
     params
@@ -197,6 +199,7 @@ class Report(Shown):
     messages_declared: int | None = None
     undelivered: bool = False
     error: Pc2ScanError | None = None
+    dry_run: bool = False
     container: str = ""
     ros_version: int = 0
     bytes_read: int = 0
@@ -351,6 +354,7 @@ class Report(Shown):
             "error": None if self.error is None else self.error.as_dict(),
             "sources": self.sources,
             "destination": self.destination or None,
+            "dry_run": self.dry_run,
             "container": self.container or None,
             "ros_version": self.ros_version or None,
             "params": json_value(asdict(self.params)),

@@ -37,8 +37,8 @@ from pc2scan.errors import (
 )
 from pc2scan.files.overlap import Input, Output, refuse_overlap
 from pc2scan.files.source import state_of
-from pc2scan.files.staging import made_folder, staged
-from pc2scan.files.text_output import text_output
+from pc2scan.files.staging import check_destination, made_folder, staged
+from pc2scan.files.text_output import check_text_output, text_output
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.tf.options import FrameOptions
 from pc2scan.tf.placing import Frames
@@ -49,6 +49,7 @@ from .acceptance import ghosts, refusal
 from .beforehand import refuse_no_messages
 from .declarations import Declarations
 from .demands import refuse_nothing, refuse_unsatisfied
+from .forecast import forecast
 from .idle import doubts, refuse_unusable
 from .parameters import from_preset, preset_of
 from .plan import make_plan
@@ -105,6 +106,8 @@ class OutputOptions:
         exist.
     to
         Format of the destination: ``bag``, ``mcap`` or ``rosbag2``; None: as it is named, or the source's.
+    dry_run
+        Whether nothing is written, the report neither, and only what would be is found out.
     """
 
     storage: str | None = None
@@ -115,6 +118,7 @@ class OutputOptions:
     report: Path | None = None
     folder: Path | None = None
     to: str | None = None
+    dry_run: bool = False
 
 
 def run(
@@ -212,7 +216,7 @@ class _Files:
 
     def deliver_failure(self, report: Report | Failure) -> None:
         """Write the report of a run that failed, if that is possible: the user knows of the error in any case."""
-        if self._output.report is None:
+        if self._output.report is None or self._output.dry_run:
             return
         with suppress(DestinationError, OutputError), ExitStack() as stack:
             if self._write_report is None:
@@ -246,6 +250,7 @@ def _run(
     reader = as_one(readers)
     report.bytes_read = reader.summary.size_bytes
     plan = _plan(reader, options)
+    converted = [route.connection for route in plan.routes if route.targets]
     summaries = [opened.summary for opened in readers]
     mark = "_repaired" if options.repair else "_scan"
     is_named = files.destination is not None
@@ -256,12 +261,20 @@ def _run(
     target = _target(path, is_named, reader, summaries, options, output)
     report.container, report.ros_version = target.container, target.ros_version
     report.warnings += (*overlap_warnings(readers), *plan.warnings, *doubts(options, report.origins))
+    if output.dry_run:
+        report.dry_run = True
+        files.open_report(stack)
+        check_destination(path, overwrite=output.overwrite, beside_recording=beside_recording, folder=output.folder)
+        span = span_of(reader, options)
+        refuse_no_messages(reader, converted, span.start_ns, span.stop_ns)
+        conversion, _ = prepared(reader, plan, options, span, stack, report)
+        forecast(reader, plan, target, conversion, options, span.start_ns, span.stop_ns, report)
+        return
     if output.folder is not None:
         stack.enter_context(made_folder(output.folder))
     files.open_report(stack)
     with staged(path, overwrite=output.overwrite, beside_recording=beside_recording) as unfinished:
         span = span_of(reader, options)
-        converted = [route.connection for route in plan.routes if route.targets]
         refuse_no_messages(reader, converted, span.start_ns, span.stop_ns)
         conversion, others = prepared(reader, plan, options, span, stack, report)
         writer = open_writer(target, unfinished, path.name)
@@ -315,10 +328,16 @@ def _refuse_missing_destination(sources: Sequence[Path], destination: Path | Non
 
 
 def report_file(output: OutputOptions, stack: ExitStack) -> Callable[[str], None] | None:
-    """Make sure that the report can be written, before anything else is; returns what writes it."""
+    """Make sure that the report can be written, before anything else is; returns what writes it.
+
+    None if there is none, and in a dry run.
+    """
     if output.report is None:
         return None
     try:
+        if output.dry_run:
+            check_text_output(output.report, beginning=BEGINNING, overwrite=output.overwrite)
+            return None
         return stack.enter_context(text_output(output.report, beginning=BEGINNING, overwrite=output.overwrite))
     except (DestinationError, OutputError) as err:
         err.message = f"the report cannot go there: {err.message}"

@@ -1,0 +1,185 @@
+"""What a conversion would do, found out without writing anything: its topics, and about how many messages and bytes."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from typing import TYPE_CHECKING, NamedTuple
+
+from pc2scan.errors import MessageError
+
+from .beforehand import Unconnected
+from .declarations import Declarations
+from .report import Skipped
+from .routes import count_skipped, open_routes
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from pc2scan.bags.destinations import Destination
+    from pc2scan.bags.reader import Reader
+    from pc2scan.model import Connection
+
+    from .conversion import Conversion
+    from .options import ConvertOptions
+    from .plan import Plan
+    from .report import Report
+    from .routes import OpenRoute
+
+__all__ = ["forecast"]
+
+#: The first messages of a topic that are converted, unless they fail, and those that are looked at in all.
+_CONVERTED = 3
+_LOOKED_AT = 10
+#: The first messages of all other topics whose sizes count for the rest.
+_MEASURED = 500
+
+
+#: Bytes that an index takes for a message, the description of a topic, and what else every container has.
+_INDEXED = 40
+_DECLARED = 1_500
+_FRAME = 4_000
+
+
+class _Size(NamedTuple):
+    """The mean size of a connection's messages: as they are read, as they are passed on, and of what they become."""
+
+    read: float
+    passed: float
+    made: float
+
+
+def forecast(
+    reader: Reader,
+    plan: Plan,
+    target: Destination,
+    conversion: Conversion,
+    options: ConvertOptions,
+    start_ns: int | None,
+    stop_ns: int | None,
+    report: Report,
+) -> None:
+    """Fill in a report as a conversion would, as far as indexes and the first messages tell.
+
+    The points in it are those of the first messages, and what is skipped is among these.
+
+    Raises
+    ------
+    TransformError
+        If no transforms connect the messages with the target frame.
+    MessageError
+        With ``on_error`` ``fail``, if one of the first messages cannot be converted.
+    """
+    declared = Declarations()
+    routes = open_routes(plan.routes, conversion, target, target.same_kind(reader.summary), options, declared, report)
+    routes = count_skipped(routes, reader, start_ns, stop_ns)
+    sizes: dict[int, _Size] = _converted_sizes(
+        reader, routes, options, start_ns, stop_ns, report, is_packed=target.compression != "none"
+    )
+    report.damage += reader.damage
+    report.conclude()
+    counts = reader.counts([route.connection for route in routes.values()], start_ns, stop_ns)
+    _fill_in(routes, counts, report)
+    others = [key for key in routes if key not in sizes]
+    sizes |= _other_sizes(reader, [routes[key].connection for key in others])
+    report.bytes_written = _written(reader, target, routes, counts, sizes)
+
+
+def _converted_sizes(
+    reader: Reader,
+    routes: Mapping[int, OpenRoute],
+    options: ConvertOptions,
+    start_ns: int | None,
+    stop_ns: int | None,
+    report: Report,
+    *,
+    is_packed: bool,
+) -> dict[int, _Size]:
+    """Convert the first messages of each topic."""
+    converting = {key: route for key, route in routes.items() if route.convert is not None}
+    unconnected = Unconnected(route.connection for route in converting.values())
+    sizes: dict[int, _Size] = {}
+    for key, route in converting.items():
+        connection, read, made = route.connection, [], []
+        with closing(reader.messages([connection], start_ns, stop_ns)) as messages:
+            for message in messages:
+                error: MessageError | None = None
+                read.append(len(message.data))
+                try:
+                    assert route.convert is not None  # chosen so
+                    converted = route.convert(message.data)
+                except MessageError as err:
+                    error = err
+                    error.topic = connection.topic
+                    if options.on_error == "fail":
+                        raise
+                    report.list_skipped(
+                        Skipped(connection.topic, message.log_time_ns, err.stamp_ns, err.message, err.hint or "")
+                    )
+                else:
+                    made.append(_packed(converted.data) if is_packed else len(converted.data))
+                    for output in route.outputs:
+                        output.report.messages_out += 1
+                        output.report.points += converted.counts
+                        output.report.empty_scans += converted.empty
+                for output in route.outputs:
+                    output.report.messages_in += 1
+                if unconnected.is_possible:
+                    unconnected.note(connection, error)
+                if len(made) == _CONVERTED or len(read) == _LOOKED_AT:
+                    break
+        kept = _mean(read) if route.passing_handle >= 0 else 0.0
+        sizes[key] = _Size(_mean(read), kept, _mean(made) * len(route.outputs))
+    return sizes
+
+
+def _packed(data: bytes) -> int:
+    """The size of a message when it is compressed, about."""
+    import zlib  # noqa: PLC0415  # dry runs only
+
+    return len(zlib.compress(data, 1))
+
+
+def _other_sizes(reader: Reader, connections: Sequence[Connection]) -> dict[int, _Size]:
+    """The same for messages that are not converted, by those at the beginning of the recording."""
+    found: dict[int, list[int]] = {connection.id: [] for connection in connections}
+    if connections:
+        with closing(reader.messages(connections)) as messages:
+            for _, message in zip(range(_MEASURED), messages, strict=False):
+                found[message.connection.id].append(len(message.data))
+    return {key: _Size(_mean(sizes), _mean(sizes), 0.0) for key, sizes in found.items()}
+
+
+def _mean(values: Sequence[int]) -> float:
+    return sum(values) / len(values) if values else 0.0
+
+
+def _fill_in(routes: Mapping[int, OpenRoute], counts: Mapping[int, int], report: Report) -> None:
+    """Put the numbers of messages in place of those that were looked at."""
+    entries = {id(entry): entry for route in routes.values() for entry in route.reports}
+    for entry in entries.values():
+        entry.messages_in = entry.messages_out = 0
+    uncounted = []
+    for key, route in routes.items():
+        count = counts.get(key, route.connection.message_count)
+        if count is None:
+            uncounted.append(route.connection.topic)
+            continue
+        for entry in route.reports:
+            entry.messages_in += count
+            entry.messages_out += count if route.writes else 0
+    if uncounted:
+        report.notes.append(f"no index counts the messages on {', '.join(sorted(set(uncounted)))}")
+
+
+def _written(
+    reader: Reader,
+    target: Destination,
+    routes: Mapping[int, OpenRoute],
+    counts: Mapping[int, int],
+    sizes: Mapping[int, _Size],
+) -> int:
+    """About how many bytes the destination will have, by how well the source is compressed."""
+    whole = sum((route.connection.message_count or 0) * sizes[key].read for key, route in routes.items())
+    ratio = min(1.0, reader.summary.size_bytes / whole) if whole and target.compression != "none" else 1.0
+    stored = sum((counts.get(key) or 0) * (size.passed * ratio + size.made + _INDEXED) for key, size in sizes.items())
+    return round(stored + _DECLARED * len(routes) + _FRAME)
