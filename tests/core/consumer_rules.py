@@ -65,7 +65,15 @@ def slam_toolbox(scan: Scan, first: Scan | None, placed: Placed) -> str:
     threshold = min(25.0, f(laser.range_max).item())
     if threshold == f(laser.range_max) and scan.full > 0.01 * scan.beams:
         return "misplaced"
-    return "misplaced" if turned(scan, laser) else "accepted"
+    if turned(scan, laser):
+        return "misplaced"
+    if placed.up is None or placed.up > 0 or not scan.beams:
+        return "accepted"
+    # Inverted: readings from rbegin to rend, at minimum angle + i * resolution, of a frame that is turned over.
+    low, step = float(f(laser.angle_min)), float(f(laser.angle_increment))
+    last = float(f(low + (laser.beams - 1) * step))
+    off = max(abs(math.remainder(low + i * step + (last - i * step), 2 * math.pi)) for i in range(scan.beams))
+    return worst(off, float(f(scan.angle_increment)))
 
 
 def turned(scan: Scan, first: Scan) -> bool:

@@ -315,6 +315,18 @@ def test_gmapping_does_not_start_with_tilted_scans_and_takes_them_for_level_late
     assert not judge("gmapping", GOOD, GOOD, tilted).refused
 
 
+def test_slam_toolbox_reverses_the_ranges_of_a_sensor_that_is_upside_down() -> None:
+    below = Placed(odometry=True, robot=True, up=-1.0)
+    assert judge("slam_toolbox", GOOD, None, below).outcome == "accepted"
+    side = replace(GOOD, angle_min=0.0, angle_max=2.0)
+    assert judge("slam_toolbox", side).outcome == "accepted"
+    verdict = judge("slam_toolbox", side, None, below)
+    assert (verdict.outcome, "115 deg" in verdict.observed) == ("misplaced", True)
+    # A circle from 0 is read one beam off.
+    circle = replace(GOOD, angle_min=0.0, angle_increment=math.radians(1), beams=360, angle_max=math.radians(359))
+    assert judge("slam_toolbox", circle, None, below).outcome == "shifted"
+
+
 def test_gmappings_beams() -> None:
     """With the angle_max of the half-open geometry they are where the scan says; reversed, one increment less is."""
     half_open = replace(GOOD, angle_max=1.25)

@@ -3,7 +3,8 @@
 Sources of the rules, in C++ (floats of the message are float32, literals float64 unless marked):
 
 - slam_toolbox: ``LaserAssistant::makeLaser`` (laser_utils.cpp), ``LaserRangeFinder::Update``, ``Validate``,
-  ``LocalizedRangeScan::Update`` and ``OccupancyGrid::AddScan`` (Karto.h), ``laserCallback`` (slam_toolbox_async.cpp).
+  ``LocalizedRangeScan::Update`` and ``OccupancyGrid::AddScan`` (Karto.h), ``laserCallback`` (slam_toolbox_async.cpp),
+  ``scanToReadings`` (laser_utils.hpp).
 - Cartographer: ``LaserScanToPointCloudWithIntensities`` (cartographer_ros, msg_conversion.cc), ``HandleLaserScan`` and
   ``HandleRangefinder`` (sensor_bridge.cc), ``LocalTrajectoryBuilder2D::AddRangeData`` (cartographer).
 - gmapping: ``initMapper``, ``getOdomPose`` and ``addScan`` (slam_gmapping.cpp), ``RangeSensor`` (openslam,
@@ -342,7 +343,7 @@ def _tilted(up: float) -> bool:
     return not abs(abs(up) - 1) <= _GMAPPING_TILT
 
 
-def _slam_toolbox(scan: Scan, first: Scan, _placed: Placed) -> Verdict:
+def _slam_toolbox(scan: Scan, first: Scan, placed: Placed) -> Verdict:
     expected = expected_by_karto(first)
     if expected != scan.beams:
         if scan.beams != first.beams and expected == first.beams:
@@ -371,7 +372,19 @@ def _slam_toolbox(scan: Scan, first: Scan, _placed: Placed) -> Verdict:
             "inf for no return, or a range_max above max_laser_range",
             "`no_return=inf`, or `range_max=100.0`: pc2scan convert --preset slam_toolbox",
         )
-    return _kept_angles("slam_toolbox", scan, first)
+    kept = _kept_angles("slam_toolbox", scan, first)
+    if kept.outcome != "accepted" or placed.up is None or placed.up > 0:
+        return kept
+    # Of a sensor that is upside down, beam i is read at the place of beam N - 1 - i.
+    return _off(
+        "slam_toolbox",
+        scan,
+        math.remainder(first.angle_min + last_beam(first), _TWO_PI),
+        "ranges of a sensor that is upside down are taken in reverse order, at the same angles",
+        f"angle_min {first.angle_min:.9g}, the last beam at {last_beam(first):.9g}",
+        "a sector around 0",
+        "pc2scan convert --target-frame base_link, or --geometry symmetric",
+    )
 
 
 def _cartographer(scan: Scan, _first: Scan, placed: Placed) -> Verdict:
