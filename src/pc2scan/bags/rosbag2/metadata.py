@@ -1,11 +1,11 @@
-"""rosbag2's metadata.yaml, and the storage files that it is about.
+"""Reads and writes rosbag2's metadata.yaml, and finds the storage files.
 
 Versions of metadata.yaml (source: rosbag2_storage/yaml.hpp and bag_metadata.hpp):
 
 ========  ==============================================================================
-version   what it added
+version   additions
 ========  ==============================================================================
-1, 2      the beginning; paths are prefixed with the directory's name
+1, 2      (first versions; paths begin with the directory's name)
 3         ``compression_format`` and ``compression_mode``
 4         ``offered_qos_profiles`` (YAML in a string, enumerations as numbers)
 5         ``files``, with times and counts
@@ -15,7 +15,7 @@ version   what it added
 9         ``offered_qos_profiles`` as a list, enumerations by name
 ========  ==============================================================================
 
-Reading takes keys where they are, whatever the version says.
+Keys are read from any version that has them.
 """
 
 from __future__ import annotations
@@ -62,18 +62,18 @@ RECORD_NAME = "rosbag2"
 
 ROOT = "rosbag2_bagfile_information"
 NEWEST_VERSION = 9
-#: What SQLite keeps beside a database.
+#: Endings of SQLite's files beside a database.
 _LOGS = ("-wal", "-shm", "-journal")
 
 _WITHOUT_METADATA = f"move {METADATA_NAME} away to have the files beside it read without it"
 
 
 class UnsupportedError(ValueError):
-    """metadata.yaml is sound, but what it tells of cannot be read."""
+    """metadata.yaml is sound, but the recording is of an unsupported kind."""
 
 
 class Extent(NamedTuple):
-    """What metadata.yaml says of one file: its messages, and the first and the last log time."""
+    """The messages of one file by metadata.yaml: their number, and the first and the last log time."""
 
     message_count: int
     first_ns: int
@@ -82,14 +82,14 @@ class Extent(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class BagInfo:
-    """What metadata.yaml says, as far as it matters.
+    """The used contents of metadata.yaml.
 
     Attributes
     ----------
     topics
         Connections with ids from 1 on.
     message_count
-        In all; None where it does not say.
+        In all; None if it is not there.
     topic_counts
         By topic and type.
     extents
@@ -113,21 +113,21 @@ class BagInfo:
 
 
 def read_info(folder: Path, log: DamageLog) -> BagInfo:
-    """Read metadata.yaml, or find out what matters from the files where there is none.
+    """Read metadata.yaml; without one, use the names of the files.
 
-    ``log`` takes note of one that cannot be understood; the files are then read without it.
+    ``log`` gets the error of one that cannot be parsed; the files are then read without it.
 
     Raises
     ------
     RecordingError
-        If it cannot be read, tells of what is not supported, or there is no recording.
+        If it cannot be read, the recording is of an unsupported kind, or there is none.
     """
     path = folder / METADATA_NAME
     try:
         if not os.path.lexists(path):
             return replace(_guessed_info(folder), is_guessed=True)
         with opened_text(path) as file:
-            # One more than allowed: what is too long is refused, not read.
+            # One more than allowed, so that longer text is refused.
             text = file.read(MAX_CHARACTERS + 1)
         info = _parsed_info(load_yaml(text))
         return info if info.storage else replace(info, storage=_shown_storage(folder, info.files))
@@ -143,12 +143,12 @@ def read_info(folder: Path, log: DamageLog) -> BagInfo:
 
 
 def is_in(folder: Path) -> bool:
-    """Whether a directory holds a recording: metadata.yaml, or files that are named like storages."""
+    """Whether a directory holds a recording: metadata.yaml, or files with a storage's suffix."""
     return (folder / METADATA_NAME).exists() or bool(storage_files(folder))
 
 
 def is_one(folder: Path) -> bool:
-    """Whether all recordings of a directory are one: it has a metadata.yaml, or all are named as parts of one."""
+    """Whether everything in a directory is one recording: it has a metadata.yaml, or all are named as parts of one."""
     if (folder / METADATA_NAME).exists():
         return True
     held = recordings_in(folder)
@@ -156,15 +156,13 @@ def is_one(folder: Path) -> bool:
 
 
 def storage_files(folder: Path) -> list[Path]:
-    """Files of a directory that are named like rosbag2's storages, in natural order: 2 comes before 10."""
+    """Return the files of a directory with a storage's suffix, in natural order: 2 comes before 10."""
     found = [path for path in folder.iterdir() if path.is_file() and _storage_of(path.name) is not None]
     return sorted(found, key=natural_order)
 
 
 def located_file(folder: Path, name: str) -> Path:
-    """Find a file that metadata.yaml names, or its like.
-
-    Files get packed and unpacked without metadata.yaml being told.
+    """Find a file that metadata.yaml names, also if it was compressed or decompressed since.
 
     Raises
     ------
@@ -173,7 +171,7 @@ def located_file(folder: Path, name: str) -> Path:
     """
     plain = zstd.without_suffix(name)
     for candidate in (name, plain, *(plain + suffix for suffix in zstd.SUFFIXES)):
-        # A name may be longer than names can be.
+        # The name may be too long.
         with suppress(OSError):
             if (folder / candidate).is_file():
                 return folder / candidate
@@ -185,7 +183,7 @@ def located_file(folder: Path, name: str) -> Path:
 
 
 def beside_recording(folder: Path) -> str:
-    """Say why a directory is not a rosbag2 recording and nothing else; empty if it is, or if it holds nothing.
+    """Return why a directory is not just a rosbag2 recording; empty if it is one, or if it is empty.
 
     A recording's files are its metadata.yaml, the storage files that this names, and the logs beside them.
     """
@@ -197,7 +195,7 @@ def beside_recording(folder: Path) -> str:
     try:
         info = read_info(folder, DamageLog(strict=True))
     except RecordingError as err:
-        # A disk that fails says nothing of what is in the directory.
+        # If the disk fails, the contents are unknown.
         if isinstance(err.__cause__, OSError):
             raise
         return f"its {METADATA_NAME} is not understood: {err.message}"
@@ -217,7 +215,7 @@ def _storage_of(name: str) -> str | None:
 
 
 def _shown_storage(folder: Path, names: Iterable[str]) -> str:
-    """The storage of files whose metadata.yaml does not name it: by content, or by name where that is compressed."""
+    """Return the storage of files if metadata.yaml has none: by content, or by name for compressed files."""
     for name in names:
         try:
             path = located_file(folder, name)
@@ -277,7 +275,7 @@ def _parsed_info(document: Any) -> BagInfo:
 
 
 def _extents(root: Any) -> Iterator[tuple[str, Extent]]:
-    """What is said of the files one by one; of no consequence where all are there, so lenient."""
+    """Yield the entries of the files; wrong ones are ignored, since entries are needed only for missing files."""
     entries = root.get("files")
     for entry in entries if isinstance(entries, list) else ():
         try:
@@ -289,7 +287,7 @@ def _extents(root: Any) -> Iterator[tuple[str, Extent]]:
 
 
 def _span(root: Any) -> tuple[int, int] | None:
-    """The first log time and the last; lenient, since messages are read without them."""
+    """Return the first and the last log time; None if they are wrong, since messages are read without them."""
     try:
         first_ns = int(root["starting_time"]["nanoseconds_since_epoch"])
         return first_ns, first_ns + int(root["duration"]["nanoseconds"])
@@ -298,7 +296,7 @@ def _span(root: Any) -> tuple[int, int] | None:
 
 
 def _get(mapping: Any, key: str, kind: type, where: str, default: Any = None) -> Any:
-    """One value of a mapping, checked; absent or null gives the default, which None makes an error."""
+    """Return a value of a mapping, checked; a missing or null value is the default, or an error if that is None."""
     value = mapping.get(key) if isinstance(mapping, dict) else None
     if value is None and default is not None:
         return default
@@ -312,7 +310,7 @@ _KINDS = {dict: "a mapping", list: "a list", int: "an integer", str: "text"}
 
 
 def _file_name(path: Any) -> str:
-    """The last part of a path: what lies outside the directory is not part of the recording."""
+    """Return the last part of a path, since files outside the directory are not part of the recording."""
     name = PureWindowsPath(path).name if isinstance(path, str) else ""
     if name in {"", ".."}:
         raise ValueError(f"relative_file_paths names {path!r:.60}, expected a file")
@@ -328,7 +326,7 @@ def _message_compression(root: Any) -> str:
     name = _get(root, "compression_format", str, ROOT, "").lower()
     if name != "zstd":
         raise UnsupportedError(f"has compression_format {name!r}; only zstd can be read")
-    # Compressed files are recognised by their content.
+    # Compressed files are detected by their content.
     return "zstd" if mode == "message" else "none"
 
 

@@ -1,4 +1,4 @@
-"""Reading rosbag2 directories: the storage files merged, and what metadata.yaml adds to them."""
+"""Reads rosbag2 directories: merges the storage files, and adds information from metadata.yaml."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def open_reader(path: Path, options: ReadOptions) -> Rosbag2Reader:
 
 
 class Rosbag2Reader(MergedReader):
-    """A rosbag2 directory; satisfies `pc2scan.bags.reader.Reader`.
+    """Reads a rosbag2 directory.
 
     The files of a split recording are merged by time. Without metadata.yaml the storage files are read in the
     natural order of their names. Where metadata.yaml and the storage disagree, the storage is right; what it
@@ -67,7 +67,7 @@ class Rosbag2Reader(MergedReader):
         self._path = path
         self._log = DamageLog(strict=strict)
         self._temporary: TemporaryDirectory[str] | None = None
-        #: What was unpacked, and from which file.
+        #: Decompressed files, and the file of each.
         self._origins: dict[Path, Path] = {}
         self._info = read_info(path, self._log)
         files: list[Path] = []
@@ -117,12 +117,12 @@ class Rosbag2Reader(MergedReader):
 
     @property
     def summary(self) -> Summary:
-        """Counts and times are the storage's, not metadata.yaml's."""
+        """The summary, with counts and times of the storage, not of metadata.yaml."""
         return self._summary
 
     @property
     def bytes_read(self) -> int:
-        """Bytes consumed so far; of compressed files the share."""
+        """Bytes read so far; of compressed files in proportion."""
         return super().bytes_read * self._summary.size_bytes // max(1, self._inner.size_bytes)
 
     @property
@@ -132,16 +132,16 @@ class Rosbag2Reader(MergedReader):
 
     @property
     def damage(self) -> tuple[Damage, ...]:
-        """What is damaged: the directory's own first, then file by file."""
+        """The damage: that of the directory first, then file by file."""
         inner = (replace(place, path=self._origins.get(place.path, place.path)) for place in super().damage)
         return (*self._log.found, *inner)
 
     def metadata(self) -> Iterator[Metadata]:
-        """MCAP metadata records, without rosbag2's copy of metadata.yaml, which is about these files only."""
+        """Yield MCAP metadata records, without rosbag2's copy of metadata.yaml, which is valid for these files only."""
         return (record for record in super().metadata() if record.name != RECORD_NAME)
 
     def close(self) -> None:
-        """Close the files and remove what was unpacked."""
+        """Close the files and remove decompressed ones."""
         super().close()
         self._discard_temporary()
 
@@ -160,7 +160,7 @@ class Rosbag2Reader(MergedReader):
         )
 
     def _lose(self, name: str, err: DamageError) -> None:
-        """Take note of a file that is missing or cannot be read at all."""
+        """Note a file that is missing or cannot be read."""
         extent = self._info.extents.get(name)
         self._log.note(
             err,
@@ -171,7 +171,7 @@ class Rosbag2Reader(MergedReader):
         )
 
     def _compare_counts(self) -> None:
-        """Take note if the files have other numbers of messages than metadata.yaml counts, in all or of a topic."""
+        """Note if the numbers of messages in metadata.yaml, in all or of a topic, differ from those in the files."""
         stored, declared = super().summary.message_count, self._info.message_count
         known = [damage.messages_lost for damage in self._log.found if damage.loses]
         if stored is None or declared is None or None in known:
@@ -185,7 +185,7 @@ class Rosbag2Reader(MergedReader):
             told = self._info.topic_counts
             pairs = [(key[0], told.get(key, 0), found[key]) for key in {**told, **found}]
             fewer = [(topic, count, there) for topic, count, there in pairs if there < count]
-            # Who adds up to another sum did not count; then only messages that are missing are worth a word.
+            # If the counts have another sum, they are unreliable, and only missing messages are noted.
             details = count_details(pairs if sum(told.values()) == declared else fewer)
             missing = max(missing, sum(count - there for _, count, there in fewer))
         if missing > 0 or details:
@@ -195,7 +195,7 @@ class Rosbag2Reader(MergedReader):
             )
 
     def _compare_times(self) -> None:
-        """Take note if messages of a recording in one file are outside of the times in metadata.yaml.
+        """Note if messages of a recording in one file are outside of the times in metadata.yaml.
 
         The times of a snapshot begin when the recorder was started. Those of split recordings cannot be relied on:
         rosbag2 wrote those of the last file until Humble (https://github.com/ros2/rosbag2/issues/1413).
@@ -217,7 +217,7 @@ class Rosbag2Reader(MergedReader):
             self._log.note(DamageError(problem, path=self._path, hint=RECOVER), key="times", messages_lost=0)
 
     def _compare_topics(self) -> None:
-        """Take note of topics that metadata.yaml lists with another type or serialization than the files have."""
+        """Note topics whose type or serialization in metadata.yaml differs from the files."""
         listed: dict[str, list[tuple[str, str]]] = {}
         for topic in self._info.topics:
             listed.setdefault(topic.topic, []).append((topic.ros_type, topic.serialization))
@@ -240,7 +240,7 @@ class Rosbag2Reader(MergedReader):
 
 
 def _refuse_others(file: Path, storage: Format) -> None:
-    """Raise if a file is not of the storage that it should be of."""
+    """Raise if a file is not of the expected storage."""
     try:
         with opened_bytes(file) as stream:
             head = stream.read(16)
@@ -252,14 +252,14 @@ def _refuse_others(file: Path, storage: Format) -> None:
 
 
 def _may_be_same(kind: tuple[str, str], other: tuple[str, str]) -> bool:
-    """Whether two topics have the same type and serialization, as far as both name them."""
+    """Whether two topics have the same type and serialization, as far as both have them."""
     return all(a == b or not (a and b) for a, b in zip(kind, other, strict=True))
 
 
 def _completed(
     stored: Sequence[Connection], listed: Sequence[Connection]
 ) -> tuple[dict[int, Connection], list[Connection]]:
-    """What metadata.yaml adds to the storage's connections: their missing parts, and further connections."""
+    """Return what metadata.yaml adds to the storage's connections: missing attributes, and further connections."""
     by_name = {(topic.topic, topic.msgtype): topic for topic in reversed(listed)}
     amended = {}
     for connection in stored:

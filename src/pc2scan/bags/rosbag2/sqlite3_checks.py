@@ -1,6 +1,6 @@
-"""Facts that a database of rosbag2 has twice, compared: small tables with their columns, rows with the index of times.
+"""Compares facts that a rosbag2 database has twice: small tables with their columns, rows with the index of times.
 
-SQLite's own check reads the whole file. These read no message.
+Unlike SQLite's own check, which reads the whole file, these checks read no message.
 """
 
 from __future__ import annotations
@@ -15,29 +15,29 @@ if TYPE_CHECKING:
 
 __all__ = ["TIMES_SUM", "Trouble", "index_trouble", "table_trouble"]
 
-#: Of rows: changes if one of them has another time, or one takes the place of another.
+#: A sum over rows that changes if a row has another time or replaces another.
 TIMES_SUM = "coalesce(sum(timestamp % 2147483647 + id), 0)"
 
 
 class Trouble(NamedTuple):
-    """What is wrong with a table; ``unreachable`` if rows may be there that its tree does not lead to."""
+    """The problem of a table; ``unreachable`` if there may be rows that its tree does not reach."""
 
     what: str
     unreachable: bool
 
 
 def table_trouble(query: Query, table: str) -> Trouble | None:
-    """What SQLite finds wrong with a small table: its pages, and values that its columns do not allow."""
+    """Return the problem that SQLite finds in a small table: damaged pages, or values that its columns do not allow."""
     found = [str(text) for (text,) in query(f"PRAGMA quick_check({table})", ())]
     if found == ["ok"]:
         return None
-    # The line in front of those about pages names the database only.
+    # The first line only has the name of the database.
     first = next((line for text in found for line in text.splitlines() if not line.startswith("***")), "no answer")
     return Trouble(f"table {table} contradicts itself: {first}", any(text.startswith("***") for text in found))
 
 
 def index_trouble(query: Query, index: str, count: int, times_sum: int) -> str | None:
-    """How the index of times, all of it, differs from the rows; None if it does not.
+    """Describe how the complete index of times differs from the rows; None if it does not.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The rollback journal of a database (``-journal``): its pages as they were before a transaction that did not end.
+"""Reads the rollback journal of a database (``-journal``): the pages before a transaction that did not end.
 
 Source: https://www.sqlite.org/fileformat2.html#the_rollback_journal, and SQLite's ``pager.c``.
 """
@@ -18,15 +18,15 @@ __all__ = ["read_journal"]
 _MAGIC = bytes.fromhex("d9d505f920a163d7")
 _HEADER = 28
 
-#: A journal's count of records if its writer did not wait for the disk.
+#: The count of records in a journal whose writer did not sync it.
 _UNCOUNTED = b"\xff" * 4
 
-#: The byte that SQLite locks. Its page has no content, and the page's number marks a super-journal's name.
+#: The byte that SQLite locks. Its page has no content; its number marks the name of a super-journal.
 _LOCK_BYTE = 0x40000000
 
 
 def read_journal(log: PageLog) -> None:
-    """Find the pages as they were before a transaction that did not end.
+    """Find the pages before a transaction that did not end.
 
     What the journal says of a transaction over several databases is ignored: no recorder makes one, and whether it
     ended would be known only from a file that the journal names.
@@ -34,7 +34,7 @@ def read_journal(log: PageLog) -> None:
     file = log.file
     head = file.read(0, min(file.size, _HEADER))
     if head[0] == 0:
-        # A journal that is kept for the next transaction.
+        # An empty journal, kept for the next transaction.
         return
     position = 0
     sector, size = struct.unpack_from(">II", head.ljust(_HEADER, b"\0"), 20)
@@ -66,7 +66,7 @@ def read_journal(log: PageLog) -> None:
 
 
 def _read_records(log: PageLog, start: int, count: int, nonce: int, *, counted: bool) -> int:
-    """Read the records behind one header; returns where they end."""
+    """Read the records after one header; returns their end."""
     file, size = log.file, log.page_size
     length = size + 8
     there = (file.size - start) // length
@@ -79,12 +79,12 @@ def _read_records(log: PageLog, start: int, count: int, nonce: int, *, counted: 
         number, stated = int.from_bytes(record[:4], "big"), int.from_bytes(record[-4:], "big")
         if not counted and number in (0, _LOCK_BYTE // size + 1):
             break
-        # Of a page, every two hundredth byte counts, from the end.
+        # The checksum has every two hundredth byte of a page, from the end.
         summed = (nonce + sum(record[size - 196 : 4 : -200])) & 0xFFFFFFFF
         if summed != stated or not 0 < number <= (log.page_count or 0) or number in log.places:
             wrong.append(place)
             continue
-        # What is not counted ends with an older journal's records, which are wrong too.
+        # Without a count, records of an older journal may follow, whose checksums are wrong too.
         _note_records(log, wrong)
         log.places[number] = place + 4
     if counted:
@@ -99,7 +99,7 @@ def _note_records(log: PageLog, wrong: list[int]) -> None:
 
 
 def _super_journal(file: SourceFile) -> str:
-    """The file that a journal names at its end; empty if it names none."""
+    """Return the file name at the end of a journal; empty if there is none."""
     if file.size < 16 + _HEADER:
         return ""
     length, stated, magic = struct.unpack(">II8s", file.read(file.size - 16, 16))

@@ -1,7 +1,6 @@
-"""The logs that SQLite leaves beside a database: a write-ahead log (``-wal``) and a rollback journal (``-journal``).
+"""Reads the logs beside a database (write-ahead log ``-wal``, rollback journal ``-journal``), and merges them with it.
 
-SQLite itself never opens them: it would write to them, and delete a file that a journal names. They are read here, and
-merged with the database.
+SQLite itself never opens them here: it would write to them, and delete a file that a journal names.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ __all__ = ["missing_bytes", "page_size_of", "side_logs", "write_merged"]
 
 
 def page_size_of(head: bytes) -> int:
-    """Bytes of a page by the first bytes of a database; SQLite's default if what they say is impossible."""
+    """Return the page size in the first bytes of a database; SQLite's default if it is impossible."""
     (size,) = struct.unpack_from(">H", head.ljust(18, b"\0"), 16)
     size = 65536 if size == 1 else size
     return size if size >= 512 and size & (size - 1) == 0 else 4096
@@ -62,7 +61,7 @@ def side_logs(path: Path) -> list[PageLog]:
 
 
 def missing_bytes(logs: Sequence[PageLog]) -> int | None:
-    """Count the bytes that neither a database nor its logs have; None if no log says how many there must be."""
+    """Count the bytes that neither a database nor its logs have; None if no log has the database's size."""
     last = next((log for log in reversed(logs) if log.page_count is not None), None)
     if last is None or last.page_count is None:
         return None
@@ -71,7 +70,7 @@ def missing_bytes(logs: Sequence[PageLog]) -> int | None:
 
 
 def write_merged(path: Path, logs: Sequence[PageLog], target: Path) -> None:
-    """Write the database as it is with its logs, none of which may be broken.
+    """Write the database merged with its logs, which must be sound.
 
     Raises
     ------
@@ -92,7 +91,7 @@ def write_merged(path: Path, logs: Sequence[PageLog], target: Path) -> None:
 
 
 def _beside(path: Path, suffix: str) -> Path | None:
-    """Return a log that has content; of a database that is a link also one where the link leads, as SQLite does."""
+    """Return a log that is not empty; for a database that is a link, also one beside its target, as SQLite does."""
     for place in (path, path.resolve()):
         side = file_beside(place, suffix)
         if side is not None and side.stat().st_size:

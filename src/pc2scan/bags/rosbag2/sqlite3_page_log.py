@@ -1,4 +1,4 @@
-"""The pages of a log beside a database: which count, where they are, and what is wrong."""
+"""The valid pages of a log beside a database, their places, and the problems of the log."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ __all__ = ["LogProblem", "PageLog"]
 
 
 class LogProblem(NamedTuple):
-    """What is wrong with a log, where in it, and how many of its bytes are not used."""
+    """A problem of a log, its offset, and how many bytes of the log are not used."""
 
     what: str
     offset: int
@@ -21,7 +21,7 @@ class LogProblem(NamedTuple):
 
 @dataclass(slots=True)
 class PageLog:
-    """The pages of a log that count instead of the database's own.
+    """The pages of a log that replace those of the database.
 
     Attributes
     ----------

@@ -1,8 +1,8 @@
-"""The rows of a damaged rosbag2 database, found page by page where SQLite itself refuses.
+"""Reads the rows of a damaged rosbag2 database page by page.
 
-SQLite reaches rows through trees whose inner pages may be gone, and gives up at the first that is. Rows themselves are
-in leaf pages, each of which can be read alone; long ones go on in a chain of overflow pages. rosbag2 only ever
-appends, and no two of its tables have rows of one shape, so a row is known by its shape, whichever page it is in.
+SQLite reaches rows through trees, and fails at the first missing inner page. The rows are in leaf pages, which can be
+read by themselves; long rows continue in a chain of overflow pages. rosbag2 only appends rows, and all its tables have
+different columns, so the table of a row is detected from its values.
 
 Source: https://www.sqlite.org/fileformat2.html.
 """
@@ -29,13 +29,13 @@ __all__ = ["Cell", "PageFile", "declared_size", "rebuilt"]
 _HEADER_SIZE = 100
 _LEAF = 0x0D
 
-#: Where the numbers begin under which pages are looked at that are doubtful; no database has as many pages.
+#: First number for doubtful pages; no database has as many pages.
 _DOUBTFUL = 1 << 32
 
-#: Text and numbers are looked at up to here; a message's data is read when it is asked for.
+#: Text and numbers are read up to this size; a message's data is read when it is needed.
 _LONGEST_VALUE = 1 << 20
 
-#: What a damaged database is rebuilt as: its readable rows, the data of messages apart.
+#: The schema of the rebuilt database: all readable rows, without the data of messages.
 _SCHEMA = """
 CREATE TABLE topics(
   id INTEGER PRIMARY KEY, name, type, serialization_format, offered_qos_profiles, type_description_hash);
@@ -49,7 +49,7 @@ Value = int | float | str | bytes | None
 
 
 class Cell(NamedTuple):
-    """A row: where it is (page and byte within it), its rowid, and its values; of long blobs only an empty stand-in."""
+    """A row: its place (page and byte), its rowid, and its values, with empty ones instead of long blobs."""
 
     page: int
     offset: int
@@ -58,7 +58,7 @@ class Cell(NamedTuple):
 
     @property
     def is_message(self) -> bool:
-        """Whether it has the shape of a row of ``messages``: id, topic_id, timestamp, data."""
+        """Whether it is a row of ``messages``: id, topic_id, timestamp, data."""
         v = self.values
         return (
             len(v) == 4 and v[0] is None and isinstance(v[1], int) and isinstance(v[2], int) and isinstance(v[3], bytes)
@@ -66,13 +66,13 @@ class Cell(NamedTuple):
 
     @property
     def is_definition(self) -> bool:
-        """Whether it has the shape of a row of ``message_definitions``."""
+        """Whether it is a row of ``message_definitions``."""
         v = self.values
         return len(v) == 5 and v[0] is None and all(isinstance(x, str) for x in v[1:]) and v[2] in _ENCODINGS
 
     @property
     def is_topic(self) -> bool:
-        """Whether it has the shape of a row of ``topics``: id, name, type, serialization_format, and up to two more."""
+        """Whether it is a row of ``topics``: id, name, type, serialization_format, and up to two more."""
         v = self.values
         return (
             4 <= len(v) <= 6
@@ -87,16 +87,16 @@ _ENCODINGS = ("ros2msg", "ros2idl", "unknown")
 
 
 def declared_size(head: bytes) -> int | None:
-    """How many bytes a database has by its own header (its first 100 bytes); None if that does not say."""
+    """Return the size of a database by its own header (its first 100 bytes); None if that has none."""
     if len(head) < _HEADER_SIZE:
         return None
     (pages,) = struct.unpack_from(">I", head, 28)
-    # Writers before SQLite 3.7 did not keep the number up to date; newer ones say that they did.
+    # SQLite before 3.7 did not update the number; newer versions mark that they did.
     return pages * page_size_of(head) if pages and head[24:28] == head[92:96] else None
 
 
 class PageFile(SourceFile):
-    """The pages of a database, those of the logs beside it over them.
+    """The pages of a database, replaced by those of the logs beside it.
 
     Parameters
     ----------
@@ -115,19 +115,19 @@ class PageFile(SourceFile):
         for log in logs:
             self._logged |= {number: (log.file, place) for number, place in log.places.items()}
         self._stored = range(1, -(-self.size // self._page_size) + 1)
-        # A log may name any page; only those that are somewhere are looked at.
+        # A log may have any page number; only existing pages are read.
         self._only_logged = sorted(number for number in self._logged if number not in self._stored)
         doubtful = [(log.file, place, number) for log in logs for place, number in log.doubtful.items()]
         self._doubtful = range(_DOUBTFUL, _DOUBTFUL + len(doubtful))
         for own, (file, place, number) in zip(self._doubtful, doubtful, strict=True):
             self._logged[own] = file, place
-            # A page that is nowhere else may be one in which a long row goes on.
+            # A page that exists only in the log may continue a long row.
             if number not in self._stored:
                 self._logged.setdefault(number, (file, place))
         self._latest = (0, b"")
 
     def cells(self) -> Iterator[Cell]:
-        """All rows that can be made out, in the order of the pages."""
+        """Yield all readable rows, in the order of the pages."""
         for number in chain(self._stored, self._only_logged, self._doubtful):
             page = self._page(number)
             base = _HEADER_SIZE if number == 1 else 0
@@ -142,7 +142,7 @@ class PageFile(SourceFile):
                     yield cell
 
     def payload(self, number: int, offset: int) -> bytes | None:
-        """The last value of the row at a place: a message's data; None if part of it is gone."""
+        """Return the last value of the row at a place, a message's data; None if part of it is missing."""
         page = self._page(number)
         head = _varint(page, offset)
         rowid = head and _varint(page, head[1])
@@ -180,11 +180,11 @@ class PageFile(SourceFile):
             return None
         header = _varint(record, 0)
         position = header[0] if header else 0
-        # The declared length and those of the values must agree: chance makes no such rows.
+        # The declared length and those of the values must agree, which random bytes hardly do.
         if position + sum(map(_size_of, types)) != size:
             return None
         if size > len(record) and types[-1] >= 12 and types[-1] % 2:
-            # Text that goes on elsewhere: QoS profiles, definitions.
+            # Long text in overflow pages: QoS profiles, definitions.
             record = self._record(page, rowid[1], size, min(size, _LONGEST_VALUE))
         values: list[Value] = []
         for kind in types:
@@ -197,7 +197,7 @@ class PageFile(SourceFile):
         return Cell(number, offset, rowid[0] - (rowid[0] >> 63 << 64), tuple(values))
 
     def _record(self, page: bytes, start: int, size: int, wanted: int) -> bytes:
-        """A row's bytes, at least ``wanted`` of them as far as they are there: first those in the page itself."""
+        """Return at least ``wanted`` bytes of a row, if they exist, beginning with those in the page itself."""
         usable = self._usable
         local = size
         if size > usable - 35:
@@ -209,7 +209,7 @@ class PageFile(SourceFile):
         if local == size or wanted <= local or found < local or start + local + 4 > len(page):
             return parts[0]
         (following,) = struct.unpack_from(">I", page, start + local)
-        for _ in range(len(self._stored) + len(self._logged)):  # a chain that leads back to itself has no end
+        for _ in range(len(self._stored) + len(self._logged)):  # a chain may be a loop
             if found >= wanted or not following:
                 break
             overflow = self._page(following)
@@ -225,7 +225,7 @@ class PageFile(SourceFile):
 
 
 def _varint(data: bytes, position: int) -> tuple[int, int] | None:
-    """An integer of one to nine bytes, and where it ends; None if it is cut off."""
+    """Read an integer of one to nine bytes; returns it and its end, or None if it is cut off."""
     value = 0
     for index in range(9):
         if position + index >= len(data):
@@ -240,7 +240,7 @@ def _varint(data: bytes, position: int) -> tuple[int, int] | None:
 
 
 def _serial_types(record: bytes) -> list[int] | None:
-    """What a row's values are, from its own header; None if it has none."""
+    """Return the types of a row's values from its header; None if it has none."""
     head = _varint(record, 0)
     if head is None or not head[1] < head[0] <= len(record):
         return None
@@ -260,7 +260,7 @@ def _size_of(kind: int) -> int:
 
 
 def _value(kind: int, data: bytes) -> Value:
-    """A value; None also for one that is cut off. A blob's stand-in is empty."""
+    """Return a value; None also for one that is cut off. Long blobs become empty."""
     if kind >= 12 and kind % 2 == 0:
         return b""
     if len(data) < _size_of(kind) or kind == 0:
@@ -274,7 +274,7 @@ def _value(kind: int, data: bytes) -> Value:
 
 
 def rebuilt(pages: PageFile) -> tuple[sqlite3.Connection, int | None]:
-    """Make a database of the rows that the pages still hold, and tell the latest time.
+    """Make a database of the readable rows, and return the latest time.
 
     It lies in a temporary file that SQLite removes itself, and of the messages it has only the places: their data
     are read from the pages when they are asked for.

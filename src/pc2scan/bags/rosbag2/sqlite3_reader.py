@@ -1,9 +1,9 @@
-"""Reading rosbag2's sqlite3 storage: one ``.db3`` file.
+"""Reads rosbag2's sqlite3 storage: one ``.db3`` file.
 
-SQLite opens nothing but complete databases, and those as immutable: it looks for no log, and locks and writes nothing.
-A database with a log beside it is merged with the log into a temporary copy by `pc2scan.bags.rosbag2.sqlite3_logs`.
+SQLite opens only complete databases, and as immutable ones: it reads no log, and locks and writes nothing. A database
+with a log beside it is merged with the log into a temporary copy by `pc2scan.bags.rosbag2.sqlite3_logs`.
 
-The layout's versions differ only in their tables and columns, so these are looked up instead of a version:
+The versions of the layout differ only in tables and columns, so these are checked instead of the version:
 
 ========  ====================================================================
 version   what it added
@@ -56,21 +56,21 @@ if TYPE_CHECKING:
 
 __all__ = ["Sqlite3Reader", "open_reader"]
 
-#: A column's default value takes the place of every value that is not stored: it must not be long, nor computed.
+#: Allowed defaults of columns, neither long nor computed: a default is the value of every row that does not store one.
 _SHORT_DEFAULT = re.compile(r"[+-]?\w{1,20}|'[^']{0,40}'|\"[^\"]{0,40}\"")
 
-#: SQLite's codes for a database that is not as it must be; ERROR comes of a damaged schema.
+#: SQLite's codes for a damaged database; ERROR is that of a damaged schema.
 _DAMAGE_CODES = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_ERROR, sqlite3.SQLITE_IOERR_SHORT_READ)
 
-#: Messages that are looked at for one in CDR, to find out whether they are compressed one by one.
+#: Messages among which one in CDR is searched, to detect whether they are compressed one by one.
 _LOOKED_AT = 1000
 
-#: A name that is not UTF-8 in the schema makes an error message that Python cannot decode, and lengths that lie make
-#: SQLite ask for more memory than there is.
+#: If a name in the schema is not UTF-8, Python cannot decode the error message; if a length is wrong, SQLite may run
+#: out of memory.
 _SQLITE_ERRORS = (sqlite3.Error, UnicodeDecodeError, MemoryError)
 
 
-#: A unit ends after so many bytes or rows. Fewer bytes are worked on in less time than handing them over takes.
+#: Limits of a unit's bytes and rows. Loading less takes less time than handing it to another thread.
 _UNIT_BYTES = 1 << 19
 _UNIT_ROWS = 1024
 _WORTH_A_THREAD = 1 << 20
@@ -78,7 +78,7 @@ _WORTH_A_THREAD = 1 << 20
 
 @dataclass(slots=True)
 class _Rows:
-    """Loads rows that have been read: once from memory, where they take room no longer than needed, then again."""
+    """Loads rows that have been read: the first time from memory, which is then released, later from the file."""
 
     rows: list[RawMessage]
     count: int
@@ -97,19 +97,18 @@ def open_reader(path: Path, options: ReadOptions) -> Sqlite3Reader:
 
 
 class Sqlite3Reader(Reader):
-    """A ``.db3`` file; satisfies `pc2scan.bags.reader.Reader`.
+    """Reads a ``.db3`` file.
 
     Parameters
     ----------
     path
-        The file. Nothing is written to it or beside it. What a recorder that died left beside it, a write-ahead log
-        or a rollback journal, counts.
+        The file. No file is written. A write-ahead log or a rollback journal that a recorder left beside it is read.
     message_compression
-        ``zstd`` if every message is compressed by itself. ``none`` still looks at the first message in CDR, because
-        only metadata.yaml, which may not be there, tells otherwise.
+        ``zstd`` if every message is compressed by itself. With ``none`` the first message in CDR is checked, because
+        only metadata.yaml, which may be missing, declares the compression.
 
     strict
-        Whether damage is an error; otherwise what SQLite cannot reach is found page by page, and told by `damage`.
+        Whether damage is an error; otherwise it is in `damage`, and rows SQLite cannot reach are read page by page.
 
     Raises
     ------
@@ -130,7 +129,7 @@ class Sqlite3Reader(Reader):
         try:
             self._size = path.stat().st_size
             self._logs = side_logs(path)
-            #: Bytes that all values together can take.
+            #: Limit of the size of all values together, bytes.
             self._most = 1_000_000 + self._size + sum(log.file.size for log in self._logs)
             self._note_logs()
             try:
@@ -160,7 +159,7 @@ class Sqlite3Reader(Reader):
         )
 
     def _survey(self, message_compression: str) -> tuple[int | None, int | None]:
-        """Find out what there is; returns the times of the first and the last message."""
+        """Read the tables; returns the times of the first and the last message."""
         self._check_tables()
         self._index = self._timestamp_index()
         with self._ending():
@@ -176,12 +175,12 @@ class Sqlite3Reader(Reader):
 
     @property
     def connections(self) -> Sequence[Connection]:
-        """One a row of ``topics``."""
+        """A connection for each row of ``topics``."""
         return self._connections
 
     @property
     def summary(self) -> Summary:
-        """Counts and times as the table of messages has them."""
+        """The summary, with counts and times of the table of messages."""
         return self._summary
 
     @property
@@ -191,7 +190,7 @@ class Sqlite3Reader(Reader):
 
     @property
     def damage(self) -> tuple[Damage, ...]:
-        """What is damaged, as far as it was read."""
+        """The damage in the parts that were read."""
         return self._log.found
 
     def units(
@@ -201,7 +200,7 @@ class Sqlite3Reader(Reader):
         stop_ns: int | None = None,
         rule: ChunkRule | None = None,  # noqa: ARG002  # there are no chunks
     ) -> Iterator[Unit]:
-        """Rows by log time, some of them at a time; equal log times in the order of writing.
+        """Yield rows by log time, as units; equal log times are in the order of writing.
 
         Rows are read while the units are iterated over, by the thread that does so: a database is read in order. A unit
         that is loaded again, which also happens on that thread, reads its rows again.
@@ -232,7 +231,7 @@ class Sqlite3Reader(Reader):
         stop_ns: int | None,
         after: tuple[int, int] | None = None,
     ) -> Iterator[tuple[tuple[int, int], RawMessage]]:
-        """Messages by log time, those behind ``after``; equal log times in the order of writing. Memory does not grow.
+        """Yield messages after ``after`` by log time, equal log times in the order of writing, in bounded memory.
 
         The key that stands before each is its log time and the row's id.
         """
@@ -243,7 +242,7 @@ class Sqlite3Reader(Reader):
             try:
                 rows = self._rows(list(known), start_ns, stop_ns, after)
                 for topic_id, time_ns, message_id, data in self._stored(rows):
-                    # Pages of a damaged tree may lead back to themselves.
+                    # Pages of a damaged tree may form a loop.
                     expected -= 1
                     if expected < 0:
                         raise RecordingError("has more messages than it counts", path=self._path)
@@ -258,13 +257,13 @@ class Sqlite3Reader(Reader):
                     elif (message := self._unpacked(known[topic_id], time_ns, message_id, data)) is not None:
                         yield after, message
             except (*_SQLITE_ERRORS, DamageError) as err:
-                # What was handed out stays so: the rest comes from the pages, from the next row on.
+                # The rest is read from the pages, from the next row on.
                 self._recover(err if isinstance(err, DamageError) else self._error(err))
             else:
                 return
 
     def _unpacked(self, connection: Connection, time_ns: int, message_id: int, data: object) -> RawMessage | None:
-        """A message that is compressed by itself; None, and a note, if its data cannot be had."""
+        """Decompress a message; None, with a note, if it cannot be decompressed."""
         try:
             if not isinstance(data, bytes):
                 what = "is not in the file any more" if data is None else f"is {type(data).__name__}, not bytes"
@@ -289,7 +288,7 @@ class Sqlite3Reader(Reader):
             with self._ending():
                 rows = self._query(sql, values).fetchall()
         except (*_SQLITE_ERRORS, DamageError):
-            # Reading the messages deals with damage.
+            # Damage is reported when the messages are read.
             return {}
         return found | {topic_id: count for topic_id, count in rows if topic_id in found}
 
@@ -308,19 +307,19 @@ class Sqlite3Reader(Reader):
             self._copy = None
 
     def _note_logs(self) -> None:
-        """Take note of what is wrong with the logs."""
+        """Note the problems of the logs."""
         for log in self._logs:
             for problem in log.problems:
                 error = DamageError(problem.what, path=log.file.path, hint=RECOVER)
                 self._log.note(error, offset=problem.offset, bytes_lost=problem.bytes_lost)
 
     def _missing_bytes(self) -> int:
-        """How many bytes the database is shorter than it, or a log, says. SQLite notices only what it reads."""
+        """Return how many bytes the database lacks by its own header or a log; SQLite checks only what it reads."""
         missing = missing_bytes(self._logs)
         return max(0, self._declared_size() - self._size) if missing is None else missing
 
     def _declared_size(self) -> int:
-        """How many bytes the database has by its own header; its size if that does not say."""
+        """Return the size of the database by its own header, or of the file if the header has none."""
         with self._path.open("rb") as file:
             return declared_size(file.read(100)) or self._size
 
@@ -333,12 +332,12 @@ class Sqlite3Reader(Reader):
             raise self._damage(f"is cut off: it has {self._size} of {self._size + missing} bytes")
         declared = self._declared_size()
         if self._size > declared and missing_bytes(self._logs) is None:
-            # Appended bytes do no harm; inserted ones move the pages behind them.
+            # Appended bytes are harmless; inserted ones shift the pages after them.
             error = self._damage(f"has {self._size} bytes, {self._size - declared} more than its header declares")
             self._log.note(error, key="size", messages_lost=0)
 
     def _recover(self, problem: RecordingError) -> None:
-        """Go on with the rows that can be found without SQLite's trees."""
+        """Continue with the rows that can be found without SQLite's trees."""
         if not isinstance(problem, DamageError) or self._pages is not None:
             raise problem
         if self._log.strict:
@@ -354,29 +353,29 @@ class Sqlite3Reader(Reader):
         if last_ns is None and not self._database.execute("SELECT 1 FROM topics").fetchone():
             raise self._damage(f"nothing of it can be recovered: {problem.message}")
         if any(log.broken for log in self._logs):
-            # What is missing, and where, is noted of the log.
+            # The missing bytes are noted for the log.
             self._log.note(problem)
         else:
             self._log.note(problem, bytes_lost=self._missing_bytes(), first_ns=last_ns)
 
     def _open(self) -> sqlite3.Connection:
-        """Open without a trace: an immutable database is neither locked nor recovered."""
+        """Open as immutable: the database is neither locked nor recovered."""
         path = self._path
         if any(log.page_count is not None for log in self._logs):
             path = self._merged_copy()
-        # Readers are handed to other threads, one thread at a time.
+        # Other threads use the reader, one at a time.
         database = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro&immutable=1", uri=True, check_same_thread=False)
-        # One byte that is not UTF-8 in a topic's name must not make the recording unreadable.
+        # A topic's name may have bytes that are not UTF-8.
         database.text_factory = lambda raw: raw.decode("utf-8", "replace")
-        # No value is longer than the file that it is in, nor than SQLite has numbers for.
+        # No value is longer than the file, or than SQLite's limit.
         database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, min(self._most, 2**31 - 1))
-        # No statement of the recording's own may open another file, or call what has effects.
+        # No statement of an untrusted recording may open another file, or call functions with effects.
         database.setlimit(sqlite3.SQLITE_LIMIT_ATTACHED, 0)
         database.execute("PRAGMA trusted_schema = OFF")
         return database
 
     def _merged_copy(self) -> Path:
-        """Copy the database with the pages of its logs; as large as both at most."""
+        """Copy the database with the pages of its logs; the copy is at most as large as both."""
         self._copy = private_folder(self._path)
         target = Path(self._copy.name, "merged.db3")
         with making_copy(self._path, target.parent):
@@ -385,7 +384,7 @@ class Sqlite3Reader(Reader):
 
     @contextmanager
     def _ending(self) -> Iterator[None]:
-        """Interrupt SQLite if it takes more steps than the rows of a file of this size can need."""
+        """Interrupt SQLite if it takes more steps than a file of this size can need."""
         millions = iter(range(5 + self._size // 100_000))
         assert self._database is not None
         self._database.set_progress_handler(lambda: next(millions, None) is None, 1_000_000)
@@ -400,7 +399,7 @@ class Sqlite3Reader(Reader):
         try:
             return self._database.execute(sql, values)
         except UnicodeDecodeError as err:
-            # The message quotes a damaged name, which Python takes for text.
+            # The message quotes a damaged name, which Python cannot decode.
             raise self._damage("SQLite cannot read it, and names what is not text") from err
 
     def _damage(self, message: str, topic: str | None = None) -> DamageError:
@@ -410,13 +409,13 @@ class Sqlite3Reader(Reader):
         if isinstance(err, sqlite3.Error) and err.sqlite_errorcode == sqlite3.SQLITE_FULL:
             return sqlite_is_full(self._path)
         message = f"SQLite cannot read it: {str(err) or type(err).__name__}"
-        # Disks that fail and memory that is short are no damage.
+        # Failing disks and a lack of memory are not damage.
         if not isinstance(err, sqlite3.Error) or err.sqlite_errorcode in _DAMAGE_CODES:
             return self._damage(message)
         return RecordingError(message, path=self._path)
 
     def _stored(self, rows: Iterable[tuple[Any, ...]]) -> Iterator[Any]:
-        """Rows as they are, up to the size of the file: rows that share pages may have any number of values."""
+        """Yield rows as they are, up to the size of the file: rows that share pages may have any number of values."""
         left = self._most
         for row in rows:
             left -= sum(len(value) for value in row if isinstance(value, str | bytes))
@@ -446,16 +445,16 @@ class Sqlite3Reader(Reader):
                     f"is an SQLite database, but not one of rosbag2: table {table} lacks {', '.join(sorted(missing))}",
                     path=self._path,
                 )
-        # What was put together from the pages is of our own making.
+        # A database rebuilt from the pages is trusted.
         for table in (*needed, "message_definitions") if self._pages is None else ():
-            # A view, or a table that a module makes up, can have rows without end.
+            # A view or a virtual table can have an endless number of rows.
             stored = "SELECT min(type = 'table' AND rootpage > 0) FROM sqlite_master WHERE lower(name) = ?"
             if self._query(stored, (table,)).fetchone()[0] == 0:
                 raise RecordingError(f"{table} is not a plain table, as rosbag2 makes it", path=self._path)
 
     def _check_small_tables(self) -> None:
-        """Look at what is wrong with the tables that describe the messages, but for those made here of the pages."""
-        # The first one lists all others: a damaged one may list fewer.
+        """Check the tables that describe the messages, unless they are rebuilt from pages."""
+        # The first one lists all others; if it is damaged, it may list fewer.
         for table in ("sqlite_master", "topics", "message_definitions") if self._pages is None else ():
             if self._columns(table) and (trouble := table_trouble(self._query, table)):
                 error = self._damage(trouble.what)
@@ -464,17 +463,17 @@ class Sqlite3Reader(Reader):
                 self._log.note(error, key=("table", table), messages_lost=0)
 
     def _timestamp_index(self) -> str | None:
-        """The quoted name of an index that knows the order of all messages."""
+        """Return the quoted name of an index by time of all messages."""
         for row in self._query("PRAGMA index_list(messages)"):
             name = '"' + str(row[1]).replace('"', '""') + '"'
             columns = [column[2] for column in self._query(f"PRAGMA index_info({name})")]
-            # An index with a WHERE clause (the fifth column) does not know every row.
+            # An index with a WHERE clause (the fifth column) does not have every row.
             if columns == ["timestamp"] and not row[4]:
                 return name
         return None
 
     def _read_connections(self) -> tuple[tuple[Connection, ...], int | None, int | None]:
-        """The connections, and the times of the first and the last message."""
+        """Return the connections, and the times of the first and the last message."""
         available = self._columns("topics")
         names = ["name", "type", "serialization_format", "offered_qos_profiles", "type_description_hash"]
         columns = ", ".join(_text_of(name) if name in available else "''" for name in names)
@@ -532,7 +531,7 @@ class Sqlite3Reader(Reader):
         return tuple(connections), min(starts, default=None), max(ends, default=None)
 
     def _read_definitions(self) -> dict[tuple[str, str | None], Definition]:
-        """Definitions by type and hash; without a hash, a type's first."""
+        """Return definitions by type and hash; without a hash, the first of a type."""
         found: dict[tuple[str, str | None], Definition] = {}
         columns = self._columns("message_definitions")
         if not {"topic_type", "encoding", "encoded_message_definition"} <= columns:
@@ -544,7 +543,7 @@ class Sqlite3Reader(Reader):
             (MAX_CONNECTIONS,),
         )
         for msgtype, encoding, data, own_digest in self._stored(rows):
-            # rosbag2 says "unknown" where it did not find the definition.
+            # rosbag2 writes "unknown" if it did not find the definition.
             if data and encoding not in {"", "unknown"}:
                 definition = Definition(encoding, data)
                 found.setdefault((msgtype, own_digest), definition)
@@ -552,7 +551,7 @@ class Sqlite3Reader(Reader):
         return found
 
     def _find_packed(self, *, declared: bool) -> frozenset[int]:
-        """The topics whose messages are compressed one by one.
+        """Return the topics whose messages are compressed one by one.
 
         Without a declaration the first CDR message decides: CDR begins with a zero byte, and never looks like a zstd
         frame. Messages in other serialisations may begin with any bytes, and stay as they are.
@@ -569,7 +568,7 @@ class Sqlite3Reader(Reader):
     def _rows(
         self, topic_ids: list[int], start_ns: int | None, stop_ns: int | None, after: tuple[int, int] | None
     ) -> Iterator[tuple[int, int, int, object]]:
-        """Topic, time, id and data of messages by time and id, those behind ``after`` (time and id)."""
+        """Yield topic, time, id and data of messages by time and id, those after ``after`` (time and id)."""
         times, bounds = _time_conditions(start_ns, stop_ns)
         conditions = [f"topic_id IN ({', '.join('?' * len(topic_ids))})", *times]
         values = [*topic_ids, *bounds]
@@ -578,12 +577,12 @@ class Sqlite3Reader(Reader):
             values += after
         tail = f"WHERE {' AND '.join(conditions)} ORDER BY timestamp, id"
         if self._index is not None:
-            # Left to itself, SQLite may find sorting whole messages cheaper than following the index.
+            # Without INDEXED BY, SQLite may sort whole messages instead of using the index.
             sql = f"SELECT topic_id, timestamp, id, data FROM messages INDEXED BY {self._index} {tail}"  # noqa: S608
-            # Not from the cursor itself: it would be closed with this, which it cannot be after the database.
+            # Not from the cursor itself, which cannot be closed after the database.
             yield from chain(self._query(sql, values))
             return
-        # Without an index it has to sort: ids alone, lest it carry every message through its sorter.
+        # Without an index SQLite has to sort; only ids are sorted, not messages.
         sql = f"SELECT topic_id, timestamp, id FROM messages {tail}"  # noqa: S608
         for topic_id, time_ns, message_id in self._query(sql, values):
             row = self._query("SELECT data FROM messages WHERE id = ?", (message_id,)).fetchone()
@@ -591,11 +590,11 @@ class Sqlite3Reader(Reader):
 
 
 def _time_conditions(start_ns: int | None, stop_ns: int | None) -> tuple[list[str], list[int]]:
-    """SQL conditions for messages with ``start_ns <= timestamp < stop_ns``, and their values."""
+    """Return SQL conditions for messages with ``start_ns <= timestamp < stop_ns``, and their values."""
     bounds = [(sign, bound) for sign, bound in ((">=", start_ns), ("<", stop_ns)) if bound is not None]
     return [f"timestamp {sign} ?" for sign, _ in bounds], [max(-(2**63), min(bound, 2**63 - 1)) for _, bound in bounds]
 
 
 def _text_of(column: str) -> str:
-    """A column as text: SQLite lets any value into any column."""
+    """Return a column as text: SQLite allows any value in any column."""
     return f"coalesce(CAST({column} AS TEXT), '')"

@@ -1,4 +1,4 @@
-"""The write-ahead log of a database (``-wal``): which of its pages are committed.
+"""Reads the committed pages of a database's write-ahead log (``-wal``).
 
 Source: https://www.sqlite.org/fileformat2.html#the_write_ahead_log, and SQLite's ``wal.c``.
 """
@@ -24,7 +24,7 @@ _Sum = tuple[int, int]
 
 
 class _Frame(NamedTuple):
-    """A page in a write-ahead log: its number, the database's pages if it ends a transaction, and where it is."""
+    """A page in a write-ahead log: its number, the size of the database if it ends a transaction, and its offset."""
 
     number: int
     commit: int
@@ -54,7 +54,7 @@ def read_write_ahead(log: PageLog) -> None:
         walk = _Walk(log, head[16:24], [stated], [bool(magic & 1)])
     else:
         log.note("has a damaged header", 0, broken=False)
-        # A frame has everything but the order of bytes in checksums.
+        # A frame has the values of the header, except the byte order of checksums.
         salts = file.read(_HEADER, 16)[8:] if frames else b""
         walk = _Walk(log, salts, [stated, *sums.values()], list(sums))
     for index in range(frames):
@@ -86,13 +86,13 @@ class _Walk:
         self._orders = orders
         self._pending: dict[int, int] = {}
         self._pending_doubtful: dict[int, int] = {}
-        #: A frame with a wrong checksum, until the next one shows whether only the checksum itself is damaged.
+        #: A frame with a wrong checksum, kept until the next one shows whether only the checksum is damaged.
         self._held: _Frame | None = None
         #: Where frames with other salts begin.
         self._foreign: int | None = None
 
     def step(self, offset: int) -> None:
-        """Judge the frame at a place."""
+        """Check the frame at an offset."""
         header = self._log.file.read(offset, _FRAME_HEADER)
         number, commit = struct.unpack_from(">II", header)
         stated: _Sum = struct.unpack_from(">II", header, 16)
@@ -115,7 +115,7 @@ class _Walk:
             self._sums = []
             self._foreign = offset
         elif not self._sums:
-            # Nothing is known that its checksum could continue.
+            # The checksum that it continues is unknown.
             assert self._foreign is not None
             self._log.note("pages are overwritten", self._foreign, offset - self._foreign)
             self._foreign = None
@@ -127,7 +127,7 @@ class _Walk:
             self._sums = [stated, found[0][0]]
 
     def finish(self) -> None:
-        """Judge what was left open."""
+        """Check the last frame."""
         self._settle(None)
         unfinished = [*self._pending.values(), *self._pending_doubtful]
         if unfinished:
@@ -139,7 +139,7 @@ class _Walk:
             )
 
     def _settle(self, continued: _Sum | None) -> None:
-        """Take the frame that is held, now that it is known what the next one's checksum continues."""
+        """Decide about the frame that was kept, by the checksum that the next one continues."""
         frame, self._held = self._held, None
         if frame is None:
             return
@@ -185,7 +185,7 @@ def _checksum(data: bytes, before: _Sum, *, big: bool) -> _Sum:
 
 @cache
 def _fibonacci(count: int) -> NDArray[np.uint32]:
-    """The Fibonacci numbers from that of ``count`` down to that of 0, without what exceeds 32 bits."""
+    """Return the Fibonacci numbers from that of ``count`` down to that of 0, modulo 2^32."""
     import numpy as np  # noqa: PLC0415
 
     numbers = [0, 1]

@@ -1,4 +1,4 @@
-"""Writing rosbag2's sqlite3 storage: one ``.db3`` file of schema version 4, as rosbag2 does since Iron.
+"""Writes rosbag2's sqlite3 storage: one ``.db3`` file of schema version 4, as rosbag2 does since Iron.
 
 It does not use rosbags' writer, which takes QoS profiles apart and puts them together again, and so refuses those with
 keys missing, and which is bound to a directory of its own making.
@@ -43,10 +43,10 @@ CREATE INDEX timestamp_idx ON messages (timestamp ASC);
 INSERT INTO schema(schema_version, ros_distro) VALUES (4, '');
 """
 
-#: Bytes of messages after which a transaction ends, so that what SQLite has to remember stays bounded.
+#: Bytes of messages in a transaction, which bound SQLite's memory.
 _BATCH_BYTES = 16 << 20
 
-#: rosbag2's own level; messages are compressed one by one, so speed matters more than size.
+#: rosbag2's default level; messages are compressed one by one, so speed matters more than size.
 _ZSTD_LEVEL = 1
 
 
@@ -57,7 +57,7 @@ def open_storage(path: Path, options: WriteOptions) -> tuple[Sqlite3Writer, Call
 
 
 class Sqlite3Writer:
-    """A ``.db3`` file being written; satisfies `pc2scan.model.Writer`.
+    """Writes a ``.db3`` file; see `pc2scan.model.Writer`.
 
     The file has schema version 4, as rosbag2 has written it since Iron. ``ros_distro`` is empty: what is
     written must not depend on the machine. QoS profiles and definitions are written verbatim, definitions
@@ -83,14 +83,13 @@ class Sqlite3Writer:
         self._pending = 0
         self._defined: set[tuple[str, str]] = set()
         try:
-            # SQLite would open an existing file and add to it.
+            # SQLite would append to an existing file.
             path.open("xb").close()
             self._database = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
         except (OSError, sqlite3.Error) as err:
             raise self._failed(err) from err
         try:
-            # What goes wrong leaves a file that is thrown away as a whole: no journal on the disk, no waiting
-            # for the disk before the end.
+            # A file with errors is removed, so neither a journal nor syncing before the end is needed.
             self._database.execute("PRAGMA journal_mode=MEMORY")
             self._database.execute("PRAGMA synchronous=OFF")
             self._database.executescript(_SCHEMA)
@@ -100,7 +99,7 @@ class Sqlite3Writer:
             raise self._failed(err) from err
 
     def keep_ids(self, connections: Collection[Connection]) -> None:
-        """Do nothing: there are no chunks that would carry ids."""
+        """Do nothing: there are no chunks with ids."""
 
     def compress_ahead(self, pool: Threads) -> None:
         """Compress messages on these threads from now on; the file stays the same."""
@@ -132,7 +131,7 @@ class Sqlite3Writer:
         )
 
     def declarations(self) -> frozenset[bytes]:
-        """None: there are no chunks that could repeat any."""
+        """Return none: there are no chunks that repeat declarations."""
         return frozenset()
 
     def write(
@@ -157,7 +156,7 @@ class Sqlite3Writer:
             )
         insert = partial(self._insert_message, handle, log_time_ns)
         if self._compresses:
-            # A view would keep alive the whole chunk that it was read from.
+            # A view would keep the whole chunk in memory.
             self._ahead.put(partial(_packed, bytes(data)), insert, len(data))
         else:
             insert(data)
@@ -175,13 +174,13 @@ class Sqlite3Writer:
             self._run("BEGIN")
 
     def add_attachment(self, attachment: Attachment) -> None:
-        """Ignored: the storage has no attachments."""
+        """Do nothing: the storage has no attachments."""
 
     def add_metadata(self, metadata: Metadata) -> None:
-        """Ignored: the storage has no metadata records."""
+        """Do nothing: the storage has no metadata records."""
 
     def add_bag_metadata(self, version: int, text: str) -> None:
-        """Keep rosbag2's metadata.yaml (its ``rosbag2_bagfile_information``) in the file, as rosbag2 does."""
+        """Write rosbag2's metadata.yaml (its ``rosbag2_bagfile_information``) to the file, as rosbag2 does."""
         self._ahead.finish()
         self._insert("INSERT INTO metadata(metadata_version, metadata) VALUES (?, ?)", (version, text))
 
@@ -217,5 +216,5 @@ class Sqlite3Writer:
 
 
 def _packed(data: bytes) -> bytes:
-    # One for each: a compressor serves one thread at a time.
+    # One for each message: a compressor works for one thread at a time.
     return bytes(compress("zstd", data, _ZSTD_LEVEL))

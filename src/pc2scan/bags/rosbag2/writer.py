@@ -1,4 +1,4 @@
-"""Writing rosbag2 directories: one storage file, and metadata.yaml."""
+"""Writes rosbag2 directories: one storage file, and metadata.yaml."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def open_mcap_storage(path: Path, options: WriteOptions) -> tuple[McapWriter, Ca
 
 
 class Rosbag2Writer:
-    """A rosbag2 directory being written, with one storage file; satisfies `pc2scan.model.Writer`.
+    """Writes a rosbag2 directory with one storage file; see `pc2scan.model.Writer`.
 
     Nothing in it depends on the machine: ``ros_distro`` is empty.
 
@@ -54,7 +54,7 @@ class Rosbag2Writer:
     path
         The directory; must not exist.
     name
-        What the directory will be called, which its files' names begin with.
+        The final name of the directory; the names of its files begin with it.
     storage
         ``mcap`` or ``sqlite3``.
     compression
@@ -101,18 +101,18 @@ class Rosbag2Writer:
         self._storage, self._keep_info = entry.open_storage(path / self._file_name, options)
 
     def keep_ids(self, connections: Collection[Connection]) -> None:
-        """Let these keep their ids when they are declared, and no other one have them."""
+        """Reserve the ids of these connections, so that they keep them when they are declared."""
         self._storage.keep_ids(connections)
 
     def compress_ahead(self, pool: Threads) -> None:
-        """Compress on these threads from now on; what is written stays the same."""
+        """Compress on these threads from now on; the written bytes stay the same."""
         self._storage.compress_ahead(pool)
 
     def add_connection(self, connection: Connection) -> int:
-        """Declare a topic, with type and QoS profiles as rosbag2 spells them."""
+        """Declare a topic, with type and QoS profiles in rosbag2's spelling."""
         connection = connection.in_utf8
         qos = respelled_qos(connection.qos, by_name=self._version >= NEWEST_VERSION)
-        # The MCAP writer prefers the text among the channel's metadata.
+        # The MCAP writer prefers the text in the channel's metadata.
         metadata = {key: qos if key == "offered_qos_profiles" else value for key, value in connection.metadata.items()}
         msgtype = connection.ros_type if connection.serialization == "cdr" else connection.msgtype
         spelled = replace(connection, msgtype=msgtype, qos=qos, metadata=metadata)
@@ -122,7 +122,7 @@ class Rosbag2Writer:
         return handle
 
     def declarations(self) -> frozenset[bytes]:
-        """What a chunk may repeat of the topics declared so far."""
+        """Return the declarations so far that a chunk may repeat."""
         return self._storage.declarations()
 
     def write(self, handle: int, log_time_ns: int, data: Buffer, publish_time_ns: int, sequence: int = 0) -> None:
@@ -180,7 +180,7 @@ class Rosbag2Writer:
             raise self._failed(err) from err
 
     def abort(self) -> None:
-        """Release the storage; the directory is left for the caller to remove."""
+        """Release the storage; the caller removes the directory."""
         self._storage.abort()
 
     def _info(self) -> dict[str, Any]:
@@ -210,7 +210,7 @@ class Rosbag2Writer:
         }
 
     def _topic(self, connection: Connection) -> dict[str, Any]:
-        # What is too long to be a list of profiles stays in the storage: the library would need seconds to write it.
+        # A text that is too long for a list of profiles is only in the storage: writing it as YAML would take seconds.
         qos: Any = connection.qos if len(connection.qos) <= MAX_CHARACTERS else ""
         if self._version >= NEWEST_VERSION:
             profiles = parsed_qos(qos) if qos else []
