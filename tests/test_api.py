@@ -154,6 +154,40 @@ def test_a_misspelt_keyword_is_told_what_is_meant(call: Any, args: list[Any], ke
 
 
 @pytest.mark.parametrize(
+    ("keyword", "value", "expected"),
+    [
+        ("overwrite", "no", "True or False"),
+        ("jobs", "2", "a whole number"),
+        ("jobs", True, "a whole number"),
+        ("progress", True, "a function, or None"),
+        ("params", {"min_height": 1}, "ProjectionParams"),
+        ("frames", "base_link", "FrameOptions"),
+        ("topics", 5, "a str or several"),
+        ("keep", b"/tf", "a str or several"),
+        ("static_tf", ("base_link", "lidar", 0, 0, 1, 0, 0, 0), "parent child x y z roll pitch yaw"),
+        ("params_file", 5, "a path"),
+        ("report", ["a.json"], "a path"),
+    ],
+)
+def test_a_wrong_type_is_told_before_anything_is_done(keyword: str, value: Any, expected: str, tmp_path: Path) -> None:
+    wanted = tmp_path / "out.mcap"
+    wanted.write_bytes(b"kept")
+    with pytest.raises(TypeError, match=rf"^{keyword} .*{expected}"):
+        pc2scan.convert(HALL, wanted, **{keyword: value})
+    assert wanted.read_bytes() == b"kept"
+
+
+def test_degrees_are_asked_about_wherever_parameters_come_from(tmp_path: Path) -> None:
+    params = pc2scan.ProjectionParams(angle_min=-90, angle_max=90)
+    for given in ({"params": params}, {"angle_min": -90, "angle_max": 90}):
+        with pytest.raises(ParameterError, match="more than a full turn") as raised:
+            pc2scan.convert(HALL, tmp_path / "out.mcap", **given)
+        assert 'angle_min="-90deg", angle_max="90deg"' in str(raised.value.hint)
+    report = pc2scan.convert(HALL, tmp_path / "out.mcap", angle_min="-90deg", angle_max="90deg", min_height=-0.3)
+    assert (report.params.angle_min, report.params.angle_max) == (-np.pi / 2, np.pi / 2)
+
+
+@pytest.mark.parametrize(
     ("value", "nanoseconds", "absolute"),
     [
         (0.1, 100_000_000, False),

@@ -358,8 +358,6 @@ def info(
     """
     from .inspect.info import info as look  # noqa: PLC0415
 
-    if isinstance(samples, bool) or not isinstance(samples, int):
-        raise TypeError(f"samples is {samples!r}, it must be a whole number")
     if samples < 1:
         raise UsageError(f"`samples` is {samples}, it must be 1 or more")
     return look(
@@ -745,11 +743,12 @@ def scans(
     names = names_in("topic", topic)
     framing = (static_tf, static_tf_file, False, tf_from, tf_topics, source_frame)
     filtering = (where, exclude_box, exclude_polygon, min_height_slope, filters)
-    conversion = None
+    conversion, origins = None, None
     if parameters or params is not None or preset is not None or params_file is not None:
         resolved = resolved_parameters(params, preset, params_file, node, parameters)
         if resolved.reverse:
             raise UsageError("the parameter file is for laserscan_to_pointcloud, scans are made of clouds")
+        origins = resolved.origin
         conversion = ConvertOptions.of(
             params=resolved.params,
             frames=frames_of(frames, *framing),
@@ -766,7 +765,8 @@ def scans(
             "transforms, filters and `node` count only where clouds are converted",
             hint="give parameters: `preset`, `params_file`, or any of them by name, `target_frame=base_link`",
         )
-    return Scans(selection_of(source, names, start, end, on_error, verify=verify, strict=strict), conversion)
+    selection = selection_of(source, names, start, end, on_error, verify=verify, strict=strict)
+    return Scans(selection, conversion, origins)
 
 
 @known_keywords(synonyms={**_SYNONYMS, "topics": "topic", "sources": "source"})

@@ -28,18 +28,26 @@ _Result = TypeVar("_Result")
 _LONGEST = 80
 
 
+#: What arguments with these annotations must be.
+_CHECKS: Mapping[str, tuple[Callable[[object], bool], str]] = {
+    "bool": (lambda value: isinstance(value, bool), "True or False"),
+    "int": (lambda value: isinstance(value, int) and not isinstance(value, bool), "a whole number"),
+    "Progress | None": (lambda value: value is None or callable(value), "a function, or None"),
+}
+
+
 def shown(value: object) -> str:
     """A value and its type, for an error message."""
     text = repr(value)
     return f"{text if len(text) <= _LONGEST else f'{text[:_LONGEST]}...'} ({type(value).__name__})"
 
 
-def path_of(name: str, value: PathText) -> Path:
+def path_of(name: str, value: object) -> Path:
     """Return a path that was given as text or as an object; see `path_text`."""
     return Path(path_text(name, value))
 
 
-def path_text(name: str, value: PathText) -> str:
+def path_text(name: str, value: object) -> str:
     """Return a path that was given as text or as an object, as text.
 
     A leading ``~`` is the home folder, as a shell would have it, unless there is a file with that name.
@@ -58,9 +66,10 @@ def path_text(name: str, value: PathText) -> str:
     UsageError
         If it is empty.
     """
-    text: object = os.fspath(value) if isinstance(value, str | PathLike) else value  # type: ignore[redundant-expr]
+    text: object = os.fspath(value) if isinstance(value, str | PathLike) else value
     if not isinstance(text, str):
-        raise TypeError(f"{name} is {shown(value)}, it must be a path: str or pathlib.Path")
+        hint = ", not an open file" if hasattr(value, "read") else ""
+        raise TypeError(f"{name} is {shown(value)}, it must be a path: str or pathlib.Path{hint}")
     if not text:
         raise UsageError(f"{name} is an empty path")
     if text.startswith("~") and not os.path.lexists(text):
@@ -78,7 +87,8 @@ def paths_in(name: str, values: PathText | Iterable[PathText]) -> list[Path]:
     UsageError
         If there is none.
     """
-    if isinstance(values, str | PathLike) or not isinstance(values, Iterable):
+    is_file = hasattr(values, "read")
+    if is_file or isinstance(values, str | bytes | PathLike) or not isinstance(values, Iterable):
         return [path_of(name, values)]
     paths = [path_of(name, value) for value in values]
     if not paths:
@@ -86,7 +96,7 @@ def paths_in(name: str, values: PathText | Iterable[PathText]) -> list[Path]:
     return paths
 
 
-def names_in(name: str, values: str | Iterable[str] | None) -> tuple[str, ...]:
+def names_in(name: str, values: object) -> tuple[str, ...]:
     """Return the names of an argument that takes one name or several; none for None.
 
     Raises
@@ -98,7 +108,7 @@ def names_in(name: str, values: str | Iterable[str] | None) -> tuple[str, ...]:
         return ()
     if isinstance(values, str):
         return (values,)
-    if not isinstance(values, Iterable):
+    if isinstance(values, bytes) or not isinstance(values, Iterable):
         raise TypeError(f"{name} is {shown(values)}, it must be a str or several")
     found = tuple(values)
     for value in found:
@@ -124,7 +134,7 @@ def refuse_unknown(
 def known_keywords(
     *, further: Callable[[], Iterable[str]] = tuple, synonyms: Mapping[str, str] | None = None
 ) -> Callable[[Callable[_Arguments, _Result]], Callable[_Arguments, _Result]]:
-    """Decorate a function so that a misspelt keyword is a TypeError that names the right one.
+    """Decorate a function so that a misspelt keyword is a TypeError that names the right one, and so are wrong types.
 
     Parameters
     ----------
@@ -137,11 +147,17 @@ def known_keywords(
     def decorated(function: Callable[_Arguments, _Result]) -> Callable[_Arguments, _Result]:
         parameters = inspect.signature(function).parameters.values()
         named = {p.name for p in parameters if p.kind not in (p.VAR_KEYWORD, p.VAR_POSITIONAL)}
+        # Annotations are text. What is truthy by chance must not replace a file.
+        checks = {p.name: _CHECKS[p.annotation] for p in parameters if p.annotation in _CHECKS}
 
         @wraps(function)
         def checked(*args: _Arguments.args, **kwargs: _Arguments.kwargs) -> _Result:
             if not kwargs.keys() <= named:
                 refuse_unknown(function.__name__, kwargs, {*named, *further()}, synonyms)
+            for name in kwargs.keys() & checks.keys():
+                is_right, expected = checks[name]
+                if not is_right(kwargs[name]):
+                    raise TypeError(f"{name} is {shown(kwargs[name])}, it must be {expected}")
             return function(*args, **kwargs)
 
         return checked

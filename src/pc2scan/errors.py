@@ -221,4 +221,4 @@ class UnwritableError(MessageError):
 
 
 class RecordingWarning(UserWarning):
-    """A recording is damaged, or a message of it cannot be used; everything else is read all the same."""
+    """A recording is damaged, a message of it cannot be used, or its scans are probably not what was wanted."""

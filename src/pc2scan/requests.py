@@ -36,9 +36,6 @@ __all__ = [
     "selection_of",
 ]
 
-#: What parameters are said to come from, in errors and reports.
-_HERE = "the call"
-
 
 def parameter_names() -> list[str]:
     """Return the names of the parameters of the projection."""
@@ -56,10 +53,10 @@ def resolved_parameters(
 ) -> ResolvedSources:
     """Find the parameters of the projection, and where each comes from."""
     from .pipeline.param_sources import ResolvedSources, resolve_sources  # noqa: PLC0415
-    from .pipeline.parameters import PARAMETERS, Setting  # noqa: PLC0415
+    from .pipeline.parameters import CALL, PARAMETERS, Setting, refuse_degrees  # noqa: PLC0415
 
     if params is None:
-        settings = [Setting(name, _plain(value), _HERE) for name, value in parameters.items()]
+        settings = [Setting(name, _plain(value), CALL) for name, value in parameters.items()]
         file = None if params_file is None else path_of("params_file", params_file)
         return resolve_sources(settings, file=file, node=node, preset=preset, reverse=reverse)
     if not isinstance(params, ProjectionParams):
@@ -70,8 +67,10 @@ def resolved_parameters(
             f"params has all parameters, {' and '.join(given)} cannot count",
             hint="ProjectionParams.preset() and ProjectionParams.from_file() take changes by name",
         )
-    origins = {name: _HERE if getattr(params, name) != row.default else "default" for name, row in PARAMETERS.items()}
-    return ResolvedSources(replace(params, **parameters), origins | dict.fromkeys(parameters, _HERE), reverse)
+    angles = {name: getattr(params, name) for name in ("angle_min", "angle_max", "geometry")}
+    refuse_degrees(angles | dict(parameters), dict.fromkeys(PARAMETERS, CALL))
+    origins = {name: CALL if getattr(params, name) != row.default else "default" for name, row in PARAMETERS.items()}
+    return ResolvedSources(replace(params, **parameters), origins | dict.fromkeys(parameters, CALL), reverse)
 
 
 def params_from_file(path: PathText, node: str | None, changes: Mapping[str, Any]) -> ProjectionParams:
@@ -109,10 +108,11 @@ def frames_of(
         from .tf.static_file import load_static_transforms  # noqa: PLC0415
 
         static += load_static_transforms(path_of("static_tf_file", static_tf_file))
-    for transform in [static_tf] if isinstance(static_tf, str | StaticTransform) else static_tf:
-        static.append(StaticTransform.parse(transform) if isinstance(transform, str) else transform)
-        if not isinstance(static[-1], StaticTransform):
-            raise TypeError(f"static_tf has {transform!r}, it must be a str or a StaticTransform")
+    given = (static_tf,) if isinstance(static_tf, str | StaticTransform) else tuple(static_tf)
+    for transform in given:
+        if not isinstance(transform, str | StaticTransform):
+            raise TypeError(f"static_tf has {transform!r}, it must be text, 'parent child x y z roll pitch yaw'")
+    static += (StaticTransform.parse(each) if isinstance(each, str) else each for each in given)
     return FrameOptions(
         tf_topics=names_in("tf_topics", tf_topics),
         tf_from=tuple(paths_in("tf_from", tf_from)) if tf_from else (),

@@ -18,12 +18,21 @@ import pytest
 import pc2scan
 from benchmarks.clouds import FORMS, write_recording
 from builders import SCAN, Item, Recording, Stream, write_mcap
-from pc2scan.errors import DamageError, DecodeError, MessageError, RecordingError, TopicError, UsageError
+from pc2scan.errors import (
+    DamageError,
+    DecodeError,
+    MessageError,
+    RecordingError,
+    TopicError,
+    UnconnectedError,
+    UsageError,
+)
 from pc2scan.messages.laserscan import encode_laserscan
 from scan_recordings import START, STEP, scans
 from support import ROOT
 
 FIXTURES = ROOT / "fixtures"
+HALL = FIXTURES / "hall.bag"
 CONTAINERS = ("hall.bag", "hall.mcap", "hall")
 
 #: The first log time of the fixtures.
@@ -128,9 +137,9 @@ def test_clouds_that_are_converted_on_the_way_are_those_that_convert_writes(
 
 def test_a_cloud_of_one_topic_may_become_several(tmp_path: Path) -> None:
     topics = ["/points:=/a", "/points:=/b"]
-    pc2scan.convert(FIXTURES / "hall.bag", tmp_path / "scans.mcap", topics=topics, only_scans=True)
+    pc2scan.convert(FIXTURES / "hall.bag", tmp_path / "scans.mcap", topics=topics, only_scans=True, min_height=-0.3)
     written = sorted((s.log_time_ns, s.topic) for s in pc2scan.scans(tmp_path / "scans.mcap", ["/a", "b"]))
-    assert [(s.log_time_ns, s.topic) for s in pc2scan.scans(FIXTURES / "hall.bag", topics, use_inf=True)] == written
+    assert [(s.log_time_ns, s.topic) for s in pc2scan.scans(HALL, topics, min_height=-0.3)] == written
 
 
 def test_each_loop_begins_anew() -> None:
@@ -216,11 +225,39 @@ def test_what_cannot_be_used_is_skipped_with_a_warning_or_an_error(tmp_path: Pat
         pc2scan.scans(path, on_error="ignore")
 
 
-def test_clouds_without_a_transform_are_skipped_with_the_hint() -> None:
-    stream = pc2scan.scans(FIXTURES / "hall.bag", target_frame="map")
-    with pytest.warns(pc2scan.RecordingWarning, match="map"):
-        assert list(stream) == []
-    assert stream.skipped_count == 5
+def test_clouds_that_no_transform_can_place_are_an_error_as_in_convert() -> None:
+    with (
+        pytest.warns(pc2scan.RecordingWarning, match="base_lnk"),
+        pytest.raises(UnconnectedError, match=r"nothing can be converted.*'base_lnk'") as raised,
+    ):
+        list(pc2scan.scans(HALL, target_frame="base_lnk", min_height=-0.3))
+    assert "did you mean base_link?" in str(raised.value.hint)
+
+
+def test_scans_of_surprising_heights_are_warned_of_as_in_convert() -> None:
+    stream = pc2scan.scans(HALL, range_max=20.0)
+    with pytest.warns(pc2scan.RecordingWarning, match="/scan: .*`min_height=") as warned:
+        assert len(list(stream)) == 5
+    assert [w.filename for w in warned] == [__file__]
+    with pytest.warns(pc2scan.RecordingWarning, match="5 of 5 scans on /scan have no return at all"):
+        list(pc2scan.scans(HALL, min_height=50.0))
+
+
+def test_a_cut_outside_of_the_recording_is_an_error_and_an_empty_one_an_empty_loop() -> None:
+    for name in ("hall.bag", "hall.mcap", "hall"):
+        with pytest.raises(UsageError, match="the cut is outside of the recording: `start`"):
+            pc2scan.clouds(FIXTURES / name, start=30)
+        with pytest.raises(UsageError, match="the cut is outside of the recording: `end`"):
+            pc2scan.scans(FIXTURES / name, end=1_600_000_000, min_height=-0.3)
+        assert list(pc2scan.clouds(FIXTURES / name, start=0.31, end=0.38)) == []
+
+
+def test_a_cloud_is_taken_wherever_a_mapping_of_fields_is() -> None:
+    cloud = next(iter(pc2scan.clouds(HALL)))
+    params = pc2scan.ProjectionParams(min_height=-0.3)
+    (first, *_) = pc2scan.scans(HALL, params=params)
+    assert pc2scan.project(cloud, params).ranges.tobytes() == first.ranges.tobytes()
+    assert list(dict(cloud)) == list(cloud.fields)
 
 
 @pytest.mark.parametrize("container", ["hall.bag", "hall.mcap"])
@@ -309,7 +346,7 @@ def test_memory_stays_bounded(form: str, tmp_path: Path) -> None:
             size = cloud.xyz().nbytes
         clouds = tracemalloc.get_traced_memory()[1]
         tracemalloc.reset_peak()
-        kept = list(pc2scan.scans(source, "/points", max_height=10.0))
+        kept = list(pc2scan.scans(source, "/points", min_height=-100.0))
         scans = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
@@ -360,7 +397,7 @@ def test_scans_that_differ_make_no_dataset_but_a_table(tmp_path: Path) -> None:
     assert "to_dataframe" in str(raised.value.hint)
     table = stream.to_dataframe()
     assert table["topic"].value_counts().to_dict() == {"/a": 1800, "/b": 450}
-    empty = pc2scan.scans(tmp_path / "a.mcap", start=0.31, end=0.35)
+    empty = pc2scan.scans(tmp_path / "a.mcap", start=0.31, end=0.38)
     assert len(empty.to_dataframe()) == 0
     with pytest.raises(UsageError, match="no scan"):
         empty.to_xarray()

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 
 from pc2scan.arguments import refuse_unknown
 from pc2scan.errors import ParameterError
+from pc2scan.names import did_you_mean
 
 from .layout import (
     TURN,
@@ -185,7 +186,9 @@ class ProjectionParams:
         360
         """
         if consumer not in PRESETS:
-            raise ParameterError(f"there is no preset {consumer!r}, only {', '.join(PRESETS)}", name="preset")
+            near = did_you_mean(str(consumer), PRESETS)
+            hint = f"{near} the presets are {', '.join(PRESETS)}".strip()
+            raise ParameterError(f"there is no preset {consumer!r}", name="preset", hint=hint)
         refuse_unknown(f"{cls.__name__}.preset", changes, (field.name for field in fields(cls)))
         values: dict[str, object] = {**PRESETS[consumer], **changes}
         return cls(**values)  # type: ignore[arg-type]

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol, TypeGuard
 
 import numpy as np
 
@@ -13,7 +13,18 @@ from pc2scan.errors import DecodeError
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-__all__ = ["Points", "coordinates_of", "values_of"]
+__all__ = ["Columns", "Points", "coordinates_of", "values_of"]
+
+
+class Columns(Protocol):
+    """Fields of points by name, as in a dict of arrays, a DataFrame, or a `pc2scan.Cloud`."""
+
+    def keys(self) -> Iterable[str]:
+        """Return the names."""
+        ...
+
+    def __getitem__(self, name: str, /) -> Any: ...
+
 
 _AXES = ("x", "y", "z")
 
@@ -144,7 +155,11 @@ class _Replaced(Mapping[str, "NDArray[Any]"]):
         return len(self._fields)
 
 
-def coordinates_of(points: ArrayLike | Mapping[str, ArrayLike]) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+def _has_columns(points: object) -> TypeGuard[Columns]:
+    return hasattr(points, "keys")
+
+
+def coordinates_of(points: ArrayLike | Columns) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
     """Return x, y and z of points.
 
     Parameters
@@ -164,7 +179,7 @@ def coordinates_of(points: ArrayLike | Mapping[str, ArrayLike]) -> tuple[NDArray
     TypeError
         If they are not real numbers.
     """
-    if isinstance(points, Mapping):
+    if _has_columns(points):
         return _columns(points, points.keys())
     array = np.asanyarray(points)
     if array.dtype.names is not None:

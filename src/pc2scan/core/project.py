@@ -25,13 +25,11 @@ from pc2scan.errors import ParameterError
 from . import kernel
 from .counts import PointCounts
 from .params import ProjectionParams
-from .points import coordinates_of, values_of
+from .points import Columns, coordinates_of, values_of
 from .reduce import extremes, means, surfaces, winners
 from .rule import rule_of
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from numpy.typing import ArrayLike, NDArray
 
 __all__ = ["ProjectedScan", "Projector", "Transform", "packed", "project"]
@@ -186,7 +184,7 @@ def packed(transform: Transform) -> NDArray[np.float32]:
 
 
 def project(
-    points: ArrayLike | Mapping[str, ArrayLike],
+    points: ArrayLike | Columns,
     params: ProjectionParams | None = None,
     *,
     intensities: ArrayLike | None = None,
@@ -197,7 +195,7 @@ def project(
     ----------
     points
         (M, 3) or (H, W, 3), integers or floats: x, y and z in metres, in the scan's frame. Or a structured array
-        or a mapping with x, y and z, each (M,) or (H, W). They are rounded to float32, as upstream reads them. NaN
+        or a mapping with x, y and z, each (M,) or (H, W), such as a `pc2scan.Cloud`. They are rounded to float32, as upstream reads them. NaN
         drops a point, and so does a mask; infinite coordinates are stopped only by the limits.
     params
         The projection's parameters, upstream's defaults if None. Those **drop everything at or below z = 0**.

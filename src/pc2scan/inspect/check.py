@@ -15,6 +15,7 @@ from pc2scan.core.consumers import CONSUMERS, OUTCOMES, Outcome
 from pc2scan.errors import DecodeError, TopicError, UsageError, stamp_text
 from pc2scan.json_types import json_value
 from pc2scan.messages.laserscan import LASERSCAN, decode_laserscan
+from pc2scan.names import did_you_mean
 from pc2scan.shown import Shown, Table, listed
 from pc2scan.tf.options import FrameOptions
 from pc2scan.tf.reading import read_transforms
@@ -292,7 +293,8 @@ def check(
     asked = tuple(dict.fromkeys(consumers))
     for consumer in asked:
         if consumer not in CONSUMERS:
-            raise UsageError(f"no consumer {consumer!r}", hint=f"known: {', '.join(CONSUMERS)}")
+            hint = f"{did_you_mean(consumer, CONSUMERS)} known: {', '.join(CONSUMERS)}".strip()
+            raise UsageError(f"no consumer {consumer!r}", hint=hint)
     paths = [sources] if isinstance(sources, str | PathLike) else list(sources)
     if not paths:
         raise UsageError("no source given")

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.bags.opening import open_recordings
-from pc2scan.errors import stamp_text
+from pc2scan.errors import TransformError, stamp_text
 from pc2scan.shown import Shown, Table, count, listed
 from pc2scan.tf.options import FrameOptions
 from pc2scan.tf.reading import read_transforms
@@ -71,7 +71,12 @@ class FrameTree(Shown):
         TransformError
             If a frame is unknown, the two are not connected, or the stamp is outside of what is recorded.
         """
-        return self.buffer.lookup(target, source, stamp_ns)
+        try:
+            return self.buffer.lookup(target, source, stamp_ns)
+        except TransformError as err:
+            # The latest time is no stamp.
+            err.stamp_ns = stamp_ns or None
+            raise
 
     def __repr__(self) -> str:
         return f"<FrameTree of {len(self.frames)} transforms in {len(self.trees)} trees>"

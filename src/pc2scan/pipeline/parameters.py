@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "ALIASES",
+    "CALL",
     "PARAMETERS",
     "SCALAR_PARAMETERS",
     "TOPICS",
@@ -40,6 +41,7 @@ __all__ = [
     "names_of",
     "preset_of",
     "preset_settings",
+    "refuse_degrees",
     "resolve",
     "shown",
     "unknown_parameter",
@@ -211,6 +213,9 @@ def _table() -> Mapping[str, Parameter]:
 #: Every parameter by its ROS name: upstream's in its order, then those that it does not have.
 PARAMETERS: Mapping[str, Parameter] = _table()
 
+#: The origin of parameters that are given in Python.
+CALL = "the call"
+
 #: ROS 1's names for parameters that ROS 2 renamed.
 ALIASES = {"concurrency_level": "queue_size"}
 
@@ -368,7 +373,7 @@ def resolve(
             values[name] = value
             origin[name] = setting.origin
             winners[name] = setting
-    _refuse_degrees(values, origin)
+    refuse_degrees(values, origin)
     try:
         params = ProjectionParams(**values)
     except ParameterError as err:
@@ -378,7 +383,7 @@ def resolve(
     return ResolvedParams(params, origin)
 
 
-def _refuse_degrees(values: Mapping[str, Any], origin: Mapping[str, str]) -> None:
+def refuse_degrees(values: Mapping[str, Any], origin: Mapping[str, str]) -> None:
     """Refuse angles that no sector has: they are nearly always degrees.
 
     A sector may be a whole turn from anywhere, such as 1 to 1 + 2 pi. One of more than a turn is refused where the
@@ -470,6 +475,8 @@ def _where_given(hint: str, origin: Mapping[str, str]) -> str:
     def spelled(advice: re.Match[str]) -> str:
         name, value = advice.groups()
         place = origin.get(name, "default")
+        if place == CALL:
+            return f"{name}={value}" if plain_scalar(value) != value else f'{name}="{value}"'
         if place.startswith("--param "):
             return f"--param {name}:={value}"
         # A preset and a default are beaten by the option, which is then the shortest way.

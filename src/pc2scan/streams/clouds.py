@@ -102,7 +102,7 @@ class Cloud:
         Returns
         -------
         numpy.ndarray
-            Shape (points,), in the recorded type; read-only. Of a field with several elements the first.
+            Shape (points,), in the recorded type; a copy. Of a field with several elements the first.
 
         Raises
         ------
@@ -113,7 +113,12 @@ class Cloud:
         """
         if name not in self.fields:
             raise KeyError(f"{name!r}: the cloud's fields are {', '.join(self.fields) or 'none'}")
-        return self._message.field(name).ravel()
+        values = self._message.field(name)
+        return values.astype(values.dtype.newbyteorder("=")).ravel()
+
+    def keys(self) -> tuple[str, ...]:
+        """Return the names of the fields: a cloud is taken wherever a mapping of fields is."""
+        return self.fields
 
     def xyz(self) -> NDArray[np.floating[Any]]:
         """The coordinates of all points.
@@ -168,8 +173,7 @@ class Cloud:
         columns = {}
         for field in self._message.fields:
             if field.datatype in DATATYPES:
-                values = self[field.name]
-                columns[field.name] = values.astype(values.dtype.newbyteorder("="))
+                columns[field.name] = self[field.name]
         return columns
 
     def __repr__(self) -> str:
@@ -204,12 +208,12 @@ class Clouds(Stream[Cloud]):
         decoders = {connection.id: CloudDecoder(connection.serialization) for connection in connections}
 
         def read(message: RawMessage) -> Read:
-            topic = message.connection.topic
+            connection, log_time_ns = message.connection, message.log_time_ns
             try:
-                decoded = decoders[message.connection.id](_kept(message.data))
+                decoded = decoders[connection.id](_kept(message.data))
             except MessageError as err:
-                return Read(message.log_time_ns, 0, topic, error=err)
-            return Read(message.log_time_ns, message.size, topic, (Cloud(topic, message.log_time_ns, decoded),))
+                return Read(connection, log_time_ns, 0, error=err)
+            return Read(connection, log_time_ns, message.size, (Cloud(connection.topic, log_time_ns, decoded),))
 
         return Source(stack, [reader], tuple(chosen), connections, span.start_ns, span.stop_ns, read)
 

@@ -12,9 +12,10 @@ from pc2scan.core.unproject import UnprojectParams, unproject
 from pc2scan.errors import MessageError, UsageError, stamp_text
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN, decode_laserscan
+from pc2scan.pipeline.beforehand import Unconnected
 from pc2scan.pipeline.options import ConvertOptions
 from pc2scan.pipeline.plan import make_plan
-from pc2scan.pipeline.report import Report
+from pc2scan.pipeline.report import Report, TopicReport
 from pc2scan.pipeline.run import prepared, span_of
 
 from . import packages
@@ -22,7 +23,7 @@ from .stream import Read, Source, Stream
 from .times import datetime64
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
     from contextlib import ExitStack
 
     from numpy.typing import NDArray
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Buffer, RawMessage
     from pc2scan.pipeline.conversion import Converted
+    from pc2scan.pipeline.plan import Route
 
     from .stream import Selection
 
@@ -189,8 +191,14 @@ class Scans(Stream[Scan]):
         Messages that the last loop could not use: the first hundred, and how many.
     """
 
-    def __init__(self, selection: Selection, conversion: ConvertOptions | None = None) -> None:
+    def __init__(
+        self,
+        selection: Selection,
+        conversion: ConvertOptions | None = None,
+        origins: Mapping[str, str] | None = None,
+    ) -> None:
         self._conversion = conversion
+        self._origins = origins or {}
         self.notes: tuple[str, ...] = ()
         super().__init__(selection)
 
@@ -210,7 +218,8 @@ class Scans(Stream[Scan]):
             self._selection.chosen(reader, options.source_types, _scans_instead)
         plan = make_plan(reader.connections, options)
         span = span_of(reader, options)
-        report = Report([str(path) for path in self._selection.paths], "", options.params)
+        sources = [str(path) for path in self._selection.paths]
+        report = Report(sources, "", options.params, dict(self._origins), options.filters)
         conversion, others = prepared(reader, plan, options, span, stack, report)
         self.notes = tuple(report.notes)
         routes = {}
@@ -227,7 +236,11 @@ class Scans(Stream[Scan]):
         connections = [route.connection for route in plan.routes if route.targets]
         topics = tuple(dict.fromkeys(target for route in plan.routes for target in route.targets))
         latched = [connection for connection in connections if connection.latching]
-        return Source(stack, [reader, *others], topics, connections, span.start_ns, span.stop_ns, read, latched)
+        report.warnings += plan.warnings
+        account = _Conversion(report, plan.routes)
+        return Source(
+            stack, [reader, *others], topics, connections, span.start_ns, span.stop_ns, read, latched, account
+        )
 
     def to_dataframe(self) -> Any:
         """Return a ``pandas.DataFrame`` with a row for each beam of each scan. Reads all scans into memory.
@@ -333,23 +346,62 @@ def _scan(message: RawMessage, topic: str, data: Buffer) -> Scan:
 
 
 def _read(message: RawMessage) -> Read:
-    topic = message.connection.topic
+    connection, log_time_ns = message.connection, message.log_time_ns
     try:
-        scan = _scan(message, topic, message.data)
+        scan = _scan(message, connection.topic, message.data)
     except MessageError as err:
-        return Read(message.log_time_ns, 0, topic, error=err)
-    return Read(message.log_time_ns, message.size, topic, (scan,))
+        return Read(connection, log_time_ns, 0, error=err)
+    return Read(connection, log_time_ns, message.size, (scan,))
 
 
 def _converted(convert: Callable[[Buffer], Converted], targets: Sequence[str], message: RawMessage) -> Read:
-    topic = message.connection.topic
+    connection, log_time_ns = message.connection, message.log_time_ns
     try:
-        data = convert(message.data).data
+        converted = convert(message.data)
     except MessageError as err:
-        return Read(message.log_time_ns, 0, topic, error=err)
-    first = _scan(message, targets[0], data)
+        return Read(connection, log_time_ns, 0, error=err)
+    first = _scan(message, targets[0], converted.data)
     scans = (first, *(replace(first, topic=target) for target in targets[1:]))
-    return Read(message.log_time_ns, len(data), topic, scans)
+    return Read(connection, log_time_ns, len(converted.data), scans, converted=converted._replace(data=b""))
+
+
+class _Conversion:
+    """Accounts for a conversion as `pc2scan.convert` does."""
+
+    def __init__(self, report: Report, routes: Sequence[Route]) -> None:
+        self._report = report
+        converted = [route.connection for route in routes if route.targets]
+        self._unconnected = Unconnected(converted)
+        entries: dict[tuple[str, str], TopicReport] = {}
+        self._entries = {
+            route.connection.id: [
+                entries.setdefault(
+                    (route.connection.topic, target),
+                    TopicReport(route.connection.topic, route.connection.ros_type, target, "converted"),
+                )
+                for target in route.targets
+            ]
+            for route in routes
+        }
+        report.topics += entries.values()
+
+    def note(self, message: Read) -> None:
+        """Take note of a message; see `Account`."""
+        if self._unconnected.is_possible:
+            self._unconnected.note(message.connection, message.error)
+        for entry in self._entries[message.connection.id]:
+            entry.messages_in += 1
+            if message.converted is None:
+                entry.skipped += 1
+            else:
+                entry.messages_out += 1
+                entry.points += message.converted.counts
+                entry.empty_scans += message.converted.empty
+
+    def warnings(self) -> Sequence[str]:
+        """Return what the user should know; see `Account`."""
+        self._report.conclude()
+        return self._report.warnings
 
 
 def _clouds_instead(reader: Reader) -> str | None:

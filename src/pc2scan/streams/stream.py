@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import warnings
 from abc import ABC, abstractmethod
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Generic, NamedTuple, Protocol, TypeVar
 from weakref import WeakSet, finalize
 
 from pc2scan.bags.merged import as_one
@@ -14,6 +14,7 @@ from pc2scan.bags.opening import open_recordings
 from pc2scan.bags.topics import find_topics, short_types
 from pc2scan.bags.units import in_time_order
 from pc2scan.errors import MessageError, RecordingWarning, TopicError, UsageError, name_list
+from pc2scan.pipeline.beforehand import refuse_no_messages
 from pc2scan.pipeline.report import MAX_LISTED, Skipped
 
 if TYPE_CHECKING:
@@ -25,9 +26,10 @@ if TYPE_CHECKING:
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Connection, RawMessage
+    from pc2scan.pipeline.conversion import Converted
     from pc2scan.pipeline.options import TimeBound
 
-__all__ = ["Read", "Selection", "Source", "Stream"]
+__all__ = ["Account", "Read", "Selection", "Source", "Stream"]
 
 Item = TypeVar("Item")
 
@@ -114,13 +116,26 @@ class Selection:
 
 
 class Read(NamedTuple):
-    """What became of a message: its items, or why there are none."""
+    """What became of a message: its items, or why there are none; of a conversion, what became of its points too."""
 
+    connection: Connection
     log_time_ns: int
     size: int
-    topic: str
     items: tuple[object, ...] = ()
     error: MessageError | None = None
+    converted: Converted | None = None
+
+
+class Account(Protocol):
+    """What is made of the messages as a whole."""
+
+    def note(self, message: Read) -> None:
+        """Take note of a message. Raises a `MessageError` if it is clear by now that no other one can be used."""
+        ...
+
+    def warnings(self) -> Sequence[str]:
+        """Return what the user should know, at the end."""
+        ...
 
 
 class Source(NamedTuple):
@@ -140,16 +155,19 @@ class Source(NamedTuple):
         Makes the items of a message.
     latched
         Connections whose messages from before the cut are read too.
+    account
+        Takes note of what becomes of each message; None where nobody asks.
     """
 
     stack: ExitStack
     readers: Sequence[Reader]
     topics: tuple[str, ...]
-    connections: Collection[Connection]
+    connections: Sequence[Connection]
     start_ns: int | None
     stop_ns: int | None
     read: Callable[[RawMessage], Read]
     latched: Collection[Connection] = ()
+    account: Account | None = None
 
     @property
     def damage(self) -> tuple[Damage, ...]:
@@ -209,6 +227,10 @@ class Stream(ABC, Generic[Item]):
         with ExitStack() as stack:
             readers = open_recordings(asked.paths, stack, verify=asked.verify, strict=asked.strict)
             source = self._source(stack, as_one(readers))
+            # A topic without messages is an empty loop; a cut outside of the recording is a mistake.
+            if source.start_ns is not None or source.stop_ns is not None:
+                with suppress(TopicError):
+                    refuse_no_messages(source.readers[0], source.connections, source.start_ns, source.stop_ns)
             # All is well: what is open stays so.
             return source._replace(stack=stack.pop_all())
 
@@ -233,6 +255,8 @@ class Stream(ABC, Generic[Item]):
             warned = _warn_of_damage(self.damage, 0)
             with closing(source.messages()) as messages:  # type: ignore[type-var]
                 for message in messages:
+                    if source.account is not None:
+                        source.account.note(message)
                     if message.error is None:
                         yield from message.items  # type: ignore[misc]
                     else:
@@ -240,12 +264,14 @@ class Stream(ABC, Generic[Item]):
                     del message
             self.damage = source.damage
             _warn_of_damage(self.damage, warned)
+            for text in () if source.account is None else source.account.warnings():
+                warnings.warn(text, RecordingWarning, stacklevel=2)
 
     def _skip(self, message: Read) -> None:
         """Account for a message that cannot be used; the first one is warned of, the others are listed."""
         error = message.error
         assert error is not None
-        error.topic = message.topic
+        error.topic = message.connection.topic
         if self._selection.on_error == "fail":
             raise error
         if not self.skipped_count:
@@ -254,7 +280,7 @@ class Stream(ABC, Generic[Item]):
             warnings.warn(text, RecordingWarning, stacklevel=3)
         self.skipped_count += 1
         if len(self.skipped) < MAX_LISTED:
-            found = Skipped(message.topic, message.log_time_ns, error.stamp_ns, error.message, error.hint or "")
+            found = Skipped(error.topic, message.log_time_ns, error.stamp_ns, error.message, error.hint or "")
             self.skipped.append(found)
 
     def close(self) -> None:
