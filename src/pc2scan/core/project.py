@@ -195,8 +195,8 @@ def project(
     ----------
     points
         (M, 3) or (H, W, 3), integers or floats: x, y and z in metres, in the scan's frame. Or a structured array
-        or a mapping with x, y and z, each (M,) or (H, W), such as a `pc2scan.Cloud`. They are rounded to float32, as upstream reads them. NaN
-        drops a point, and so does a mask; infinite coordinates are stopped only by the limits.
+        or a mapping with x, y and z, such as a `pc2scan.Cloud`, each (M,) or (H, W). They are rounded to float32, as
+        upstream reads them. NaN drops a point, and so does a mask; infinite coordinates are stopped only by the limits.
     params
         The projection's parameters, upstream's defaults if None. Those **drop everything at or below z = 0**.
     intensities
