@@ -93,7 +93,7 @@ def test_did_you_mean(arguments: tuple[str | Path, ...], meant: str, tmp_path: P
     [
         (("info", "nothing.bag"), "MissingError", 2),
         (("check", HALL), "TopicError", 2),
-        (("tf", HALL, "--lookup", "base_link", "nothing"), "TransformError", 1),
+        (("tf", HALL, "--lookup", "base_link", "nothing"), "UnconnectedError", 1),
         (("diff", HALL, "nothing.bag"), "MissingError", 2),
         (("repair", "nothing.bag"), "MissingError", 2),
         (("golden", "nothing"), "UsageError", 2),

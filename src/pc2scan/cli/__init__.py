@@ -24,11 +24,16 @@ def _run() -> None:
     # NumPy's linear algebra would start threads, which takes longer than many a conversion, and nothing here uses them.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from .app import application
-    from .failures import StdoutError, end_without_output, guarded
+    from .failures import end_without_output
     from .memory import keep_freed_memory
+    from .screen import Screen, StdoutError
 
     keep_freed_memory()
-    sys.stdout = guarded(sys.stdout)
+    # Either is None where the process was started without it.
+    if sys.stdout is not None:
+        sys.stdout = Screen(sys.stdout, guarded=True)
+    if sys.stderr is not None:
+        sys.stderr = Screen(sys.stderr)
     try:
         application(*sys.argv[1:2])(prog_name="pc2scan")
     except StdoutError as err:

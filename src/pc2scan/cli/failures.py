@@ -18,7 +18,7 @@ from .spelling import as_typed
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["VERDICTS", "StdoutError", "end_without_output", "guarded", "show_failure"]
+__all__ = ["VERDICTS", "end_without_output", "show_failure"]
 
 #: Commands whose status 1 is a verdict; if they cannot judge, it is 2.
 VERDICTS = frozenset({"check", "diff", "golden"})
@@ -58,37 +58,6 @@ def _as_dict(err: Pc2ScanError) -> dict[str, Any]:
         "stamp_ns": err.stamp_ns,
         "hint": None if err.hint is None else as_typed(err.hint),
     }
-
-
-class StdoutError(Exception):
-    """Standard output cannot be written; ``args[0]`` is the operating system's error."""
-
-
-class _Guarded:
-    """A text stream that raises `StdoutError`, so that its errors are distinguished from others."""
-
-    def __init__(self, stream: Any) -> None:
-        self._stream = stream
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._stream, name)
-
-    def write(self, text: str) -> Any:
-        try:
-            return self._stream.write(text)
-        except OSError as err:
-            raise StdoutError(err) from err
-
-    def flush(self) -> None:
-        try:
-            self._stream.flush()
-        except OSError as err:
-            raise StdoutError(err) from err
-
-
-def guarded(stream: Any) -> Any:
-    """Return the stream with distinguishable errors; None stays None."""
-    return None if stream is None else _Guarded(stream)
 
 
 def end_without_output(err: OSError, words: Sequence[str]) -> int:

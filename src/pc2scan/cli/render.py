@@ -10,6 +10,8 @@ import typer
 from pc2scan.errors import stamp_text
 from pc2scan.shown import Table
 
+from .fitting import table_lines
+from .screen import Screen
 from .spelling import as_typed
 
 if TYPE_CHECKING:
@@ -90,7 +92,12 @@ def print_json(document: object) -> None:
     """Print JSON on standard output."""
     import json
 
-    typer.echo(json.dumps(document, indent=2))
+    text = json.dumps(document, indent=2)
+    if isinstance(sys.stdout, Screen):
+        sys.stdout.write_as_it_is(f"{text}\n")
+        sys.stdout.flush()
+    else:
+        typer.echo(text)
 
 
 def count(number: int) -> str:
@@ -138,7 +145,7 @@ def stamp(stamp_ns: int) -> str:
 
 
 def table(columns: Sequence[str], rows: Sequence[Sequence[str]], *, left: Sequence[str] = ()) -> None:
-    """Print a table on standard output, one line a row whatever the width of the terminal.
+    """Print a table on standard output, as wide as that allows.
 
     Not with rich: importing it takes a third of the time that converting a small recording takes.
 
@@ -152,15 +159,8 @@ def table(columns: Sequence[str], rows: Sequence[Sequence[str]], *, left: Sequen
         The headings of columns aligned to the left; the others are numbers.
     """
     cells = [list(columns), *([printable(_cut(cell)) for cell in row] for row in rows)]
-    widths = [max(len(line[i]) for line in cells) for i in range(len(columns))]
-    for number, line in enumerate(cells):
-        aligned = (
-            cell.ljust(width) if heading in left else cell.rjust(width)
-            for heading, cell, width in zip(columns, line, widths, strict=True)
-        )
-        typer.echo("   ".join(aligned).rstrip())
-        if number == 0:
-            typer.echo("-" * (sum(widths) + 3 * (len(widths) - 1)))
+    for line in table_lines(cells, left, getattr(sys.stdout, "width", None)):
+        typer.echo(line)
 
 
 def show_parts(parts: Iterable[str | Table]) -> None:

@@ -1,0 +1,91 @@
+"""Tables that fit a width: empty columns go first, then text is wrapped, then columns on the right go."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator, Sequence
+
+__all__ = ["table_lines"]
+
+#: Between columns; and where that is too wide.
+_GAP, _NARROW_GAP = 3, 2
+
+#: Text is wrapped to no less than its longest word, or than this where words are longer.
+_NARROWEST, _LONGEST_WORD = 12, 24
+
+_NOTHING = frozenset({"", "-"})
+
+
+def table_lines(cells: Sequence[Sequence[str]], left: Collection[str], width: int | None) -> Iterator[str]:
+    """Yield the lines of a table.
+
+    Parameters
+    ----------
+    cells
+        The headings, then the rows.
+    left
+        Headings of columns of text, aligned to the left; the others are numbers.
+    width
+        Columns of the screen; None for any number.
+    """
+    headings, *rows = cells
+    kept = list(range(len(headings)))
+    gap = _GAP
+    dropped: list[str] = []
+
+    def needed() -> int:
+        return sum(widths[i] for i in kept) + gap * (len(kept) - 1)
+
+    widths = [max(len(line[i]) for line in cells) for i in range(len(headings))]
+    if width is not None and needed() > width:
+        kept = [i for i in kept if i == 0 or not rows or any(row[i] not in _NOTHING for row in rows)]
+        gap = _GAP if needed() <= width else _NARROW_GAP
+        texts = [i for i in kept if headings[i] in left]
+        least = {i: max(_NARROWEST, *(_longest_word(line[i]) for line in cells)) for i in texts}
+        while needed() > width and (wide := [i for i in texts if widths[i] > least[i]]):
+            # One by one, so that all of them share the room.
+            widths[max(wide, key=widths.__getitem__)] -= 1
+        while needed() > width and len(kept) > 1:
+            numbers = [i for i in kept[1:] if headings[i] not in left] or kept[1:]
+            dropped.insert(0, headings[numbers[-1]])
+            kept.remove(numbers[-1])
+    for number, line in enumerate(cells):
+        yield from _row(line, headings, kept, widths, gap, left)
+        if number == 0:
+            yield "-" * needed()
+    if dropped:
+        yield f"(no room for: {', '.join(dropped)})"
+
+
+def _row(
+    line: Sequence[str],
+    headings: Sequence[str],
+    kept: Sequence[int],
+    widths: Sequence[int],
+    gap: int,
+    left: Collection[str],
+) -> Iterator[str]:
+    """The lines of a row: text that is too wide goes on below."""
+    pieces = [[line[i]] if len(line[i]) <= widths[i] else _broken(line[i], widths[i]) for i in kept]
+    for number in range(max(map(len, pieces))):
+        aligned = []
+        for i, parts in zip(kept, pieces, strict=True):
+            part = parts[number] if number < len(parts) else ""
+            aligned.append(part.ljust(widths[i]) if headings[i] in left else part.rjust(widths[i]))
+        yield (" " * gap).join(aligned).rstrip()
+
+
+def _longest_word(text: str) -> int:
+    words = text.split() if " " in text else text.replace("/", "/ ").split()
+    return min(_LONGEST_WORD, max(map(len, words), default=0))
+
+
+def _broken(text: str, width: int) -> list[str]:
+    from textwrap import wrap  # few tables are too wide
+
+    # Names of topics and types break behind their slashes.
+    spaced = text if " " in text else text.replace("/", "/ ")
+    lines = wrap(spaced, width, break_on_hyphens=False) or [""]
+    return lines if " " in text else [part.replace(" ", "") for part in lines]

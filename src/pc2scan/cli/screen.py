@@ -1,0 +1,137 @@
+"""Standard output and error as a screen shows them: lines that fit its width, and colours where it has them.
+
+Both work on lines as they are written, so that no command has to know. Pipes and files get every line as it is, also
+where COLUMNS is set: shells and Python's readline pass it on to programs that read what is printed.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from typing import Any, TextIO
+
+__all__ = ["Screen", "StdoutError", "width_of"]
+
+#: Narrower than this no table fits.
+_NARROWEST = 40
+
+_RED, _YELLOW, _GREEN, _BOLD, _PLAIN = "\x1b[31m", "\x1b[33m", "\x1b[32m", "\x1b[1m", "\x1b[0m"
+
+#: What lines begin with, and the colours of that.
+_COLOURS = (
+    (re.compile(r"\s*(?:error|defect|aborts|different|not ok|failed|FAILED)\b:?"), _BOLD + _RED),
+    (re.compile(r"\s*(?:warning|notice|skipped|damaged|misplaced|ignored|empty):"), _BOLD + _YELLOW),
+    (re.compile(r"(?:ok|same|passed)\b:?"), _BOLD + _GREEN),
+    (re.compile(r"(?:hint|next|note|recovered):"), _BOLD),
+)
+
+#: Verdicts of ``check``, behind the name of a consumer.
+_VERDICT = re.compile(r"  \w+ +(accepted|misplaced|ignored|aborts)\b")
+_VERDICTS = {"accepted": _GREEN, "misplaced": _YELLOW, "ignored": _RED, "aborts": _RED}
+
+
+class StdoutError(Exception):
+    """Standard output cannot be written; ``args[0]`` is the operating system's error."""
+
+
+def width_of(stream: Any) -> int | None:
+    """Columns that lines on a stream may have; None for any number."""
+    try:
+        if not stream.isatty():
+            return None
+        asked = os.environ.get("COLUMNS", "")
+        columns = int(asked) if asked.isdecimal() else os.get_terminal_size(stream.fileno()).columns
+    except (OSError, ValueError):
+        return None
+    return max(columns or 80, _NARROWEST)
+
+
+def _has_colours(stream: Any) -> bool:
+    """Whether a stream shows colours. See https://no-color.org and https://force-color.org."""
+    if os.environ.get("NO_COLOR"):
+        return False
+    if os.environ.get("FORCE_COLOR"):
+        return True
+    return bool(stream.isatty()) and os.environ.get("TERM", "") not in {"", "dumb"}
+
+
+class Screen:
+    """A text stream whose lines fit.
+
+    Parameters
+    ----------
+    stream
+        What is written to.
+    guarded
+        Whether failures are `StdoutError`, so that they can be told from those of other files.
+    """
+
+    def __init__(self, stream: TextIO, *, guarded: bool = False) -> None:
+        self._stream = stream
+        self._guarded = guarded
+        self._width = width_of(stream)
+        self._colours = _has_colours(stream)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    @property
+    def width(self) -> int | None:
+        """Columns that lines may have."""
+        return self._width
+
+    def write(self, text: str) -> int:
+        """Write lines so that they fit. What moves the cursor (a progress bar) passes as it is."""
+        if (self._width or self._colours) and text.endswith("\n") and not ("\x1b" in text or "\r" in text):
+            text = "".join(f"{self._shown(line)}\n" for line in text[:-1].split("\n"))
+        return self.write_as_it_is(text)
+
+    def write_as_it_is(self, text: str) -> int:
+        """Write text for programs, such as JSON."""
+        try:
+            return self._stream.write(text)
+        except OSError as err:
+            if self._guarded:
+                raise StdoutError(err) from err
+            raise
+
+    def flush(self) -> None:
+        """Flush."""
+        try:
+            self._stream.flush()
+        except OSError as err:
+            if self._guarded:
+                raise StdoutError(err) from err
+            raise
+
+    def _shown(self, line: str) -> str:
+        if self._width and len(line) > self._width:
+            line = _wrapped(line, self._width)
+        return _coloured(line) if self._colours else line
+
+
+def _wrapped(line: str, width: int) -> str:
+    """A line broken at spaces; what follows is indented. A command stays one for the shell, by backslashes."""
+    indent = len(line) - len(line.lstrip())
+    is_command = line.startswith("next: ")
+    hanging = " " * min(indent + 2, width // 2)
+    room = width - 2 if is_command else width
+    lines = [""]
+    for word in re.findall(r"\s*\S+", line):
+        if len(lines[-1]) + len(word) > room and lines[-1].strip():
+            lines.append(hanging + word.lstrip())
+        else:
+            lines[-1] += word
+    return (" \\\n" if is_command else "\n").join(lines)
+
+
+def _coloured(line: str) -> str:
+    verdict = _VERDICT.match(line)
+    if verdict:
+        start, end = verdict.span(1)
+        return f"{line[:start]}{_VERDICTS[verdict[1]]}{line[start:end]}{_PLAIN}{line[end:]}"
+    for pattern, colour in _COLOURS:
+        found = pattern.match(line)
+        if found:
+            return f"{colour}{found[0]}{_PLAIN}{line[found.end() :]}"
+    return line

@@ -1,0 +1,117 @@
+"""What a terminal shows: lines that fit, and colours where they are wanted."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import pty
+import struct
+import subprocess
+import termios
+from typing import TYPE_CHECKING
+
+import pytest
+
+from e2e.command import COMMAND, environment
+from support import ROOT
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+HALL = ROOT / "fixtures" / "hall.bag"
+
+
+def shown(*arguments: str | Path, columns: int | None = None, **variables: str) -> str:
+    """What a command prints on a pipe, or with ``columns`` on a terminal so wide."""
+    command = [*COMMAND, *map(str, arguments)]
+    env = {name: value for name, value in environment().items() if name not in ("COLUMNS", "NO_COLOR", "FORCE_COLOR")}
+    env |= {"TERM": "xterm", **variables}
+    if columns is None:
+        done = subprocess.run(
+            command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=env, timeout=120, check=False
+        )
+        return done.stdout
+    ours, theirs = pty.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, columns, 0, 0))
+    process = subprocess.Popen(command, stdin=theirs, stdout=theirs, stderr=theirs, env=env)
+    os.close(theirs)
+    data = b""
+    while True:
+        try:
+            piece = os.read(ours, 65536)
+        except OSError:  # the terminal was closed
+            break
+        if not piece:
+            break
+        data += piece
+    process.wait(60)
+    os.close(ours)
+    return data.decode().replace("\r\n", "\n")
+
+
+COMMANDS: dict[str, list[str | Path]] = {
+    "info": ["info", HALL],
+    "tf": ["tf", HALL],
+    "lookup": ["tf", HALL, "--lookup", "base_link", "nothing"],
+    "diff": ["diff", HALL, ROOT / "fixtures" / "hall.mcap"],
+    "convert": ["convert", HALL, "-o", "o.bag", "--overwrite", "--target-frame", "base_link"],
+    "verbose": ["convert", HALL, "-o", "o.bag", "--overwrite", "--preset", "gmapping", "-v"],
+    "wrong": ["convert", HALL, "-o", "o.bag", "--angle-max", "90"],
+    "unknown": ["convert", HALL, "-o", "o.bag", "--no-such-option"],
+    "golden": ["golden", ROOT / "fixtures" / "golden", "-k", "tf_"],
+    "help": ["convert", "--help"],
+}
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize("columns", [80, 60])
+def test_everything_fits(name: str, columns: int, tmp_path: Path) -> None:
+    arguments = [tmp_path / "o.bag" if word == "o.bag" else word for word in COMMANDS[name]]
+    text = shown(*arguments, columns=columns, NO_COLOR="1")
+    lines = [line for line in text.split("\n") if "\x1b" not in line and "\r" not in line]
+    lines += shown(*arguments, columns=200, COLUMNS=str(columns), NO_COLOR="1", TERM="dumb").split("\n")
+    assert len(lines) > 2
+    # A path or another word longer than the screen cannot be broken.
+    assert [line for line in lines if len(line) > columns and " " in line.removesuffix(" \\").strip()] == []
+
+
+def test_pipes_get_every_line_as_it_is(tmp_path: Path) -> None:
+    text = shown("convert", HALL, "-o", tmp_path / "o.bag", "--angle-max", "90", COLUMNS="60")
+    assert len(text.splitlines()) == 2
+    assert "\x1b" not in text
+
+
+def test_json_is_never_wrapped() -> None:
+    document = shown("tf", HALL, "--json", columns=40, NO_COLOR="1")
+    assert json.loads(document)["trees"]
+
+
+@pytest.mark.parametrize(
+    ("variables", "columns", "coloured"),
+    [
+        ({}, 80, True),
+        ({"NO_COLOR": "1"}, 80, False),
+        ({"TERM": "dumb"}, 80, False),
+        ({}, None, False),
+        ({"FORCE_COLOR": "1"}, None, True),
+        ({"FORCE_COLOR": "1", "NO_COLOR": "1"}, None, False),
+    ],
+)
+def test_colours(variables: dict[str, str], columns: int | None, *, coloured: bool) -> None:
+    text = shown("info", "nothing.bag", columns=columns, **variables)
+    assert ("\x1b[1m\x1b[31merror:\x1b[0m nothing.bag" in text) is coloured
+    assert ("\x1b" in text) is coloured
+    same = shown("diff", HALL, HALL, columns=columns, **variables)
+    assert ("\x1b[1m\x1b[32msame:\x1b[0m" in same) is coloured
+
+
+def test_a_command_that_is_too_long_stays_one_for_the_shell(tmp_path: Path) -> None:
+    folder = tmp_path / "a folder with a name of some length" / "and another one in it"
+    folder.mkdir(parents=True)
+    text = shown("convert", HALL, "-o", folder / "scan.bag", columns=60, NO_COLOR="1")
+    command = text[text.index("next: ") + len("next: ") :].split("warning:")[0]
+    words = subprocess.run(
+        ["sh", "-c", f"set -- {command.strip()}\nprintf '%s' $#"], capture_output=True, check=True
+    ).stdout
+    assert int(words) == 4
