@@ -451,3 +451,57 @@ def test_an_interruption_while_modules_are_loaded(module: str, large: Path, tmp_
     assert said in ([], ["interrupted: nothing was written"])
     assert stdout == ""
     assert list(tmp_path.iterdir()) == []
+
+
+#: The command, in which SIGINT comes right behind a function's n-th call.
+_INTERRUPTED_BEHIND = """
+import os, signal, sys
+module, name, number = sys.argv.pop(1), sys.argv.pop(1), int(sys.argv.pop(1))
+from pc2scan.files import staging
+owner = {"os": os, "staging": staging}[module]
+original, calls = getattr(owner, name), []
+def called(*args, **options):
+    result = original(*args, **options)
+    calls.append(name)
+    if len(calls) == number:
+        os.kill(os.getpid(), signal.SIGINT)
+    return result
+setattr(owner, name, called)
+from pc2scan.cli import main
+main()
+"""
+
+
+@pytest.mark.usefixtures("with_interrupts")
+@pytest.mark.parametrize(
+    ("moment", "name", "written"),
+    [
+        (("staging", "_sync", 1), "out.mcap", []),
+        (("os", "link", 1), "out.mcap", ["out.mcap"]),
+        (("staging", "sync_directory", 1), "out.mcap", ["out.mcap"]),
+        (("staging", "_rename_directory", 1), "out", ["out"]),
+        (("os", "link", 2), "out.mcap", ["out.mcap", "report.json"]),
+    ],
+    ids=str,
+)
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_an_interruption_says_what_was_written(
+    moment: tuple[str, str, int], name: str, written: list[str], overwrite: bool, tmp_path: Path
+) -> None:
+    source = write_rosbag1(tmp_path / "drive.bag", CONTENT)
+    out = tmp_path / "out"
+    out.mkdir()
+    if overwrite and moment[1] in {"_sync", "sync_directory"}:
+        (out / name).write_bytes(b"old")
+    options = ["-o", str(out / name), "--report", str(out / "report.json"), *["--overwrite"] * overwrite]
+    command = [sys.executable, "-c", _INTERRUPTED_BEHIND, *map(str, moment), "repair", str(source), *options]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 130, done.stderr
+    said = f"{', '.join(str(out / each) for each in written)} {'is' if len(written) == 1 else 'are'} complete"
+    assert done.stderr.splitlines()[-1] == f"interrupted: {said if written else 'nothing was written'}"
+    left = {path.name: path for path in out.iterdir()}
+    assert sorted(left) == sorted(written or ([name] if overwrite and moment[1] == "_sync" else []))
+    if written:
+        assert run("info", out / name).status == 0
+    elif left:
+        assert left[name].read_bytes() == b"old"

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from pc2scan.errors import Pc2ScanError
+from pc2scan.errors import Pc2ScanError, name_list
 
 from .failures import show_failure
 from .groups import flat
@@ -72,7 +72,7 @@ class _Group(TyperGroup):
         except Pc2ScanError as err:
             raise typer.Exit(show_failure(err, words)) from err
         except KeyboardInterrupt:
-            typer.echo("interrupted: nothing was written", err=True)
+            typer.echo(f"interrupted: {_what_was_written()}", err=True)
             raise typer.Exit(_INTERRUPTED) from None
         finally:
             if previous is not None:
@@ -92,9 +92,17 @@ def _usage_errors(typed: Sequence[str]) -> Iterator[None]:
         raise typer.Exit(show_failure(in_our_words(err, typed), typed)) from err
 
 
+def _what_was_written() -> str:
+    """What an interrupted command leaves behind: complete files, or nothing."""
+    from pc2scan.files.staging import written
+
+    names = [str(path) for path in written()]
+    return f"{name_list(names)} {'is' if len(names) == 1 else 'are'} complete" if names else "nothing was written"
+
+
 def _handle_termination() -> Any:
     def terminate(number: int, _frame: FrameType | None) -> None:
-        typer.echo("terminated: nothing was written", err=True)
+        typer.echo(f"terminated: {_what_was_written()}", err=True)
         raise SystemExit(128 + number)
 
     try:

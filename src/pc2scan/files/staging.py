@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import stat
+from collections import deque
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 
@@ -26,6 +27,7 @@ __all__ = [
     "sync_directory",
     "sync_file",
     "working_names",
+    "written",
 ]
 
 _PARTIAL = ".pc2scan-partial"
@@ -34,6 +36,26 @@ _LOCK = f"{_PARTIAL}.lock"
 
 #: Endings of the files that a killed run leaves beside its destination.
 LEFTOVERS = (_PARTIAL, _OLD)
+
+#: Destinations that were about to get their name, each with its device and inode. Bounded, for long-lived processes.
+_renamed: deque[tuple[Path, tuple[int, int] | None]] = deque(maxlen=1000)
+
+
+def written() -> list[Path]:
+    """Return the destinations that this process wrote and that are still in place, in the order of writing.
+
+    An interruption may come between a renaming and anything that notes it, so the files themselves are asked.
+    """
+    return list(dict.fromkeys(dst for dst, identity in _renamed if identity and _identity(dst) == identity))
+
+
+def _identity(path: Path) -> tuple[int, int] | None:
+    """Device and inode, which a file keeps when it is renamed; None for a file that is not there."""
+    try:
+        status = path.lstat()
+    except OSError:
+        return None
+    return status.st_dev, status.st_ino
 
 
 def working_names(dst: Path) -> tuple[Path, ...]:
@@ -352,6 +374,7 @@ def _no_lock(lock: Path, what: str) -> DestinationError:
 def _commit(partial: Path, dst: Path, *, overwrite: bool, beside_recording: _Beside | None) -> None:
     try:
         _sync(partial)
+        _renamed.append((dst, _identity(partial)))
         if overwrite and os.path.lexists(dst):
             _replace(partial, dst, beside_recording)
         elif partial.is_dir():
