@@ -132,6 +132,15 @@ def test_every_consumer_agrees_with_its_rule_on_anything(scan: Scan, first: Scan
     assert judged(scan, first, placed) == ruled(scan, first, placed)
 
 
+@given(scans(), st.data())
+def test_no_numbers_stop_the_check(scan: Scan, data: st.DataObject) -> None:
+    numbers = st.one_of(st.floats(width=32), st.sampled_from([math.nan, math.inf, -math.inf, 0.0, 3e38, -3e38, 1e-45]))
+    names = ("angle_min", "angle_max", "angle_increment", "time_increment")
+    scan = replace(scan, **{name: data.draw(numbers) for name in names})  # type: ignore[arg-type]
+    for placed in (Placed(), Placed(up=-1.0)):
+        assert set(judged(scan, None, placed).values()) <= set(OUTCOMES)
+
+
 @given(scans(), st.integers(2, 60), st.sampled_from([-1, 0, 1, 2]))
 def test_sectors_around_0_too(scan: Scan, beams: int, steps: int) -> None:
     """Where MRPT truncates a quotient that is nearly a whole number."""
