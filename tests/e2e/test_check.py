@@ -60,7 +60,7 @@ def test_scans_without_transforms_are_not_ok(tmp_path: Path) -> None:
     [
         ({"range_max": math.inf, "ranges": [math.inf] * 9}, "gmapping", "aborts", "9 infinite ranges"),
         ({"range_max": 20.0, "ranges": [19.9999] * 9}, "slam_toolbox", "misplaced", "9 ranges of range_max 20"),
-        ({"time_increment": -1e-3}, "cartographer", "misplaced", "time_increment -0.00"),
+        ({"time_increment": -1e-3}, "cartographer", "misplaced", "time_increment -0.001 s"),
         ({"frame_id": "/laser"}, "cartographer", "aborts", "frame_id '/laser'"),
         ({"angle_min": 0.0, "angle_max": 2.0}, "mrpt", "misplaced", "ranges"),
     ],
@@ -110,9 +110,9 @@ def test_convert_warns_for_the_preset_that_was_chosen(tmp_path: Path) -> None:
     # slam_toolbox would refuse these, but they are not made for it.
     assert warned("--preset", "gmapping", "--angle-min", "-1.5", "--angle-max", "1.5") == ""
     walls = warned("--preset", "slam_toolbox", "--range-max", "20", "--no-return", "range-max-minus")
-    assert walls.startswith("warning: /scan: slam_toolbox would place ranges of these scans where nothing is:")
+    assert walls.startswith("warning: /scan: slam_toolbox would misplace these scans:")
     assert "--no-return inf, or --range-max 100.0" in walls
-    assert "gmapping turns the beams" in warned("--preset", "gmapping", "--geometry", "centered")
+    assert "gmapping would turn these scans" in warned("--preset", "gmapping", "--geometry", "centered")
     assert "gmapping would abort" in warned("--preset", "gmapping", "--range-max", "inf", "--no-return", "inf")
 
 

@@ -368,7 +368,7 @@ def _slam_toolbox(scan: Scan, first: Scan, placed: Placed) -> Verdict:
             "slam_toolbox",
             "misplaced",
             "a finite range up to range_max is a return if range_max is at most max_laser_range (default 25 m)",
-            f"{scan.full} ranges of range_max {scan.range_max:.9g} or 0.1 mm less: points where nothing is",
+            f"{scan.full} ranges of range_max {scan.range_max:.9g} or 0.1 mm less, taken for returns",
             "inf for no return, or a range_max above max_laser_range",
             "`no_return=inf`, or `range_max=100.0`: pc2scan convert --preset slam_toolbox",
         )
@@ -433,7 +433,7 @@ def _cartographer(scan: Scan, _first: Scan, placed: Placed) -> Verdict:
             "cartographer",
             "misplaced",
             "points are taken in the order of time: those that are earlier than the first are placed at its pose",
-            f"time_increment {scan.time_increment:.9g} s",
+            f"time_increment {scan.time_increment:.6g} s",
             ">= 0",
             "`time_increment=0.0`: pc2scan convert --preset cartographer",
         )

@@ -19,8 +19,8 @@ __all__ = ["ghosts", "refusal"]
 
 #: What a consumer does with scans that it does not accept.
 _DOES: dict[Outcome, str] = {
-    "shifted": "turns the beams of these scans by a part of one",
-    "misplaced": "would place ranges of these scans where nothing is",
+    "shifted": "would turn these scans by up to one beam",
+    "misplaced": "would misplace these scans",
     "ignored": "would refuse these scans",
     "aborts": "would abort at these scans",
 }
