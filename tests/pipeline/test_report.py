@@ -81,7 +81,7 @@ def test_skipped_messages_are_all_counted_and_the_first_ones_listed() -> None:
 
 def test_a_topic_that_cannot_be_carried_over_shows_in_the_exit_status() -> None:
     made = report(used=100)
-    made.topics.append(TopicReport("/x", "a/msg/B", None, "left out", note="cannot be written", lost=True))
+    made.topics.append(TopicReport("/x", "a/msg/B", None, "skipped", note="cannot be written", lost=True))
     assert made.exit_status == 0
     made.topics[-1].skip(3)
     assert made.exit_status == 3
@@ -92,7 +92,7 @@ def test_a_topic_that_cannot_be_carried_over_shows_in_the_exit_status() -> None:
 
 def test_a_topic_that_the_user_dropped_is_no_loss() -> None:
     made = report(used=100)
-    made.topics.append(TopicReport("/x", "a/msg/B", None, "left out"))
+    made.topics.append(TopicReport("/x", "a/msg/B", None, "skipped"))
     made.topics[-1].skip(3)
     assert (made.exit_status, made.skipped_count) == (0, 0)
     assert made.topics[-1].messages_in == 3

@@ -107,8 +107,8 @@ def _show_skipped(report: Report, limit: int) -> None:
         several = f" and {len(entries) - 1} more" if len(entries) > 1 else ""
         typer.echo(message(f"skipped: {topic}, stamp {when}{several}: {reason}"), err=True)
         shown += len(entries)
-    # Topics that are left out as a whole have a warning of their own.
-    single = sum(topic.skipped for topic in report.topics if topic.action != "left out")
+    # Topics that are skipped as a whole have their own warning.
+    single = sum(topic.skipped for topic in report.topics if topic.action != "skipped")
     if single > shown:
         typer.echo(f"skipped: {single - shown:,} more (--verbose or --report tell them)", err=True)
     hints = [entry.hint for entry in report.skipped if entry.hint]

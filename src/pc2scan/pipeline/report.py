@@ -108,11 +108,11 @@ class TopicReport:
     topic, msgtype
         In the source.
     target
-        Where it went: the scan's topic if converted, its own if it passed through, None if it was left out.
+        Where it went: the scan's topic if converted, its own if it passed through, None if it was skipped.
     action
-        ``converted``, ``passed``, ``re-encoded``, ``left out``, or ``added`` (transforms given by the user).
+        ``converted``, ``passed``, ``re-encoded``, ``skipped``, or ``added`` (transforms given by the user).
     note
-        Why it was left out, or what is worth knowing; empty otherwise.
+        Why it was skipped, or another note; empty otherwise.
     messages_in, messages_out, skipped
         Messages in the source (within ``--start`` and ``--end``), written, and those that should have been written but
         are missing. Messages of a topic that the user dropped are not missing.

@@ -115,7 +115,7 @@ def open_routes(
         if passing is not None:
             _prepare_passing(made, passing, target, same_kind, options, declared, compiled)
         if not route.targets:
-            made.reports.append(shared(passing or TopicReport(topic, msgtype, None, "left out")))
+            made.reports.append(shared(passing or TopicReport(topic, msgtype, None, "skipped")))
             continue
         source, written = connection.serialization, target.serialization
         made.convert = conversion.for_topic(topic, source, written, msgtype)
@@ -216,7 +216,7 @@ def _prepare_passing(
         error.topic = connection.topic
         raise error
     entry.note, entry.lost = error.message, True
-    entry.action, entry.target = "left out", None
+    entry.action, entry.target = "skipped", None
 
 
 def _holding_any() -> str:
