@@ -11,10 +11,13 @@ Recordings to arrays:
 
 - `scans`, `clouds`: the messages of a recording, one after the other; `scans` also converts clouds on the way
 - `project`: points to a scan, without a recording
+- `view`: clouds and the scans that come of them, as a page
 
 A recording is a ROS 1 bag, a rosbag2 directory, a ``.db3`` or an ``.mcap`` file, as ``str`` or ``pathlib.Path``, or a
 list of several that are one. The parameters of the projection are `ProjectionParams`, or keywords of `convert` and
 `scans`. Errors are those of `pc2scan.errors`, and begin at `Pc2ScanError`. ``print`` shows a result as tables.
+
+``help(pc2scan.convert)`` explains one of them, and the notebook ``docs/python.ipynb`` shows most.
 
 Importing this module is cheap: what it offers is loaded on first use.
 """

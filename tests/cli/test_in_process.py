@@ -4,6 +4,7 @@ import signal
 from typing import TYPE_CHECKING
 
 import pytest
+import typer
 
 from pc2scan.cli import app as app_module
 from pc2scan.cli.in_process import run_command
@@ -40,9 +41,12 @@ def test_where_the_output_goes_is_not_chosen_by_a_case(chosen: list[str], tmp_pa
 def test_a_signal_is_meant_for_the_whole_process(
     number: signal.Signals, raised: type[BaseException], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def ended(*_: object, **__: object) -> None:
+    app = typer.Typer()
+
+    @app.command()
+    def ended() -> None:
         raise SystemExit(128 + number)
 
-    monkeypatch.setattr(app_module, "application", lambda _: ended)
+    monkeypatch.setattr(app_module, "application", lambda *_: app)
     with pytest.raises(raised):
-        run_command(["convert"])
+        run_command([])

@@ -11,6 +11,7 @@ import pytest
 
 from benchmarks.clouds import FORMS, write_recording
 from e2e.command import environment
+from support import ROOT
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -84,6 +85,8 @@ os.umask(0o27)
 logging.getLogger().setLevel(logging.ERROR)
 warnings.simplefilter("always")
 gc.set_threshold(701)
+# Python remembers the folder once anybody asks.
+tempfile.gettempdir()
 import pc2scan
 
 source, folder = Path(sys.argv[1]), Path(sys.argv[2])
@@ -117,6 +120,21 @@ pc2scan.info([source])
 compare("info")
 pc2scan.check(folder / "scans.mcap")
 compare("check")
+print(pc2scan.tf(source), file=sys.stderr)
+compare("tf")
+pc2scan.repair(source, folder / "sound.bag" if source.suffix == ".bag" else folder / "sound.mcap", compression="none")
+compare("repair")
+for scan in pc2scan.scans(source, "/points", min_height=-100):
+    scan.xy()
+compare("scans")
+for cloud in pc2scan.clouds(source, "/points"):
+    cloud.xyz()
+    break
+compare("clouds, left")
+pc2scan.clouds(source, "/trifle")
+compare("clouds, forgotten")
+assert pc2scan.golden(sys.argv[3]).exit_status == 0
+compare("golden")
 try:
     pc2scan.convert(source, folder / "none.mcap", topics=["/none"])
 except Exception:
@@ -159,7 +177,7 @@ def python(script: str, *args: str | Path) -> str:
 @pytest.mark.parametrize("form", FORMS)
 def test_a_host_finds_everything_as_it_was(form: str, tmp_path: Path) -> None:
     source = write_recording(tmp_path, FORMS[form], 10_000_000)
-    assert python(HOST, source, tmp_path) == ""
+    assert python(HOST, source, tmp_path, ROOT / "fixtures" / "golden" / "tf_static") == ""
 
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="faults are counted as glibc's allocator causes them")

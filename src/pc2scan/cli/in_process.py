@@ -45,7 +45,8 @@ def run_command(arguments: Sequence[str], chosen: Sequence[str] = ()) -> Ended:
     status = 0
     with redirect_stdout(StringIO()), redirect_stderr(said):
         try:
-            application(*arguments[:1])([*arguments, *chosen], prog_name="pc2scan")
+            # Not the application itself: called, it sets the hook for exceptions of the process.
+            get_command(application(*arguments[:1])).main([*arguments, *chosen], prog_name="pc2scan")
         except SystemExit as err:
             status = err.code if isinstance(err.code, int) else 1
     if status == 128 + signal.SIGINT:
