@@ -87,6 +87,9 @@ def convert(
     filters: Iterable[Filter] = (),
     reverse: bool = False,
     deskew: bool = False,
+    fixed_frame: str = "",
+    point_time: str = "",
+    stamp: str = "header",
     channels: str | Iterable[str] | UnprojectParams | None = None,
     range_cutoff: float | None = None,
     on_error: str = "skip",
@@ -149,8 +152,12 @@ def convert(
         a limit that grows with range.
     filters
         Further filters, as objects.
-    reverse, deskew
-        Whether LaserScan becomes PointCloud2; whether each beam is transformed by the pose at its own time.
+    reverse
+        Whether LaserScan becomes PointCloud2.
+    deskew, fixed_frame, point_time, stamp
+        Whether each point (with ``reverse`` each beam) is transformed by the pose at its own time. Of clouds: through a
+        frame that does not move, such as ``odom``; the field with the times of points, and its unit, as ``t:ns``; which
+        time the scan has: ``header``, ``start``, ``middle`` or ``end``.
     channels, range_cutoff
         Further fields of the clouds that ``reverse`` makes (``distances``, ``stamps``, ``viewpoint``), or all of them
         as `UnprojectParams`; only returns nearer than ``range_cutoff`` are kept, metres.
@@ -218,6 +225,9 @@ def convert(
         reverse=resolved.reverse,
         channels=channels_of(channels, range_cutoff),
         deskew=deskew,
+        fixed_frame=fixed_frame,
+        point_time=point_time,
+        stamp=stamp,
         filters=filters_of(resolved, where, exclude_box, exclude_polygon, min_height_slope, filters),
         frames=frames_of(frames, static_tf, static_tf_file, write_static_tf, tf_from, tf_topics, source_frame),
         topics=names_in("topics", topics) or resolved.topics,

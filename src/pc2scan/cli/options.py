@@ -49,6 +49,7 @@ _PARAMS = "Parameters of pointcloud_to_laserscan"
 _SLAM = "Beyond pointcloud_to_laserscan (ready for SLAM)"
 _POINTS = "Which points"
 _FRAMES = "Frames"
+_MOVING = "Robots that move"
 _REVERSE = "The way back"
 _RUN = "Run"
 _OUTPUT = "Output"
@@ -395,6 +396,46 @@ class Frames(Group):
         )
 
 
+class Moving(Group):
+    """Points and beams where they were at their own times."""
+
+    deskew: Annotated[
+        bool,
+        typer.Option(
+            "--deskew",
+            help="Transform each point of a cloud by the pose at its own time, through --fixed-frame. With --reverse "
+            "each beam of a scan; that needs a --target-frame such as odom.",
+            rich_help_panel=_MOVING,
+        ),
+    ] = False
+    fixed_frame: Annotated[
+        str,
+        typer.Option(
+            metavar="FRAME",
+            help="A frame that does not move, such as odom.",
+            show_default=False,
+            rich_help_panel=_MOVING,
+        ),
+    ] = ""
+    point_time: Annotated[
+        str,
+        typer.Option(
+            metavar="FIELD[:UNIT]",
+            help="Field with the times of points, from the stamp on or absolute; unit: s, ms, us, ns.  "
+            "[default: t, time, timestamp, time_stamp or offset_time]",
+            show_default=False,
+            rich_help_panel=_MOVING,
+        ),
+    ] = ""
+    stamp: Annotated[
+        Literal["header", "start", "middle", "end"],
+        typer.Option(
+            help="The time of a deskewed scan: the cloud's stamp, or the start, middle or end of its points' times.",
+            rich_help_panel=_MOVING,
+        ),
+    ] = "header"
+
+
 class Channel(StrEnum):
     """Channels that laser_geometry can add to a cloud."""
 
@@ -411,14 +452,6 @@ class Reverse(Group):
         typer.Option(
             "--reverse",
             help="Convert LaserScan to PointCloud2, as laserscan_to_pointcloud does.",
-            rich_help_panel=_REVERSE,
-        ),
-    ] = False
-    deskew: Annotated[
-        bool,
-        typer.Option(
-            "--deskew",
-            help="Transform each beam by the pose at its own time; needs a --target-frame such as odom.",
             rich_help_panel=_REVERSE,
         ),
     ] = False
@@ -546,6 +579,7 @@ class Conversion(Group):
     projection: Projection
     points: Points
     frames: Frames
+    moving: Moving
     reverse: Reverse
     running: Running
 
@@ -596,7 +630,10 @@ class Conversion(Group):
             params=resolved.params,
             reverse=resolved.reverse,
             channels=self.reverse.fields(),
-            deskew=self.reverse.deskew,
+            deskew=self.moving.deskew,
+            fixed_frame=self.moving.fixed_frame,
+            point_time=self.moving.point_time,
+            stamp=self.moving.stamp,
             filters=tuple(self.points.filters(resolved.params.min_height)),
             frames=frames,
             topics=names,

@@ -464,7 +464,7 @@ static int find_type(PyObject *array, Axis *axis, Py_ssize_t item) {
     return known ? 0 : -1;
 }
 
-static int take(Cloud *cloud, PyObject *xyz[3], PyObject *rule, PyObject *transform) {
+static int take_coordinates(Cloud *cloud, PyObject *xyz[3]) {
     memset(cloud, 0, sizeof *cloud);
     const Py_buffer *like = &cloud->coordinates[0];
     for (; cloud->held < 3; cloud->held++) {
@@ -488,6 +488,14 @@ static int take(Cloud *cloud, PyObject *xyz[3], PyObject *rule, PyObject *transf
     }
     cloud->rows = like->ndim == 2 ? like->shape[0] : 1;
     cloud->columns = like->shape[like->ndim - 1];
+    return 0;
+failed:
+    release(cloud);
+    return -1;
+}
+
+static int take(Cloud *cloud, PyObject *xyz[3], PyObject *rule, PyObject *transform) {
+    if (take_coordinates(cloud, xyz) < 0) return -1;
     if (contiguous(rule, &cloud->rule, PyBUF_SIMPLE, 8, sizeof(Rule) / 8) < 0) {
         cloud->rule.obj = NULL;
         goto failed;
@@ -625,11 +633,144 @@ release_x:
     return result;
 }
 
+/* The parts of a cloud's time between two nodes, and the transforms at these: twelve numbers each. */
+typedef struct {
+    const double *times, *transforms;
+    Py_ssize_t nodes;
+} Motion;
+
+/* The part that a time lies in: the first that does not end before it, or the one behind it if only that is known. */
+static Py_ssize_t part_at(const Motion *motion, double time, Py_ssize_t part) {
+    const double *ends = motion->times + 1;
+    const Py_ssize_t last = motion->nodes - 2;
+    if (part < last && time > ends[part] && time <= ends[part + 1]) part++;
+    else if (!(time > motion->times[part] && time <= ends[part])) {
+        Py_ssize_t low = 0, high = last;
+        while (low < high) {
+            Py_ssize_t middle = (low + high) / 2;
+            if (ends[middle] < time) low = middle + 1;
+            else high = middle;
+        }
+        part = low;
+    }
+    return part;
+}
+
+static int is_known(const Motion *motion, Py_ssize_t part) {
+    const double *from = motion->transforms + 12 * part;
+    return from[0] == from[0] && from[12] == from[12];
+}
+
+/* Transform points of one part: the transform is interpolated linearly. */
+WIDEST static void deskew_run(const float *restrict x, const float *restrict y, const float *restrict z,
+                              const double *restrict times, int count, const Motion *motion, Py_ssize_t part,
+                              float *restrict to_x, float *restrict to_y, float *restrict to_z) {
+    const double begin = motion->times[part], scale = 1.0 / (motion->times[part + 1] - begin);
+    double from[12], step[12];
+    for (int k = 0; k < 12; k++) {
+        from[k] = motion->transforms[12 * part + k];
+        step[k] = motion->transforms[12 * part + 12 + k] - from[k];
+    }
+    for (int i = 0; i < count; i++) {
+        const double ratio = (times[i] - begin) * scale, a = x[i], b = y[i], c = z[i];
+        to_x[i] = (float)((from[0] + ratio * step[0]) * a + (from[1] + ratio * step[1]) * b +
+                          (from[2] + ratio * step[2]) * c + (from[9] + ratio * step[9]));
+        to_y[i] = (float)((from[3] + ratio * step[3]) * a + (from[4] + ratio * step[4]) * b +
+                          (from[5] + ratio * step[5]) * c + (from[10] + ratio * step[10]));
+        to_z[i] = (float)((from[6] + ratio * step[6]) * a + (from[7] + ratio * step[7]) * b +
+                          (from[8] + ratio * step[8]) * c + (from[11] + ratio * step[11]));
+    }
+}
+
+/* Transform a cloud whose points were measured one after the other. Returns how many points have no transform. */
+static int64_t deskew_cloud(const Cloud *cloud, const double *times, const Motion *motion, float *out) {
+    const int common = in_common(cloud->axis);
+    const Py_ssize_t total = cloud->rows * cloud->columns;
+    const double first = motion->times[0], last = motion->times[motion->nodes - 1];
+    float x[BLOCK], y[BLOCK], z[BLOCK];
+    Py_ssize_t part = 0, place = 0;
+    int64_t missing = 0;
+    for (Py_ssize_t row = 0; row < cloud->rows; row++)
+        for (Py_ssize_t column = 0; column < cloud->columns;) {
+            const int count = cloud->columns - column < BLOCK ? (int)(cloud->columns - column) : BLOCK;
+            for (int axis = 0; axis < 3; axis++) {
+                const Axis *own = &cloud->axis[axis];
+                const char *from = own->data + row * own->row_step + column * own->step;
+                float *to = axis == 0 ? x : axis == 1 ? y : z;
+                if (common == FLOATS)
+                    for (int i = 0; i < count; i++) to[i] = read_float(from + i * own->step);
+                else
+                    for (int i = 0; i < count; i++) to[i] = (float)read_any(from + i * own->step, own);
+            }
+            for (int i = 0; i < count;) {
+                const double time = times[place + i];
+                int end = i + 1;
+                int known = time >= first && time <= last;
+                if (known) {
+                    part = part_at(motion, time, part);
+                    Py_ssize_t used = part;
+                    if (!is_known(motion, part) && time == motion->times[part + 1] && part < motion->nodes - 2) used++;
+                    const double low = motion->times[part], high = motion->times[part + 1];
+                    if (used == part)
+                        while (end < count && times[place + end] > low && times[place + end] < high) end++;
+                    known = is_known(motion, used);
+                    if (known)
+                        deskew_run(x + i, y + i, z + i, times + place + i, end - i, motion, used, out + place + i,
+                                   out + total + place + i, out + 2 * total + place + i);
+                }
+                if (!known)
+                    for (int k = i; k < end; k++) {
+                        missing += x[k] == x[k] && y[k] == y[k] && z[k] == z[k];
+                        out[place + k] = out[total + place + k] = out[2 * total + place + k] = NAN;
+                    }
+                i = end;
+            }
+            column += count;
+            place += count;
+        }
+    return missing;
+}
+
+static PyObject *deskew(PyObject *self, PyObject *args) {
+    (void)self;
+    PyObject *xyz[3], *times_of, *nodes_of, *transforms_of, *out_of, *result = NULL;
+    if (!PyArg_ParseTuple(args, "OOOOOOO", &xyz[0], &xyz[1], &xyz[2], &times_of, &nodes_of, &transforms_of, &out_of))
+        return NULL;
+    Cloud cloud;
+    if (take_coordinates(&cloud, xyz) < 0) return NULL;
+    const Py_ssize_t most = cloud.rows * cloud.columns;
+    Py_buffer times, nodes, transforms, out;
+    if (contiguous(times_of, &times, PyBUF_SIMPLE, 8, most) < 0) goto release_cloud;
+    if (contiguous(nodes_of, &nodes, PyBUF_SIMPLE, 8, -1) < 0) goto release_times;
+    if (contiguous(transforms_of, &transforms, PyBUF_SIMPLE, 8, nodes.len / 8 * 12) < 0) goto release_nodes;
+    if (contiguous(out_of, &out, PyBUF_WRITABLE, 4, 3 * most) < 0) goto release_transforms;
+    if (nodes.len < 16) PyErr_SetString(PyExc_ValueError, "there are fewer than two nodes");
+    else {
+        const Motion motion = {nodes.buf, transforms.buf, nodes.len / 8};
+        PyThreadState *state = let_others(most);
+        const int64_t missing = deskew_cloud(&cloud, times.buf, &motion, out.buf);
+        if (state) PyEval_RestoreThread(state);
+        result = PyLong_FromLongLong((long long)missing);
+    }
+    PyBuffer_Release(&out);
+release_transforms:
+    PyBuffer_Release(&transforms);
+release_nodes:
+    PyBuffer_Release(&nodes);
+release_times:
+    PyBuffer_Release(&times);
+release_cloud:
+    release(&cloud);
+    return result;
+}
+
 static PyMethodDef methods[] = {
     {"project", project, METH_VARARGS,
      "project(x, y, z, rule, transform, ranges, limit, empty) -> (nan, height, range, angle, past_end); see plain.py"},
     {"gather", gather, METH_VARARGS,
      "gather(x, y, z, rule, transform, beams, bins, ranges, numbers) -> the same counts; see plain.py"},
+    {"deskew", deskew, METH_VARARGS,
+     "deskew(x, y, z, times, node_times, transforms, out) -> points without a transform; see plain.py"},
     {"angles", angles, METH_VARARGS, "angles(x, y, out, glibc=False): atan2(y, x) of contiguous float32; see plain.py"},
     {NULL, NULL, 0, NULL},
 };

@@ -25,4 +25,14 @@ def gather(
     numbers: NDArray[Any],
     /,
 ) -> tuple[int, ...]: ...
+def deskew(
+    x: NDArray[Any],
+    y: NDArray[Any],
+    z: NDArray[Any],
+    times: NDArray[Any],
+    node_times: NDArray[Any],
+    transforms: NDArray[Any],
+    out: NDArray[Any],
+    /,
+) -> int: ...
 def angles(x: NDArray[Any], y: NDArray[Any], out: NDArray[Any], glibc: bool = ..., /) -> None: ...

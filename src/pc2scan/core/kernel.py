@@ -5,14 +5,14 @@ An installation without a C compiler, from source, does without the compiled one
 
 from __future__ import annotations
 
-__all__ = ["COMPILED", "angles", "gather", "project"]
+__all__ = ["COMPILED", "angles", "deskew", "gather", "project"]
 
 try:
-    from ._kernel import angles, gather, project
+    from ._kernel import angles, deskew, gather, project
 
     #: Whether the loops are compiled.
     COMPILED = True
 except ImportError:
-    from .plain import angles, gather, project
+    from .plain import angles, deskew, gather, project
 
     COMPILED = False

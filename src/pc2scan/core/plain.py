@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["angles", "bins_of", "gather", "project", "transformed"]
+__all__ = ["angles", "bins_of", "deskew", "gather", "project", "transformed"]
 
 #: Points at a time: few enough for the cache, and enough to make the cost of calling NumPy small.
 BLOCK = 16384
@@ -187,6 +187,60 @@ def angles(x: NDArray[np.float32], y: NDArray[np.float32], out: NDArray[np.float
     else:
         # What float64 is off by is lost in the rounding, but for about one in a hundred million.
         out[...] = np.arctan2(y, x, dtype=np.float64)
+
+
+def deskew(
+    x: NDArray[Any],
+    y: NDArray[Any],
+    z: NDArray[Any],
+    times: NDArray[np.float64],
+    node_times: NDArray[np.float64],
+    transforms: NDArray[np.float64],
+    out: NDArray[np.float32],
+) -> int:
+    """Transform each point by the transform at its own time, in float64.
+
+    Between two nodes the transform is interpolated linearly, rotations too: nodes have to be close to each other.
+
+    Parameters
+    ----------
+    x, y, z
+        Coordinates in metres, of one shape, (M,) or (H, W), of any of PointField's datatypes.
+    times
+        One for each point, in the order of the points; NaN: not known.
+    node_times
+        (N,), increasing, at least two.
+    transforms
+        (N, 12): the rows of the rotation, then the translation; NaN where there is none.
+    out
+        (3, points), overwritten: the coordinates, NaN for points without a transform.
+
+    Returns
+    -------
+    int
+        How many points have coordinates, but no transform: outside of the nodes, or beside one that is NaN.
+    """
+    with np.errstate(all="ignore"):
+        source = [np.ravel(axis).astype(np.float32) for axis in (x, y, z)]
+        last = node_times.size - 2
+        part = np.clip(np.searchsorted(node_times, times, "left") - 1, 0, last)
+        known = ~np.isnan(transforms[:-1, 0] + transforms[1:, 0])
+        # At the end of a part without transforms begins one that may have them.
+        behind = ~known[part] & (times == node_times[part + 1]) & (part < last)
+        part[behind] += 1
+        begin = node_times[part]
+        ratio = (times - begin) * (1.0 / (node_times[part + 1] - begin))
+        a, b, c = (axis.astype(np.float64) for axis in source)
+        found = known[part] & (times >= node_times[0]) & (times <= node_times[-1])
+        for axis, offset in zip(range(3), range(9, 12), strict=True):
+            row = []
+            for k in (3 * axis, 3 * axis + 1, 3 * axis + 2, offset):
+                first = transforms[part, k]
+                row.append(first + ratio * (transforms[part + 1, k] - first))
+            out[axis] = row[0] * a + row[1] * b + row[2] * c + row[3]
+        out[:, ~found] = np.nan
+        measured = ~(np.isnan(source[0]) | np.isnan(source[1]) | np.isnan(source[2]))
+    return int(np.count_nonzero(~found & measured))
 
 
 def transformed(

@@ -13,7 +13,7 @@ from pc2scan.errors import DecodeError
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-__all__ = ["Columns", "Points", "coordinates_of", "values_of"]
+__all__ = ["TIME", "Columns", "Points", "coordinates_of", "values_of"]
 
 
 class Columns(Protocol):
@@ -27,6 +27,10 @@ class Columns(Protocol):
 
 
 _AXES = ("x", "y", "z")
+
+#: The field that stages add: when each point was measured, float64 seconds after the stamp, NaN where that is not
+#: known. No message has it.
+TIME = "<time>"
 
 
 # Not frozen, though nobody changes one: a frozen one takes three times as long to make.
@@ -108,8 +112,11 @@ class Points:
         with np.errstate(all="ignore"):
             x, y, z = (axis.astype(np.float32, copy=False) for axis in self.xyz())
             coordinates = transformed(x, y, z, transform)
-        fields = _Replaced(self.fields, dict(zip(_AXES, coordinates, strict=True)))
-        return Points(self.sequence, self.stamp_ns, frame_id, fields)
+        return self.replace(dict(zip(_AXES, coordinates, strict=True)), frame_id)
+
+    def replace(self, values: Mapping[str, NDArray[Any]], frame_id: str) -> Points:
+        """Return the points with other values of some fields, which may be new; of the shape of the others."""
+        return Points(self.sequence, self.stamp_ns, frame_id, _Replaced(self.fields, values))
 
 
 class _Selected(Mapping[str, "NDArray[Any]"]):
@@ -146,13 +153,13 @@ class _Replaced(Mapping[str, "NDArray[Any]"]):
         return self._values[name] if name in self._values else self._fields[name]
 
     def __contains__(self, name: object) -> bool:
-        return name in self._fields
+        return name in self._values or name in self._fields
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._fields)
+        return iter({**dict.fromkeys(self._fields), **self._values})
 
     def __len__(self) -> int:
-        return len(self._fields)
+        return len(set(self._fields).union(self._values))
 
 
 def _has_columns(points: object) -> TypeGuard[Columns]:

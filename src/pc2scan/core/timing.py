@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from .layout import BeamLayout
 
-__all__ = ["TIME_FIELDS", "Sweep", "beam_times", "fit_sweep", "median_interval_ns", "point_times"]
+__all__ = ["TIME_FIELDS", "TIME_UNITS", "Sweep", "beam_times", "fit_sweep", "median_interval_ns", "point_times"]
 
 #: Fields of clouds that drivers put a point's time into, the first one that is there counts: Ouster's ``t``, Velodyne's
 #: ``time``, Hesai's, RoboSense's and Livox's ``timestamp``, Autoware's ``time_stamp``, Livox's ``offset_time``.
@@ -26,6 +26,9 @@ TIME_FIELDS = ("t", "time", "timestamp", "time_stamp", "offset_time")
 
 #: A cloud takes 2 ms to 2 s. Its floating-point times span so much in the unit that they are in.
 _UNITS = ((2.0, 1.0), (2e3, 1e-3), (2e6, 1e-6), (math.inf, 1e-9))
+
+#: Units that a user may name, in seconds.
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 #: Seconds from here on are not since the cloud's beginning but since 1970, or since the sensor was switched on.
 _ABSOLUTE = 1000.0
@@ -53,7 +56,7 @@ def median_interval_ns(stamps_ns: Iterable[int]) -> int | None:
     return intervals[(len(intervals) - 1) // 2] if intervals else None
 
 
-def point_times(values: NDArray[Any], stamp_ns: int) -> NDArray[np.float64]:
+def point_times(values: NDArray[Any], stamp_ns: int, unit_name: str = "") -> NDArray[np.float64]:
     """When points were measured, seconds after their cloud's stamp.
 
     Parameters
@@ -63,6 +66,8 @@ def point_times(values: NDArray[Any], stamp_ns: int) -> NDArray[np.float64]:
         micro- or nanoseconds, as what they span tells. They count from the stamp, or are absolute.
     stamp_ns
         The cloud's stamp.
+    unit_name
+        One of `TIME_UNITS`, instead of what the numbers tell.
 
     Returns
     -------
@@ -74,6 +79,7 @@ def point_times(values: NDArray[Any], stamp_ns: int) -> NDArray[np.float64]:
         return times
     low, high = float(np.nanmin(times)), float(np.nanmax(times))
     unit = 1e-9 if values.dtype.kind in "iu" else next((unit for most, unit in _UNITS if high - low < most), 1e-9)
+    unit = TIME_UNITS.get(unit_name, unit)
     if abs(low * unit) >= _ABSOLUTE:
         # Subtracted as whole numbers of the unit first: seconds since 1970 leave a float64 no digits to lose.
         times -= stamp_ns / round(1e9 * unit)

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from pc2scan.model import Buffer
     from pc2scan.tf.placing import Frames, Placement
 
+    from .stages.deskew import Deskew, Moving
     from .stages.filters import Filter
 
 __all__ = ["CloudToScan"]
@@ -64,6 +65,8 @@ class CloudToScan(Conversion):
         What was measured of each source topic. Elsewhere the parameters count, and what they leave to be measured is 0.
     filters
         What selects points before they are projected, in order.
+    deskew
+        What places points at their own times; None: all points of a cloud are placed at its stamp.
     output_type
         What the scans are encoded as: a key of `OF_CLOUDS`.
     """
@@ -74,6 +77,7 @@ class CloudToScan(Conversion):
         frames: Frames,
         timings: Mapping[str, Measured] | None = None,
         filters: Sequence[Filter] = (),
+        deskew: Deskew | None = None,
         output_type: str = LASERSCAN,
     ) -> None:
         self._timings = timings or {}
@@ -89,8 +93,9 @@ class CloudToScan(Conversion):
         with np.errstate(over="ignore"):
             # Upstream's default is a float64's largest: once here, it need not be rounded for every scan.
             self._range_max = float(np.float32(params.range_max))
+        self._deskew = deskew
         self._select = None
-        if filters:
+        if filters or deskew is not None:
             from .stages.select import Select  # noqa: PLC0415  # only where something is selected
 
             self._select = Select(filters, frames)
@@ -105,10 +110,11 @@ class CloudToScan(Conversion):
 
     def _scan(self, timing: Measured, beams: _Beams, decode: Decode, data: Buffer) -> Result:
         points = decode(data)
-        place = self._frames.place(points.frame_id, points.stamp_ns)
-        scan = self._projected(points, place, beams.project)
+        moving = None if self._deskew is None else self._deskew(points)
+        points, stamp_ns = (points, points.stamp_ns) if moving is None else (moving.points, moving.stamp_ns)
+        place = self._frames.place(points.frame_id, stamp_ns)
+        scan = self._projected(points, place, moving, beams.project)
         params, layout = self.params, beams.layout
-        stamp_ns = points.stamp_ns
         if timing.first_beam_ns:
             # A simulation's time begins at 0, and ROS 1 has none before.
             stamp_ns = max(0, stamp_ns + timing.first_beam_ns)
@@ -126,14 +132,15 @@ class CloudToScan(Conversion):
             scan.ranges,
             scan.intensities,
         )
-        return Result(message, scan.counts, scan.ranges.tobytes() == beams.no_returns)
+        empty = scan.ranges.tobytes() == beams.no_returns
+        return Result(message, scan.counts, empty, None if moving is None else moving.motion)
 
-    def _projected(self, points: Points, place: Placement, project: Projector) -> ProjectedScan:
+    def _projected(self, points: Points, place: Placement, moving: Moving | None, project: Projector) -> ProjectedScan:
         """Place, select and project; without filters, the loops over points transform and project at once."""
         transform = place.target_from_source
         rejected: dict[str, int] = {}
         if self._select is not None:
-            points, transform, rejected = self._select(points, place)
+            points, transform, rejected = self._select(points, place, moving)
         rotation_and_translation = None if transform is None else transform.as_float32()
         name = self.params.intensity_field
         scan = project(*points.xyz(), rotation_and_translation, points.field(name) if name else None)

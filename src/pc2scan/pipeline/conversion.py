@@ -14,18 +14,21 @@ if TYPE_CHECKING:
     from pc2scan.messages.outputs import OutputType
     from pc2scan.model import Buffer
 
+    from .stages.deskew import Motion
+
 __all__ = ["Conversion", "Converted", "Measured", "Result"]
 
 
 class Result(NamedTuple):
     """What the stages make of one message: the new message as arrays, which the output's type encodes.
 
-    ``empty`` is whether it has no return, or no point.
+    ``empty`` is whether it has no return, or no point; ``motion`` is how far the sensor moved, if it was deskewed.
     """
 
     message: Any
     counts: PointCounts
     empty: bool
+    motion: Motion | None = None
 
 
 class Converted(NamedTuple):
@@ -34,6 +37,7 @@ class Converted(NamedTuple):
     data: bytes
     counts: PointCounts
     empty: bool
+    motion: Motion | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,5 +110,5 @@ def _encoded(
     stages: Callable[[Buffer], Result], encode: Callable[[Any, str], bytes], target: str, data: Buffer
 ) -> Converted:
     # Stages that combine several messages belong here: they take results, in order, before these are encoded.
-    message, counts, empty = stages(data)
-    return Converted(encode(message, target), counts, empty)
+    message, counts, empty, motion = stages(data)
+    return Converted(encode(message, target), counts, empty, motion)

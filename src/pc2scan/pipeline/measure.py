@@ -17,11 +17,12 @@ from pc2scan.core.resolution import RING_FIELDS, azimuth_step
 from pc2scan.core.timing import TIME_FIELDS, beam_times, fit_sweep, median_interval_ns, point_times
 from pc2scan.errors import MessageError, ParameterError, stamp_text
 from pc2scan.messages.clouds import CLOUDS
+from pc2scan.names import did_you_mean
 
 from .conversion import Measured
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable
 
     from numpy.typing import NDArray
 
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
     from pc2scan.model import Connection
     from pc2scan.tf.placing import Frames
 
-    from .stages.filters import Filter
+    from .options import ConvertOptions
 
 __all__ = ["measure"]
 
@@ -45,11 +46,10 @@ SWEEPS = 11
 def measure(
     reader: Reader,
     connections: Iterable[Connection],
-    params: ProjectionParams,
+    options: ConvertOptions,
     frames: Frames,
     start_ns: int | None = None,
     stop_ns: int | None = None,
-    filters: Sequence[Filter] = (),
 ) -> tuple[dict[str, Measured], list[str]]:
     """Look at the first clouds of each topic.
 
@@ -57,15 +57,13 @@ def measure(
     ----------
     connections
         Those to be converted.
-    params
-        ``scan_time``, ``time_increment`` and ``beams`` that are ``auto`` are measured; an ``intensity_field`` has to be
-        there.
+    options
+        ``scan_time``, ``time_increment`` and ``beams`` that are ``auto`` are measured; fields that are asked for have
+        to be there.
     frames
         The scans' frame is the one that beams are measured in.
     start_ns, stop_ns
         The cut, by log time; None: no limit.
-    filters
-        What selects points; their fields have to be there.
 
     Returns
     -------
@@ -75,9 +73,10 @@ def measure(
     Raises
     ------
     ParameterError
-        If no cloud of a topic's first ones has the ``intensity_field``, or a field that a filter needs; if ``beams`` is
-        auto, and they are not in regular rings.
+        If no cloud of a topic's first ones has the ``intensity_field``, or a field that a filter or deskewing needs; if
+        ``beams`` is auto, and they are not in regular rings.
     """
+    params = options.params
     timings: dict[str, Measured] = {}
     notes: list[str] = []
     topics: dict[str, list[Connection]] = {}
@@ -94,7 +93,7 @@ def measure(
             except MessageError:
                 # What cannot be decoded or transformed is reported when its turn to be converted comes.
                 continue
-        first.require_fields(topic, filters)
+        first.require_fields(topic, options)
         timings[topic] = first.timing(topic, notes)
     return timings, notes
 
@@ -160,20 +159,32 @@ class _FirstClouds:
         angles[nowhere] = np.nan
         return angles
 
-    def require_fields(self, topic: str, filters: Sequence[Filter]) -> None:
+    def require_fields(self, topic: str, options: ConvertOptions) -> None:
         """Refuse to begin without a field that was asked for."""
-        name = self._params.intensity_field
+        if not self._stamps:
+            return
+        there = f"their fields are: {', '.join(self._fields) or 'none'}"
+        name = options.params.intensity_field
         asked = [("intensity_field", f"intensity_field is {name!r}", name)] if name else []
         asked += [
-            (each.name, f"`{each.name}` needs the field {field!r}", field) for each in filters for field in each.fields
+            (f.name, f"`{f.name}` needs the field {field!r}", field) for f in options.filters for field in f.fields
         ]
+        if options.point_time:
+            asked.append(
+                ("point_time", f"`point_time` is {options.point_time!r}", options.point_time.partition(":")[0])
+            )
         for option, request, field in asked:
-            if self._stamps and field not in self._fields:
+            if field not in self._fields:
+                near = did_you_mean(field, self._fields)
                 raise ParameterError(
-                    f"{request}, which the clouds on {topic} do not have",
-                    name=option,
-                    hint=f"their fields are: {', '.join(self._fields) or 'none'}",
+                    f"{request}, which the clouds on {topic} do not have", name=option, hint=f"{near} {there}".strip()
                 )
+        if options.deskew and not options.point_time and not any(name in self._fields for name in TIME_FIELDS):
+            raise ParameterError(
+                f"the clouds on {topic} have no times of their points: no field {', '.join(TIME_FIELDS)}",
+                name="point_time",
+                hint=f"name the field that has them: `point_time=FIELD`; {there}",
+            )
 
     def timing(self, topic: str, notes: list[str]) -> Measured:
         """What to write into the scans."""

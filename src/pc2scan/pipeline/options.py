@@ -19,11 +19,14 @@ from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.messages.outputs import OF_CLOUDS, OF_SCANS
 from pc2scan.tf.options import FrameOptions
 
+from .stages.filters import rejection_of
+
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     import numpy as np
 
+    from pc2scan.core.rule import Rejection
     from pc2scan.core.unproject import UnprojectParams
     from pc2scan.messages.outputs import OutputType
 
@@ -240,7 +243,15 @@ class ConvertOptions:
     channels
         Fields of the clouds that ``reverse`` makes, and the range cutoff; None means the defaults.
     deskew
-        With ``reverse``: transform each beam by the pose at its own time.
+        Transform each point of a cloud, with ``reverse`` each beam of a scan, by the pose at its own time.
+    fixed_frame
+        With ``deskew`` of clouds: a frame that does not move, through which points are placed.
+    point_time
+        With ``deskew`` of clouds: where the times of points are, as ``FIELD`` or ``FIELD:UNIT``. Empty: in the first
+        field that is usual.
+    stamp
+        With ``deskew`` of clouds: the scan's time: that of the cloud's ``header``, or the ``start``, ``middle`` or
+        ``end`` of its points' times.
     filters
         What selects points of clouds before they are projected, in order.
     output_type
@@ -283,6 +294,9 @@ class ConvertOptions:
     reverse: bool = False
     channels: UnprojectParams | None = None
     deskew: bool = False
+    fixed_frame: str = ""
+    point_time: str = ""
+    stamp: str = "header"
     filters: tuple[Filter, ...] = ()
     output_type: str = ""
     frames: FrameOptions = FrameOptions()
@@ -313,13 +327,35 @@ class ConvertOptions:
             raise UsageError(f"jobs is {self.jobs}, it must not be negative")
         if self.only_scans and (self.keep or self.keep_clouds):
             raise UsageError("`only_scans` leaves out what `keep` and `keep_clouds` ask for")
-        if not self.reverse and (self.deskew or self.channels is not None):
-            raise UsageError("`deskew`, `channels` and `range_cutoff` go with `reverse`")
+        if not self.reverse and self.channels is not None:
+            raise UsageError("`channels` and `range_cutoff` go with `reverse`")
         self._check_stages()
-        if self.deskew and not self.params.target_frame:
+        self._check_deskewing()
+
+    def _check_deskewing(self) -> None:
+        if self.deskew and self.reverse and not self.params.target_frame:
             raise UsageError(
                 "`deskew` needs a `target_frame` that does not move with the sensor",
                 hint="such as `target_frame=odom`",
+            )
+        if (self.reverse or not self.deskew) and (self.fixed_frame or self.point_time or self.stamp != "header"):
+            raise UsageError("`fixed_frame`, `point_time` and `stamp` go with `deskew` of clouds")
+        if self.reverse or not self.deskew:
+            return
+        from .stages.deskew import STAMPS, PointTime  # noqa: PLC0415  # only where points move
+
+        if not self.fixed_frame:
+            raise UsageError(
+                "`deskew` of clouds needs a frame that does not move: `fixed_frame`", hint="such as `fixed_frame=odom`"
+            )
+        if self.stamp not in STAMPS:
+            raise UsageError(f"`stamp` is {self.stamp!r}, it must be one of {', '.join(STAMPS)}")
+        if self.point_time:
+            PointTime.parse(self.point_time)
+        if self.params.time_increment != 0:
+            raise UsageError(
+                f"time_increment is {self.params.time_increment}, but a deskewed scan is of one time",
+                hint="leave `time_increment` out",
             )
 
     def _check_stages(self) -> None:
@@ -359,6 +395,16 @@ class ConvertOptions:
             end=_bound("end", end),
             **others,
         )
+
+    @property
+    def rejections(self) -> tuple[Rejection, ...]:
+        """Why points may be rejected, other than by the projection itself."""
+        further = tuple(map(rejection_of, self.filters))
+        if not self.deskew or self.reverse:
+            return further
+        from .stages.deskew import NO_TIME, NO_TRANSFORM  # noqa: PLC0415  # only where points move
+
+        return (*further, NO_TIME, NO_TRANSFORM)
 
     @property
     def source_types(self) -> tuple[str, ...]:

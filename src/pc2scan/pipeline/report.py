@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from dataclasses import asdict, dataclass, field, fields
+from statistics import median_low
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.core.counts import PointCounts
@@ -15,7 +17,7 @@ from pc2scan.shown import Shown, Table, count, listed, size
 from pc2scan.version import __version__
 
 from .parameters import from_preset
-from .stages.filters import as_dict, rejection_of
+from .stages.filters import as_dict
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -120,6 +122,8 @@ class TopicReport:
         Of all converted clouds: how many points are used, and how many are rejected for which reason.
     empty_scans
         Scans without a single return.
+    motions
+        Of deskewed clouds: how far the sensor was from its pose at the scan's time, at most, metres and radians.
     clouds_kept
         Whether the converted clouds were written too.
     lost
@@ -136,8 +140,22 @@ class TopicReport:
     skipped: int = 0
     points: PointCounts = field(default_factory=PointCounts)
     empty_scans: int = 0
+    motions: list[tuple[float, float]] = field(default_factory=list)
     clouds_kept: bool = False
     lost: bool = False
+
+    @property
+    def motion(self) -> dict[str, float] | None:
+        """The largest and the median of the motions, metres and degrees; None if nothing was deskewed."""
+        if not self.motions:
+            return None
+        metres, radians = zip(*self.motions, strict=True)
+        return {
+            "largest_m": max(metres),
+            "median_m": median_low(metres),
+            "largest_deg": math.degrees(max(radians)),
+            "median_deg": math.degrees(median_low(radians)),
+        }
 
     def skip(self, count: int) -> None:
         """Count messages of a topic that is left out; they are missing unless the user dropped the topic."""
@@ -166,6 +184,8 @@ class Report(Shown):
         Where each parameter's value came from, by name; ``default`` if from nowhere.
     filters
         What selected points before they were projected.
+    further
+        Why points may be rejected, other than by the projection itself.
     topics
         One entry for each source topic and each topic that it goes to, in the source's order.
     skipped
@@ -190,6 +210,7 @@ class Report(Shown):
     params: ProjectionParams
     origins: dict[str, str] = field(default_factory=dict)
     filters: tuple[Filter, ...] = ()
+    further: tuple[Rejection, ...] = ()
     topics: list[TopicReport] = field(default_factory=list)
     skipped: list[Skipped] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
@@ -265,11 +286,17 @@ class Report(Shown):
                 self.warnings.append(f"no message of {topic.topic} {why}")
             elif topic.action == "converted":
                 self.warnings += self._point_warnings(topic)
+            if motion := topic.motion:
+                self.notes.append(
+                    f"{topic.target}: deskewed; within a cloud the sensor moved by up to {motion['largest_m']:.3g} m "
+                    f"and {motion['largest_deg']:.3g} degrees (median {motion['median_m']:.3g} m, "
+                    f"{motion['median_deg']:.3g} degrees)"
+                )
 
     @property
     def rejections(self) -> dict[str, Rejection]:
         """Why points may be rejected, by the name of the count."""
-        return {each.name: each for each in (*REJECTIONS, *map(rejection_of, self.filters))}
+        return {each.name: each for each in (*REJECTIONS, *self.further)}
 
     def _point_warnings(self, topic: TopicReport) -> list[str]:
         """Name the parameter to blame for scans without returns, and for the default that surprises most."""
@@ -362,7 +389,8 @@ class Report(Shown):
             "filters": [json_value(as_dict(each)) for each in self.filters],
             "topics": [
                 {
-                    **{f.name: getattr(topic, f.name) for f in fields(topic) if f.name != "points"},
+                    **{f.name: getattr(topic, f.name) for f in fields(topic) if f.name not in {"points", "motions"}},
+                    "motion": topic.motion,
                     "points": topic.points.as_dict(),
                 }
                 for topic in self.topics

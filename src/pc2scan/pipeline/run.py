@@ -149,6 +149,7 @@ def run(
         options.params,
         dict(origins or {}),
         options.filters,
+        options.rejections,
     )
     with ExitStack() as stack:
         files = _Files(sources, destination, options.frames, also_read or {}, output)
@@ -426,7 +427,7 @@ def prepared(
     params, asked = options.params, options.frames
     others: list[Reader] = []
     frames = Frames(source_frame=asked.source_frame)
-    if params.target_frame or any(isinstance(each.frame, str) for each in options.filters):
+    if params.target_frame or options.fixed_frame or any(isinstance(each.frame, str) for each in options.filters):
         others = open_recordings(asked.tf_from, stack, verify=options.verify, strict=options.strict)
         buffer, warnings = read_transforms([reader, *others], asked)
         report.warnings += warnings
@@ -440,14 +441,19 @@ def prepared(
     from .cloud_to_scan import CloudToScan  # noqa: PLC0415
 
     make = partial(CloudToScan, params, frames, filters=options.filters, output_type=options.made_type)
-    needs_fields = params.intensity_field or any(each.fields for each in options.filters)
+    if options.deskew:
+        from .stages.deskew import Deskew, PointTime  # noqa: PLC0415  # only where points move
+
+        where = PointTime.parse(options.point_time) if options.point_time else PointTime()
+        make = partial(make, deskew=Deskew(frames, options.fixed_frame, where, options.stamp))
+    needs_fields = params.intensity_field or options.deskew or any(each.fields for each in options.filters)
     if "auto" not in (params.scan_time, params.time_increment, params.beams) and not needs_fields:
         return make(), others
     from .measure import measure  # noqa: PLC0415  # only where something is left to be measured
 
     converted = [route.connection for route in plan.routes if route.targets]
     try:
-        timings, notes = measure(reader, converted, params, frames, span.start_ns, span.stop_ns, options.filters)
+        timings, notes = measure(reader, converted, options, frames, span.start_ns, span.stop_ns)
     except ParameterError as err:
         if origin := report.origins.get(err.name):
             err.message += f" (from {origin})"

@@ -171,6 +171,8 @@ def _write(outcome: _Outcome, writer: Writer, report: Report, on_error: str) -> 
                 output.sample = output.sample or converted.data
                 output.report.points += converted.counts
                 output.report.empty_scans += converted.empty
+                if converted.motion is not None:
+                    output.report.motions.append(converted.motion)
     except UnwritableError as err:
         error = err
     if error is not None:

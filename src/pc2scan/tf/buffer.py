@@ -46,6 +46,8 @@ from .summary import frame_info, trees_of
 from .walk import joined, walk_up
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from .chain import Chain
@@ -117,6 +119,55 @@ class TransformBuffer:
             return Rigid.identity()
         time_ns = stamp_ns or self._latest_common_time(query)
         return self._chain(query, time_ns).target_from_source(time_ns)
+
+    def rows(
+        self,
+        target: str,
+        source: str,
+        begin_ns: int,
+        end_ns: int,
+        step_ns: Callable[[NDArray[np.int64], NDArray[np.float64]], int],
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Look up a transform at all times between two, so close to each other that it can be interpolated.
+
+        Parameters
+        ----------
+        target, source
+            As for `lookup`.
+        begin_ns, end_ns
+            The first and the last time, nanoseconds; the second is later.
+        step_ns
+            Given both ends and the samples' own times, and the rows there, how far times may be apart, nanoseconds.
+
+        Returns
+        -------
+        stamps_ns : (N,) int64
+            Both ends, the times of all samples between them, and times between these.
+        rows : (N, 12) float64
+            ``target_from_source``: the rows of the rotation, then the translation; NaN where there is no transform.
+
+        Raises
+        ------
+        TransformError
+            If a frame is unknown, or the two are not connected.
+        """
+        from .many import rows_of, sample_times  # noqa: PLC0415  # only deskewing needs it
+
+        query = self._query(target, source, begin_ns, 0)
+        ends = np.array([begin_ns, end_ns])
+        if query is None:
+            identity = np.array([1.0, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0])
+            return ends, np.broadcast_to(identity, (2, 12)).copy()
+        key = query.target_number, query.source_number
+        if key not in self._chains:
+            self._chains[key] = self._timeless_chain(*key)
+        # Where frames change parents, those at the beginning count.
+        chain = self._chains[key] or self._timed_chain(query, begin_ns)
+        coarse = np.union1d(ends, sample_times(chain, begin_ns, end_ns))
+        count = -(-(end_ns - begin_ns) // step_ns(coarse, rows_of(chain, coarse)))
+        grid = begin_ns + np.arange(1, count) * (end_ns - begin_ns) // count
+        stamps_ns = np.union1d(coarse, grid)
+        return stamps_ns, rows_of(chain, stamps_ns)
 
     def latest_common_ns(self, target: str, source: str) -> int:
         """Return the time that `lookup` uses for a stamp of 0; tf2 writes it into its result.

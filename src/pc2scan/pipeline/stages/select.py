@@ -13,10 +13,13 @@ from .filters import Frame
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from numpy.typing import NDArray
+
     from pc2scan.core.points import Points
     from pc2scan.core.rigid import Rigid
     from pc2scan.tf.placing import Frames, Placement
 
+    from .deskew import Moving
     from .filters import Filter
 
 __all__ = ["Select", "Selected"]
@@ -28,6 +31,17 @@ class Selected(NamedTuple):
     points: Points
     target_from_source: Rigid | None
     rejected: dict[str, int]
+
+
+class _Seen:
+    """The points that are kept, in each frame that was asked for."""
+
+    def __init__(self, points: Points) -> None:
+        self.by_frame: dict[Frame | str, Points] = {Frame.SOURCE: points}
+
+    def keep(self, kept: NDArray[np.bool_]) -> None:
+        """Drop all others."""
+        self.by_frame = {frame: points.select(kept) for frame, points in self.by_frame.items()}
 
 
 class Select:
@@ -47,8 +61,17 @@ class Select:
         self._filters = filters
         self._frames = frames
 
-    def __call__(self, points: Points, place: Placement) -> Selected:
-        """Select points of a cloud, given where it goes.
+    def __call__(self, points: Points, place: Placement, moving: Moving | None = None) -> Selected:
+        """Select points of a cloud.
+
+        Parameters
+        ----------
+        place
+            Where it goes.
+        moving
+            Its motion, if it is deskewed. Filters in the target frame then come last, and see the points where they
+            were at their own times; all others see the cloud as it was recorded, so that what is fixed to the robot
+            stays where it is.
 
         Raises
         ------
@@ -58,26 +81,41 @@ class Select:
             If there is no transform to a filter's frame at the cloud's stamp.
         """
         rejected = {chosen.name: 0 for chosen in self._filters}
-        seen: dict[Frame | str, Points] = {Frame.SOURCE: points}
-        for chosen in self._filters:
-            frame = Frame.TARGET if chosen.frame == place.frame_id else chosen.frame
-            if frame not in seen:
-                seen[frame] = self._placed(seen[Frame.SOURCE], frame, place)
+        seen = _Seen(points)
+        steps = [(chosen.frame, chosen) for chosen in self._filters]
+        if moving is not None:
+            steps.sort(key=lambda step: step[0] is Frame.TARGET)
+        else:
+            steps = [(Frame.TARGET if frame == place.frame_id else frame, chosen) for frame, chosen in steps]
+        for frame, chosen in steps:
+            if frame not in seen.by_frame:
+                self._place(seen, frame, place, moving, rejected)
             with np.errstate(all="ignore"):
-                kept = chosen(seen[frame])
+                kept = chosen(seen.by_frame[frame])
             if kept.dtype != np.bool_:
                 raise TypeError(f"the filter {chosen.name} returned {kept.dtype}, expected bool")
             if count := kept.size - int(np.count_nonzero(kept)):
                 rejected[chosen.name] += count
-                seen = {frame: points.select(kept) for frame, points in seen.items()}
-        if Frame.TARGET in seen:
-            return Selected(seen[Frame.TARGET], None, rejected)
-        return Selected(seen[Frame.SOURCE], place.target_from_source, rejected)
+                seen.keep(kept)
+        if moving is not None and Frame.TARGET not in seen.by_frame:
+            self._place(seen, Frame.TARGET, place, moving, rejected)
+        if Frame.TARGET in seen.by_frame:
+            return Selected(seen.by_frame[Frame.TARGET], None, rejected)
+        return Selected(seen.by_frame[Frame.SOURCE], place.target_from_source, rejected)
 
-    def _placed(self, points: Points, frame: Frame | str, place: Placement) -> Points:
-        """The points in another frame."""
+    def _place(
+        self, seen: _Seen, frame: Frame | str, place: Placement, moving: Moving | None, rejected: dict[str, int]
+    ) -> None:
+        """Add another frame."""
+        points = seen.by_frame[Frame.SOURCE]
+        if moving is not None and frame is Frame.TARGET:
+            seen.by_frame[frame], kept, lost = moving.place(points)
+            rejected.update(lost)
+            if kept is not None:
+                seen.keep(kept)
+            return
         if isinstance(frame, str):
             name, transform = frame, self._frames.transform(frame, points.frame_id, points.stamp_ns)
         else:
             name, transform = place
-        return points if transform is None else points.transform(packed(transform.as_float32()), name)
+        seen.by_frame[frame] = points if transform is None else points.transform(packed(transform.as_float32()), name)

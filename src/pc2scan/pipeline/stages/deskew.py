@@ -1,0 +1,282 @@
+"""Deskewing: each point is placed where it was at its own time, as seen at the scan's time.
+
+Source of the rule: tf2's lookup with two times, ``lookupTransform(target, target_time, source, source_time, fixed)``: a
+point goes from its own frame to a frame that does not move at the time of the point, and from there to the target frame
+at the time of the scan.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from pc2scan.core import kernel
+from pc2scan.core.points import TIME, Points
+from pc2scan.core.rule import Rejection
+from pc2scan.core.timing import TIME_FIELDS, TIME_UNITS, point_times
+from pc2scan.errors import DecodeError, UsageError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from pc2scan.core.rigid import Rigid
+    from pc2scan.tf.placing import Frames
+
+__all__ = ["NO_TIME", "NO_TRANSFORM", "STAMPS", "Deskew", "Motion", "Moving", "PointTime"]
+
+NO_TIME = Rejection("no_time", "without a time of their own")
+NO_TRANSFORM = Rejection("no_transform", "measured when there was no transform to `fixed_frame`")
+
+#: Which time of a cloud its scan has.
+STAMPS = ("header", "start", "middle", "end")
+
+#: Seconds that a cloud may take, and that its points may be away from its stamp.
+_LONGEST = 60.0
+#: Seconds below which the times of all points are the same.
+_SHORTEST = 1e-9
+
+#: Nodes between which transforms are interpolated linearly: at most so far apart, nanoseconds and radians. The rotation
+#: between two of them is off by the square of that angle, divided by 8: 0.5 micrometres at 100 m.
+_STEP_NS = 1_000_000
+_STEP = 2e-4
+_MOST_NODES = 20_000
+
+
+@dataclass(frozen=True, slots=True)
+class PointTime:
+    """Where the times of points are.
+
+    Attributes
+    ----------
+    field
+        Empty: the first of `TIME_FIELDS` that the cloud has.
+    unit
+        ``s``, ``ms``, ``us`` or ``ns``. Empty: integers are nanoseconds, for others what they span decides.
+    """
+
+    field: str = ""
+    unit: str = ""
+
+    @classmethod
+    def parse(cls, text: str) -> PointTime:
+        """Read ``FIELD`` or ``FIELD:UNIT``.
+
+        Raises
+        ------
+        UsageError
+            If it is neither.
+        """
+        field, colon, unit = text.partition(":")
+        if not field or (colon and unit not in TIME_UNITS):
+            raise UsageError(
+                f"`point_time` is {text!r}, it must be a field, or a field and a unit",
+                hint=f"write `point_time=t` or `point_time=t:ns`; units: {', '.join(TIME_UNITS)}",
+            )
+        return cls(field, unit)
+
+    def field_of(self, points: Points) -> str:
+        """Return the field of a cloud.
+
+        Raises
+        ------
+        DecodeError
+            If it is not there.
+        """
+        name = self.field or next((name for name in TIME_FIELDS if name in points.fields), "")
+        if not name:
+            message = f"its points have no times: there is no field {', '.join(TIME_FIELDS)}"
+            raise DecodeError(
+                message, stamp_ns=points.stamp_ns, hint="name the field that has them: `point_time=FIELD`"
+            )
+        return name
+
+
+class Motion(NamedTuple):
+    """How far the sensor was from its pose at the scan's time, at most: metres and radians."""
+
+    distance: float
+    angle: float
+
+
+class Moving(NamedTuple):
+    """A cloud that was measured while its sensor moved.
+
+    Attributes
+    ----------
+    points
+        With their own times as the field `TIME`.
+    stamp_ns
+        The scan's.
+    node_times, transforms
+        See `pc2scan.core.plain.deskew`; the transforms take points to the target frame at the scan's time.
+    frame_id
+        The target frame.
+    motion
+        How far the sensor moved.
+    """
+
+    points: Points
+    stamp_ns: int
+    node_times: NDArray[np.float64]
+    transforms: NDArray[np.float64]
+    frame_id: str
+    motion: Motion
+
+    def place(self, points: Points) -> tuple[Points, NDArray[np.bool_] | None, dict[str, int]]:
+        """Place these points, or some of them.
+
+        Returns
+        -------
+        Points
+            In the target frame at the scan's time.
+        (M,) or (H, W) bool
+            Which of them have a place; None if all have.
+        dict
+            How many have none because of `NO_TIME` and `NO_TRANSFORM`.
+        """
+        x, y, z = points.xyz()
+        times = points.fields[TIME]
+        out = np.empty((3, x.size), np.float32)
+        missing = kernel.deskew(x, y, z, np.ravel(times), self.node_times, self.transforms, out)
+        placed = points.replace(dict(zip("xyz", out.reshape(3, *x.shape), strict=True)), self.frame_id)
+        if not missing:
+            return placed, None, {NO_TIME.name: 0, NO_TRANSFORM.name: 0}
+        nowhere = np.isnan(out[0]).reshape(x.shape) & ~(np.isnan(x) | np.isnan(y) | np.isnan(z))
+        untimed = int(np.count_nonzero(nowhere & np.isnan(times)))
+        total = int(np.count_nonzero(nowhere))
+        return placed, ~nowhere, {NO_TIME.name: untimed, NO_TRANSFORM.name: total - untimed}
+
+
+class Deskew:
+    """Finds out where the points of clouds are at their own times.
+
+    Parameters
+    ----------
+    frames
+        The recording's transforms, with a buffer.
+    fixed_frame
+        A frame that does not move.
+    point_time
+        Where the times of points are.
+    stamp
+        One of `STAMPS`.
+    """
+
+    __slots__ = ("_fixed", "_frames", "_point_time", "_stamp")
+
+    def __init__(self, frames: Frames, fixed_frame: str, point_time: PointTime, stamp: str = "header") -> None:
+        self._frames = frames
+        self._fixed = fixed_frame
+        self._point_time = point_time
+        self._stamp = stamp
+
+    def __call__(self, points: Points) -> Moving | None:
+        """Look up the motion of a cloud's sensor; None for a cloud without a point.
+
+        Raises
+        ------
+        DecodeError
+            If its points have no times, or these cannot be.
+        TransformError
+            If there is no transform at the scan's time, or at none of the points' times.
+        """
+        timed = self._timed(points)
+        if timed is None:
+            return None
+        points, low, high = timed
+        stamp_ns = points.stamp_ns
+        begin_ns = stamp_ns + math.floor(low * 1e9)
+        end_ns = max(stamp_ns + math.ceil(high * 1e9), begin_ns + 1)
+        reference_ns = {
+            "header": stamp_ns,
+            "start": begin_ns,
+            "middle": begin_ns + (end_ns - begin_ns) // 2,
+            "end": end_ns,
+        }[self._stamp]
+        buffer, tolerance_ns = self._frames.buffer, self._frames.tolerance_ns
+        if buffer is None:
+            raise ValueError("deskewing needs transforms")
+        source = self._frames.source_frame or points.frame_id
+        target = self._frames.target_frame or source
+        from_fixed = buffer.lookup(target, self._fixed, reference_ns, tolerance_ns)
+        reference = from_fixed.compose(buffer.lookup(self._fixed, source, reference_ns, tolerance_ns))
+        stamps_ns, rows = buffer.rows(self._fixed, source, begin_ns, end_ns, _step_ns)
+        if np.isnan(rows).all():
+            buffer.lookup(self._fixed, source, begin_ns)  # tells why
+        rows = _composed(from_fixed, rows)
+        times = (stamps_ns - stamp_ns) / 1e9
+        return Moving(points, reference_ns, times, rows, target, _motion(rows, reference))
+
+    def _timed(self, points: Points) -> tuple[Points, float, float] | None:
+        """The points with their times, and the first and last of these: seconds after the stamp."""
+        name = self._point_time.field_of(points)
+        values, x = points.field(name), points.field("x")
+        with np.errstate(all="ignore"):
+            nowhere = np.isnan(x)
+            if nowhere.any():
+                # Some drivers give no time to points that they did not measure.
+                times = np.full(x.shape, np.nan)
+                times[~nowhere] = point_times(values[~nowhere], points.stamp_ns, self._point_time.unit)
+            else:
+                times = point_times(values, points.stamp_ns, self._point_time.unit).reshape(x.shape)
+        if nowhere.all():
+            return None
+        low, high = float(times.min()), float(times.max())
+        if math.isnan(low):
+            known = times[~np.isnan(times)]
+            if not known.size:
+                message = f"none of its points has a time: {name} is not finite"
+                raise DecodeError(
+                    message, stamp_ns=points.stamp_ns, hint="another field may have it: `point_time=FIELD`"
+                )
+            low, high = float(known.min()), float(known.max())
+        self._check(name, low, high, several=x.size - int(np.count_nonzero(nowhere)) > 1, stamp_ns=points.stamp_ns)
+        return points.replace({TIME: times}, points.frame_id), low, high
+
+    def _check(self, name: str, low: float, high: float, *, several: bool, stamp_ns: int) -> None:
+        """Refuse times that cannot be."""
+        message, hint = "", f"say where the times are, and in which unit: `point_time={name}:us`"
+        if high - low > _LONGEST:
+            message = f"its points span {high - low:.6g} s by their field {name}, at most {_LONGEST:g} s are possible"
+        elif low < -_LONGEST or high > _LONGEST:
+            message = f"its points are {low:.6g} to {high:.6g} s after its stamp by their field {name}"
+            hint = "the times of the points are of another clock than the stamps"
+        elif several and high - low < _SHORTEST:
+            message = f"its points have all the same time by their field {name}, {low:.6g} s after its stamp"
+            hint = "say where the times are: `point_time=FIELD`; a cloud that was measured at once needs no `deskew`"
+        if message:
+            raise DecodeError(message, stamp_ns=stamp_ns, hint=hint)
+
+
+def _step_ns(stamps_ns: NDArray[np.int64], rows: NDArray[np.float64]) -> int:
+    """How far nodes may be apart, given the transforms at the samples' own times."""
+    span = int(stamps_ns[-1] - stamps_ns[0])
+    angles = _angles(np.diff(rows[:, :9], axis=0))
+    rates = angles / np.diff(stamps_ns)
+    fastest = float(np.max(rates, initial=0.0, where=~np.isnan(rates)))
+    step = min(_STEP_NS, _STEP / fastest) if fastest > 0 else _STEP_NS
+    return max(1, int(step), span // _MOST_NODES)
+
+
+def _angles(differences: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The angles between rotations, radians, by the differences of their matrices (N, 9)."""
+    sines = np.sqrt(np.einsum("ni,ni->n", differences, differences)) / math.sqrt(8)
+    angles: NDArray[np.float64] = 2 * np.arcsin(np.minimum(sines, 1.0))
+    return angles
+
+
+def _composed(first: Rigid, rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rows (N, 12) of ``first`` after each of ``rows``."""
+    rotation = first.matrix @ rows[:, :9].reshape(-1, 3, 3)
+    origin = rows[:, 9:] @ first.matrix.T + np.asarray(first.translation)
+    return np.concatenate([rotation.reshape(-1, 9), origin], axis=1)
+
+
+def _motion(rows: NDArray[np.float64], reference: Rigid) -> Motion:
+    known = rows[~np.isnan(rows[:, 0])]
+    distances = np.sqrt(np.square(known[:, 9:] - np.asarray(reference.translation)).sum(axis=1))
+    angles = _angles(known[:, :9] - reference.matrix.reshape(9))
+    return Motion(float(distances.max(initial=0.0)), float(angles.max(initial=0.0)))

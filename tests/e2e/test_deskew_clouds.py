@@ -1,0 +1,98 @@
+"""Clouds of a robot that turns, deskewed by the real command."""
+
+from __future__ import annotations
+
+import json
+from contextlib import closing
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from e2e.command import run
+from pc2scan.bags.opening import open_recording
+from pc2scan.messages.laserscan import LaserScan, decode_laserscan
+from support import ROOT
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from e2e.command import Finished
+
+HALL = ROOT / "fixtures" / "hall.mcap"
+
+
+def converted(folder: Path, *options: str) -> tuple[Finished, list[LaserScan], dict[str, Any]]:
+    done = run(
+        "convert", HALL, "-o", folder / "b.mcap", "--overwrite", "--min-height", "-0.3", "--only-scans",
+        "--report", folder / "r.json", *options,
+    )  # fmt: skip
+    report = json.loads((folder / "r.json").read_text()) if (folder / "r.json").exists() else {}
+    scans = []
+    if (folder / "b.mcap").exists():
+        with closing(open_recording(folder / "b.mcap")) as reader:
+            scans = [decode_laserscan(m.data, m.connection.serialization) for m in reader.messages()]
+    return done, scans, report
+
+
+@pytest.mark.parametrize("stamp", ["header", "start", "middle", "end"])
+def test_deskewed_scans_say_how_far_the_sensor_moved(tmp_path: Path, stamp: str) -> None:
+    done, scans, report = converted(tmp_path, "--deskew", "--fixed-frame", "odom", "--stamp", stamp)
+    assert done.status in (0, 3)
+    (topic,) = (entry for entry in report["topics"] if entry["action"] == "converted")
+    assert topic["messages_out"] == len(scans) >= 4
+    assert 0.01 < topic["motion"]["median_m"] <= topic["motion"]["largest_m"] < 0.5
+    assert 0.1 < topic["motion"]["median_deg"] <= topic["motion"]["largest_deg"] < 30
+    points = topic["points"]
+    assert points["total"] == sum(count for name, count in points.items() if name != "total")
+    assert points["no_time"] == 0
+    assert all(scan.time_increment == 0 and scan.frame_id == "lidar" for scan in scans)
+    assert "deskewed; within a cloud the sensor moved by up to" in done.stdout
+
+
+def test_the_number_of_jobs_does_not_matter(tmp_path: Path) -> None:
+    found = []
+    for jobs in ("1", "2", "8"):
+        converted(tmp_path, "--deskew", "--fixed-frame", "odom", "--jobs", jobs)
+        found.append((tmp_path / "b.mcap").read_bytes())
+    assert found[0] == found[1] == found[2]
+
+
+def test_where_nothing_moves_deskewing_changes_nothing_but_the_last_bits(tmp_path: Path) -> None:
+    _, plain, report = converted(tmp_path)
+    assert [entry["motion"] for entry in report["topics"]] == [None] * len(report["topics"])
+    _, same, report = converted(tmp_path, "--deskew", "--fixed-frame", "base_link")
+    assert len(plain) == len(same) == 5
+    for one, other in zip(plain, same, strict=True):
+        both = np.isfinite(one.ranges) & np.isfinite(other.ranges)
+        assert both.sum() > 200
+        assert np.mean(np.abs(one.ranges[both] - other.ranges[both]) < 1e-5) > 0.99
+    (motion,) = (entry["motion"] for entry in report["topics"] if entry["motion"])
+    assert motion["largest_m"] < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--deskew"], "--deskew of clouds needs a frame that does not move: --fixed-frame"),
+        (["--fixed-frame", "odom"], "--fixed-frame, --point-time and --stamp go with --deskew of clouds"),
+        (
+            ["--deskew", "--fixed-frame", "odom", "--point-time", "rnig:s"],
+            "--point-time is 'rnig:s', which the clouds",
+        ),
+        (["--deskew", "--fixed-frame", "odom", "--point-time", "time:h"], "it must be a field, or a field and a unit"),
+    ],
+)
+def test_what_cannot_be_is_wrong_usage(tmp_path: Path, options: list[str], said: str) -> None:
+    done, scans, _ = converted(tmp_path, *options)
+    assert done.status == 2
+    assert said in " ".join(done.stderr.split())
+    assert not scans
+
+
+def test_times_of_no_sense_skip_the_clouds_and_say_why(tmp_path: Path) -> None:
+    done, scans, _ = converted(tmp_path, "--deskew", "--fixed-frame", "odom", "--point-time", "intensity:s")
+    assert done.status == 3
+    assert not scans
+    assert "by their field intensity" in done.stderr
+    assert "hint: the times of the points are of another clock" in done.stderr

@@ -1,0 +1,239 @@
+"""Deskewing: held to one lookup a point, and to a simulated room with exact answers."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pc2scan.core.params import ProjectionParams
+from pc2scan.core.points import TIME, Points
+from pc2scan.core.rigid import Rigid
+from pc2scan.errors import DecodeError, TransformError, UsageError
+from pc2scan.messages.laserscan import decode_laserscan
+from pc2scan.messages.pointcloud2 import PointField, encode_pointcloud2
+from pc2scan.pipeline.cloud_to_scan import CloudToScan
+from pc2scan.pipeline.options import ConvertOptions
+from pc2scan.pipeline.stages.deskew import Deskew, Moving, PointTime
+from pc2scan.pipeline.stages.regions import ExcludeBox
+from pc2scan.tf.builder import TransformBuilder
+from pc2scan.tf.placing import Frames
+
+SECOND = 1_000_000_000
+T0 = 1_700_000_000 * SECOND
+MOUNT = Rigid.from_rpy(0.1, -0.2, 0.7, (0.3, -0.1, 0.5))
+
+
+def driven(seconds: float) -> Rigid:
+    """Where the robot is: 1.5 m/s and 1 rad/s, on a circle."""
+    return Rigid.from_rpy(0.0, 0.0, seconds, (1.5 * math.sin(seconds), 1.5 - 1.5 * math.cos(seconds), 0.0))
+
+
+def frames(target: str = "", *, rate: int = 50, begin: float = -1.0, end: float = 1.0, mount: Rigid = MOUNT) -> Frames:
+    builder = TransformBuilder()
+    for number in range(round(begin * rate), round(end * rate) + 1):
+        stamp_ns = T0 + number * SECOND // rate
+        builder.add([("odom", "base_link", stamp_ns, *driven(number / rate).pose)], static=False)
+    builder.add([("base_link", "lidar", T0, *mount.pose)], static=True)
+    return Frames(target, "", builder.build(), 0)
+
+
+def points(xyz: Any, times: Any, name: str = "t", **fields: Any) -> Points:
+    x, y, z = np.asarray(xyz, np.float32).reshape(-1, 3).T
+    return Points(0, T0, "lidar", {"x": x, "y": y, "z": z, name: np.asarray(times), **fields})
+
+
+def moving_of(stage: Deskew, cloud: Points) -> Moving:
+    found = stage(cloud)
+    assert found is not None
+    return found
+
+
+@pytest.mark.parametrize("target", ["", "base_link", "odom"])
+@pytest.mark.parametrize("stamp", ["header", "start", "middle", "end"])
+def test_every_point_is_where_one_lookup_with_two_times_puts_it(target: str, stamp: str) -> None:
+    rng = np.random.default_rng(5)
+    xyz = rng.uniform(-8, 8, (400, 3)).astype(np.float32)
+    times = rng.integers(-20_000_000, 80_000_000, 400)
+    known = frames(target, rate=30)
+    moving = moving_of(Deskew(known, "odom", PointTime(), stamp), points(xyz, times))
+    low, high = int(times.min()), int(times.max())
+    at = {"header": 0, "start": low, "end": high, "middle": (low + high) // 2}[stamp]
+    assert abs(moving.stamp_ns - T0 - at) <= 1
+    placed, kept, rejected = moving.place(moving.points)
+    assert kept is None
+    assert sum(rejected.values()) == 0
+    assert placed.frame_id == moving.frame_id == (target or "lidar")
+    found = np.stack(placed.xyz(), axis=1)
+    assert known.buffer is not None
+    from_fixed = known.buffer.lookup(target or "lidar", "odom", moving.stamp_ns)
+    for place, (point, time) in enumerate(zip(xyz.astype(np.float64), times.tolist(), strict=True)):
+        expected = from_fixed.compose(known.buffer.lookup("odom", "lidar", T0 + time)).apply(point[np.newaxis])[0]
+        np.testing.assert_allclose(found[place], expected, rtol=0, atol=1e-6 + 1e-7 * abs(expected).max())
+
+
+def room(origin: Any, direction: Any) -> Any:
+    """Ranges to the walls x = -5, x = 7, y = -6, y = 6 from points in directions, (N, 3), as seen from odom."""
+    with np.errstate(divide="ignore"):
+        hits = [(wall - origin[:, axis]) / direction[:, axis] for axis, wall in ((0, -5), (0, 7), (1, -6), (1, 6))]
+    return np.min(np.where(np.array(hits) > 0, hits, np.inf), axis=0)
+
+
+def turn(count: int = 1800) -> tuple[Any, Any]:
+    """One turn of a level lidar, clockwise, at 10 Hz from the stamp on: points in its frame, and their times in ns."""
+    mount = Rigid.from_rpy(0, 0, 0.4, (0.3, 0.0, 0.5))
+    angles = math.pi - np.arange(count) * 2 * math.pi / count
+    times = np.arange(count) * 100_000_000 // count
+    beams = np.stack([np.cos(angles), np.sin(angles), np.zeros(count)], axis=1)
+    poses = [driven(time / 1e9).compose(mount) for time in times.tolist()]
+    origin = np.array([pose.translation for pose in poses])
+    world = np.array([pose.matrix @ beam for pose, beam in zip(poses, beams, strict=True)])
+    return beams * room(origin, world)[:, np.newaxis], times
+
+
+def scanned(*, deskewed: bool) -> Any:
+    """How far the returns of a scan are from the walls."""
+    mount = Rigid.from_rpy(0, 0, 0.4, (0.3, 0.0, 0.5))
+    known = frames(rate=50, mount=mount)
+    xyz, times = turn()
+    dtype = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("t", "<u4")])
+    data = np.zeros(len(xyz), dtype)
+    data["x"], data["y"], data["z"], data["t"] = xyz[:, 0], xyz[:, 1], xyz[:, 2], times
+    message = encode_pointcloud2(
+        serialization="ros1", sequence=0, stamp_ns=T0, frame_id="lidar", point_step=16, data=data.tobytes(),
+        fields=[*(PointField(name, 4 * place, 7) for place, name in enumerate("xyz")), PointField("t", 12, 6)],
+    )  # fmt: skip
+    params = ProjectionParams(min_height=-1.0, geometry="centered", beams=3600)
+    stage = Deskew(known, "odom", PointTime()) if deskewed else None
+    made = CloudToScan(params, known, deskew=stage).for_topic("/points", "ros1", "ros1")(message)
+    scan = decode_laserscan(made.data, "ros1")
+    assert scan.time_increment == 0
+    angles = scan.angle_min + np.arange(len(scan.ranges)) * float(np.float32(scan.angle_increment))
+    hit = np.isfinite(scan.ranges)
+    pose = driven(0.0).compose(mount)
+    beams = (
+        np.stack([np.cos(angles), np.sin(angles), np.zeros(angles.size)], axis=1)[hit] * scan.ranges[hit, np.newaxis]
+    )
+    world = beams @ pose.matrix.T + np.asarray(pose.translation)
+    x, y = world[:, 0], world[:, 1]
+    return np.min(np.abs([x + 5, x - 7, y + 6, y - 6]), axis=0), made
+
+
+def test_a_turning_robots_scan_has_its_walls_where_they_are() -> None:
+    off, made = scanned(deskewed=True)
+    assert np.mean(off < 0.02) > 0.99
+    skewed, _ = scanned(deskewed=False)
+    assert np.median(skewed) > 0.05
+    assert np.mean(skewed < 0.02) < 0.3
+    assert made.motion is not None
+    assert made.motion.distance == pytest.approx(0.15, rel=0.2)
+    assert math.degrees(made.motion.angle) == pytest.approx(5.73, rel=0.01)
+
+
+def test_points_without_a_transform_or_a_time_are_counted() -> None:
+    xyz = np.ones((10, 3))
+    seconds = np.linspace(-0.05, 0.04, 10)
+    seconds[3] = np.nan
+    known = frames(end=0.005)
+    moving = moving_of(Deskew(known, "odom", PointTime("time")), points(xyz, seconds, "time"))
+    placed, kept, rejected = moving.place(moving.points)
+    assert rejected == {"no_time": 1, "no_transform": 4}
+    assert kept is not None
+    assert kept.tolist() == [True, True, True, False, True, True, False, False, False, False]
+    assert np.isnan(placed.field("x")[~kept]).all()
+
+
+def test_a_cloud_before_all_transforms_is_an_error() -> None:
+    with pytest.raises(TransformError):
+        Deskew(frames(begin=0.5), "odom", PointTime())(points([[1, 1, 1]] * 2, [0, 1000]))
+
+
+def test_points_that_were_not_measured_need_no_time() -> None:
+    xyz = np.ones((4, 3))
+    xyz[1] = np.nan
+    absolute = np.array([T0 / 1e9, 0.0, T0 / 1e9 + 0.05, T0 / 1e9 + 0.02])
+    moving = moving_of(Deskew(frames(), "odom", PointTime()), points(xyz, absolute, "timestamp"))
+    np.testing.assert_allclose(moving.points.fields[TIME][[0, 2, 3]], [0, 0.05, 0.02], atol=1e-6)
+    placed, kept, rejected = moving.place(moving.points)
+    assert kept is None
+    assert sum(rejected.values()) == 0
+    assert np.isnan(placed.field("x")).tolist() == [False, True, False, False]
+    nothing = points(np.full((3, 3), np.nan), [0, 0, 0])
+    assert Deskew(frames(), "odom", PointTime())(nothing) is None
+    assert Deskew(frames(), "odom", PointTime())(points(np.empty((0, 3)), np.empty(0, np.uint32))) is None
+
+
+@pytest.mark.parametrize(
+    ("times", "name", "what"),
+    [
+        ([5, 5, 5], "t", "have all the same time by their field t, 5e-09 s after its stamp"),
+        ([0, 1, 100 * SECOND], "t", "span 100 s by their field t, at most 60 s are possible"),
+        ([1e9, 1e9 + 0.05, 1e9 + 0.1], "timestamp", "s after its stamp by their field timestamp"),
+        ([math.nan] * 3, "time", "none of its points has a time: time is not finite"),
+        ([0, 1, 2], "when", "its points have no times: there is no field t, time"),
+    ],
+)
+def test_times_that_cannot_be_are_errors(times: Any, name: str, what: str) -> None:
+    with pytest.raises(DecodeError) as caught:
+        Deskew(frames(), "odom", PointTime())(points(np.ones((3, 3)), times, name))
+    assert what in caught.value.message
+    assert caught.value.hint
+    assert caught.value.stamp_ns == T0
+
+
+def test_a_unit_may_be_named() -> None:
+    moving = moving_of(
+        Deskew(frames(), "odom", PointTime.parse("when:us")), points(np.ones((2, 3)), [0, 50_000], "when")
+    )
+    np.testing.assert_allclose(moving.points.fields[TIME], [0, 0.05])
+
+
+@pytest.mark.parametrize("text", ["", ":s", "t:", "t:hours", "t:s:s"])
+def test_what_is_no_point_time_is_an_error(text: str) -> None:
+    with pytest.raises(UsageError, match="must be a field, or a field and a unit"):
+        PointTime.parse(text)
+
+
+def test_rows_with_gaps_keep_their_shape_and_other_fields() -> None:
+    x = np.arange(12, dtype=np.float32).reshape(3, 4)
+    fields = {"x": x, "y": x, "z": x, "t": np.arange(12, dtype=np.uint32).reshape(3, 4) * 1000, "ring": x}
+    moving = moving_of(Deskew(frames(), "odom", PointTime()), Points(0, T0, "lidar", fields))
+    placed, _, _ = moving.place(moving.points)
+    assert placed.field("x").shape == placed.field("ring").shape == (3, 4)
+
+
+def test_what_is_fixed_to_the_robot_stays_where_it_is() -> None:
+    """A box around a point of the robot rejects it whenever it was measured."""
+    from pc2scan.pipeline.stages.select import Select
+
+    known = frames("base_link")
+    assert known.buffer is not None
+    inside = known.buffer.lookup("lidar", "base_link", T0).apply(np.array([[0.5, 0.2, 0.1]]))
+    cloud = points(np.repeat(inside, 3, axis=0), [0, 50_000_000, 100_000_000])
+    moving = moving_of(Deskew(known, "odom", PointTime()), cloud)
+    box = ExcludeBox("base_link", (0.49, 0.51), (0.19, 0.21), (0.09, 0.11))
+    selected = Select([box], known)(moving.points, known.place("lidar", T0), moving)
+    assert selected.rejected["exclude_box"] == 3
+
+
+@pytest.mark.parametrize(
+    ("options", "what"),
+    [
+        ({"deskew": True}, "needs a frame that does not move: `fixed_frame`"),
+        ({"fixed_frame": "odom"}, "go with `deskew` of clouds"),
+        ({"point_time": "t"}, "go with `deskew` of clouds"),
+        ({"stamp": "middle", "reverse": True}, "go with `deskew` of clouds"),
+        ({"deskew": True, "fixed_frame": "odom", "stamp": "late"}, "must be one of header, start, middle, end"),
+        ({"deskew": True, "fixed_frame": "odom", "point_time": ":"}, "must be a field"),
+        (
+            {"deskew": True, "fixed_frame": "odom", "params": ProjectionParams(time_increment="auto")},
+            "a deskewed scan is of one time",
+        ),
+    ],
+)
+def test_options_that_contradict_each_other(options: dict[str, Any], what: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        ConvertOptions(**options)
+    assert what in caught.value.message
