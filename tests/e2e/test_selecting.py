@@ -115,9 +115,9 @@ def test_what_cannot_be_is_wrong_usage(tmp_path: Path, options: list[str], said:
     assert not (tmp_path / "b.mcap").exists()
 
 
-def test_a_frame_that_is_not_there_skips_the_clouds_and_says_so(tmp_path: Path) -> None:
+def test_a_frame_that_is_not_there_is_an_error(tmp_path: Path) -> None:
     done = run("convert", HALL, "-o", tmp_path / "b.mcap", "--exclude-box", "bdy 0 1 0 1 0 1")
-    assert done.status == 3
+    assert done.status == 1
     assert "bdy" in done.stderr
 
 

@@ -15,6 +15,7 @@ from pc2scan.core.presets import PRESETS
 from pc2scan.errors import DecodeError, MessageError, RecordingError, TransformError
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.pipeline.measure import measure
+from pc2scan.pipeline.options import ConvertOptions
 from pc2scan.pipeline.parameters import PARAMETERS
 from pc2scan.pipeline.plan import make_plan
 from pc2scan.pipeline.stages.select import Select
@@ -32,7 +33,6 @@ if TYPE_CHECKING:
     from pc2scan.core.points import Points
     from pc2scan.core.rigid import Rigid
     from pc2scan.model import Connection, RawMessage
-    from pc2scan.pipeline.options import ConvertOptions
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.placing import Placement
 
@@ -181,7 +181,7 @@ def _at_measured_resolution(
     """The parameters with as many beams as the first topic's lidar has, and what is said about it."""
     first, connections = next(iter(topics.items()))
     only_beams = replace(options.params, scan_time=0.0, time_increment=0.0, intensity_field="")
-    measured, _ = measure(reader, connections, only_beams, frames)
+    measured, _ = measure(reader, connections, ConvertOptions(params=only_beams), frames)
     step = measured[first].azimuth_step
     params = options.params.at_resolution(step) if step else replace(options.params, beams=0)
     degrees = math.degrees(params.layout.angle_increment)
