@@ -32,6 +32,7 @@ def test_what_scans_advertise_and_hold(tmp_path: Path) -> None:
     assert (scan.angle_min, scan.angle_max, scan.angle_increment) == (-1, 1, 0.25)
     assert (scan.range_min, scan.range_max) == (0.5, 30)
     assert scan.scan_time == pytest.approx(0.1)
+    assert scan.rate_hz == pytest.approx(10, rel=1e-3)
     shares = (scan.return_share, scan.infinite_share, scan.nan_share, scan.short_share, scan.long_share)
     assert shares == pytest.approx((4 / 9, 2 / 9, 1 / 9, 1 / 9, 1 / 9))
     assert scan.range is not None
@@ -73,7 +74,7 @@ def test_the_command_shows_them(tmp_path: Path) -> None:
     path = write(tmp_path / "a.mcap", *scans(20, replace(GOOD, ranges=RANGES)))
     done = run("info", path)
     assert (done.status, done.stderr) == (0, "")
-    shown = done.stdout[done.stdout.index("/scan: 10 scans sampled") :].splitlines()
+    shown = done.stdout[done.stdout.index("/scan: 10 scans sampled, 9.99 Hz") :].splitlines()
     assert max(map(len, shown)) <= 80
     assert "  beams   9, -57.30 to 57.30 deg by 14.3239 deg" in shown
     assert "  limits  0.5 to 30 m; scan_time 0.1 s, time_increment 0 s" in shown

@@ -416,7 +416,8 @@ def _samples(
     # Points are held until all topics have been read.
     most = min(_MAX_POINTS, _MAX_POINTS_HELD // len(connections)) // samples + 1
     cloud_looks = {name: _Look(name, most, places) for name in connections if name in clouds}
-    scan_looks = {name: ScanLook(name, samples) for name in connections if name in scans}
+    rates = {topic.topic: topic.rate_hz for topic in topics if topic.msgtype == LASERSCAN}
+    scan_looks = {name: ScanLook(name, rates[name], most) for name in connections if name in scans}
     looks: dict[str, _Look | ScanLook] = {**cloud_looks, **scan_looks}
     for message in sampled(reader, connections, samples, start_ns, end_ns):
         looks[message.connection.topic].add(message)

@@ -26,9 +26,6 @@ if TYPE_CHECKING:
 
 __all__ = ["ScanInfo", "ScanLook"]
 
-#: Ranges that are kept of a topic's scans; of longer scans every second, third, ... is.
-_MAX_RANGES = 500_000
-
 
 @dataclass(frozen=True, slots=True)
 class ScanInfo:
@@ -38,6 +35,8 @@ class ScanInfo:
     ----------
     sampled
         Scans looked at.
+    rate_hz
+        Messages but the first, over the time of the recording; None for fewer than two.
     frames
         The ``frame_id`` that occur in them.
     beams_min, beams_max
@@ -60,6 +59,7 @@ class ScanInfo:
 
     topic: str
     sampled: int = 0
+    rate_hz: float | None = None
     frames: tuple[str, ...] = ()
     beams_min: int = 0
     beams_max: int = 0
@@ -83,7 +83,8 @@ class ScanInfo:
 
     def shown(self) -> Iterator[str | Table]:
         """Yield what `Info` shows of it."""
-        yield f"{self.topic}: {self.sampled} scans sampled"
+        rate = "" if self.rate_hz is None else f", {self.rate_hz:.2f} Hz"
+        yield f"{self.topic}: {self.sampled} scans sampled{rate}"
         for problem in self.problems:
             yield f"  cannot be decoded: {problem}"
         if self.angle_min is None or self.angle_max is None or self.angle_increment is None:
@@ -134,13 +135,16 @@ class ScanLook:
     ----------
     topic
         Its name.
-    samples
-        How many scans there are at most.
+    rate_hz
+        How often its scans come; None if that is not known.
+    most
+        How many ranges of a scan are kept; of longer ones every second, third, ... is.
     """
 
-    def __init__(self, topic: str, samples: int) -> None:
+    def __init__(self, topic: str, rate_hz: float | None, most: int) -> None:
         self._topic = topic
-        self._most = max(1, _MAX_RANGES // samples)
+        self._rate_hz = rate_hz
+        self._most = most
         self._sampled = 0
         self._scans: list[Scan] = []
         self._first_of: dict[str, Scan] = {}
@@ -170,13 +174,14 @@ class ScanLook:
         """Return the description."""
         problems = tuple(self._problems)
         if not self._scans:
-            return ScanInfo(self._topic, self._sampled, problems=problems)
+            return ScanInfo(self._topic, self._sampled, self._rate_hz, problems=problems)
         first = self._scans[0]
         beams = [scan.beams for scan in self._scans]
         total = max(1, sum(beams))
         return ScanInfo(
             self._topic,
             sampled=self._sampled,
+            rate_hz=self._rate_hz,
             frames=tuple(self._first_of),
             beams_min=min(beams),
             beams_max=max(beams),
