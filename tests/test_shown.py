@@ -96,14 +96,17 @@ def test_names_in_recordings_are_shown_as_they_are_and_do_nothing(evil: Path) ->
 def test_what_went_wrong_is_shown(tmp_path: Path) -> None:
     data = HALL.read_bytes()
     (tmp_path / "cut.bag").write_bytes(data[: len(data) * 3 // 4])
-    report = pc2scan.convert(tmp_path / "cut.bag", tmp_path / "out.bag", target_frame="map", max_height=1)
-    text = str(report)
-    assert "exit status 3" in text
-    assert "damaged: " in text
-    assert "skipped: /points, stamp 1700000000.000000000: " in text
-    assert "hint: " in text
-    assert "warning: " in text
-    assert "damaged: " in str(pc2scan.info(tmp_path / "cut.bag"))
+    report = pc2scan.convert(tmp_path / "cut.bag", tmp_path / "out.bag")
+    for result in (report, pc2scan.info(tmp_path / "cut.bag"), pc2scan.tf(tmp_path / "cut.bag")):
+        assert "damaged: " in str(result)
+    assert "exit status 3" in str(report)
+    assert "warning: /scan: " in str(report)
+    stream = Stream("/scan", SCAN)
+    items = [Item(stream, scan.stamp_ns, {2: encode_laserscan(scan, "cdr")}) for scan in scans(3)]
+    items[1] = Item(stream, items[1].log_time_ns, {2: items[1].data[2][:40]})
+    broken = write_mcap(tmp_path / "broken.mcap", Recording((stream,), tuple(items)))
+    text = str(pc2scan.convert(broken, tmp_path / "clouds.mcap", reverse=True))
+    assert "skipped: /scan, stamp 1700000000.100000000: " in text
 
 
 def test_long_names_are_cut() -> None:

@@ -5,14 +5,19 @@ from __future__ import annotations
 from abc import abstractmethod
 from typing import TYPE_CHECKING, NamedTuple
 
+from .errors import stamp_text
+
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-__all__ = ["Shown", "Table", "count", "listed", "plain", "size"]
+__all__ = ["Shown", "Table", "count", "duration", "listed", "plain", "size", "stamp"]
 
 #: Characters of a line and of a cell of a table. ROS's own names have at most 255.
 _MAX_LINE = 4_000
 _MAX_CELL = 255
+
+#: Seconds since 1970 that are dates: from 1980 to 2100.
+_FIRST_DATE, _LAST_DATE = 315_532_800, 4_102_444_800
 
 
 class Table(NamedTuple):
@@ -65,17 +70,47 @@ def plain(text: str, most: int = _MAX_LINE) -> str:
 
 
 def count(number: int) -> str:
-    """Return a count as text; a zero is a dash, so that what is there catches the eye."""
+    """Format a count; zero is a dash."""
     return f"{number:,}" if number else "-"
 
 
 def size(number: float) -> str:
-    """Return a number of bytes as text: ``680.5 kB``."""
+    """Format a number of bytes: ``680.5 kB``."""
     for unit in ("B", "kB", "MB", "GB"):
         if number < 1000:
             return f"{number:.0f} {unit}" if unit == "B" else f"{number:.1f} {unit}"
         number /= 1000
     return f"{number:.1f} TB"
+
+
+def duration(seconds: float) -> str:
+    """Render a duration.
+
+    >>> duration(0.0004), duration(0.0354), duration(9.96), duration(75), duration(7384)
+    ('under 1 ms', '35 ms', '10.0 s', '1 min 15 s', '2 h 3 min')
+    """
+    if seconds < 0.001:
+        return "under 1 ms"
+    if seconds < 0.9995:
+        return f"{seconds * 1000:.0f} ms"
+    if seconds < 59.95:
+        return f"{seconds:.1f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes} min {rest} s" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"
+
+
+def stamp(stamp_ns: int) -> str:
+    """Render a stamp, with its date where it has one: simulated time begins at 0.
+
+    >>> stamp(1604515190231374463), stamp(5_000_000_000)
+    ('1604515190.231374463 (2020-11-04 18:39:50 UTC)', '5.000000000')
+    """
+    seconds = stamp_ns // 1_000_000_000
+    if not _FIRST_DATE <= seconds <= _LAST_DATE:
+        return stamp_text(stamp_ns)
+    from datetime import UTC, datetime  # noqa: PLC0415  # few results have dates
+
+    return f"{stamp_text(stamp_ns)} ({datetime.fromtimestamp(seconds, UTC):%Y-%m-%d %H:%M:%S} UTC)"
 
 
 def listed(entries: Sequence[str], label: str, most: int) -> Iterator[str]:

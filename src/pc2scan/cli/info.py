@@ -10,7 +10,7 @@ import typer
 
 from .damage import show_damage
 from .options import Json, StaticTf, TfSources
-from .render import count, print_json, printable, show_parts, size, stamp, table, warn
+from .render import print_json, printable, show_parts, warn
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -70,7 +70,7 @@ def info(
     if as_json:
         print_json(result.as_dict())
     else:
-        _show(result)
+        show_parts(result.overview())
         _show_findings(result, given)
     show_damage(result.damage)
     for warning in result.warnings:
@@ -78,40 +78,6 @@ def info(
     for cloud in result.clouds:
         if cloud.mounting is not None and cloud.mounting.warning:
             warn(cloud.mounting.warning)
-
-
-def _show(result: Info) -> None:
-    for file in result.files:
-        kind = " ".join(filter(None, (file.container, file.storage, file.profile)))
-        typer.echo(printable(f"{file.path}: {kind}, {'+'.join(file.compression) or 'empty'}, {size(file.size_bytes)}"))
-    if result.start_ns is not None and result.end_ns is not None:
-        typer.echo(f"from {stamp(result.start_ns)}")
-        typer.echo(f"to   {stamp(result.end_ns)}")
-        typer.echo(f"{result.duration_ns / 1e9:.3f} s, {result.messages:,} messages")
-    else:
-        typer.echo("no messages")
-    typer.echo()
-    table(
-        ("topic", "type", "messages", "Hz", "publishers", ""),
-        [
-            (
-                topic.topic,
-                topic.msgtype + ("" if topic.serialization in ("ros1", "cdr") else f" ({topic.serialization})"),
-                count(topic.messages),
-                "-" if topic.rate_hz is None else f"{topic.rate_hz:.2f}",
-                f"{topic.connections}",
-                "latched" if topic.latched else "",
-            )
-            for topic in result.topics
-        ],
-        left=("topic", "type", ""),
-    )
-    for cloud in result.clouds:
-        typer.echo()
-        show_parts(cloud.shown())
-    for scan in result.scans:
-        typer.echo()
-        show_parts(scan.shown())
 
 
 def _show_findings(result: Info, given: Sequence[str]) -> None:

@@ -10,8 +10,7 @@ from pc2scan.pipeline.parameters import PARAMETERS
 
 from .damage import SHOWN, show_recovery
 from .next_command import next_command
-from .render import count, duration, error_text, message, printable, size, stamp, table, warn
-from .spelling import as_typed
+from .render import count, duration, error_text, message, printable, show_parts, size, stamp, table, warn
 
 if TYPE_CHECKING:
     from pc2scan.pipeline.each import Each, Outcome
@@ -39,44 +38,7 @@ def show(report: Report, *, verbose: bool = False) -> None:
             left=("parameter", "from"),
         )
         typer.echo()
-    table(
-        ("topic", "to", "in", "out", "skipped", "what"),
-        [
-            (
-                topic.topic,
-                topic.target or "-",
-                count(topic.messages_in),
-                count(topic.messages_out),
-                count(topic.skipped),
-                topic.action
-                + (" (cloud kept)" if topic.clouds_kept else "")
-                + (topic.note and f": {as_typed(topic.note)}"),
-            )
-            for topic in report.topics
-        ],
-        left=("topic", "to", "what"),
-    )
-    converted = [topic for topic in report.topics if topic.action == "converted"]
-    if converted:
-        typer.echo()
-        rejections = report.rejections.values()
-        table(
-            ("on", "points", "used", *(each.heading for each in rejections), "empty"),
-            [
-                (
-                    topic.target or "-",
-                    count(topic.points.total),
-                    count(topic.points.used),
-                    *(count(topic.points.rejected.get(each.name, 0)) for each in rejections),
-                    count(topic.empty_scans),
-                )
-                for topic in converted
-            ],
-            left=("on",),
-        )
-    typer.echo()
-    for note in report.notes:
-        typer.echo(message(f"note: {note}"))
+    show_parts(report.tables())
     written, read = size(report.bytes_written), size(report.bytes_read)
     if report.dry_run:
         frame = f"{report.params.target_frame!r}" if report.params.target_frame else "each message's own"
@@ -86,7 +48,8 @@ def show(report: Report, *, verbose: bool = False) -> None:
         typer.echo(printable(f"{report.destination}: {written} from {read} in {duration(report.seconds)}"))
     if report.container == "mcap":
         # Its name does not say.
-        hint = ": --profile ros2 for ros2 tools" if converted and report.ros_version == 1 else ""
+        converts = any(topic.action == "converted" for topic in report.topics)
+        hint = ": --profile ros2 for ros2 tools" if converts and report.ros_version == 1 else ""
         typer.echo(f"MCAP, ROS {report.ros_version} profile{hint}")
 
 

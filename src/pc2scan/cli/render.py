@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from pc2scan.errors import stamp_text
-from pc2scan.shown import Table
+from pc2scan.shown import Table, count, duration, size, stamp
 
 from .fitting import table_lines
 from .screen import Screen
@@ -37,9 +36,6 @@ __all__ = [
 #: Characters of a text, and of a cell of a table. ROS's own names have at most 255.
 _MAX_TEXT = 4_000
 _MAX_CELL = 255
-
-#: Seconds since 1970 that are dates: from 1980 to 2100.
-_FIRST_DATE, _LAST_DATE = 315_532_800, 4_102_444_800
 
 
 def printable(text: str) -> str:
@@ -100,50 +96,6 @@ def print_json(document: object) -> None:
         typer.echo(text)
 
 
-def count(number: int) -> str:
-    """Format a count; zero is a dash."""
-    return f"{number:,}" if number else "-"
-
-
-def size(number: float) -> str:
-    """Format a number of bytes: ``680.5 kB``."""
-    for unit in ("B", "kB", "MB", "GB"):
-        if number < 1000:
-            return f"{number:.0f} {unit}" if unit == "B" else f"{number:.1f} {unit}"
-        number /= 1000
-    return f"{number:.1f} TB"
-
-
-def duration(seconds: float) -> str:
-    """Render a duration.
-
-    >>> duration(0.0004), duration(0.0354), duration(9.96), duration(75), duration(7384)
-    ('under 1 ms', '35 ms', '10.0 s', '1 min 15 s', '2 h 3 min')
-    """
-    if seconds < 0.001:
-        return "under 1 ms"
-    if seconds < 0.9995:
-        return f"{seconds * 1000:.0f} ms"
-    if seconds < 59.95:
-        return f"{seconds:.1f} s"
-    minutes, rest = divmod(round(seconds), 60)
-    return f"{minutes} min {rest} s" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"
-
-
-def stamp(stamp_ns: int) -> str:
-    """Render a stamp, with its date where it has one: simulated time begins at 0.
-
-    >>> stamp(1604515190231374463), stamp(5_000_000_000)
-    ('1604515190.231374463 (2020-11-04 18:39:50 UTC)', '5.000000000')
-    """
-    seconds = stamp_ns // 1_000_000_000
-    if not _FIRST_DATE <= seconds <= _LAST_DATE:
-        return stamp_text(stamp_ns)
-    from datetime import UTC, datetime
-
-    return f"{stamp_text(stamp_ns)} ({datetime.fromtimestamp(seconds, UTC):%Y-%m-%d %H:%M:%S} UTC)"
-
-
 def table(columns: Sequence[str], rows: Sequence[Sequence[str]], *, left: Sequence[str] = ()) -> None:
     """Print a table on standard output, as wide as that allows.
 
@@ -167,6 +119,6 @@ def show_parts(parts: Iterable[str | Table]) -> None:
     """Print the parts of a result."""
     for part in parts:
         if isinstance(part, Table):
-            table(part.columns, part.rows, left=part.left)
+            table(part.columns, [[as_typed(cell) for cell in row] for row in part.rows], left=part.left)
         else:
             typer.echo(message(part))

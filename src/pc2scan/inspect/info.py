@@ -13,12 +13,12 @@ from pc2scan.bags.merged import as_one
 from pc2scan.bags.opening import open_recordings
 from pc2scan.core.ground import thinned
 from pc2scan.core.params import ProjectionParams
-from pc2scan.errors import DecodeError, TransformError, stamp_text
+from pc2scan.errors import DecodeError, TransformError
 from pc2scan.json_types import json_value
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.messages.pointcloud2 import DATATYPES, POINTCLOUD2, decode_pointcloud2
-from pc2scan.shown import Shown, Table, count, listed, size
+from pc2scan.shown import Shown, Table, count, listed, size, stamp
 from pc2scan.tf.mounting import mounting
 from pc2scan.tf.options import FrameOptions
 from pc2scan.tf.placing import Frames
@@ -214,19 +214,20 @@ class Info(Shown):
         paths = ", ".join(repr(file.path) for file in self.files)
         return f"<Info of {paths}: {len(self.topics)} topics, {self.messages:,} messages>"
 
-    def _shown(self) -> Iterator[str | Table]:
+    def overview(self) -> Iterator[str | Table]:
+        """Yield files, times and topics, and what the clouds and scans of each look like."""
         for file in self.files:
             kind = " ".join(filter(None, (file.container, file.storage, file.profile)))
             yield f"{file.path}: {kind}, {'+'.join(file.compression) or 'empty'}, {size(file.size_bytes)}"
         if self.start_ns is not None and self.end_ns is not None:
-            times = f"from {stamp_text(self.start_ns)} to {stamp_text(self.end_ns)}"
-            yield f"{times}: {self.duration_ns / 1e9:.3f} s, {self.messages:,} messages"
+            yield f"from {stamp(self.start_ns)}"
+            yield f"to   {stamp(self.end_ns)}"
+            yield f"{self.duration_ns / 1e9:.3f} s, {self.messages:,} messages"
         else:
             yield "no messages"
-        yield from listed([str(place) for place in self.damage], "damaged", _MAX_SHOWN)
         yield ""
         yield Table(
-            ("topic", "type", "messages", "Hz", "publishers", "latched"),
+            ("topic", "type", "messages", "Hz", "publishers", ""),
             [
                 (
                     topic.topic,
@@ -234,11 +235,11 @@ class Info(Shown):
                     count(topic.messages),
                     "-" if topic.rate_hz is None else f"{topic.rate_hz:.2f}",
                     str(topic.connections),
-                    "yes" if topic.latched else "",
+                    "latched" if topic.latched else "",
                 )
                 for topic in self.topics
             ],
-            left=("topic", "type"),
+            left=("topic", "type", ""),
         )
         for cloud in self.clouds:
             yield ""
@@ -246,6 +247,10 @@ class Info(Shown):
         for scans in self.scans:
             yield ""
             yield from scans.shown()
+
+    def _shown(self) -> Iterator[str | Table]:
+        yield from self.overview()
+        yield from listed([str(place) for place in self.damage], "damaged", _MAX_SHOWN)
         mountings = [(cloud.topic, cloud.mounting) for cloud in self.clouds if cloud.mounting is not None]
         if any(mounting.heights for _, mounting in mountings):
             yield ""

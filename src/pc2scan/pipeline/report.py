@@ -331,7 +331,8 @@ class Report(Shown):
         converted = sum(topic.messages_out for topic in self.topics if topic.action == "converted")
         return f"<Report on {self.destination!r}: {converted:,} messages converted, exit status {self.exit_status}>"
 
-    def _shown(self) -> Iterator[str | Table]:
+    def tables(self) -> Iterator[str | Table]:
+        """Yield what becomes of topics and points, and the notes."""
         yield Table(
             ("topic", "to", "in", "out", "skipped", "what"),
             [
@@ -363,6 +364,12 @@ class Report(Shown):
             )
         yield ""
         yield from (f"note: {note}" for note in self.notes)
+
+    def _shown(self) -> Iterator[str | Table]:
+        if self.dry_run:
+            yield "dry run, nothing is written"
+            yield ""
+        yield from self.tables()
         written, read = size(self.bytes_written), size(self.bytes_read)
         yield f"{self.destination}: {written} from {read}, exit status {self.exit_status}"
         yield from listed([str(place) for place in self.damage], "damaged", _MAX_SHOWN)
