@@ -106,7 +106,7 @@ def test_what_went_wrong_is_shown(tmp_path: Path) -> None:
     items[1] = Item(stream, items[1].log_time_ns, {2: items[1].data[2][:40]})
     broken = write_mcap(tmp_path / "broken.mcap", Recording((stream,), tuple(items)))
     text = str(pc2scan.convert(broken, tmp_path / "clouds.mcap", reverse=True))
-    assert "skipped: /scan, stamp 1700000000.100000000: " in text
+    assert "skipped: /scan, log time 1700000000.100000000: " in text
 
 
 def test_long_names_are_cut() -> None:

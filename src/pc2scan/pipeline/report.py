@@ -100,6 +100,14 @@ class Skipped:
     reason: str
     hint: str = ""
 
+    def __str__(self) -> str:
+        when = (
+            f"log time {stamp_text(self.log_time_ns)}"
+            if self.stamp_ns is None
+            else f"stamp {stamp_text(self.stamp_ns)}"
+        )
+        return f"{self.topic}, {when}: {self.reason}"
+
 
 @dataclass(slots=True)
 class TopicReport:
@@ -373,9 +381,7 @@ class Report(Shown):
         written, read = size(self.bytes_written), size(self.bytes_read)
         yield f"{self.destination}: {written} from {read}, exit status {self.exit_status}"
         yield from listed([str(place) for place in self.damage], "damaged", _MAX_SHOWN)
-        yield from listed(
-            [f"{e.topic}, stamp {stamp_text(e.stamp_ns or 0)}: {e.reason}" for e in self.skipped], "skipped", _MAX_SHOWN
-        )
+        yield from listed([str(entry) for entry in self.skipped], "skipped", _MAX_SHOWN)
         if hint := next((entry.hint for entry in self.skipped if entry.hint), ""):
             yield f"hint: {hint}"
         yield from (f"warning: {warning}" for warning in self.warnings)
