@@ -12,6 +12,7 @@ from typer.core import TyperCommand, TyperGroup
 
 from pc2scan.errors import Pc2ScanError, name_list
 
+from .examples import EXAMPLES
 from .failures import show_failure
 from .groups import flat
 from .interrupts import interruptible
@@ -38,6 +39,17 @@ _INTERRUPTED = 128 + signal.SIGINT
 
 class _Command(TyperCommand):
     """Shows help in sections as plain text; Typer's own sections need rich, whose import is slow."""
+
+    def format_help_text(self, ctx: Any, formatter: Any) -> None:
+        """Write the examples, then the description."""
+        examples = EXAMPLES.get(str(self.name), ())
+        if examples:
+            formatter.write_paragraph()
+            beside = [f"  {typed}  # {what}\n" for typed, what in examples]
+            if max(map(len, beside)) > formatter.width:
+                beside = [f"  # {what}\n  {typed}\n" for typed, what in examples]
+            formatter.write("".join(beside))
+        super().format_help_text(ctx, formatter)
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write the options of each section, in the order in which the sections first occur."""

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from . import completion
 from .damage import show_damage
 from .options import Json, TfSources
 from .render import message, print_json, warn
@@ -46,15 +47,27 @@ def check(
     ] = [],  # noqa: B006 - typer reads the default and never hands it out
     topics: Annotated[
         list[str],
-        typer.Option("--topic", "-t", metavar="TOPIC", help="LaserScan topic to check. Repeatable. Default: all."),
+        typer.Option(
+            "--topic",
+            "-t",
+            metavar="TOPIC",
+            help="LaserScan topic to check, or a glob. Repeatable. Default: all.",
+            autocompletion=completion.topics("/LaserScan"),
+        ),
     ] = [],  # noqa: B006
     odom_frame: Annotated[
-        str, typer.Option(metavar="FRAME", help="The odometry's frame; scans must be connected with it.")
+        str,
+        typer.Option(
+            metavar="FRAME",
+            help="The odometry's frame; scans must be connected with it.",
+            autocompletion=completion.frames,
+        ),
     ] = "odom",
     base_frame: Annotated[
         str,
         typer.Option(
             metavar="FRAME",
+            autocompletion=completion.frames,
             help="The robot's frame.  [default: base_link, or base_footprint]",
             show_default=False,
         ),

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from . import completion
 from .options import Json
 from .render import message, print_json
 
@@ -30,6 +31,7 @@ def diff(
             "--topic",
             "-t",
             metavar="A[:=B]",
+            autocompletion=completion.topics(),
             help="Topic to compare, and its name in B if that differs. Repeatable. "
             "Default: every LaserScan and PointCloud2 topic.",
         ),

@@ -13,9 +13,11 @@ import typer
 from typer.models import TyperPath
 
 from pc2scan.errors import UsageError
-from pc2scan.pipeline.parameters import PARAMETERS, Setting
+from pc2scan.pipeline.parameters import PARAMETERS, Setting, default_in_words
+from pc2scan.pipeline.parameters import Parameter as TableRow
 from pc2scan.pipeline.ros_scalars import plain_scalar
 
+from . import completion
 from .groups import Group
 from .render import warn
 from .spelling import as_typed
@@ -87,6 +89,7 @@ TfTopics = Annotated[
     typer.Option(
         "--tf-topic",
         metavar="TOPIC",
+        autocompletion=completion.topics("/TFMessage", "/tfMessage"),
         help="Topic of the transforms, if not /tf and /tf_static. Repeatable.",
         rich_help_panel=_FRAMES,
     ),
@@ -102,6 +105,7 @@ class Topics(Group):
             "--topic",
             "-t",
             metavar="IN[:=OUT]",
+            autocompletion=completion.topics("/PointCloud2", "/LaserScan"),
             help="PointCloud2 topic to convert, and the topic of its scans. Repeatable. "
             "Default: every PointCloud2 topic; one becomes /scan, several <topic>/scan.",
             rich_help_panel=_TOPICS,
@@ -112,6 +116,7 @@ class Topics(Group):
         typer.Option(
             "--keep",
             metavar="TOPIC",
+            autocompletion=completion.topics(),
             help="Of all topics that are not converted, write only these (names or globs). Repeatable.",
             rich_help_panel=_TOPICS,
         ),
@@ -121,6 +126,7 @@ class Topics(Group):
         typer.Option(
             "--drop",
             metavar="TOPIC",
+            autocompletion=completion.topics(),
             help="Do not write these topics (names or globs). Repeatable.",
             rich_help_panel=_TOPICS,
         ),
@@ -162,7 +168,7 @@ class ParameterOptions(Group):
         """Yield the options of `PARAMETERS`."""
         for name, parameter in PARAMETERS.items():
             boolean = parameter.kind == "bool"
-            default = str(parameter.default).lower() if boolean else str(parameter.default)
+            default = default_in_words(parameter)
             # For these, 0 means that another parameter is used.
             shown = default and name not in {"beams", "kth"}
             metavar = {"float": parameter.unit.upper(), "int": "N", "str": "NAME"}.get(parameter.kind)
@@ -173,10 +179,10 @@ class ParameterOptions(Group):
             option = typer.Option(
                 None,
                 f"{parameter.option}/{parameter.negation}" if boolean else parameter.option,
-                help=as_typed(parameter.help)
-                + (f"  [default: {' '.join(filter(None, (default, parameter.unit)))}]" if shown else ""),
+                help=as_typed(parameter.help) + (f"  [default: {default}]" if shown else ""),
                 show_default=False,
                 metavar=metavar,
+                autocompletion=_completion(parameter),
                 rich_help_panel=_PARAMS if parameter.upstreams else _SLAM,
             )
             # Numbers are read below, so that wrong ones are reported like those in a file.
@@ -193,6 +199,13 @@ class ParameterOptions(Group):
                 number = _NUMBERS.get(parameter.kind)
                 settings.append(Setting(name, _number(number, value) if number else value, option))
         return cls(settings=tuple(settings))
+
+
+def _completion(parameter: TableRow) -> Callable[..., list[str]] | None:
+    """What the shell offers for a parameter."""
+    if parameter.name == "target_frame":
+        return completion.frames
+    return completion.choices(parameter.words) if parameter.words else None
 
 
 def _number(number: Callable[[str], float], text: str) -> object:
@@ -272,6 +285,7 @@ class Projection(Group):
         str | None,
         typer.Option(
             metavar="CONSUMER",
+            autocompletion=completion.presets,
             help="Parameters for a consumer of the scans: slam_toolbox, cartographer, gmapping, amcl, nav2, mrpt. "
             "Parameters given here or in a file override them.",
             rich_help_panel=_SLAM,
@@ -371,6 +385,7 @@ class Frames(Group):
         str,
         typer.Option(
             metavar="FRAME",
+            autocompletion=completion.frames,
             help="Frame of the messages to convert, if their own frame_id is wrong or empty.",
             show_default=False,
             rich_help_panel=_FRAMES,

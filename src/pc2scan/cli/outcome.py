@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from pc2scan.pipeline.parameters import PARAMETERS
+from pc2scan.pipeline.parameters import PARAMETERS, in_words
 
 from .damage import SHOWN, show_recovery
 from .next_command import next_command
@@ -34,7 +34,7 @@ def show(report: Report, *, verbose: bool = False) -> None:
     if names:
         table(
             ("parameter", "value", "from"),
-            [(name, str(getattr(report.params, name)), report.origins.get(name, "default")) for name in names],
+            [(name, in_words(getattr(report.params, name)), report.origins.get(name, "default")) for name in names],
             left=("parameter", "from"),
         )
         typer.echo()

@@ -9,6 +9,7 @@ import typer
 
 from pc2scan.errors import UsageError, stamp_text
 
+from . import completion
 from .damage import show_damage
 from .options import Json, StaticTf, TfTopics
 from .render import count, print_json, printable, table, warn
@@ -29,7 +30,12 @@ def tf(
     sources: Annotated[list[Path], typer.Argument(metavar="SRC...", help="Recordings; their transforms are merged.")],
     frames: Annotated[
         tuple[str, str] | None,
-        typer.Option("--lookup", metavar="TARGET SOURCE", help="Print the transform from SOURCE to TARGET."),
+        typer.Option(
+            "--lookup",
+            metavar="TARGET SOURCE",
+            help="Print the transform from SOURCE to TARGET.",
+            autocompletion=completion.frames,
+        ),
     ] = None,
     at: Annotated[
         str | None,

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import re
+import sys
 from contextlib import suppress
 from dataclasses import dataclass, fields
 from types import MappingProxyType
@@ -35,9 +36,11 @@ __all__ = [
     "Parameter",
     "ResolvedParams",
     "Setting",
+    "default_in_words",
     "expected_message",
     "from_option",
     "from_preset",
+    "in_words",
     "names_of",
     "preset_of",
     "preset_settings",
@@ -426,6 +429,34 @@ def preset_settings(consumer: str) -> list[Setting]:
             f"there is no preset {shown(consumer)}{meant}", name="preset", hint=f"the presets are {', '.join(PRESETS)}"
         )
     return [Setting(name, value, f"--preset {consumer}", "preset") for name, value in PRESETS[consumer].items()]
+
+
+def in_words(value: float | bool | str) -> str:
+    """Return a parameter's value for people: ``no limit`` and ``above 0`` for the largest and the smallest number.
+
+    >>> in_words(1.7976931348623157e308), in_words(2.2250738585072014e-308), in_words(True), in_words(-0.3)
+    ('no limit', 'above 0', 'true', '-0.3')
+    """
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, float) and value in (sys.float_info.max, math.inf):
+        return "no limit"
+    return "above 0" if value == sys.float_info.min else str(value)
+
+
+def default_in_words(parameter: Parameter) -> str:
+    """Return a parameter's default for people, with its unit; empty where there is none to show.
+
+    >>> default_in_words(PARAMETERS["angle_increment"]), default_in_words(PARAMETERS["range_max"])
+    ('pi/180 rad, 1 degree', 'no limit')
+    """
+    known = {-math.pi: "-pi", math.pi: "pi", math.pi / 180: "pi/180", 1 / 30: "1/30"}
+    value = parameter.default
+    text = known.get(value) if isinstance(value, float) else None
+    text = text or in_words(value)
+    if not text or text == "no limit":
+        return text
+    return f"{text} {parameter.unit}".rstrip() + (", 1 degree" if parameter.name == "angle_increment" else "")
 
 
 def from_preset(origin: str) -> bool:

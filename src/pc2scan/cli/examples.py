@@ -1,0 +1,43 @@
+"""The examples with which the help of each command begins."""
+
+from __future__ import annotations
+
+__all__ = ["EXAMPLES"]
+
+#: For each command: what is typed, and what it does.
+EXAMPLES: dict[str, tuple[tuple[str, str], ...]] = {
+    "convert": (
+        ("pc2scan convert drive.bag --min-height 0.1 --max-height 1.5", "writes drive_scan.bag"),
+        ("pc2scan convert drive.bag -o drive.mcap --params-file params.yaml", "the file that ran the robot"),
+        ("pc2scan convert drive.bag --preset slam_toolbox --target-frame base_link", "scans that SLAM takes"),
+    ),
+    "view": (
+        ("pc2scan view drive.bag", "a page that shows its clouds and scans"),
+        ("pc2scan view drive.bag --min-height 0.1 --max-height 1.5", "with the scans that these heights make"),
+    ),
+    "check": (
+        ("pc2scan check scans.mcap", "would SLAM and navigation take its scans?"),
+        ("pc2scan check scans.mcap --for slam_toolbox --for nav2", "only these decide"),
+    ),
+    "info": (
+        ("pc2scan info drive.bag", "what is in it, and at which heights its points are"),
+        ("pc2scan info drive.bag --json", "the same for programs"),
+    ),
+    "tf": (
+        ("pc2scan tf drive.bag", "its frames"),
+        ("pc2scan tf drive.bag --lookup base_link lidar", "where the lidar is on the robot"),
+    ),
+    "repair": (
+        ("pc2scan repair drive.bag.active", "writes drive_repaired.bag"),
+        ("pc2scan repair cut_off.mcap -o sound.mcap", "everything that can be recovered"),
+    ),
+    "diff": (
+        ("pc2scan diff before.bag after.mcap", "every scan and cloud, to the bit"),
+        ("pc2scan diff before.bag after.mcap --rtol 1e-5", "with a tolerance"),
+        ("pc2scan diff drive.bag --topic /scan:=/scan2", "two topics of one recording"),
+    ),
+    "golden": (
+        ("pc2scan golden golden/", "do conversions still make what they once made?"),
+        ("pc2scan golden golden/ -k drive --update", "make what they make now the expected output"),
+    ),
+}
