@@ -43,6 +43,8 @@ def test_deskewed_scans_say_how_far_the_sensor_moved(tmp_path: Path, stamp: str)
     assert topic["messages_out"] == len(scans) >= 4
     assert 0.01 < topic["motion"]["median_m"] <= topic["motion"]["largest_m"] < 0.5
     assert 0.1 < topic["motion"]["median_deg"] <= topic["motion"]["largest_deg"] < 30
+    assert topic["motion"]["longest_gap_s"] == pytest.approx(0.1)
+    assert "transforms to --fixed-frame were missing" not in done.stderr
     points = topic["points"]
     assert points["total"] == sum(count for name, count in points.items() if name != "total")
     assert points["no_time"] == 0

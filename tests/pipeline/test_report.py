@@ -69,6 +69,27 @@ def test_nothing_converted_is_worth_a_warning() -> None:
     assert report(total=0, messages_out=0).warnings == ["no message of /points could be converted"]
 
 
+def test_a_gap_that_deskewing_bridged_is_a_warning() -> None:
+    made = Report(["a.bag"], "b.bag", ProjectionParams())
+    for gap in (0.1, 0.3):
+        motions = [(0.1, 0.01, 0.02), (0.3, 0.02, gap), (0.2, 0.03, 0.02)]
+        made.topics = [TopicReport("/points", "x", f"/scan{gap}", "converted", messages_out=3, motions=motions)]
+        made.conclude()
+    (warning,) = made.warnings
+    assert warning.startswith(
+        "/scan0.3: while clouds were measured, transforms to `fixed_frame` were missing for up to 0.3"
+    )
+    assert made.topics[0].motion == pytest.approx(
+        {
+            "largest_m": 0.3,
+            "median_m": 0.2,
+            "largest_deg": math.degrees(0.03),
+            "median_deg": math.degrees(0.02),
+            "longest_gap_s": 0.3,
+        }
+    )
+
+
 def test_skipped_messages_are_all_counted_and_the_first_ones_listed() -> None:
     made = report(used=100)
     for i in range(MAX_LISTED + 7):

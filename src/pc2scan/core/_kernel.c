@@ -637,6 +637,8 @@ release_x:
 typedef struct {
     const double *times, *transforms;
     Py_ssize_t nodes;
+    /* Of each part: by how much its transform changes, and one by its duration. */
+    double *steps, *scales;
 } Motion;
 
 /* The part that a time lies in: the first that does not end before it, or the one behind it if only that is known. */
@@ -665,12 +667,8 @@ static int is_known(const Motion *motion, Py_ssize_t part) {
 WIDEST static void deskew_run(const float *restrict x, const float *restrict y, const float *restrict z,
                               const double *restrict times, int count, const Motion *motion, Py_ssize_t part,
                               float *restrict to_x, float *restrict to_y, float *restrict to_z) {
-    const double begin = motion->times[part], scale = 1.0 / (motion->times[part + 1] - begin);
-    double from[12], step[12];
-    for (int k = 0; k < 12; k++) {
-        from[k] = motion->transforms[12 * part + k];
-        step[k] = motion->transforms[12 * part + 12 + k] - from[k];
-    }
+    const double begin = motion->times[part], scale = motion->scales[part];
+    const double *restrict from = motion->transforms + 12 * part, *restrict step = motion->steps + 12 * part;
     for (int i = 0; i < count; i++) {
         const double ratio = (times[i] - begin) * scale, a = x[i], b = y[i], c = z[i];
         to_x[i] = (float)((from[0] + ratio * step[0]) * a + (from[1] + ratio * step[1]) * b +
@@ -734,6 +732,7 @@ static int64_t deskew_cloud(const Cloud *cloud, const double *times, const Motio
 static PyObject *deskew(PyObject *self, PyObject *args) {
     (void)self;
     PyObject *xyz[3], *times_of, *nodes_of, *transforms_of, *out_of, *result = NULL;
+    double *steps = NULL;
     if (!PyArg_ParseTuple(args, "OOOOOOO", &xyz[0], &xyz[1], &xyz[2], &times_of, &nodes_of, &transforms_of, &out_of))
         return NULL;
     Cloud cloud;
@@ -745,12 +744,17 @@ static PyObject *deskew(PyObject *self, PyObject *args) {
     if (contiguous(transforms_of, &transforms, PyBUF_SIMPLE, 8, nodes.len / 8 * 12) < 0) goto release_nodes;
     if (contiguous(out_of, &out, PyBUF_WRITABLE, 4, 3 * most) < 0) goto release_transforms;
     if (nodes.len < 16) PyErr_SetString(PyExc_ValueError, "there are fewer than two nodes");
+    else if ((steps = PyMem_Malloc((size_t)(nodes.len / 8 * 13) * sizeof *steps)) == NULL) PyErr_NoMemory();
     else {
-        const Motion motion = {nodes.buf, transforms.buf, nodes.len / 8};
+        const Py_ssize_t parts = nodes.len / 8 - 1;
+        const Motion motion = {nodes.buf, transforms.buf, parts + 1, steps, steps + 12 * parts};
+        for (Py_ssize_t k = 0; k < 12 * parts; k++) steps[k] = motion.transforms[k + 12] - motion.transforms[k];
+        for (Py_ssize_t k = 0; k < parts; k++) motion.scales[k] = 1.0 / (motion.times[k + 1] - motion.times[k]);
         PyThreadState *state = let_others(most);
         const int64_t missing = deskew_cloud(&cloud, times.buf, &motion, out.buf);
         if (state) PyEval_RestoreThread(state);
         result = PyLong_FromLongLong((long long)missing);
+        PyMem_Free(steps);
     }
     PyBuffer_Release(&out);
 release_transforms:

@@ -74,10 +74,14 @@ def point_times(values: NDArray[Any], stamp_ns: int, unit_name: str = "") -> NDA
     (M,) float64, NaN where the value is not finite.
     """
     times: NDArray[np.float64] = np.ravel(values).astype(np.float64)
-    times[~np.isfinite(times)] = np.nan
-    if not times.size or np.isnan(times).all():
+    if not times.size:
         return times
-    low, high = float(np.nanmin(times)), float(np.nanmax(times))
+    low, high = float(times.min()), float(times.max())
+    if not (math.isfinite(low) and math.isfinite(high)):
+        times[~np.isfinite(times)] = np.nan
+        if np.isnan(times).all():
+            return times
+        low, high = float(np.nanmin(times)), float(np.nanmax(times))
     unit = 1e-9 if values.dtype.kind in "iu" else next((unit for most, unit in _UNITS if high - low < most), 1e-9)
     unit = TIME_UNITS.get(unit_name, unit)
     if abs(low * unit) >= _ABSOLUTE:

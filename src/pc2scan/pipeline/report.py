@@ -45,6 +45,9 @@ _MAX_WARNED = 5
 _NOTABLE_SHARE = 0.25
 
 
+#: Seconds between two transforms that deskewing should not bridge in silence: odometry has ten a second and more.
+_NOTABLE_GAP = 0.25
+
 #: A change of the increment, as a share of it, that is more than a rounding.
 _NOTABLE_STEP = 1e-5
 
@@ -131,7 +134,8 @@ class TopicReport:
     empty_scans
         Scans without a single return.
     motions
-        Of deskewed clouds: how far the sensor was from its pose at the scan's time, at most, metres and radians.
+        Of deskewed clouds: how far the sensor was from its pose at the scan's time, at most, metres and radians, and
+        the longest time that transforms were interpolated over, seconds.
     clouds_kept
         Whether the converted clouds were written too.
     lost
@@ -148,21 +152,22 @@ class TopicReport:
     skipped: int = 0
     points: PointCounts = field(default_factory=PointCounts)
     empty_scans: int = 0
-    motions: list[tuple[float, float]] = field(default_factory=list)
+    motions: list[tuple[float, float, float]] = field(default_factory=list)
     clouds_kept: bool = False
     lost: bool = False
 
     @property
     def motion(self) -> dict[str, float] | None:
-        """The largest and the median of the motions, metres and degrees; None if nothing was deskewed."""
+        """The largest and the median of the motions, and the longest gap; None if nothing was deskewed."""
         if not self.motions:
             return None
-        metres, radians = zip(*self.motions, strict=True)
+        metres, radians, gaps = zip(*self.motions, strict=True)
         return {
             "largest_m": max(metres),
             "median_m": median_low(metres),
             "largest_deg": math.degrees(max(radians)),
             "median_deg": math.degrees(median_low(radians)),
+            "longest_gap_s": max(gaps),
         }
 
     def skip(self, count: int) -> None:
@@ -300,6 +305,11 @@ class Report(Shown):
                     f"and {motion['largest_deg']:.3g} degrees (median {motion['median_m']:.3g} m, "
                     f"{motion['median_deg']:.3g} degrees)"
                 )
+                if motion["longest_gap_s"] > _NOTABLE_GAP:
+                    self.warnings.append(
+                        f"{topic.target}: while clouds were measured, transforms to `fixed_frame` were missing for up "
+                        f"to {motion['longest_gap_s']:.3g} s; deskewing assumes that the robot moved evenly meanwhile"
+                    )
 
     @property
     def rejections(self) -> dict[str, Rejection]:

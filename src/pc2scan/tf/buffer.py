@@ -126,8 +126,9 @@ class TransformBuffer:
         source: str,
         begin_ns: int,
         end_ns: int,
-        step_ns: Callable[[NDArray[np.int64], NDArray[np.float64]], int],
-    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        step_ns: int,
+        needed_ns: Callable[[NDArray[np.int64], NDArray[np.float64]], int],
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64], int]:
         """Look up a transform at all times between two, so close to each other that it can be interpolated.
 
         Parameters
@@ -137,7 +138,9 @@ class TransformBuffer:
         begin_ns, end_ns
             The first and the last time, nanoseconds; the second is later.
         step_ns
-            Given both ends and the samples' own times, and the rows there, how far times may be apart, nanoseconds.
+            How far times may be apart, nanoseconds.
+        needed_ns
+            The same, given all that was looked up with ``step_ns``; if it is less, more times are looked up.
 
         Returns
         -------
@@ -145,29 +148,34 @@ class TransformBuffer:
             Both ends, the times of all samples between them, and times between these.
         rows : (N, 12) float64
             ``target_from_source``: the rows of the rotation, then the translation; NaN where there is no transform.
+        gap_ns : int
+            The longest time between two samples that it was interpolated over, nanoseconds.
 
         Raises
         ------
         TransformError
             If a frame is unknown, or the two are not connected.
         """
-        from .many import rows_of, sample_times  # noqa: PLC0415  # only deskewing needs it
+        from .many import longest_gap_ns, rows_of, sample_times  # noqa: PLC0415  # only deskewing needs it
 
         query = self._query(target, source, begin_ns, 0)
         ends = np.array([begin_ns, end_ns])
         if query is None:
             identity = np.array([1.0, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0])
-            return ends, np.broadcast_to(identity, (2, 12)).copy()
+            return ends, np.broadcast_to(identity, (2, 12)).copy(), 0
         key = query.target_number, query.source_number
         if key not in self._chains:
             self._chains[key] = self._timeless_chain(*key)
         # Where frames change parents, those at the beginning count.
         chain = self._chains[key] or self._timed_chain(query, begin_ns)
-        coarse = np.union1d(ends, sample_times(chain, begin_ns, end_ns))
-        count = -(-(end_ns - begin_ns) // step_ns(coarse, rows_of(chain, coarse)))
-        grid = begin_ns + np.arange(1, count) * (end_ns - begin_ns) // count
-        stamps_ns = np.union1d(coarse, grid)
-        return stamps_ns, rows_of(chain, stamps_ns)
+        samples = np.union1d(ends, sample_times(chain, begin_ns, end_ns))
+        stamps_ns = _filled(samples, step_ns)
+        found = rows_of(chain, stamps_ns)
+        needed = needed_ns(stamps_ns, found)
+        if needed < step_ns:
+            stamps_ns = _filled(samples, needed)
+            found = rows_of(chain, stamps_ns)
+        return stamps_ns, found, longest_gap_ns(chain, begin_ns, end_ns)
 
     def latest_common_ns(self, target: str, source: str) -> int:
         """Return the time that `lookup` uses for a stamp of 0; tf2 writes it into its result.
@@ -301,3 +309,10 @@ class TransformBuffer:
         link = self._history(child)
         assert link is not None  # children are the frames with samples
         return frame_info(link, int(self._received[child]), self.frames)
+
+
+def _filled(stamps_ns: NDArray[np.int64], step_ns: int) -> NDArray[np.int64]:
+    """Times, and as many evenly spaced ones between the first and the last that none is farther from the next."""
+    begin_ns, span = stamps_ns[0], int(stamps_ns[-1] - stamps_ns[0])
+    count = -(-span // step_ns)
+    return np.union1d(stamps_ns, begin_ns + np.arange(1, count) * span // count)

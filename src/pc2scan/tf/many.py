@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from .chain import Chain
     from .history import FrameHistory
 
-__all__ = ["rows_of", "sample_times"]
+__all__ = ["longest_gap_ns", "rows_of", "sample_times"]
 
 
 def sample_times(chain: Chain, begin_ns: int, end_ns: int) -> NDArray[np.int64]:
@@ -30,6 +30,18 @@ def sample_times(chain: Chain, begin_ns: int, end_ns: int) -> NDArray[np.int64]:
             first, last = link.stamps_ns.searchsorted([begin_ns, end_ns + 1])
             found.append(link.stamps_ns[first:last])
     return np.unique(np.concatenate(found))
+
+
+def longest_gap_ns(chain: Chain, begin_ns: int, end_ns: int) -> int:
+    """Return the longest time between two samples of one frame of which a part is between two times, nanoseconds."""
+    longest = 0
+    for link in chain.links:
+        if not link.static:
+            first = int(link.stamps_ns.searchsorted(begin_ns, "right"))
+            last = int(link.stamps_ns.searchsorted(end_ns, "left"))
+            around = link.stamps_ns[max(first - 1, 0) : last + 1]
+            longest = max(longest, int(np.diff(around).max(initial=0)))
+    return longest
 
 
 def rows_of(chain: Chain, stamps_ns: NDArray[np.int64]) -> NDArray[np.float64]:

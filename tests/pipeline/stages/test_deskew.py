@@ -145,6 +145,22 @@ def test_points_without_a_transform_or_a_time_are_counted() -> None:
     assert np.isnan(placed.field("x")[~kept]).all()
 
 
+def test_a_gap_of_the_odometry_is_reported() -> None:
+    builder = TransformBuilder()
+    for seconds in (-1.0, -0.02, 0.0, 0.7, 0.72):
+        pose = driven(seconds).pose
+        builder.add([("odom", "lidar", T0 + round(seconds * SECOND), *pose)], static=False)
+    known = Frames("", "", builder.build(), 0)
+
+    def gap(first: int, last: int) -> float:
+        moving = moving_of(Deskew(known, "odom", PointTime()), points(np.ones((2, 3)), [first, last]))
+        return moving.motion.gap
+
+    assert gap(0, 100_000_000) == pytest.approx(0.7)
+    assert gap(-10_000_000, 0) == pytest.approx(0.02)
+    assert gap(-500_000_000, -100_000_000) == pytest.approx(0.98)
+
+
 def test_a_cloud_before_all_transforms_is_an_error() -> None:
     with pytest.raises(TransformError):
         Deskew(frames(begin=0.5), "odom", PointTime())(points([[1, 1, 1]] * 2, [0, 1000]))

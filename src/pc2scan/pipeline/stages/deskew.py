@@ -39,9 +39,9 @@ _LONGEST = 60.0
 _SHORTEST = 1e-9
 
 #: Nodes between which transforms are interpolated linearly: at most so far apart, nanoseconds and radians. The rotation
-#: between two of them is off by the square of that angle, divided by 8: 0.5 micrometres at 100 m.
-_STEP_NS = 1_000_000
-_STEP = 2e-4
+#: between two of them is off by the square of that angle, divided by 8: at most 1.2 micrometres at 100 m.
+_STEP_NS = 250_000
+_STEP = 3e-4
 _MOST_NODES = 20_000
 
 
@@ -95,10 +95,14 @@ class PointTime:
 
 
 class Motion(NamedTuple):
-    """How far the sensor was from its pose at the scan's time, at most: metres and radians."""
+    """How far the sensor was from its pose at the scan's time, at most: metres and radians.
+
+    ``gap`` is the longest time that transforms were interpolated over, seconds.
+    """
 
     distance: float
     angle: float
+    gap: float = 0.0
 
 
 class Moving(NamedTuple):
@@ -203,12 +207,12 @@ class Deskew:
         target = self._frames.target_frame or source
         from_fixed = buffer.lookup(target, self._fixed, reference_ns, tolerance_ns)
         reference = from_fixed.compose(buffer.lookup(self._fixed, source, reference_ns, tolerance_ns))
-        stamps_ns, rows = buffer.rows(self._fixed, source, begin_ns, end_ns, _step_ns)
+        stamps_ns, rows, gap_ns = buffer.rows(self._fixed, source, begin_ns, end_ns, _STEP_NS, _step_ns)
         if np.isnan(rows).all():
             buffer.lookup(self._fixed, source, begin_ns)  # tells why
         rows = _composed(from_fixed, rows)
         times = (stamps_ns - stamp_ns) / 1e9
-        return Moving(points, reference_ns, times, rows, target, _motion(rows, reference))
+        return Moving(points, reference_ns, times, rows, target, _motion(rows, reference, gap_ns))
 
     def _timed(self, points: Points) -> tuple[Points, float, float] | None:
         """The points with their times, and the first and last of these: seconds after the stamp."""
@@ -252,13 +256,15 @@ class Deskew:
 
 
 def _step_ns(stamps_ns: NDArray[np.int64], rows: NDArray[np.float64]) -> int:
-    """How far nodes may be apart, given the transforms at the samples' own times."""
-    span = int(stamps_ns[-1] - stamps_ns[0])
-    angles = _angles(np.diff(rows[:, :9], axis=0))
-    rates = angles / np.diff(stamps_ns)
-    fastest = float(np.max(rates, initial=0.0, where=~np.isnan(rates)))
-    step = min(_STEP_NS, _STEP / fastest) if fastest > 0 else _STEP_NS
-    return max(1, int(step), span // _MOST_NODES)
+    """How far nodes may be apart, given some."""
+    differences = np.diff(rows[:, :9], axis=0)
+    largest = float(np.nanmax(np.einsum("ni,ni->n", differences, differences), initial=0.0))
+    # A rotation by an angle changes its matrix by the root of 8 times the sine of half of that.
+    angle = 2 * math.asin(min(1.0, math.sqrt(largest / 8)))
+    if angle <= _STEP:
+        return _STEP_NS
+    rates = _angles(differences) / np.diff(stamps_ns)
+    return max(1, int(_STEP / np.nanmax(rates)), int(stamps_ns[-1] - stamps_ns[0]) // _MOST_NODES)
 
 
 def _angles(differences: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -275,8 +281,8 @@ def _composed(first: Rigid, rows: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.concatenate([rotation.reshape(-1, 9), origin], axis=1)
 
 
-def _motion(rows: NDArray[np.float64], reference: Rigid) -> Motion:
+def _motion(rows: NDArray[np.float64], reference: Rigid, gap_ns: int) -> Motion:
     known = rows[~np.isnan(rows[:, 0])]
     distances = np.sqrt(np.square(known[:, 9:] - np.asarray(reference.translation)).sum(axis=1))
     angles = _angles(known[:, :9] - reference.matrix.reshape(9))
-    return Motion(float(distances.max(initial=0.0)), float(angles.max(initial=0.0)))
+    return Motion(float(distances.max(initial=0.0)), float(angles.max(initial=0.0)), gap_ns / 1e9)
