@@ -53,7 +53,7 @@ def test_the_compiled_loop_does_what_numpy_does(dtype: str, order: str) -> None:
                     if order == "in time"
                     else np.concatenate([np.sort(t) for t in np.array_split(times, 3)])
                 )
-            outs = np.zeros((2, 3, size), np.float32)
+            outs = np.zeros((2, size, 3), np.float32)
             one = COMPILED(x, y, z, times, node_times, transforms, outs[0])
             other = plain.deskew(x, y, z, times, node_times, transforms, outs[1])
             assert one == other
@@ -69,13 +69,13 @@ def test_a_transform_is_interpolated_between_its_neighbours() -> None:
     node_times = np.array([0.0, 1.0, 3.0, 4.0])
     times = np.array([0.0, 0.25, 1.0, 2.0, 3.0, 3.5, 4.0, -0.1, 4.1, np.nan, 0.5])
     x = np.array([5.0] * 10 + [np.nan], np.float32)
-    out = np.empty((3, x.size), np.float32)
+    out = np.empty((x.size, 3), np.float32)
     missing = kernel.deskew(x, np.zeros_like(x), np.ones_like(x), times, node_times, transforms, out)
     assert missing == 5
     expected = [5, 5.25, 6, 6, 6, *[np.nan] * 6]
-    np.testing.assert_array_equal(out[0], np.array(expected, np.float32))
-    np.testing.assert_array_equal(out[1, :5], np.array([0, 0, 0, 2, 4], np.float32))
-    np.testing.assert_array_equal(out[2, :5], np.ones(5, np.float32))
+    np.testing.assert_array_equal(out[:, 0], np.array(expected, np.float32))
+    np.testing.assert_array_equal(out[:5, 1], np.array([0, 0, 0, 2, 4], np.float32))
+    np.testing.assert_array_equal(out[:5, 2], np.ones(5, np.float32))
 
 
 @pytest.mark.usefixtures("loops")
@@ -83,10 +83,10 @@ def test_a_part_without_a_transform_does_not_hide_its_ends() -> None:
     transforms = np.full((4, 12), np.nan)
     transforms[1:3] = [1, 0, 0, 0, 1, 0, 0, 0, 1, 7, 0, 0]
     node_times = np.array([0.0, 1.0, 2.0, 3.0])
-    out = np.empty((3, 5), np.float32)
+    out = np.empty((5, 3), np.float32)
     zeros = np.zeros(5, np.float32)
     assert kernel.deskew(zeros, zeros, zeros, np.array([0.9, 1.0, 1.5, 2.0, 2.1]), node_times, transforms, out) == 2
-    np.testing.assert_array_equal(out[0], np.array([np.nan, 7, 7, 7, np.nan], np.float32))
+    np.testing.assert_array_equal(out[:, 0], np.array([np.nan, 7, 7, 7, np.nan], np.float32))
 
 
 @pytest.mark.skipif(not kernel.COMPILED, reason="there was no C compiler")

@@ -683,9 +683,8 @@ WIDEST static void deskew_run(const float *restrict x, const float *restrict y, 
 /* Transform a cloud whose points were measured one after the other. Returns how many points have no transform. */
 static int64_t deskew_cloud(const Cloud *cloud, const double *times, const Motion *motion, float *out) {
     const int common = in_common(cloud->axis);
-    const Py_ssize_t total = cloud->rows * cloud->columns;
     const double first = motion->times[0], last = motion->times[motion->nodes - 1];
-    float x[BLOCK], y[BLOCK], z[BLOCK];
+    float x[BLOCK], y[BLOCK], z[BLOCK], to_x[BLOCK], to_y[BLOCK], to_z[BLOCK];
     Py_ssize_t part = 0, place = 0;
     int64_t missing = 0;
     for (Py_ssize_t row = 0; row < cloud->rows; row++)
@@ -713,15 +712,20 @@ static int64_t deskew_cloud(const Cloud *cloud, const double *times, const Motio
                         while (end < count && times[place + end] > low && times[place + end] < high) end++;
                     known = is_known(motion, used);
                     if (known)
-                        deskew_run(x + i, y + i, z + i, times + place + i, end - i, motion, used, out + place + i,
-                                   out + total + place + i, out + 2 * total + place + i);
+                        deskew_run(x + i, y + i, z + i, times + place + i, end - i, motion, used, to_x + i, to_y + i,
+                                   to_z + i);
                 }
                 if (!known)
                     for (int k = i; k < end; k++) {
                         missing += x[k] == x[k] && y[k] == y[k] && z[k] == z[k];
-                        out[place + k] = out[total + place + k] = out[2 * total + place + k] = NAN;
+                        to_x[k] = to_y[k] = to_z[k] = NAN;
                     }
                 i = end;
+            }
+            for (int i = 0; i < count; i++, out += 3) {
+                out[0] = to_x[i];
+                out[1] = to_y[i];
+                out[2] = to_z[i];
             }
             column += count;
             place += count;

@@ -213,7 +213,7 @@ def deskew(
     transforms
         (N, 12): the rows of the rotation, then the translation; NaN where there is none.
     out
-        (3, points), overwritten: the coordinates, NaN for points without a transform.
+        (points, 3), overwritten: the coordinates, NaN for points without a transform.
 
     Returns
     -------
@@ -237,8 +237,8 @@ def deskew(
             for k in (3 * axis, 3 * axis + 1, 3 * axis + 2, offset):
                 first = transforms[part, k]
                 row.append(first + ratio * (transforms[part + 1, k] - first))
-            out[axis] = row[0] * a + row[1] * b + row[2] * c + row[3]
-        out[:, ~found] = np.nan
+            out[:, axis] = row[0] * a + row[1] * b + row[2] * c + row[3]
+        out[~found] = np.nan
         measured = ~(np.isnan(source[0]) | np.isnan(source[1]) | np.isnan(source[2]))
     return int(np.count_nonzero(~found & measured))
 

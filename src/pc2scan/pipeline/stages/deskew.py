@@ -143,12 +143,13 @@ class Moving(NamedTuple):
         """
         x, y, z = points.xyz()
         times = points.fields[TIME]
-        out = np.empty((3, x.size), np.float32)
+        out = np.empty((x.size, 3), np.float32)
         missing = kernel.deskew(x, y, z, np.ravel(times), self.node_times, self.transforms, out)
-        placed = points.replace(dict(zip("xyz", out.reshape(3, *x.shape), strict=True)), self.frame_id)
+        coordinates = out.reshape(*x.shape, 3)
+        placed = points.replace({axis: coordinates[..., k] for k, axis in enumerate("xyz")}, self.frame_id)
         if not missing:
             return placed, None, {NO_TIME.name: 0, NO_TRANSFORM.name: 0}
-        nowhere = np.isnan(out[0]).reshape(x.shape) & ~(np.isnan(x) | np.isnan(y) | np.isnan(z))
+        nowhere = np.isnan(coordinates[..., 0]) & ~(np.isnan(x) | np.isnan(y) | np.isnan(z))
         untimed = int(np.count_nonzero(nowhere & np.isnan(times)))
         total = int(np.count_nonzero(nowhere))
         return placed, ~nowhere, {NO_TIME.name: untimed, NO_TRANSFORM.name: total - untimed}
