@@ -9,7 +9,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pc2scan.core.layout import TURN, centered_layout, float32, upstream_layout
+from pc2scan.core.layout import (
+    TURN,
+    centered_layout,
+    float32,
+    half_open_layout,
+    symmetric_layout,
+    upstream_layout,
+)
 
 PI = math.pi
 DEGREE = math.pi / 180
@@ -84,3 +91,26 @@ def test_upstream_advertises_the_parameters(sector: tuple[float, float], beams: 
     assert layout.count == beams
     assert (layout.angle_min, layout.angle_max, layout.full_circle) == (float32(low), float32(high), False)
     assert layout.angle_increment == pytest.approx(sector[1] / beams, rel=1e-4, abs=1e-9)
+
+
+@given(st.floats(-4, 4), st.floats(0.05, 7), st.integers(2, 3000))
+def test_half_open_beams_are_the_centered_ones(angle_min: float, span: float, beams: int) -> None:
+    centered = centered_layout(angle_min, angle_min + span, 0.0, beams)
+    layout = half_open_layout(angle_min, angle_min + span, 0.0, beams)
+    assert (layout.count, layout.angle_min, layout.angle_increment) == (
+        centered.count,
+        centered.angle_min,
+        centered.angle_increment,
+    )
+    assert layout.angle_max == float32(layout.angle_min + layout.count * layout.angle_increment)
+
+
+@given(st.floats(0.05, 4), st.integers(2, 3000))
+def test_symmetric_beams_have_0_in_their_middle(half: float, beams: int) -> None:
+    layout = symmetric_layout(-half, half, 0.0, beams)
+    assert layout.count == beams
+    # By two steps of float32 they begin earlier than they end, so that MRPT's indexes are never a rounding too low.
+    assert 0 < -(layout.angle_min + layout.angle_max) < 4e-7 * max(1.0, layout.angle_max)
+    assert layout.angle_max == pytest.approx((beams - 1) * layout.angle_increment / 2, abs=5e-7)
+    if layout.full_circle:
+        assert layout.angle_max == pytest.approx(PI - layout.angle_increment / 2, abs=2e-6)

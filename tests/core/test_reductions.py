@@ -111,11 +111,13 @@ POINTS = st.lists(
 @st.composite
 def parameters(draw: st.DrawFn) -> ProjectionParams:
     reduce = draw(st.sampled_from(["min", "max", "mean", "median", "kth", "surface"]))
-    low = draw(st.sampled_from([-PI, 0.0, -1.0]))
+    geometry = draw(st.sampled_from(["upstream", "centered", "half-open", "symmetric"]))
+    span = draw(st.sampled_from([2 * PI, PI, 1.5]))
+    low = -span / 2 if geometry == "symmetric" else draw(st.sampled_from([-PI, 0.0, -1.0]))
     return ProjectionParams(
-        geometry=draw(st.sampled_from(["upstream", "centered"])),
+        geometry=geometry,
         angle_min=low,
-        angle_max=low + draw(st.sampled_from([2 * PI, PI, 1.5])),
+        angle_max=low + span,
         angle_increment=draw(st.sampled_from([PI / 180, PI / 4, 0.1, 0.7])),
         min_height=-1.0,
         max_height=1.0,
