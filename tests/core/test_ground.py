@@ -7,7 +7,8 @@ import pytest
 
 from mounted_worlds import PLACES, SENSORS, Place, cloud, mounted, up_in_sensor, without
 from pc2scan.bags.opening import open_recording
-from pc2scan.core.ground import Ground, agreed, look_at, thinned
+from pc2scan.core.ground import Ground, agreed, look_at
+from pc2scan.core.level import thinned
 from pc2scan.core.rigid import Rigid
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, decode_pointcloud2
 from support import RECORDINGS, needs_shared

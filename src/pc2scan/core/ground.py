@@ -23,28 +23,26 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
+
+from .level import LEVEL, cells_of, level_floor, tolerances
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-__all__ = ["Ground", "Kind", "Plane", "agreed", "look_at", "planes_of", "thinned"]
+__all__ = ["Ground", "Kind", "Plane", "agreed", "look_at", "planes_of"]
 
 Kind = Literal["level", "tilted", "upside-down", "optical", "unknown"]
 
 _Points: TypeAlias = "NDArray[np.float64]"
 _Direction: TypeAlias = tuple[float, float, float]
 
-#: Points of a cloud that are looked at, and how few are too few.
-MOST_POINTS = 4_000
+#: How few points are too few.
 _FEWEST_POINTS = 300
-
-#: Up to here a frame counts as level, radians. Roads and yards are no flatter, and robots pitch.
-LEVEL = math.radians(5.0)
 
 #: From here on a wall is as likely as the ground, radians from the frame's z axis.
 _STEEPEST = math.radians(50.0)
@@ -52,7 +50,6 @@ _STEEPEST = math.radians(50.0)
 #: body_from_optical: REP 103's optical frames have x to the right, y down and z forward.
 _BODY_FROM_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
-_GOLDEN = 0.6180339887498949
 #: The plastic number to the powers of -1, -2 and -3: what the golden ratio is for three dimensions (Roberts, 2018).
 _PLASTIC = (0.8191725133961645, 0.6710436067037893, 0.5497004779019703)
 
@@ -151,32 +148,6 @@ class Ground:
         return math.acos(max(-1.0, min(1.0, cosine)))
 
 
-def thinned(x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], most: int = MOST_POINTS) -> _Points:
-    """Some of a cloud's returns, (N, 3): spread over it whatever its order, and none that is no return.
-
-    Parameters
-    ----------
-    x, y, z
-        Coordinates, one a point, of any shape.
-    most
-        Points to take; returns are fewer where some of these are none.
-    """
-    count = x.size
-    # Multiples of the golden ratio fall into no step with rings or columns.
-    order = np.arange(count) if count <= most else (np.arange(most) * _GOLDEN % 1.0 * count).astype(np.intp)
-    with np.errstate(all="ignore"):
-        points = np.stack([_picked(part, order) for part in (x, y, z)], axis=1)
-        # The nearest are the robot itself, or no return at all.
-        good = (np.abs(points).max(axis=1, initial=0) < 1e4) & ((points * points).sum(axis=1) > 0.0025)
-    return np.asarray(points[good])
-
-
-def _picked(values: NDArray[Any], order: NDArray[np.intp]) -> NDArray[np.float64]:
-    if values.ndim == 1:
-        return np.asarray(values[order], np.float64)
-    return np.asarray(values[np.unravel_index(order, values.shape)], np.float64)
-
-
 def agreed(looks: Sequence[Ground]) -> Ground:
     """What several clouds of one frame tell together: what most show and none contradicts.
 
@@ -215,12 +186,12 @@ def look_at(points: _Points) -> Ground:
     Parameters
     ----------
     points
-        What `thinned` returns, metres.
+        What `pc2scan.core.level.thinned` returns, metres.
     """
     if len(points) < _FEWEST_POINTS:
         return Ground("unknown")
     if not _is_optical(points):
-        return _level_at_once(points) or _decided(points)
+        return _level_at_once(cells_of(points)) or _decided(points)
     turned = points @ _BODY_FROM_OPTICAL.T
     found = _decided(turned, level_needs_proof=True)
     if found.up is None:
@@ -237,36 +208,10 @@ def _is_optical(points: _Points) -> bool:
     return bool((directions[:, 2] > 0.5).mean() > 0.995) and ahead > 0.85
 
 
-def _cells(points: _Points) -> _Points:
-    """One point a cell, sorted by place."""
-    scale = float(np.median(np.linalg.norm(points, axis=1)))
-    # Twenty-one bits for each coordinate: cells are never below 1 cm, and points lie within 10 km.
-    keys = np.floor(points / min(0.3, max(0.01, 0.05 * scale))).astype(np.int64) + (1 << 20)
-    _, first = np.unique(keys[:, 0] << 42 | keys[:, 1] << 21 | keys[:, 2], return_index=True)
-    return points[first]
-
-
-def _tolerance(points: _Points) -> NDArray[np.float64]:
-    """How far from a plane its points may lie, metres: noise and roughness, and what grows with the distance."""
-    distance = np.linalg.norm(points, axis=1)
-    return np.asarray(min(0.05, max(0.01, 0.02 * float(np.median(distance)))) + 0.008 * distance)
-
-
-def _level_at_once(points: _Points) -> Ground | None:
-    """A floor at right angles to z, where it catches the eye: by far the most frequent case, and the quickest."""
-    cells = _cells(points)
-    tolerance = _tolerance(cells)
-    below = cells[:, 2] < 0
-    if below.mean() < 0.1:
-        return None
-    low = float(np.percentile(cells[below, 2], 2))
-    counts, edges = np.histogram(cells[below, 2], 24, (low, 0.0))
-    peak = int(counts.argmax())
-    start = np.abs(cells[:, 2] - (edges[peak] + edges[peak + 1]) / 2) < tolerance + (edges[1] - edges[0]) / 2
-    floor = _refined(cells, tolerance, start)
-    if floor is None or floor.tilt > LEVEL or floor.share < 0.15 or floor.beyond > 0.05 or floor.height < 0.03:
-        return None
-    return Ground("level", floor.up, floor.height, _ceiling_over(cells, tolerance))
+def _level_at_once(cells: _Points) -> Ground | None:
+    """What is level at first sight."""
+    floor = level_floor(cells)
+    return None if floor is None else Ground("level", *floor, _ceiling_over(cells, tolerances(cells)))
 
 
 def _ceiling_over(cells: _Points, tolerance: NDArray[np.float64]) -> float | None:
@@ -287,7 +232,7 @@ def _ceiling_over(cells: _Points, tolerance: NDArray[np.float64]) -> float | Non
 def planes_of(cells: _Points) -> list[Plane]:
     """The planes of a cloud, the largest first."""
     planes: list[Plane] = []
-    tolerance = _tolerance(cells)
+    tolerance = tolerances(cells)
     rest = np.ones(len(cells), bool)
     least = max(_LEAST_SHARE * len(cells), 25)
     while len(planes) < _PLANES and rest.sum() > least:
@@ -401,7 +346,7 @@ class _View:
 
 def _decided(points: _Points, *, level_needs_proof: bool = False) -> Ground:
     """Which of a cloud's planes is the ground."""
-    planes = planes_of(_cells(points))
+    planes = planes_of(cells_of(points))
     view = _View(points)
     level = [plane for plane in planes if plane.tilt <= LEVEL and plane.beyond < 0.35]
     if level:

@@ -11,7 +11,7 @@ import numpy as np
 
 from pc2scan.bags.merged import as_one
 from pc2scan.bags.opening import open_recordings
-from pc2scan.core.ground import thinned
+from pc2scan.core.level import thinned
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import DecodeError, TransformError
 from pc2scan.json_types import json_value

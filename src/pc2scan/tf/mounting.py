@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pc2scan.core.ground import LEVEL, Ground, agreed, look_at
+from pc2scan.core.ground import Ground, agreed, look_at
+from pc2scan.core.level import LEVEL
 from pc2scan.core.rigid import Rigid
 from pc2scan.errors import TransformError
 
@@ -118,7 +119,7 @@ def mounting(
     topic, frame
         Which clouds, and their ``frame_id``.
     samples
-        Points of some of them, as `pc2scan.core.ground.thinned` returns them: from the sensor's origin, along the axes
+        Points of some of them, as `pc2scan.core.level.thinned` returns them: from the sensor's origin, along the axes
         of the frame that they are judged in.
     buffer
         The recording's transforms; None where there are none.
