@@ -13,7 +13,11 @@ import pytest
 from e2e.command import run
 from e2e.outputs import opened
 from mounted_worlds import PLACES, cloud, mounted, write_clouds
+from pc2scan.core.params import ProjectionParams
 from pc2scan.core.rigid import Rigid
+from pc2scan.pipeline.options import ConvertOptions
+from pc2scan.pipeline.run import OutputOptions
+from pc2scan.pipeline.run import run as convert
 from support import RECORDINGS, ROOT, needs_shared
 
 if TYPE_CHECKING:
@@ -172,3 +176,124 @@ def test_real_recordings(name: str, floor: float, warned: str, tmp_path: Path) -
     (topic,) = [t for t in json.loads((tmp_path / "report.json").read_text())["topics"] if t["action"] == "converted"]
     assert topic["empty_scans"] == 0
     assert topic["points"]["used"] > 0.05 * topic["points"]["total"]
+
+
+@pytest.mark.parametrize("case", MOUNTINGS)
+def test_convert_warns_of_a_frame_that_is_not_level_and_its_advice_works(case: str, tmp_path: Path) -> None:
+    arguments, told = MOUNTINGS[case]
+    source = recorded(tmp_path / "a.mcap", **arguments)
+    done = run("convert", source, "-o", tmp_path / "b.mcap", "--min-height", "-5", "--max-height", "5")
+    assert f"warning: /points: {told}" in done.stderr
+    cure = done.stderr.split("normal (0, 0, 1). ")[-1].split("z up. ")[-1].split("expected (0, 0, 1). ")[-1]
+    options = shlex.split(cure.split(" makes it level")[0])
+    assert options[0] == "--static-tf"
+    again = run("convert", source, "-o", tmp_path / "c.mcap", *options, "--min-height", "0.1", "--max-height", "1.5")
+    assert (again.status, again.stderr) == (0, "")
+    # In a target frame that is not level itself, it is that one which is judged.
+    wrong = ("--static-tf", "base_link lidar 0 0 0.5 0 0 0", "--target-frame", "base_link")
+    third = run("convert", source, "-o", tmp_path / "d.mcap", *wrong, "--min-height", "-5", "--max-height", "5")
+    assert "frame 'base_link' is " in third.stderr
+    assert "--static-tf 'base_link lidar 0 0 0.5 " in third.stderr
+
+
+def test_convert_finds_the_frame_that_is_level(tmp_path: Path) -> None:
+    tf = [transform("base_link", "lidar", (15, -10, 30), (0.2, 0, 0.6))]
+    source = recorded(tmp_path / "a.mcap", 15, -10, tf=tf)
+    done = run("convert", source, "-o", tmp_path / "b.mcap", "--min-height", "-0.5")
+    assert "tilted by 17.9 deg" in done.stderr
+    assert "--target-frame base_link makes it level" in done.stderr
+    assert "--static-tf" not in done.stderr
+    frames = ("--target-frame", "base_link", "--min-height", "0.1")
+    assert run("convert", source, "-o", tmp_path / "c.mcap", *frames).stderr == ""
+
+
+def test_heights_that_suit_the_clouds_are_computed_from_them(tmp_path: Path) -> None:
+    source = recorded(tmp_path / "a.mcap", place="field", height=1.8)
+    done = run("convert", source, "-o", tmp_path / "b.mcap")
+    assert "drops everything at z <= 0; --min-height sets it below the sensor: --min-height -1.5" in done.stderr
+    words = shlex.split(done.stderr.rsplit("below the sensor: ", 1)[1])
+    heights = run("convert", source, "-o", tmp_path / "c.mcap", *words)
+    assert (heights.status, heights.stderr) == (0, "")
+    preset = run("convert", source, "-o", tmp_path / "d.mcap", "--preset", "slam_toolbox")
+    assert "note: /points: no heights are given, presets leave them to you" in preset.stdout
+    assert f"these suit the clouds: {shlex.join(words)}" in preset.stdout
+    quiet = run("convert", source, "-o", tmp_path / "e.mcap", "--preset", "slam_toolbox", *words)
+    assert "no heights are given" not in quiet.stdout
+
+
+@pytest.mark.parametrize(
+    ("args", "told"),
+    [
+        (
+            ("--min-height", "3", "--max-height", "9"),
+            "of the first 3 clouds are used; min_height is 3 and max_height 9 m, but z in 'lidar' is -0.6",
+        ),
+        (
+            ("--min-height", "-0.3", "--range-min", "50"),
+            "range_min is 50 and range_max without limit m, but the range is ",
+        ),
+        (
+            ("--min-height", "300", "--max-height", "1500"),
+            "min_height is 300 m and max_height is 1500 m, but z on /points is -0.6",
+        ),
+        (
+            ("--min-height", "-300", "--max-height", "500"),
+            "heights are metres; if these are millimetres, --min-height -0.3 --max-height 0.5",
+        ),
+    ],
+)
+def test_limits_that_do_not_suit_the_clouds(args: Sequence[str], told: str, tmp_path: Path) -> None:
+    done = run("convert", recorded(tmp_path / "a.mcap"), "-o", tmp_path / "b.mcap", *args)
+    assert told in done.stderr
+
+
+@pytest.mark.parametrize("limit", ["100", "1000", "999"])
+def test_no_limit_is_no_mistaken_unit(limit: str, tmp_path: Path) -> None:
+    args = ("--min-height", f"-{limit}", "--max-height", limit)
+    assert run("convert", recorded(tmp_path / "a.mcap"), "-o", tmp_path / "b.mcap", *args).stderr == ""
+
+
+def test_the_warning_comes_after_the_first_clouds(tmp_path: Path) -> None:
+    tilted = cloud(PLACES["hall"], "32 rings", mounted(20, 0), 0.6)
+    level = cloud(PLACES["hall"], "32 rings", mounted(0, 0), 0.6)
+    source = write_clouds(tmp_path / "a.mcap", [tilted] * 4 + [level] * 300)
+    told: list[tuple[str, int]] = []
+    read = [0]
+
+    def progress(done: int, total: int, messages: int) -> None:
+        assert done <= total
+        read[0] = messages
+
+    options = ConvertOptions(params=ProjectionParams(min_height=-0.5))
+    report = convert(
+        [source],
+        tmp_path / "b.mcap",
+        options,
+        OutputOptions(),
+        progress=progress,
+        warn=lambda text: told.append((text, read[0])),
+    )
+    ((text, after),) = told
+    assert "tilted by 20" in text
+    assert after < 100
+    assert text in report.warnings
+    # Whatever the number of threads.
+    for jobs in (1, 4):
+        again = run("convert", source, "-o", tmp_path / f"{jobs}.mcap", "--min-height", "-0.5", "-j", str(jobs))
+        assert again.stderr.count("tilted by 20") == 1
+
+
+@needs_shared
+@pytest.mark.parametrize(
+    ("name", "heights"),
+    [("luminar_highway.bag", (-4.2, -1.5)), ("ouster_os1_32.mcap", (-1.7, 0.5)), ("velodyne_vlp32.bag", (-0.2, 1.2))],
+)
+def test_real_recordings_get_heights_of_their_own(name: str, heights: tuple[float, float], tmp_path: Path) -> None:
+    done = run("convert", RECORDINGS / name, "-o", tmp_path / "a.mcap")
+    assert "tilted" not in done.stderr
+    assert "upside down" not in done.stderr
+    words = shlex.split(done.stderr.rsplit("below the sensor: ", 1)[1])
+    low, high = float(words[1]), float(words[3])
+    assert heights[0] <= low < high <= heights[1]
+    done = run("convert", RECORDINGS / name, "-o", tmp_path / "b.mcap", *words)
+    assert (done.status, done.stderr) == (0, "")

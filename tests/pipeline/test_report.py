@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from typing import Any
 
 import pytest
@@ -13,7 +14,7 @@ from pc2scan.pipeline.report import MAX_LISTED, Report, Skipped, TopicReport
 
 def report(params: ProjectionParams | None = None, /, **counts: Any) -> Report:
     made = Report(["a.bag"], "b.bag", params or ProjectionParams())
-    points = {"total": 100, **{k: v for k, v in counts.items() if k not in ("messages_out", "empty_scans")}}
+    points = {"total": 100, **{k: v for k, v in counts.items() if k not in ("messages_out", "empty_scans", "advice")}}
     made.topics.append(
         TopicReport(
             "/points",
@@ -24,6 +25,7 @@ def report(params: ProjectionParams | None = None, /, **counts: Any) -> Report:
             messages_out=counts.get("messages_out", 4),
             points=PointCounts(**{"used": 0, "nan": 0, "height": 0, "range": 0, "angle": 0, "past_end": 0, **points}),
             empty_scans=counts.get("empty_scans", 0),
+            advice=counts.get("advice", ""),
         )
     )
     made.conclude()
@@ -54,7 +56,11 @@ def test_scans_without_returns_name_the_parameter_to_blame(counts: dict[str, int
 
 def test_the_default_min_height_is_named_where_it_bites_and_only_there() -> None:
     (warning,) = report(used=51, height=49).warnings
-    assert "`min_height=-0.5`" in warning
+    assert "z <= 0; `min_height` sets it" in warning
+    # The numbers are those of the recording, never a constant.
+    assert not re.search(r"min_height=-?\d", warning)
+    (warning,) = report(used=51, height=49, advice="`min_height=-3.7` `max_height=-2`").warnings
+    assert warning.endswith(": `min_height=-3.7` `max_height=-2`")
     assert report(used=90, height=10).warnings == []
     assert report(ProjectionParams(min_height=-0.5), used=51, height=49).warnings == []
 

@@ -13,6 +13,7 @@ from pc2scan.errors import DestinationError, Pc2ScanError
 from .options import Conversion, Destination, Output, Reporting, ros_arguments
 from .outcome import conclude, show, show_each, show_next, show_outcome
 from .progress import progress_bar
+from .render import warn
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -65,11 +66,19 @@ def convert(
 
     from pc2scan.pipeline.run import run
 
+    shown: list[str] = []
+
+    def warned(text: str) -> None:
+        shown.append(text)
+        warn(text)
+
     with progress_bar(enabled=not reporting.quiet) as progress:
-        result = run(sources, named, options, form, origins=origins, also_read=also_read, progress=progress)
+        result = run(
+            sources, named, options, form, origins=origins, also_read=also_read, progress=progress, warn=warned
+        )
     if not reporting.quiet:
         show(result, verbose=reporting.verbose)
-    end = conclude(result, verbose=reporting.verbose)
+    end = conclude(result, verbose=reporting.verbose, shown=shown)
     if not reporting.quiet and not result.dry_run:
         show_next(result)
     raise end

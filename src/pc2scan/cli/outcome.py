@@ -13,6 +13,8 @@ from .next_command import next_command
 from .render import count, duration, error_text, message, printable, show_parts, size, stamp, table, warn
 
 if TYPE_CHECKING:
+    from collections.abc import Container
+
     from pc2scan.pipeline.each import Each, Outcome
     from pc2scan.pipeline.report import Report, Skipped
 
@@ -79,12 +81,16 @@ def _show_skipped(report: Report, limit: int) -> None:
         typer.echo(message(f"hint: {hints[0]}"), err=True)
 
 
-def conclude(report: Report, *, verbose: bool = False) -> typer.Exit:
-    """Show warnings and damage; return the exception that ends the command."""
+def conclude(report: Report, *, verbose: bool = False, shown: Container[str] = ()) -> typer.Exit:
+    """Show warnings and damage; return the exception that ends the command.
+
+    ``shown`` are warnings that were shown while the conversion ran.
+    """
     _show_skipped(report, limit=len(report.skipped) if verbose else SHOWN)
     show_recovery(report, limit=len(report.damage) if verbose else SHOWN)
     for warning in report.warnings:
-        warn(warning)
+        if warning not in shown:
+            warn(warning)
     return typer.Exit(report.exit_status)
 
 

@@ -66,9 +66,7 @@ class Rejection:
         return self.title or self.name.replace("_", " ")
 
 
-_DEFAULT_MIN_HEIGHT = (
-    "upstream's default min_height drops everything at z <= 0; set it to see below the sensor: `min_height=-0.5`"
-)
+_DEFAULT_MIN_HEIGHT = "upstream's default min_height drops everything at z <= 0; `min_height` sets it below the sensor"
 _OUTSIDE = "outside angle_min and angle_max (is x forward in this frame?)"
 
 #: Why the loops over points reject points, in the order of the counts that they return.

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from pc2scan.model import Buffer
     from pc2scan.tf.placing import Frames, Placement
 
+    from .first_clouds import FirstClouds, TopicClouds
     from .stages.deskew import Deskew, Moving
     from .stages.filters import Filter
 
@@ -69,6 +70,8 @@ class CloudToScan(Conversion):
         What places points at their own times; None: all points of a cloud are placed at its stamp.
     output_type
         What the scans are encoded as: a key of `OF_CLOUDS`.
+    first_clouds
+        Judges the first clouds of each topic; None if nobody does.
     """
 
     def __init__(
@@ -79,6 +82,7 @@ class CloudToScan(Conversion):
         filters: Sequence[Filter] = (),
         deskew: Deskew | None = None,
         output_type: str = LASERSCAN,
+        first_clouds: FirstClouds | None = None,
     ) -> None:
         self._timings = timings or {}
         # A scan repeats the cloud's header; what else it has besides ranges and intensities takes less.
@@ -86,6 +90,7 @@ class CloudToScan(Conversion):
         super().__init__(output_type, OF_CLOUDS[output_type], 1024 + 8 * longest)
         self.params = params
         self._frames = frames
+        self._first_clouds = first_clouds
         self._default = Measured(
             0.0 if params.scan_time == "auto" else params.scan_time,
             0.0 if params.time_increment == "auto" else params.time_increment,
@@ -106,9 +111,12 @@ class CloudToScan(Conversion):
         decode = CLOUDS[source_type or POINTCLOUD2](source)
         measured = self._timings.get(topic, self._default)
         beams = self._beams or _Beams(_resolved(self.params, measured))
-        return partial(self._scan, measured, beams, decode)
+        firsts = None if self._first_clouds is None else self._first_clouds.of(topic)
+        return partial(self._scan, measured, beams, decode, firsts)
 
-    def _scan(self, timing: Measured, beams: _Beams, decode: Decode, data: Buffer) -> Result:
+    def _scan(
+        self, timing: Measured, beams: _Beams, decode: Decode, firsts: TopicClouds | None, data: Buffer
+    ) -> Result:
         points = decode(data)
         moving = None if self._deskew is None else self._deskew(points)
         points, stamp_ns = (points, points.stamp_ns) if moving is None else (moving.points, moving.stamp_ns)
@@ -133,7 +141,8 @@ class CloudToScan(Conversion):
             scan.intensities,
         )
         empty = scan.ranges.tobytes() == beams.no_returns
-        return Result(message, scan.counts, empty, None if moving is None else moving.motion)
+        sample = None if firsts is None or firsts.full else firsts.sample(points, place)
+        return Result(message, scan.counts, empty, None if moving is None else moving.motion, sample)
 
     def _projected(self, points: Points, place: Placement, moving: Moving | None, project: Projector) -> ProjectedScan:
         """Place, select and project; without filters, the loops over points transform and project at once."""

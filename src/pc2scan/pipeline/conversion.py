@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from pc2scan.messages.outputs import OutputType
     from pc2scan.model import Buffer
 
+    from .first_clouds import Sample
     from .stages.deskew import Motion
 
 __all__ = ["Conversion", "Converted", "Measured", "Result"]
@@ -23,12 +24,14 @@ class Result(NamedTuple):
     """What the stages make of one message: the new message as arrays, which the output's type encodes.
 
     ``empty`` is whether it has no return, or no point; ``motion`` is how far the sensor moved, if it was deskewed.
+    ``sample`` is for `FirstClouds`, while it wants any.
     """
 
     message: Any
     counts: PointCounts
     empty: bool
     motion: Motion | None = None
+    sample: Sample | None = None
 
 
 class Converted(NamedTuple):
@@ -38,6 +41,7 @@ class Converted(NamedTuple):
     counts: PointCounts
     empty: bool
     motion: Motion | None = None
+    sample: Sample | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,5 +114,5 @@ def _encoded(
     stages: Callable[[Buffer], Result], encode: Callable[[Any, str], bytes], target: str, data: Buffer
 ) -> Converted:
     # Stages that combine several messages belong here: they take results, in order, before these are encoded.
-    message, counts, empty, motion = stages(data)
-    return Converted(encode(message, target), counts, empty, motion)
+    message, counts, empty, motion, sample = stages(data)
+    return Converted(encode(message, target), counts, empty, motion, sample)

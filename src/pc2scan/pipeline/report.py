@@ -140,6 +140,8 @@ class TopicReport:
         Whether the converted clouds were written too.
     lost
         Whether the topic was asked for but cannot be carried over; ``note`` says why.
+    advice
+        Options with heights that suit the clouds, in a frame that is level; empty where none were needed.
     """
 
     topic: str
@@ -155,6 +157,7 @@ class TopicReport:
     motions: list[tuple[float, float, float]] = field(default_factory=list)
     clouds_kept: bool = False
     lost: bool = False
+    advice: str = ""
 
     @property
     def motion(self) -> dict[str, float] | None:
@@ -199,6 +202,8 @@ class Report(Shown):
         What selected points before they were projected.
     further
         Why points may be rejected, other than by the projection itself.
+    source_frame
+        The frame that all clouds are in, whatever they say; empty for their own.
     topics
         One entry for each source topic and each topic that it goes to, in the source's order.
     skipped
@@ -224,6 +229,7 @@ class Report(Shown):
     origins: dict[str, str] = field(default_factory=dict)
     filters: tuple[Filter, ...] = ()
     further: tuple[Rejection, ...] = ()
+    source_frame: str = ""
     topics: list[TopicReport] = field(default_factory=list)
     skipped: list[Skipped] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
@@ -321,12 +327,13 @@ class Report(Shown):
         points = topic.points
         if topic.empty_scans:
             empty = f"{topic.empty_scans} of {topic.messages_out} scans on {topic.target} have no return at all"
-            return [f"{empty}: {self._blame(points)}"]
+            return [f"{empty}: {self._blame(topic)}"]
         warnings = []
         for each in self.rejections.values():
             share = points.rejected.get(each.name, 0) / points.total if points.total else 0.0
             if share >= _NOTABLE_SHARE and self._surprises(each):
-                warnings.append(f"{topic.target}: {share:.0%} of the points were {each.by_default[1]}")
+                advice = f": {topic.advice}" if topic.advice and each.name == "height" else ""
+                warnings.append(f"{topic.target}: {share:.0%} of the points were {each.by_default[1]}{advice}")
         return warnings
 
     def _surprises(self, rejection: Rejection) -> bool:
@@ -336,11 +343,14 @@ class Report(Shown):
             return False
         return bool(getattr(self.params, name) == getattr(ProjectionParams(), name))
 
-    def _blame(self, points: PointCounts) -> str:
+    def _blame(self, topic: TopicReport) -> str:
         """The most frequent reason, and its parameters."""
+        points = topic.points
         explained = Counter[str]()
         for name, rejection in self.rejections.items():
             explanation = rejection.by_default[1] if self._surprises(rejection) else rejection.explanation
+            if name == "height" and topic.advice:
+                explanation += f": {topic.advice}"
             explained[explanation] += points.rejected.get(name, 0)
         explanation, count = explained.most_common(1)[0]
         return f"{count / points.total:.0%} of all points were {explanation}" if count else "the clouds have no points"

@@ -42,13 +42,14 @@ from pc2scan.files.text_output import check_text_output, text_output
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.tf.options import FrameOptions
 from pc2scan.tf.placing import Frames
-from pc2scan.tf.reading import read_transforms
+from pc2scan.tf.reading import read_some_transforms, read_transforms
 from pc2scan.threads import Threads
 
 from .acceptance import ghosts, refusal
 from .beforehand import refuse_no_messages
 from .declarations import Declarations
 from .demands import refuse_nothing, refuse_unsatisfied
+from .first_clouds import FirstClouds
 from .forecast import forecast
 from .idle import doubts, refuse_unusable
 from .parameters import from_preset, preset_of
@@ -74,6 +75,7 @@ if TYPE_CHECKING:
     from pc2scan.bags.destinations import Destination
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Connection, Summary
+    from pc2scan.tf.buffer import TransformBuffer
 
     from .conversion import Conversion
     from .options import ConvertOptions
@@ -130,6 +132,7 @@ def run(
     origins: Mapping[str, str] | None = None,
     also_read: Mapping[str, Path] | None = None,
     progress: Progress | None = None,
+    warn: Callable[[str], None] | None = None,
 ) -> Report:
     """Convert recordings; see `pc2scan.convert`.
 
@@ -139,6 +142,8 @@ def run(
         Where the parameters come from, for the report.
     also_read
         Files that were read for the request, by option: nothing is written over them.
+    warn
+        Called at once with warnings that the first clouds give rise to; they are in the report, too.
     """
     began = time.monotonic()
     if not sources:
@@ -150,11 +155,12 @@ def run(
         dict(origins or {}),
         options.filters,
         options.rejections,
+        options.frames.source_frame,
     )
     with ExitStack() as stack:
         files = _Files(sources, destination, options.frames, also_read or {}, output)
         try:
-            _run(files, options, output, stack, report, progress)
+            _run(files, options, output, stack, report, progress, warn)
         except Exception as err:
             report.error = err if isinstance(err, Pc2ScanError) else Pc2ScanError(f"{type(err).__name__}: {err}")
             report.seconds = time.monotonic() - began
@@ -243,6 +249,7 @@ def _run(
     stack: ExitStack,
     report: Report,
     progress: Progress | None,
+    warn: Callable[[str], None] | None,
 ) -> None:
     """Do everything but the report's file."""
     _refuse_missing_destination(files.sources, files.destination, output)
@@ -277,7 +284,8 @@ def _run(
     with staged(path, overwrite=output.overwrite, beside_recording=beside_recording) as unfinished:
         span = span_of(reader, options)
         refuse_no_messages(reader, converted, span.start_ns, span.stop_ns)
-        conversion, others = prepared(reader, plan, options, span, stack, report)
+        firsts = FirstClouds(report, warn, partial(_transforms_of, files.read, options, span))
+        conversion, others = prepared(reader, plan, options, span, stack, report, firsts)
         writer = open_writer(target, unfinished, path.name)
         try:
             copying = target.chunks == chunk_format(reader.summary) != ""
@@ -301,6 +309,7 @@ def _run(
                 writer.compress_ahead(pool)
             rule = chunk_rule(routes, target, writer) if copying else None
             stream(reader, routes, options, span, rule, pool, writer, report, progress)
+            firsts.finish()
             if conversion.output_type == LASERSCAN:
                 report.warnings += ghosts(options.params)
                 report.warnings += _refusals(routes.values(), target.serialization, report)
@@ -316,6 +325,14 @@ def _run(
             writer.abort()
             raise
         report.bytes_written = _size(unfinished)
+
+
+def _transforms_of(sources: Sequence[Path], options: ConvertOptions, span: Span) -> TransformBuffer | None:
+    """Read how the robot is put together, apart from the conversion that is running."""
+    with suppress(Pc2ScanError), ExitStack() as stack:
+        reader = as_one(open_recordings(sources, stack, verify=options.verify))
+        return read_some_transforms(reader, options.frames, span.first_ns)
+    return None
 
 
 def _refuse_missing_destination(sources: Sequence[Path], destination: Path | None, output: OutputOptions) -> None:
@@ -418,7 +435,13 @@ def _compare_counts(reader: Reader, routes: Mapping[int, OpenRoute], options: Co
 
 
 def prepared(
-    reader: Reader, plan: Plan, options: ConvertOptions, span: Span, stack: ExitStack, report: Report
+    reader: Reader,
+    plan: Plan,
+    options: ConvertOptions,
+    span: Span,
+    stack: ExitStack,
+    report: Report,
+    firsts: FirstClouds | None = None,
 ) -> tuple[Conversion, Sequence[Reader]]:
     """The direction asked for, with all that has to be known before the first message is converted.
 
@@ -433,6 +456,8 @@ def prepared(
         report.warnings += warnings
         tolerance_ns = round(params.transform_tolerance * 1e9)
         frames = Frames(params.target_frame, asked.source_frame, buffer, tolerance_ns)
+        if firsts is not None:
+            firsts.buffer = buffer
     if options.reverse:
         from .scan_to_cloud import ScanToCloud  # noqa: PLC0415  # each direction loads its own arithmetic
 
@@ -441,6 +466,7 @@ def prepared(
     from .cloud_to_scan import CloudToScan  # noqa: PLC0415
 
     make = partial(CloudToScan, params, frames, filters=options.filters, output_type=options.made_type)
+    make = partial(make, first_clouds=firsts)
     if options.deskew:
         from .stages.deskew import Deskew, PointTime  # noqa: PLC0415  # only where points move
 

@@ -173,6 +173,8 @@ def _write(outcome: _Outcome, writer: Writer, report: Report, on_error: str) -> 
                 output.report.empty_scans += converted.empty
                 if converted.motion is not None:
                     output.report.motions.append(converted.motion)
+            if converted.sample is not None:
+                converted.sample.clouds.add(converted.sample, converted.counts)
     except UnwritableError as err:
         error = err
     if error is not None:

@@ -83,16 +83,21 @@ class Mounting:
     heights: Heights | None = None
 
     @property
+    def options(self) -> str:
+        """The options that make the clouds level, as messages name them; empty where nothing is known."""
+        if not self.target_frame:
+            return ""
+        static = f"`static_tf={shlex.quote(self.static_tf)}` " if self.static_tf else ""
+        return f"{static}`target_frame={shlex.quote(self.target_frame)}`"
+
+    @property
     def cure(self) -> str:
         """What makes the clouds level, as a sentence; empty where nothing is known."""
         if not self.target_frame:
             return ""
-        cure = f"`target_frame={shlex.quote(self.target_frame)}` makes it level"
-        if not self.static_tf:
-            return cure
-        floor = None if self.heights is None else self.heights.floor
+        floor = None if self.heights is None or not self.static_tf else self.heights.floor
         at = "" if floor is None else f", with the floor at z = {_short(f'{floor:.2f}')} m"
-        return f"`static_tf={shlex.quote(self.static_tf)}` {cure}{at}"
+        return f"{self.options} makes it level{at}"
 
     @property
     def warning(self) -> str:
@@ -311,7 +316,7 @@ def heights_for(
     Notes
     -----
     0.1 to 1.5 m over the floor for a sensor that is less than 1.2 m high; 0.3 to 2 m for a higher one, which is on a
-    vehicle. If hardly a point is there, and where no floor is seen, from the fifth to the 95th percentile.
+    vehicle. If no point is there, up to where there are some. Without a floor, from the fifth to the 95th percentile.
     """
     points = [points for points in samples if len(points)]
     if not points:
@@ -330,8 +335,9 @@ def heights_for(
     low, high = (floor + 0.3, floor + 2.0) if on_vehicle else (floor + 0.1, floor + 1.5)
     if ceiling is not None:
         high = min(high, max(ceiling - 0.2, low + 0.1))
-    if ((z >= low) & (z <= high)).mean() < 0.02:
-        low, high = min(low, fifth), max(high, last)
+    if ((z >= low) & (z <= high)).mean() < 0.001:
+        # Nothing stands on the ground, or the sensor looks over it.
+        high = max(high, float(np.percentile(z, 99.5)))
     return Heights(_floored(low + 0.005), _floored(high + 0.005), floor, ceiling)
 
 

@@ -1,0 +1,292 @@
+"""What the first clouds tell of a conversion: a wrong frame, limits that leave nothing, wrong units.
+
+The threads that convert take some points of each cloud until enough have been judged, in the order of writing, so
+that what is said does not depend on them. A level floor settles it, at the cost of a millisecond.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from pc2scan.core.counts import PointCounts
+from pc2scan.core.level import cells_of, level_floor, thinned
+from pc2scan.core.params import ProjectionParams
+
+from .parameters import from_preset
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from pc2scan.core.points import Points
+    from pc2scan.tf.buffer import TransformBuffer
+    from pc2scan.tf.mounting import Mounting
+    from pc2scan.tf.placing import Placement
+
+    from .report import Report, TopicReport
+
+__all__ = ["FirstClouds", "Sample", "TopicClouds"]
+
+#: Clouds that are judged together where the first one alone does not settle it, and points of each.
+_CLOUDS = 3
+_POINTS = 2_000
+
+#: Fewer points than this can be judged by nobody.
+_FEWEST_POINTS = 300
+
+#: A scan with fewer points than this share of its beams is as good as empty. Most of what is seen of a field is ground,
+#: which no scan wants, so the share of the points says nothing.
+_NEARLY_EMPTY = 0.02
+
+#: A share of points lost to the default min_height that is worth numbers.
+_NOTABLE_SHARE = 0.25
+
+#: A height from here on is no height of this world, metres, if the clouds are ten times smaller.
+_TALL = 50.0
+
+
+class Sample(NamedTuple):
+    """Some points of a cloud, from the sensor along the axes of the scan's frame, and where the sensor is in it."""
+
+    clouds: TopicClouds
+    frame_id: str
+    scan_frame: str
+    stamp_ns: int
+    points: NDArray[np.float64]
+    origin: tuple[float, float, float]
+
+    @property
+    def placed(self) -> NDArray[np.float64]:
+        """The points in the scan's frame."""
+        return np.asarray(self.points + self.origin)
+
+
+class FirstClouds:
+    """The first clouds of every topic that is converted.
+
+    Parameters
+    ----------
+    report
+        Warnings and notes go there.
+    warn
+        Also called with each warning at once, so that nobody waits for the end of a conversion that makes nothing.
+    transforms
+        Reads what the recording tells of how the robot is put together, for the few cases that need it.
+
+    Attributes
+    ----------
+    buffer
+        The transforms to the target frame; None where there is no target frame.
+    """
+
+    def __init__(
+        self,
+        report: Report,
+        warn: Callable[[str], None] | None,
+        transforms: Callable[[], TransformBuffer | None],
+    ) -> None:
+        self.report = report
+        self.transforms = transforms
+        self.buffer: TransformBuffer | None = None
+        self._warn = warn
+        self._topics: dict[str, TopicClouds] = {}
+
+    def of(self, topic: str) -> TopicClouds:
+        """Those of one topic, which several publishers may share."""
+        return self._topics.setdefault(topic, TopicClouds(topic, self))
+
+    def warn(self, text: str) -> None:
+        """Warn at once."""
+        self.report.warnings.append(text)
+        if self._warn is not None:
+            self._warn(text)
+
+    def finish(self) -> None:
+        """Judge topics that have fewer clouds than it takes."""
+        for clouds in self._topics.values():
+            clouds.finish()
+
+
+class TopicClouds:
+    """The first clouds of one topic.
+
+    Attributes
+    ----------
+    full
+        Whether enough have been judged; read by all threads.
+    """
+
+    def __init__(self, topic: str, every: FirstClouds) -> None:
+        self.full = False
+        self._topic = topic
+        self._every = every
+        self._samples: list[Sample] = []
+        self._counts = PointCounts()
+
+    def sample(self, points: Points, place: Placement) -> Sample:
+        """Take some points of a cloud; on any thread."""
+        taken, moved = thinned(*points.xyz(), _POINTS), place.target_from_source
+        origin = (0.0, 0.0, 0.0)
+        if moved is not None:
+            taken, origin = moved.rotation.apply(taken), tuple(moved.translation.tolist())
+        return Sample(self, points.frame_id, place.frame_id, points.stamp_ns, taken, origin)
+
+    def add(self, sample: Sample, counts: PointCounts) -> None:
+        """Take the next cloud, in the order of writing."""
+        if self.full:
+            return
+        self._samples.append(sample)
+        self._counts += counts
+        if len(self._samples) == 1 and self._is_fine():
+            self.full = True
+        elif len(self._samples) == _CLOUDS:
+            self.finish()
+
+    def finish(self) -> None:
+        """Judge what there is."""
+        if self.full or not self._samples:
+            return
+        self.full = True
+        with np.errstate(all="ignore"):
+            self._judge()
+
+    def _is_fine(self) -> bool:
+        """Whether the first cloud is level, its scan has points, and its heights need no advice."""
+        points = self._samples[0].points
+        if len(points) < _FEWEST_POINTS or self._is_nearly_empty() or self._needs_heights() or self._mistaken_units():
+            return False
+        return level_floor(cells_of(points)) is not None
+
+    def _judge(self) -> None:
+        from pc2scan.tf.mounting import mounting  # noqa: PLC0415  # loaded where there is something to say
+
+        every, first = self._every, self._samples[0]
+        points = [sample.points for sample in self._samples]
+        source = every.report.source_frame or first.frame_id
+        judged_in = first.scan_frame if first.scan_frame != source else ""
+
+        def judged(buffer: TransformBuffer | None) -> Mounting:
+            height = first.origin[2]
+            return mounting(
+                self._topic, source, points, buffer, judged_in=judged_in, origin_z=height, stamp_ns=first.stamp_ns
+            )
+
+        found = judged(every.buffer)
+        if found.fault and every.buffer is None:
+            found = judged(every.transforms())
+        if found.warning:
+            every.warn(found.warning)
+        if units := self._mistaken_units():
+            every.warn(units)
+        advice = self._advice(found)
+        if self._is_nearly_empty() and (emptiness := self._emptiness(advice)):
+            every.warn(emptiness)
+        for entry in self._entries():
+            entry.advice = advice
+        if self._without_heights() and any(map(from_preset, every.report.origins.values())) and advice:
+            every.report.notes.append(
+                f"{self._topic}: no heights are given, presets leave them to you, and the default min_height drops "
+                f"everything at z <= 0; these suit the clouds: {advice}"
+            )
+
+    def _entries(self) -> list[TopicReport]:
+        topics = self._every.report.topics
+        return [entry for entry in topics if entry.topic == self._topic and entry.action == "converted"]
+
+    def _is_nearly_empty(self) -> bool:
+        beams = len(self._samples) * self._every.report.params.length
+        return self._counts.total > 0 and self._counts.used < _NEARLY_EMPTY * beams
+
+    def _is_default(self, name: str) -> bool:
+        report = self._every.report
+        return report.origins.get(name, "default") == "default" and (
+            getattr(report.params, name) == getattr(ProjectionParams(), name)
+        )
+
+    def _without_heights(self) -> bool:
+        return self._is_default("min_height") and self._is_default("max_height")
+
+    def _needs_heights(self) -> bool:
+        """Whether the default min_height drops what users want to keep, or a preset leaves it to them."""
+        cut = self._counts.height >= _NOTABLE_SHARE * max(self._counts.total, 1)
+        presets = any(map(from_preset, self._every.report.origins.values()))
+        return (self._is_default("min_height") and cut) or (self._without_heights() and presets)
+
+    @staticmethod
+    def _advice(found: Mounting) -> str:
+        """The options that suit the clouds; empty where no point was seen."""
+        if found.heights is None:
+            return ""
+        frames = found.options if found.fault else ""
+        return " ".join(
+            filter(None, (frames, f"`min_height={found.heights.low:g}`", f"`max_height={found.heights.high:g}`"))
+        )
+
+    def _emptiness(self, advice: str) -> str:
+        """Say which limits leave nothing, beside what the clouds have; empty if it is none of them."""
+        params, counts = self._every.report.params, self._counts
+        placed = np.concatenate([sample.placed for sample in self._samples])
+        share = f"{counts.used:,} of the {counts.total:,} points of the first {_clouds(len(self._samples))} are used"
+        frame = self._samples[0].scan_frame
+        ranges, angles = np.hypot(placed[:, 0], placed[:, 1]), np.arctan2(placed[:, 1], placed[:, 0])
+        observed = (
+            ("height", placed[:, 2], f"z in {frame!r}", "m", "min_height", "max_height"),
+            ("range", ranges, "the range", "m", "range_min", "range_max"),
+            ("angle", angles, "the angle", "rad", "angle_min", "angle_max"),
+        )
+        parts = [
+            f"{low} is {_number(getattr(params, low))} and {high} {_number(getattr(params, high))} {unit}, "
+            f"but {name} is {_percentiles(values, unit)}"
+            for reason, values, name, unit, low, high in observed
+            if len(values) and counts.rejected[reason] >= _NOTABLE_SHARE * counts.total
+        ]
+        if parts and advice and counts.height >= _NOTABLE_SHARE * counts.total:
+            parts[0] += f": {advice}"
+        if not parts:
+            # Filters, or NaN: the report tells in the end.
+            return ""
+        return f"{self._topic}: {share}; {'; '.join(parts)}"
+
+    def _mistaken_units(self) -> str:
+        """Heights that are no metres, next to the clouds' own; empty where they may be."""
+        params = self._every.report.params
+        wrong = [name for name in ("min_height", "max_height") if self._is_tall(name)]
+        if not wrong:
+            return ""
+        z = np.concatenate([sample.placed[:, 2] for sample in self._samples])
+        given = " and ".join(f"{name} is {_number(getattr(params, name))} m" for name in wrong)
+        metres = " ".join(f"`{name}={getattr(params, name) / 1000:g}`" for name in wrong)
+        return (
+            f"{given}, but z on {self._topic} is {_percentiles(z, 'm')}: heights are metres; if these are millimetres, "
+            f"{metres}"
+        )
+
+    def _is_tall(self, name: str) -> bool:
+        value = abs(float(getattr(self._every.report.params, name)))
+        if self._is_default(name) or not _TALL <= value < 1e5:
+            return False
+        # 100, 1000 and 999 are ways to say "no limit".
+        if math.log10(value).is_integer() or set(f"{value:g}") == {"9"}:
+            return False
+        z = np.concatenate([sample.placed[:, 2] for sample in self._samples])
+        return len(z) > 0 and 10 * float(np.abs(np.percentile(z, [1, 99])).max()) < value
+
+
+def _clouds(count: int) -> str:
+    return "cloud" if count == 1 else f"{count} clouds"
+
+
+def _number(value: float) -> str:
+    """A limit as people read it: upstream's defaults stand for none."""
+    if value == ProjectionParams().min_height:
+        return "above 0"
+    return "without limit" if abs(value) > 1e300 else f"{value:g}"
+
+
+def _percentiles(values: NDArray[np.float64], unit: str) -> str:
+    low, middle, high = np.percentile(values, [5, 50, 95])
+    return f"{low:.2f} to {high:.2f} {unit} (5 and 95 %; median {middle:.2f})"
