@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 TOPICS = [Connection(number, f"/t{number}", "a/msg/A", "cdr") for number in range(3)]
 
 
-class Source:
+class OpenRecording:
     """A recording that counts how often it is read."""
 
     path = Path("source")
@@ -40,11 +40,11 @@ class Source:
 
 
 def test_a_recording_is_read_once_for_all_its_topics() -> None:
-    source = Source()
+    source = OpenRecording()
     copy = held(source, TOPICS[:2])
     assert source.reads == 1
     for chosen in (TOPICS[:1], TOPICS[1:2], TOPICS[:2]):
-        assert list(copy.messages(chosen)) == list(Source().messages(chosen))
+        assert list(copy.messages(chosen)) == list(OpenRecording().messages(chosen))
     assert source.reads == 1
     assert list(copy.messages(TOPICS[:2], 5, 6)) == list(copy.messages(TOPICS[:2]))
     assert list(copy.messages(TOPICS[:2], 6)) == list(copy.messages(TOPICS[:2], None, 5)) == []
@@ -52,5 +52,5 @@ def test_a_recording_is_read_once_for_all_its_topics() -> None:
 
 def test_what_takes_too_much_memory_is_read_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "_MAX_BYTES", 1000)
-    source = Source()
+    source = OpenRecording()
     assert held(source, TOPICS) is source

@@ -11,7 +11,7 @@ import pytest
 
 from builders import POINTS, T0, Item, Recording, cloud, item, points_of, write_mcap
 from pc2scan.bags.opening import open_recording
-from pc2scan.compare.libm import Clouds, Explainer, Explanation
+from pc2scan.compare.libm import CloudsByStamp, Explainer, Explanation
 from pc2scan.compare.rules import Rules
 from pc2scan.core.rounding import CORRECT, GLIBC
 from pc2scan.messages.laserscan import LaserScan
@@ -34,7 +34,7 @@ def scan(ranges: list[float], **changes: Any) -> LaserScan:
 
 
 def explained(*pairs: tuple[LaserScan, LaserScan], rules: Rules | None = None) -> Explanation:
-    explainer = Explainer(Clouds([], no_transforms), rules or Rules())
+    explainer = Explainer(CloudsByStamp([], no_transforms), rules or Rules())
     for a, b in pairs:
         explainer.add(a, b)
     return explainer.found
@@ -85,7 +85,7 @@ def test_all_returns_decide_which_side_has_which_angles(a: tuple[int, int], b: t
 
 def test_a_recording_without_clouds_has_none() -> None:
     source: Any = SimpleNamespace(connections=[SimpleNamespace(topic="/scan", ros_type="sensor_msgs/msg/LaserScan")])
-    assert not Clouds([source], no_transforms)
+    assert not CloudsByStamp([source], no_transforms)
 
 
 @pytest.mark.parametrize("order", [range(12), range(11, -1, -1), (3, 3, 0, 7, 6, 11, 2)])
@@ -100,7 +100,7 @@ def test_clouds_are_found_in_any_order(order: Sequence[int], tmp_path: Path) -> 
 
     path = write_mcap(tmp_path / "a.mcap", Recording((POINTS,), tuple(map(cloud_of, range(12)))))
     with closing(open_recording(path)) as reader:
-        clouds = Clouds([reader], no_transforms)
+        clouds = CloudsByStamp([reader], no_transforms)
         assert clouds
         assert not list(clouds.of(scan([1], stamp_ns=999)))
         for step in order:

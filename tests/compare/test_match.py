@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pc2scan.compare.match import Match, Stream, matched, moved_indices
+from pc2scan.compare.match import Match, TopicStream, matched, moved_indices
 from pc2scan.compare.scan_text import ScanText
 from pc2scan.errors import RecordingError
 from pc2scan.messages.wire import Packer
@@ -29,14 +29,14 @@ def header(stamp_ns: int) -> bytes:
     return packer.finish()
 
 
-def stream(stamps: Sequence[int], times: Sequence[int] | None = None) -> Stream:
+def stream(stamps: Sequence[int], times: Sequence[int] | None = None) -> TopicStream:
     """Messages by their stamps; ``sequence`` is the place of each."""
     places = count()
     content = [
         RawMessage(CONNECTION, time, header(stamp), time, next(places))
         for time, stamp in zip(times or range(100, 100 + len(stamps)), stamps, strict=True)
     ]
-    return Stream(ScanText(Path("made"), [CONNECTION], content), (CONNECTION,))
+    return TopicStream(ScanText(Path("made"), [CONNECTION], content), (CONNECTION,))
 
 
 def places(matches: Iterator[Match]) -> list[tuple[int | None, int | None, bool]]:
@@ -108,7 +108,7 @@ def test_a_stamp_is_no_log_time() -> None:
 
 def test_headers_that_cannot_be_read_go_by_log_time() -> None:
     short = [RawMessage(CONNECTION, time, b"\0\1", time) for time in (1, 2)]
-    sides = [Stream(ScanText(Path("made"), [CONNECTION], short), (CONNECTION,)) for _ in range(2)]
+    sides = [TopicStream(ScanText(Path("made"), [CONNECTION], short), (CONNECTION,)) for _ in range(2)]
     assert [(m.a is None, m.b is None) for m in matched(*sides)] == [(False, False)] * 2
 
 
@@ -143,7 +143,7 @@ class Endless:
 def test_memory_does_not_grow_with_the_recording(change: str) -> None:
     stamps = tuple(range(1, 301))
     other = {"none": stamps, "gap": stamps[:5] + stamps[250:], "reversed ends": (300, *stamps[1:-1], 1)}[change]
-    streams = [Stream(Endless(s), (CONNECTION,)) for s in (stamps, other)]
+    streams = [TopicStream(Endless(s), (CONNECTION,)) for s in (stamps, other)]
     tracemalloc.start()
     try:
         pairs = sum(m.a is not None and m.b is not None for m in matched(*streams))
@@ -171,4 +171,4 @@ def test_a_recording_that_changes_meanwhile_is_an_error() -> None:
     assert isinstance(source, ScanText)
     shrinking = Shrinking(source.path, source.connections, source.content)
     with pytest.raises(RecordingError, match="changed while it was read"):
-        list(matched(a, Stream(shrinking, (CONNECTION,))))
+        list(matched(a, TopicStream(shrinking, (CONNECTION,))))

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from pc2scan.errors import DestinationError
-from pc2scan.files.overlap import Input, Output, refuse_overlap
+from pc2scan.files.overlap import InputPath, OutputPath, refuse_overlap
 
 
 @pytest.fixture
@@ -56,7 +56,7 @@ REFUSED = [
 @pytest.mark.parametrize(("output", "source", "told"), REFUSED)
 def test_an_output_that_touches_an_input(output: str, source: str, told: str, folder: Path) -> None:
     with pytest.raises(DestinationError, match=told) as caught:
-        refuse_overlap([Input(folder / source)], [Output(folder / output)])
+        refuse_overlap([InputPath(folder / source)], [OutputPath(folder / output)])
     assert caught.value.hint
 
 
@@ -76,19 +76,21 @@ def test_an_input_with_a_name_that_staging_uses(ending: str, kind: str, tmp_path
     if kind == "hard link":
         os.link(left, source)
     with pytest.raises(DestinationError, match=rf"needs the name x.mcap{ending} while it is written") as caught:
-        refuse_overlap([Input(source)], [Output(tmp_path / "x.mcap")])
+        refuse_overlap([InputPath(source)], [OutputPath(tmp_path / "x.mcap")])
     assert "interrupted_x.mcap" in (caught.value.hint or "")
     (tmp_path / "interrupted_x.mcap").touch()
     with pytest.raises(DestinationError) as caught:
-        refuse_overlap([Input(source)], [Output(tmp_path / "x.mcap")])
+        refuse_overlap([InputPath(source)], [OutputPath(tmp_path / "x.mcap")])
     # Nobody is led to overwrite what is there.
     assert "interrupted_x.mcap" not in (caught.value.hint or "")
-    refuse_overlap([Input(source)], [Output(tmp_path / "y.mcap")])
+    refuse_overlap([InputPath(source)], [OutputPath(tmp_path / "y.mcap")])
 
 
 def test_options_are_named(folder: Path) -> None:
     with pytest.raises(DestinationError, match="the file of --report is a file of --params-file"):
-        refuse_overlap([Input(folder / "a.db3", "file of --params-file")], [Output(folder / "a.db3", "--report")])
+        refuse_overlap(
+            [InputPath(folder / "a.db3", "file of --params-file")], [OutputPath(folder / "a.db3", "--report")]
+        )
 
 
 @pytest.mark.parametrize(
@@ -108,18 +110,18 @@ def test_options_are_named(folder: Path) -> None:
 )
 def test_outputs_that_touch_each_other(first: str, second: str, told: str, folder: Path) -> None:
     with pytest.raises(DestinationError, match=told):
-        refuse_overlap([], [Output(folder / first), Output(folder / second, "--report")])
+        refuse_overlap([], [OutputPath(folder / first), OutputPath(folder / second, "--report")])
 
 
 def test_what_has_nothing_to_do_with_each_other(folder: Path) -> None:
-    inputs = [Input(folder / name) for name in ("bag", "further", "a.db3", "loop", "missing", "missing/deeper")]
-    outputs = [Output(folder / name) for name in ("new", "bag2", "a.db", "no/where", "loop2", "bag.pc2scan-old")]
+    inputs = [InputPath(folder / name) for name in ("bag", "further", "a.db3", "loop", "missing", "missing/deeper")]
+    outputs = [OutputPath(folder / name) for name in ("new", "bag2", "a.db", "no/where", "loop2", "bag.pc2scan-old")]
     refuse_overlap(inputs, outputs)
-    refuse_overlap([Input(Path())], [Output(Path("../new"))])
+    refuse_overlap([InputPath(Path())], [OutputPath(Path("../new"))])
 
 
 def test_names_that_differ_in_case_may_be_two_files(tmp_path: Path) -> None:
     (tmp_path / "drive.mcap").touch()
     if (tmp_path / "DRIVE.mcap").exists():
         pytest.skip("this file system ignores case")
-    refuse_overlap([Input(tmp_path / "drive.mcap")], [Output(tmp_path / "DRIVE.mcap")])
+    refuse_overlap([InputPath(tmp_path / "drive.mcap")], [OutputPath(tmp_path / "DRIVE.mcap")])

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from pc2scan.tf.builder import MAX_REJECTIONS
-from pc2scan.tf.rejections import Rejection
+from pc2scan.tf.rejections import RejectedTransforms
 from tf.small_buffers import at, built, refusal, row, x_of
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ class TestRejections:
         buffer = built([self.GOOD, entry, entry])
         (rejection,) = buffer.rejections
         assert rejection.reason.startswith(reason + ": ")
-        assert rejection == Rejection(
+        assert rejection == RejectedTransforms(
             entry[1].removeprefix("/"), entry[0].removeprefix("/"), at(7), rejection.reason, 2
         )
         assert buffer.rejected == 2

@@ -10,7 +10,7 @@ import typer
 
 from pc2scan.errors import DestinationError, Pc2ScanError
 
-from .options import Conversion, Destination, Output, Reporting, ros_arguments
+from .options import ConversionGroup, Destination, OutputGroup, ReportGroup, ros_arguments
 from .outcome import conclude, show, show_each, show_next, show_outcome
 from .progress import progress_bar
 from .render import warn
@@ -34,9 +34,9 @@ def convert(
     ],
     destination: Destination = None,
     *,
-    conversion: Conversion,
-    output: Output,
-    reporting: Reporting,
+    conversion: ConversionGroup,
+    output: OutputGroup,
+    reporting: ReportGroup,
 ) -> None:
     """Convert recorded clouds to laser scans, or back.
 
@@ -89,7 +89,7 @@ def _convert_each(
     named: Path | None,
     options: ConvertOptions,
     form: OutputOptions,
-    reporting: Reporting,
+    reporting: ReportGroup,
     origins: Mapping[str, str],
     also_read: Mapping[str, Path],
 ) -> typer.Exit:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 __all__ = ["run_command"]
 
 
-#: Further options of ``convert``, besides those of `Conversion`, that decide what is written, but not where.
+#: Further options of ``convert``, besides those of `ConversionGroup`, that decide what is written, but not where.
 _FORM = ("storage", "compression", "profile", "metadata_version", "ros_distro")
 
 
@@ -60,7 +60,7 @@ def run_command(arguments: Sequence[str], chosen: Sequence[str] = ()) -> Ended:
 def _refuse_others(name: str, chosen: Sequence[str]) -> None:
     """Raise if any of these, read by the command's own parser, does not decide what is converted."""
     from .app import application
-    from .options import Conversion
+    from .options import ConversionGroup
 
     group = get_command(application(name))
     assert isinstance(group, TyperGroup)
@@ -71,7 +71,7 @@ def _refuse_others(name: str, chosen: Sequence[str]) -> None:
     except TyperUsageError as err:
         raise in_our_words(err, [name, *chosen]) from err
     arguments = {str(parameter.name) for parameter in given if parameter.param_type_name == "argument"}
-    allowed = {*_FORM, *arguments, *(parameter.name for parameter in Conversion.parameters())}
+    allowed = {*_FORM, *arguments, *(parameter.name for parameter in ConversionGroup.parameters())}
     # The spellings of --help come in any order.
     others = dict.fromkeys(max(parameter.opts, key=len) for parameter in given if parameter.name not in allowed)
     if others:

@@ -31,11 +31,11 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Compression",
-    "Conversion",
+    "ConversionGroup",
     "Destination",
     "Json",
-    "Output",
-    "Reporting",
+    "OutputGroup",
+    "ReportGroup",
     "StaticTf",
     "Storage",
     "TfSources",
@@ -96,7 +96,7 @@ TfTopics = Annotated[
 ]
 
 
-class Topics(Group):
+class TopicsGroup(Group):
     """Options that choose topics and times."""
 
     topics: Annotated[
@@ -197,7 +197,7 @@ class ParameterOptions(Group):
             if value is not None:
                 option = parameter.negation if value is False else parameter.option
                 number = _NUMBERS.get(parameter.kind)
-                settings.append(Setting(name, _number(number, value) if number else value, option))
+                settings.append(Setting(name, _read_number(number, value) if number else value, option))
         return cls(settings=tuple(settings))
 
 
@@ -208,7 +208,7 @@ def _completion(parameter: TableRow) -> Callable[..., list[str]] | None:
     return completion.choices(parameter.words) if parameter.words else None
 
 
-def _number(number: Callable[[str], float], text: str) -> object:
+def _read_number(number: Callable[[str], float], text: str) -> object:
     """Read a number like Python, or else like a parameter file."""
     try:
         return number(text)
@@ -229,7 +229,7 @@ def _length(option: str, text: str) -> float:
     return value
 
 
-class Projection(Group):
+class ProjectionGroup(Group):
     """Options with parameters of the projection."""
 
     params_file: Annotated[
@@ -294,7 +294,7 @@ class Projection(Group):
     given: ParameterOptions
 
 
-class Points(Group):
+class PointsGroup(Group):
     """Which points of the clouds are used; in the order of what they return."""
 
     where: Annotated[
@@ -364,7 +364,7 @@ class TfSources(Group):
         return FrameOptions(tf_topics=tuple(self.tf_topic), tf_from=tuple(self.tf_from))
 
 
-class Frames(Group):
+class FramesGroup(Group):
     """Options about frames and transforms."""
 
     static_tf: StaticTf
@@ -411,7 +411,7 @@ class Frames(Group):
         )
 
 
-class Moving(Group):
+class MovingGroup(Group):
     """Points and beams where they were at their own times."""
 
     deskew: Annotated[
@@ -459,7 +459,7 @@ class Channel(StrEnum):
     viewpoint = "viewpoint"
 
 
-class Reverse(Group):
+class ReverseGroup(Group):
     """Options for converting scans to clouds."""
 
     reverse: Annotated[
@@ -502,7 +502,7 @@ class Reverse(Group):
         )
 
 
-class Running(Group):
+class RunGroup(Group):
     """Options about the run."""
 
     on_error: Annotated[
@@ -559,7 +559,7 @@ class Running(Group):
     ] = False
 
 
-def _share(text: str | None) -> float:
+def _read_share(text: str | None) -> float:
     """Read a share: ``0.05`` or ``5%``."""
     if text is None:
         return 0.0
@@ -587,16 +587,16 @@ def ros_arguments(words: Iterable[Path]) -> tuple[list[Path], list[str], list[st
     return sources, remaps, parameters
 
 
-class Conversion(Group):
+class ConversionGroup(Group):
     """All options that decide what is converted, but not how it is written or reported."""
 
-    topics: Topics
-    projection: Projection
-    points: Points
-    frames: Frames
-    moving: Moving
-    reverse: Reverse
-    running: Running
+    topics: TopicsGroup
+    projection: ProjectionGroup
+    points: PointsGroup
+    frames: FramesGroup
+    moving: MovingGroup
+    reverse: ReverseGroup
+    running: RunGroup
 
     #: What a launch file names; found with the options.
     files = tuple[Path, ...]()
@@ -660,7 +660,7 @@ class Conversion(Group):
             end=topics.end,
             on_error=running.on_error,
             fail_on=running.fail_on or "",
-            min_used=_share(running.min_used),
+            min_used=_read_share(running.min_used),
             ros_distro=ros_distro,
             jobs=running.jobs,
             verify=not running.no_verify,
@@ -675,7 +675,7 @@ class Conversion(Group):
         return {option: path for option, path in named.items() if path is not None} | further
 
 
-class Output(Group):
+class OutputGroup(Group):
     """Options about the destination."""
 
     dry_run: Annotated[
@@ -763,7 +763,7 @@ class Output(Group):
         )
 
 
-class Reporting(Group):
+class ReportGroup(Group):
     """Options about the report and the output on screen."""
 
     report: Annotated[

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .damage import show_damage
-from .options import Conversion
+from .options import ConversionGroup
 from .render import printable, size, warn
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ def view(
         bool, typer.Option(help="Replace any file of that name; an older page is always replaced.")
     ] = False,
     *,
-    conversion: Conversion,
+    conversion: ConversionGroup,
 ) -> None:
     """Write a page that shows clouds and the scan that comes of them, to tune its parameters by eye.
 

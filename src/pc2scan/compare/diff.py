@@ -14,8 +14,8 @@ from pc2scan.messages.schema import canonical
 from pc2scan.names import did_you_mean
 
 from .held import held
-from .libm import Clouds, Explainer
-from .match import Source, Stream, header_stamp_ns, matched
+from .libm import CloudsByStamp, Explainer
+from .match import OpenRecording, TopicStream, header_stamp_ns, matched
 from .messages import DECODED, compare_messages
 from .others import compare_others
 from .result import Difference
@@ -99,11 +99,11 @@ def diff(
             holders = [source for source in holders if any(c.ros_type == POINTCLOUD2 for c in source.connections)]
             if clouds is not None and not holders:
                 raise TopicError("has no clouds: there is no PointCloud2 topic", path=clouds)
-            found = Clouds(holders, transforms_of)
+            found = CloudsByStamp(holders, transforms_of)
         return diff_sources(sources[0], sources[1], topics=topics, all_topics=all_topics, rules=rules, clouds=found)
 
 
-def open_source(path: Path) -> Source:
+def open_source(path: Path) -> OpenRecording:
     """Open a recording, or a text file of scans.
 
     Raises
@@ -115,13 +115,13 @@ def open_source(path: Path) -> Source:
 
 
 def diff_sources(
-    a: Source,
-    b: Source,
+    a: OpenRecording,
+    b: OpenRecording,
     *,
     topics: Sequence[TopicPair] = (),
     all_topics: bool = False,
     rules: Rules | None = None,
-    clouds: Clouds | None = None,
+    clouds: CloudsByStamp | None = None,
 ) -> Difference:
     """Compare open recordings; with ``clouds``, differing beams are explained.
 
@@ -151,7 +151,9 @@ def diff_sources(
     return result
 
 
-def paired_streams(a: Source, b: Source, topics: Sequence[TopicPair] = ()) -> list[tuple[Stream, Stream]]:
+def paired_streams(
+    a: OpenRecording, b: OpenRecording, topics: Sequence[TopicPair] = ()
+) -> list[tuple[TopicStream, TopicStream]]:
     """Pair the topics that were asked for, or all that have scans or clouds on either side.
 
     Raises
@@ -162,7 +164,7 @@ def paired_streams(a: Source, b: Source, topics: Sequence[TopicPair] = ()) -> li
     return _asked_streams(a, b, topics) if topics else _sides(a, b, decoded=True)
 
 
-def _held(pairs: Sequence[tuple[Stream, Stream]]) -> list[tuple[Stream, Stream]]:
+def _held(pairs: Sequence[tuple[TopicStream, TopicStream]]) -> list[tuple[TopicStream, TopicStream]]:
     """Return the same streams, from memory if their messages are few enough."""
     sides = []
     for streams in zip(*pairs, strict=True):
@@ -171,14 +173,16 @@ def _held(pairs: Sequence[tuple[Stream, Stream]]) -> list[tuple[Stream, Stream]]
     return list(zip(*sides, strict=True))
 
 
-def _by_topic(source: Source) -> dict[str, tuple[Connection, ...]]:
+def _by_topic(source: OpenRecording) -> dict[str, tuple[Connection, ...]]:
     topics: dict[str, tuple[Connection, ...]] = {}
     for connection in source.connections:
         topics[connection.topic] = (*topics.get(connection.topic, ()), connection)
     return topics
 
 
-def _asked_streams(a: Source, b: Source, pairs: Sequence[TopicPair]) -> list[tuple[Stream, Stream]]:
+def _asked_streams(
+    a: OpenRecording, b: OpenRecording, pairs: Sequence[TopicPair]
+) -> list[tuple[TopicStream, TopicStream]]:
     """Return the streams of the given topics."""
     streams = []
     for pair in pairs:
@@ -193,12 +197,14 @@ def _asked_streams(a: Source, b: Source, pairs: Sequence[TopicPair]) -> list[tup
                     topic=topic,
                     hint=f"{near} the recording's topics are: {name_list(sorted(topics))}".strip(),
                 )
-            sides.append(Stream(source, topics[topic]))
+            sides.append(TopicStream(source, topics[topic]))
         streams.append((sides[0], sides[1]))
     return streams
 
 
-def _sides(a: Source, b: Source, *, decoded: bool, without: Sequence[TopicPair] = ()) -> list[tuple[Stream, Stream]]:
+def _sides(
+    a: OpenRecording, b: OpenRecording, *, decoded: bool, without: Sequence[TopicPair] = ()
+) -> list[tuple[TopicStream, TopicStream]]:
     """Return every topic that has scans or clouds (or: none) on either side, with the other side's of its name."""
     of_a, of_b = _by_topic(a), _by_topic(b)
     taken = {name for pair in without for name in (pair.a, pair.b)}
@@ -206,12 +212,15 @@ def _sides(a: Source, b: Source, *, decoded: bool, without: Sequence[TopicPair] 
     for topic in sorted({*of_a, *of_b} - taken):
         one, other = of_a.get(topic, ()), of_b.get(topic, ())
         if any(c.ros_type in DECODED for c in (*one, *other)) == decoded:
-            pairs.append((Stream(a, one), Stream(b, other)))
+            pairs.append((TopicStream(a, one), TopicStream(b, other)))
     return pairs
 
 
 def _compare(
-    pairs: Sequence[tuple[Stream, Stream]], rules: Rules, result: Difference, clouds: Clouds | None = None
+    pairs: Sequence[tuple[TopicStream, TopicStream]],
+    rules: Rules,
+    result: Difference,
+    clouds: CloudsByStamp | None = None,
 ) -> None:
     """Compare topics: scans and clouds topic by topic, all others in one pass."""
     others = []
@@ -232,14 +241,14 @@ def _compare(
         compare_others([pair for pair, _ in others], [entry for _, entry in others], rules)
 
 
-def _entry(one: Stream, other: Stream, rules: Rules) -> TopicDifference:
+def _entry(one: TopicStream, other: TopicStream, rules: Rules) -> TopicDifference:
     names = [stream.connections[0].topic if stream.connections else None for stream in (one, other)]
     connection = (*one.connections, *other.connections)[0]
     return TopicDifference(names[0], names[1], canonical(connection.msgtype), rules.allow_beams)
 
 
 def _compare_decoded(
-    one: Stream, other: Stream, entry: TopicDifference, rules: Rules, explainer: Explainer | None
+    one: TopicStream, other: TopicStream, entry: TopicDifference, rules: Rules, explainer: Explainer | None
 ) -> None:
     """Compare scans or clouds, pair by pair."""
     for pair in matched(one, other):

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
     from pc2scan.model import Connection, RawMessage
 
-    from .match import Source
+    from .match import OpenRecording
 
 __all__ = ["held"]
 
@@ -22,7 +22,7 @@ _MESSAGE_BYTES = 300
 
 
 class _Held:
-    """The messages of some connections; see `pc2scan.compare.match.Source`."""
+    """The messages of some connections; see `pc2scan.compare.match.OpenRecording`."""
 
     def __init__(
         self, path: Path, connections: Sequence[Connection], messages: dict[int, list[tuple[int, RawMessage]]]
@@ -51,7 +51,7 @@ class _Held:
         """Do nothing: the caller closes the recording."""
 
 
-def held(source: Source, connections: Sequence[Connection]) -> Source:
+def held(source: OpenRecording, connections: Sequence[Connection]) -> OpenRecording:
     """Return the recording with the messages of these connections in memory, or unchanged if they take too much.
 
     Reading a topic reads every chunk with a message of it, so ten thousand topics would read the file as often.

@@ -13,7 +13,7 @@ from pc2scan.core.rounding import CORRECT, GLIBC, Readings, marks, prove
 from pc2scan.errors import MessageError, UsageError
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, decode_pointcloud2
 
-from .match import Stream, header_stamp_ns
+from .match import TopicStream, header_stamp_ns
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -28,10 +28,10 @@ if TYPE_CHECKING:
     from pc2scan.messages.pointcloud2 import PointCloud2
     from pc2scan.model import RawMessage
 
-    from .match import Source
+    from .match import OpenRecording
     from .rules import Rules
 
-__all__ = ["Clouds", "Explainer", "Explanation", "Lookup"]
+__all__ = ["CloudsByStamp", "Explainer", "Explanation", "Lookup"]
 
 #: Points at a time, so that memory is bounded.
 _BLOCK = 65_536
@@ -127,7 +127,7 @@ class Explanation:
         }
 
 
-class Clouds:
+class CloudsByStamp:
     """Finds the clouds of recordings by their stamps.
 
     Parameters
@@ -138,13 +138,13 @@ class Clouds:
         Reads the transforms of a recording, by its path; called for the first cloud in another frame.
     """
 
-    def __init__(self, sources: Sequence[Source], transforms_of: Callable[[Path], Lookup]) -> None:
+    def __init__(self, sources: Sequence[OpenRecording], transforms_of: Callable[[Path], Lookup]) -> None:
         self._topics: list[_CloudTopic] = []
         for source in sources:
             topics = {c.topic for c in source.connections if c.ros_type == POINTCLOUD2}
             for topic in sorted(topics):
                 connections = tuple(c for c in source.connections if c.topic == topic and c.ros_type == POINTCLOUD2)
-                self._topics.append(_CloudTopic(Stream(source, connections)))
+                self._topics.append(_CloudTopic(TopicStream(source, connections)))
         self._transforms_of = transforms_of
         self._transforms: dict[Path, Lookup] = {}
         self._by_stamp: dict[int, list[tuple[_CloudTopic, _StreamPosition]]] | None = None
@@ -179,7 +179,7 @@ class Clouds:
                     known.append((topic, position))
         return by_stamp
 
-    def _transform(self, source: Source, cloud: PointCloud2, scan: LaserScan) -> Rigid | None:
+    def _transform(self, source: OpenRecording, cloud: PointCloud2, scan: LaserScan) -> Rigid | None:
         # As in upstream, clouds are transformed only if the names differ.
         if cloud.frame_id.removeprefix("/") == scan.frame_id.removeprefix("/"):
             return None
@@ -200,7 +200,7 @@ class _StreamPosition(NamedTuple):
 class _CloudTopic:
     """The clouds of one topic, read once if they are asked for in order."""
 
-    def __init__(self, stream: Stream) -> None:
+    def __init__(self, stream: TopicStream) -> None:
         self.stream = stream
         self._following: Iterator[tuple[int, RawMessage]] = iter(())
         self._next = -1
@@ -249,7 +249,7 @@ class Explainer:
         The tolerance of ranges.
     """
 
-    def __init__(self, clouds: Clouds, rules: Rules) -> None:
+    def __init__(self, clouds: CloudsByStamp, rules: Rules) -> None:
         self._clouds = clouds
         self._tolerance: Tolerance = rules.tolerance("ranges")
         self.found = Explanation()

@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 
     from pc2scan.model import Connection, RawMessage
 
-__all__ = ["Match", "Source", "Stream", "header_stamp_ns", "matched", "moved_indices"]
+__all__ = ["Match", "OpenRecording", "TopicStream", "header_stamp_ns", "matched", "moved_indices"]
 
 
-class Source(Protocol):
+class OpenRecording(Protocol):
     """The part of an open recording that comparing needs; `pc2scan.bags.reader.Reader` has it."""
 
     @property
@@ -50,10 +50,10 @@ class Source(Protocol):
         ...
 
 
-class Stream(NamedTuple):
+class TopicStream(NamedTuple):
     """The messages of some connections of a recording, in order; without connections there are none."""
 
-    source: Source
+    source: OpenRecording
     connections: tuple[Connection, ...]
 
     def messages(self) -> Iterator[RawMessage]:
@@ -88,7 +88,7 @@ def header_stamp_ns(message: RawMessage) -> int | None:
         return None
 
 
-def matched(a: Stream, b: Stream) -> Iterator[Match]:
+def matched(a: TopicStream, b: TopicStream) -> Iterator[Match]:
     """Pair the messages of two streams.
 
     Yields
@@ -164,7 +164,7 @@ def _match_key(message: RawMessage) -> int:
     return 2 * stamp_ns if stamp_ns else 2 * message.log_time_ns + 1
 
 
-def _realigned(a: Stream, b: Stream, common: int) -> Iterator[Match]:
+def _realigned(a: TopicStream, b: TopicStream, common: int) -> Iterator[Match]:
     """Pair the messages after the first ``common`` ones by all their stamps."""
     times, mates = _find_mates(a, b, common)
     having = [index for index, mate in enumerate(mates) if mate >= 0]
@@ -189,7 +189,7 @@ def _realigned(a: Stream, b: Stream, common: int) -> Iterator[Match]:
     yield from (Match(None, y) for place, y in following if not paired[place])
 
 
-def _find_mates(a: Stream, b: Stream, common: int) -> tuple[Sequence[int], Sequence[int]]:
+def _find_mates(a: TopicStream, b: TopicStream, common: int) -> tuple[Sequence[int], Sequence[int]]:
     """Return the log time of every message of ``b``, and for each of ``a`` its partner's place there, or -1."""
     times: list[int] = []
     keys: list[int] = []

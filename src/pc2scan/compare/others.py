@@ -13,7 +13,7 @@ from pc2scan.errors import DecodeError
 from pc2scan.messages.transcode import transcoder
 
 from .difference import Change, MessageDifference
-from .match import Stream
+from .match import TopicStream
 from .topic_difference import MessageTimes
 
 if TYPE_CHECKING:
@@ -30,7 +30,9 @@ __all__ = ["compare_others"]
 _Group = dict[int, list["RawMessage"]]
 
 
-def compare_others(pairs: Sequence[tuple[Stream, Stream]], entries: Sequence[TopicDifference], rules: Rules) -> None:
+def compare_others(
+    pairs: Sequence[tuple[TopicStream, TopicStream]], entries: Sequence[TopicDifference], rules: Rules
+) -> None:
     """Compare several topics in one pass.
 
     Parameters
@@ -58,11 +60,11 @@ def compare_others(pairs: Sequence[tuple[Stream, Stream]], entries: Sequence[Top
                 entry.extra.add(times)
 
 
-def _groups(streams: Sequence[Stream]) -> Iterator[tuple[int, _Group]]:
+def _groups(streams: Sequence[TopicStream]) -> Iterator[tuple[int, _Group]]:
     """Yield the messages of several topics of one recording, grouped by log time."""
     numbers = {connection.id: n for n, stream in enumerate(streams) for connection in stream.connections}
     connections = tuple(connection for stream in streams for connection in stream.connections)
-    messages = Stream(streams[0].source, connections).messages()
+    messages = TopicStream(streams[0].source, connections).messages()
     for log_time_ns, together in groupby(messages, lambda message: message.log_time_ns):
         group: _Group = {}
         for message in together:

@@ -48,7 +48,7 @@ _NUMBERS = {name: number for number, name in _NAMES.items()}
 
 @dataclass(frozen=True, slots=True)
 class ScanText:
-    """Messages read from text; a `pc2scan.compare.match.Source`."""
+    """Messages read from text; a `pc2scan.compare.match.OpenRecording`."""
 
     path: Path
     connections: list[Connection] = field(default_factory=list)

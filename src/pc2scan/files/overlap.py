@@ -16,7 +16,7 @@ from .staging import working_names
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
-__all__ = ["Input", "Output", "refuse_overlap"]
+__all__ = ["InputPath", "OutputPath", "refuse_overlap"]
 
 #: Endings of the files that SQLite reads beside a database.
 _LOGS = ("-wal", "-journal", "-shm")
@@ -28,21 +28,21 @@ _MAX_LINKS = 40
 _Id = tuple[int, int]
 
 
-class Input(NamedTuple):
+class InputPath(NamedTuple):
     """A file or folder that a run reads, and its role: ``source``, or the option that names it."""
 
     path: Path
     role: str = "source"
 
 
-class Output(NamedTuple):
+class OutputPath(NamedTuple):
     """A file or folder that a run writes, and the option that names it; empty for the recording itself."""
 
     path: Path
     option: str = ""
 
 
-def refuse_overlap(inputs: Iterable[Input], outputs: Sequence[Output]) -> None:
+def refuse_overlap(inputs: Iterable[InputPath], outputs: Sequence[OutputPath]) -> None:
     """Raise if an output of a run is one of its inputs, or another output.
 
     Files and folders are compared by device and inode, through hard links, symbolic links, links to folders, and names
@@ -72,10 +72,10 @@ def refuse_overlap(inputs: Iterable[Input], outputs: Sequence[Output]) -> None:
 class _Inputs:
     """All paths of the inputs, by name and by device and inode, and the folders above them."""
 
-    def __init__(self, inputs: Iterable[Input]) -> None:
-        self._paths: dict[Path, Input] = {}
-        self._ids: dict[_Id, Input] = {}
-        self._folders: dict[_Id, Input] = {}
+    def __init__(self, inputs: Iterable[InputPath]) -> None:
+        self._paths: dict[Path, InputPath] = {}
+        self._ids: dict[_Id, InputPath] = {}
+        self._folders: dict[_Id, InputPath] = {}
         self._seen: set[Path] = set()
         for given in inputs:
             for path in (given.path, *_entries(given.path)):
@@ -83,7 +83,7 @@ class _Inputs:
                     for read in (place, *_logs(place)):
                         self._add(given, read)
 
-    def _add(self, given: Input, path: Path) -> None:
+    def _add(self, given: InputPath, path: Path) -> None:
         for place in _places(path):
             self._paths.setdefault(place, given)
             for identity in _ids(place):
@@ -95,7 +95,7 @@ class _Inputs:
                 for identity in _ids(folder):
                     self._folders.setdefault(identity, given)
 
-    def related(self, path: Path) -> tuple[str, Input] | None:
+    def related(self, path: Path) -> tuple[str, InputPath] | None:
         """Return how a path is related to an input, and to which; None if to none."""
         places = list(_places(path))
         # A file that does not exist has no inode, but a log that appears beside a database would be read with it.
@@ -108,7 +108,7 @@ class _Inputs:
         return None
 
 
-def _refuse_input(output: Output, read: _Inputs) -> None:
+def _refuse_input(output: OutputPath, read: _Inputs) -> None:
     for path in (output.path, *working_names(output.path)):
         if (related := read.related(path)) is None:
             continue
@@ -123,7 +123,7 @@ def _refuse_input(output: Output, read: _Inputs) -> None:
         )
 
 
-def _leftover(output: Output, path: Path, found: Input) -> DestinationError:
+def _leftover(output: OutputPath, path: Path, found: InputPath) -> DestinationError:
     """Return the error for an input with a name that staging needs, and a command that renames it."""
     better = output.path.with_name(f"interrupted_{output.path.name}")
     rename = f" (mv {shlex.quote(str(path))} {shlex.quote(str(better))})" if not os.path.lexists(better) else ""
@@ -134,7 +134,7 @@ def _leftover(output: Output, path: Path, found: Input) -> DestinationError:
     )
 
 
-def _refuse_output(output: Output, earlier: Output) -> None:
+def _refuse_output(output: OutputPath, earlier: OutputPath) -> None:
     other = f"the file of {earlier.option}" if earlier.option else "the destination"
     own, others = ({_key(path) for path in (each.path, *working_names(each.path))} for each in (output, earlier))
     relation = None
@@ -148,7 +148,7 @@ def _refuse_output(output: Output, earlier: Output) -> None:
         raise DestinationError(f"{_subject(output)}{relation} {other}", path=output.path, hint="choose another name")
 
 
-def _subject(output: Output) -> str:
+def _subject(output: OutputPath) -> str:
     return f"the file of {output.option} " if output.option else ""
 
 
@@ -200,7 +200,7 @@ def _folder_keys(path: Path) -> set[object]:
     return {_key(folder) for folder in next(_places(path)).parents}
 
 
-def _first(known: dict[_Id, Input], ids: Iterable[_Id]) -> Input | None:
+def _first(known: dict[_Id, InputPath], ids: Iterable[_Id]) -> InputPath | None:
     return next((known[identity] for identity in ids if identity in known), None)
 
 

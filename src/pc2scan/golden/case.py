@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from pc2scan.compare.rules import Rules
 from pc2scan.errors import UsageError
 from pc2scan.files.nearby import missing_hint
-from pc2scan.files.overlap import Input
+from pc2scan.files.overlap import InputPath
 from pc2scan.files.source import opened_text
 from pc2scan.files.yaml import MAX_CHARACTERS, load_yaml
 from pc2scan.names import did_you_mean
@@ -67,13 +67,13 @@ class Case:
         """Return where to write the expected output: in its present form, or as text if text can hold it."""
         return self.expected or self.folder / ("expected.mcap" if self.all_topics else EXPECTED_TEXT)
 
-    def read_files(self) -> list[Input]:
+    def read_files(self) -> list[InputPath]:
         """Return the files that its conversion reads: recordings, parameters, settings, and those in arguments."""
         values = [part.partition("=")[2] if part.startswith("-") else part for part in self.arguments]
         # Any of them may be a file; most are not.
         named = [Path(value) for value in values if os.path.lexists(value)]
         paths = [*self.inputs, *filter(None, (self.params,)), self.folder / SETTINGS, *named]
-        return [Input(path, "file of a case") for path in paths]
+        return [InputPath(path, "file of a case") for path in paths]
 
 
 def is_case(folder: Path) -> bool:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 from pc2scan.compare.diff import diff, open_source
 from pc2scan.compare.scan_text import render_messages
 from pc2scan.errors import OutputError, Pc2ScanError, RecordingError, UsageError
-from pc2scan.files.overlap import Input, Output, refuse_overlap
+from pc2scan.files.overlap import InputPath, OutputPath, refuse_overlap
 from pc2scan.files.text_output import text_output
 
 from .case import EXPECTED_TEXT, SETTINGS, load_case
@@ -57,14 +57,14 @@ class Command(Protocol):
         """
 
 
-def refuse_output_over_cases(output: Output, folders: Sequence[Path]) -> None:
+def refuse_output_over_cases(output: OutputPath, folders: Sequence[Path]) -> None:
     """Raise a `DestinationError` if an output is a file that a case reads, or its expected output."""
     files = []
     for folder in folders:
         # Errors of a case are reported when it is checked.
         with suppress(Pc2ScanError):
             case = load_case(folder)
-            files += [*case.read_files(), Input(case.new_expected(), "file of a case")]
+            files += [*case.read_files(), InputPath(case.new_expected(), "file of a case")]
     refuse_overlap(files, [output])
 
 
@@ -149,7 +149,7 @@ def _write_expected(case: Case, actual: Path, command: Command) -> None:
         text = render_messages(source.messages())
     finally:
         source.close()
-    refuse_overlap(case.read_files(), [Output(path)])
+    refuse_overlap(case.read_files(), [OutputPath(path)])
     # In a case, any file of this name is its expected output.
     with text_output(path, beginning=b"", overwrite=True) as write:
         write(text)

@@ -7,7 +7,7 @@ import xml.etree.ElementTree as ET  # only written, never parsed
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from pc2scan.files.overlap import Output
+from pc2scan.files.overlap import OutputPath
 from pc2scan.files.text_output import text_output
 
 from .check import refuse_output_over_cases
@@ -51,7 +51,7 @@ def junit_file(
     if path is None:
         yield lambda _: None
         return
-    refuse_output_over_cases(Output(path, "--junit"), cases)
+    refuse_output_over_cases(OutputPath(path, "--junit"), cases)
     with text_output(path, beginning=_BEGINNING, overwrite=overwrite) as write:
         yield lambda report: write(junit_xml(report))
 

@@ -12,7 +12,7 @@ from pc2scan.compare.diff import open_source, paired_streams
 from pc2scan.compare.match import matched
 from pc2scan.core.compare import differing
 from pc2scan.errors import DecodeError, TopicError
-from pc2scan.files.overlap import Input, Output, refuse_overlap
+from pc2scan.files.overlap import InputPath, OutputPath, refuse_overlap
 from pc2scan.files.text_output import text_output
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pc2scan.compare.diff import TopicPair
-    from pc2scan.compare.match import Stream
+    from pc2scan.compare.match import TopicStream
     from pc2scan.compare.rules import Rules
     from pc2scan.model import RawMessage
 
@@ -69,7 +69,7 @@ def compared_view(
     DestinationError, OutputError
         If the page cannot be written.
     """
-    refuse_overlap([Input(a), Input(b)], [Output(destination)])
+    refuse_overlap([InputPath(a), InputPath(b)], [OutputPath(destination)])
     with text_output(destination, beginning=BEGINNING, overwrite=overwrite) as deliver:
         deliver(_page(a, b, topics, rules, summary))
 
@@ -110,7 +110,7 @@ def _page(a: Path, b: Path, topics: Sequence[TopicPair], rules: Rules, summary: 
     return html(description, blobs)
 
 
-def _scan_pairs(streams: Sequence[tuple[Stream, Stream]]) -> Iterator[tuple[LaserScan, LaserScan]]:
+def _scan_pairs(streams: Sequence[tuple[TopicStream, TopicStream]]) -> Iterator[tuple[LaserScan, LaserScan]]:
     """The scans that belong together; those that only one side has, or that cannot be read, are not shown."""
     for one, other in streams:
         if not any(c.ros_type == LASERSCAN for c in one.connections):

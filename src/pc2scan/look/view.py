@@ -10,7 +10,7 @@ from pc2scan.arguments import path_of
 from pc2scan.bags.merged import as_one
 from pc2scan.bags.opening import open_recordings
 from pc2scan.errors import UsageError
-from pc2scan.files.overlap import Input, Output, refuse_overlap
+from pc2scan.files.overlap import InputPath, OutputPath, refuse_overlap
 from pc2scan.files.text_output import text_output
 from pc2scan.inspect.check import check
 from pc2scan.messages.clouds import CLOUDS
@@ -99,8 +99,8 @@ def view(
         If the page cannot be written.
     """
     refuse_overlap(
-        [*map(Input, sources), *(Input(file, "file of `tf_from`") for file in options.frames.tf_from)],
-        [Output(destination)],
+        [*map(InputPath, sources), *(InputPath(file, "file of `tf_from`") for file in options.frames.tf_from)],
+        [OutputPath(destination)],
     )
     with text_output(destination, beginning=BEGINNING, overwrite=overwrite) as deliver:
         page = page_of(sources, options, clouds=clouds, at=at, preset=preset, command=command)

@@ -10,7 +10,7 @@ from pc2scan.bags.destinations import named_after
 from pc2scan.bags.folders import recordings_in
 from pc2scan.bags.opening import sniff
 from pc2scan.errors import DestinationError, Pc2ScanError, UsageError
-from pc2scan.files.overlap import Input, Output, refuse_overlap
+from pc2scan.files.overlap import InputPath, OutputPath, refuse_overlap
 from pc2scan.version import __version__
 
 from .report import Failure
@@ -117,16 +117,16 @@ def run_each(
         raise UsageError("no source given")
     result = Each(list(_named(sources, output)))
     _refuse_collisions(result.outcomes)
-    inputs = [Input(outcome.source) for outcome in result.outcomes]
+    inputs = [InputPath(outcome.source) for outcome in result.outcomes]
     for outcome in result.outcomes:
         if outcome.destination is not None:
-            refuse_overlap(inputs, [Output(outcome.destination)])
+            refuse_overlap(inputs, [OutputPath(outcome.destination)])
     with ExitStack() as stack:
         deliver = None
         if output.report is not None:
             paths = [path for each in result.outcomes for path in (each.source, each.destination) if path is not None]
             read = (*paths, *options.frames.tf_from, *(also_read or {}).values())
-            refuse_overlap(map(Input, read), [Output(output.report, "`report`")])
+            refuse_overlap(map(InputPath, read), [OutputPath(output.report, "`report`")])
             deliver = report_file(output, stack)
         for outcome in result.outcomes:
             if outcome.error is None:

@@ -35,7 +35,7 @@ from pc2scan.errors import (
     TopicError,
     UsageError,
 )
-from pc2scan.files.overlap import Input, Output, refuse_overlap
+from pc2scan.files.overlap import InputPath, OutputPath, refuse_overlap
 from pc2scan.files.source import state_of
 from pc2scan.files.staging import check_destination, made_folder, staged
 from pc2scan.files.text_output import check_text_output, text_output
@@ -199,15 +199,15 @@ class _Files:
         self.destination = destination
         self.read = (*sources, *frames.tf_from)
         named = [*(("`tf_from`", other) for other in frames.tf_from), *also_read.items()]
-        self._inputs = [*map(Input, sources), *(Input(file, f"file of {option}") for option, file in named)]
+        self._inputs = [*map(InputPath, sources), *(InputPath(file, f"file of {option}") for option, file in named)]
         self._states = [state_of(path) for path in self.read]
         self._output = output
         self._write_report: Callable[[str], None] | None = None
 
     def open_report(self, stack: ExitStack) -> None:
         """Make sure that nothing that is read is written over, and that the report can be written."""
-        report = [] if self._output.report is None else [Output(self._output.report, "`report`")]
-        destination = [] if self.destination is None else [Output(self.destination)]
+        report = [] if self._output.report is None else [OutputPath(self._output.report, "`report`")]
+        destination = [] if self.destination is None else [OutputPath(self.destination)]
         refuse_overlap(self._inputs, [*destination, *report])
         self._write_report = report_file(self._output, stack)
 

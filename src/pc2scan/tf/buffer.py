@@ -51,7 +51,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from .chain import Chain
-    from .rejections import Rejection
+    from .rejections import RejectedTransforms
     from .summary import FrameInfo, Tree
 
 __all__ = ["TransformBuffer"]
@@ -72,7 +72,7 @@ class TransformBuffer:
     """
 
     frames: tuple[str, ...]
-    rejections: tuple[Rejection, ...]
+    rejections: tuple[RejectedTransforms, ...]
     rejected: int
     _stamps_ns: NDArray[np.int64] = field(repr=False)
     _poses: NDArray[np.float64] = field(repr=False)

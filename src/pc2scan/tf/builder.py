@@ -11,7 +11,7 @@ import numpy as np
 from pc2scan.errors import RecordingError
 
 from .buffer import TransformBuffer
-from .rejections import ACCEPTED, REASONS, Rejection, reason_of_names, reasons_of
+from .rejections import ACCEPTED, REASONS, RejectedTransforms, reason_of_names, reasons_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -122,7 +122,7 @@ class TransformBuilder:
 
     def _rejections(
         self, records: NDArray[np.void], pairs: NDArray[np.int32], reasons: NDArray[np.int32]
-    ) -> tuple[Rejection, ...]:
+    ) -> tuple[RejectedTransforms, ...]:
         bad = np.flatnonzero(reasons != ACCEPTED)
         causes = np.stack((records["pair"][bad], reasons[bad]), axis=1)
         groups, first, counts = np.unique(causes, axis=0, return_index=True, return_counts=True)
@@ -132,7 +132,9 @@ class TransformBuilder:
             pair, reason = groups[group].tolist()
             parent, child, _ = pairs[pair].tolist()
             stamp_ns = records["stamp_ns"].item(bad[first[group]])
-            rejections.append(Rejection(names[child], names[parent], stamp_ns, REASONS[reason], counts.item(group)))
+            rejections.append(
+                RejectedTransforms(names[child], names[parent], stamp_ns, REASONS[reason], counts.item(group))
+            )
         return tuple(rejections)
 
 

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
     from .history import FrameHistory
     from .query import Query
-    from .rejections import Rejection
+    from .rejections import RejectedTransforms
     from .summary import Tree
     from .walk import Walk
 
@@ -37,7 +37,7 @@ def empty_name(role: str, stamp_ns: int) -> TransformError:
 
 
 def unknown_frame(
-    name: str, role: str, stamp_ns: int, frames: Sequence[str], rejections: Sequence[Rejection]
+    name: str, role: str, stamp_ns: int, frames: Sequence[str], rejections: Sequence[RejectedTransforms]
 ) -> TransformError:
     """No transform has this frame."""
     there_are = (

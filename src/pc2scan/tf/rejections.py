@@ -12,7 +12,7 @@ from pc2scan.core.rigid import are_taken
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["ACCEPTED", "REASONS", "Rejection", "reason_of_names", "reasons_of"]
+__all__ = ["ACCEPTED", "REASONS", "RejectedTransforms", "reason_of_names", "reasons_of"]
 
 ACCEPTED, NO_CHILD, NO_PARENT, SELF, NOT_FINITE, ZERO, DENORMALIZED = range(7)
 REASONS = {
@@ -26,7 +26,7 @@ REASONS = {
 
 
 @dataclass(frozen=True, slots=True)
-class Rejection:
+class RejectedTransforms:
     """Rejected transforms of one pair of frames and one reason.
 
     Attributes
