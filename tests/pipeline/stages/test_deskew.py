@@ -164,6 +164,12 @@ def test_a_gap_of_the_odometry_is_reported() -> None:
 def test_a_cloud_before_all_transforms_is_an_error() -> None:
     with pytest.raises(TransformError):
         Deskew(frames(begin=0.5), "odom", PointTime())(points([[1, 1, 1]] * 2, [0, 1000]))
+    # The scan's own time has a transform, within the tolerance, but no point has.
+    known = frames(begin=0.0)
+    near = Frames("", "", known.buffer, 10_000_000)
+    with pytest.raises(TransformError) as caught:
+        Deskew(near, "odom", PointTime())(points([[1, 1, 1]] * 2, [-2_000_000, -1_000_000]))
+    assert "`start` and `end` leave such clouds out" in str(caught.value.hint)
 
 
 def test_points_that_were_not_measured_need_no_time() -> None:
@@ -197,6 +203,11 @@ def test_times_that_cannot_be_are_errors(times: Any, name: str, what: str) -> No
     assert what in caught.value.message
     assert caught.value.hint
     assert caught.value.stamp_ns == T0
+
+
+def test_a_cloud_of_a_minute_takes_no_more_nodes_than_memory_allows() -> None:
+    moving = moving_of(Deskew(frames(end=61.0), "odom", PointTime()), points(np.ones((2, 3)), [0, 59 * SECOND], "t"))
+    assert 20_000 < moving.node_times.size < 24_000
 
 
 def test_a_unit_may_be_named() -> None:

@@ -17,12 +17,13 @@ from pc2scan.core import kernel
 from pc2scan.core.points import TIME, Points
 from pc2scan.core.rule import Rejection
 from pc2scan.core.timing import TIME_FIELDS, TIME_UNITS, point_times
-from pc2scan.errors import DecodeError, UsageError
+from pc2scan.errors import DecodeError, TransformError, UsageError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pc2scan.core.rigid import Rigid
+    from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.placing import Frames
 
 __all__ = ["NO_TIME", "NO_TRANSFORM", "STAMPS", "Deskew", "Motion", "Moving", "PointTime"]
@@ -208,9 +209,10 @@ class Deskew:
         target = self._frames.target_frame or source
         from_fixed = buffer.lookup(target, self._fixed, reference_ns, tolerance_ns)
         reference = from_fixed.compose(buffer.lookup(self._fixed, source, reference_ns, tolerance_ns))
-        stamps_ns, rows, gap_ns = buffer.rows(self._fixed, source, begin_ns, end_ns, _STEP_NS, _step_ns)
+        step_ns = max(_STEP_NS, (end_ns - begin_ns) // _MOST_NODES)
+        stamps_ns, rows, gap_ns = buffer.rows(self._fixed, source, begin_ns, end_ns, step_ns, _step_ns)
         if np.isnan(rows).all():
-            buffer.lookup(self._fixed, source, begin_ns)  # tells why
+            _raise_why(buffer, self._fixed, source, begin_ns)
         rows = _composed(from_fixed, rows)
         times = (stamps_ns - stamp_ns) / 1e9
         return Moving(points, reference_ns, times, rows, target, _motion(rows, reference, gap_ns))
@@ -254,6 +256,17 @@ class Deskew:
             hint = "say where the times are: `point_time=FIELD`; a cloud that was measured at once needs no `deskew`"
         if message:
             raise DecodeError(message, stamp_ns=stamp_ns, hint=hint)
+
+
+def _raise_why(buffer: TransformBuffer, fixed: str, source: str, time_ns: int) -> None:
+    """Raise the error of a lookup; the tolerance, which it offers, does not count for points."""
+    try:
+        buffer.lookup(fixed, source, time_ns)
+    except TransformError as err:
+        err.hint = (
+            "no point of the cloud was measured while there were transforms; `start` and `end` leave such clouds out"
+        )
+        raise
 
 
 def _step_ns(stamps_ns: NDArray[np.int64], rows: NDArray[np.float64]) -> int:
