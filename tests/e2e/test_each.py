@@ -7,14 +7,19 @@ import shutil
 from typing import TYPE_CHECKING
 
 import pytest
+from typer.testing import CliRunner
 
+import pc2scan.pipeline.each
+import pc2scan.pipeline.run
 from builders import CONTENT, write_mcap, write_rosbag1
 from e2e.command import run
 from e2e.outputs import opened
+from pc2scan.cli.app import application
 from support import ROOT
 
 if TYPE_CHECKING:
     from pathlib import Path
+    from typing import Any
 
 FIXTURES = ROOT / "fixtures"
 HEIGHTS = ("--min-height", "-0.3")
@@ -98,7 +103,7 @@ def test_parts_of_a_split_bag_draw_no_warning(tmp_path: Path) -> None:
 
 def test_a_last_source_that_does_not_exist_may_be_the_destination(drives: Path) -> None:
     done = run("convert", "a.bag", "new one.bag", cwd=drives)
-    assert done.status == 1
+    assert done.status == 2
     assert done.stderr.splitlines()[-1] == "hint: did you mean -o 'new one.bag'?"
     # With a destination it is a source that is missing.
     assert "-o" not in run("convert", "a.bag", "b.bag", "-o", "c.bag", cwd=drives).stderr
@@ -204,3 +209,25 @@ def test_names_that_collide_are_refused(drives: Path) -> None:
     reported = run("convert", "--each", "a.bag", "b.mcap", "--report", "b_scan.mcap", "--overwrite", cwd=drives)
     assert reported.status == 2
     assert names(drives) == before | {"a_scan.bag"}
+
+
+def test_an_interruption_says_what_was_written(drives: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It said that nothing was."""
+    real = pc2scan.pipeline.run.run
+    calls = []
+
+    def second_is_interrupted(*args: Any, **keywords: Any) -> Any:
+        calls.append(args)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return real(*args, **keywords)
+
+    monkeypatch.setattr(pc2scan.pipeline.each, "run", second_is_interrupted)
+    monkeypatch.chdir(drives)
+    done = CliRunner().invoke(application(), ["convert", "--each", "a.bag", "b.mcap", *HEIGHTS])
+    assert done.exit_code == 130
+    last = done.stderr.splitlines()[-1]
+    assert last.startswith("interrupted: ")
+    assert "a_scan.bag" in last
+    assert "b_scan.mcap" not in last
+    assert names(drives) == {"a.bag", "b.mcap", "c", "a_scan.bag"}

@@ -208,13 +208,13 @@ def test_a_value_that_looks_like_an_option_is_a_value(folder: Path) -> None:
 
 
 def test_an_expected_exit_status(folder: Path) -> None:
-    # Without a transform for the frame every cloud is skipped.
-    (folder / "hall" / "params.yaml").write_text(PARAMS + "    target_frame: map\n")
+    # No point is so far away: all scans are empty.
+    (folder / "hall" / "params.yaml").write_text(PARAMS + "    range_min: 90.0\n")
     done = golden(folder, "--update")
     assert done.status == 1
-    assert "ended with 3, expected is 0" in done.stdout
-    assert "map" in done.stdout
-    assert outcomes(settings(folder, "exit_status: 3"), "--update") == {"hall": "updated"}
+    assert "ended with 4, expected is 0" in done.stdout
+    assert "5 of 5 scans on /scan have no return" in done.stdout
+    assert outcomes(settings(folder, "exit_status: 4"), "--update") == {"hall": "updated"}
     assert outcomes(folder) == {"hall": "passed"}
     (folder / "hall" / "params.yaml").write_text(PARAMS)
     assert outcomes(folder) == {"hall": "failed"}
@@ -224,6 +224,10 @@ def test_a_failure_that_is_expected_needs_no_output(folder: Path) -> None:
     (folder / "hall" / "params.yaml").write_text(PARAMS.replace("min_height: -0.3", "min_height: 2.0"))
     assert outcomes(folder) == {"hall": "failed"}
     assert outcomes(settings(folder, "exit_status: 2")) == {"hall": "passed"}
+    # Without a transform for the frame no cloud can be converted.
+    (folder / "hall" / "params.yaml").write_text(PARAMS + "    target_frame: map\n")
+    assert outcomes(folder) == {"hall": "failed"}
+    assert outcomes(settings(folder, "exit_status: 1")) == {"hall": "passed"}
 
 
 def test_everything_that_is_written(folder: Path) -> None:
@@ -252,7 +256,7 @@ def test_junit_and_patterns(folder: Path, tmp_path: Path) -> None:
 
 def test_wrong_usage(folder: Path, tmp_path: Path) -> None:
     for arguments, told in (
-        ((tmp_path / "nowhere",), "not a folder"),
+        ((tmp_path / "nowhere",), "nothing of this name"),
         ((HALL,), "not a folder"),
         ((folder, "-k", "nothing"), "none of its 1 cases"),
         ((folder, "--junit", tmp_path / "no" / "report.xml"), "directory does not exist"),

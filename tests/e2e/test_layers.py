@@ -49,8 +49,8 @@ ALLOWED = {
         *("requests", "pipeline", "inspect", "compare", "golden", "streams", "look", "core", "tf"),
         *("cli.in_process", "cli.command_line"),
     },
-    # `bags.damage`: results have its data classes.
-    "cli": {"pipeline", "inspect", "compare", "golden", "look", "core", "tf", "bags.damage"},
+    # `bags.damage`: results have its data classes. `files.staging`: what is complete when a command is interrupted.
+    "cli": {"pipeline", "inspect", "compare", "golden", "look", "core", "tf", "bags.damage", "files.staging"},
     "pytest_plugin": {"api", "cli", "golden"},
 }
 

@@ -6,6 +6,7 @@ import fcntl
 import json
 import os
 import pty
+import shlex
 import struct
 import subprocess
 import termios
@@ -115,3 +116,14 @@ def test_a_command_that_is_too_long_stays_one_for_the_shell(tmp_path: Path) -> N
         ["sh", "-c", f"set -- {command.strip()}\nprintf '%s' $#"], capture_output=True, check=True
     ).stdout
     assert int(words) == 4
+
+
+def test_a_wrapped_command_stays_one_for_the_shell(tmp_path: Path) -> None:
+    """A name with spaces and quotes is not broken: within quotes a backslash is no continuation."""
+    folder = tmp_path / "a rather long name of a folder that it's hard to fit"
+    folder.mkdir()
+    text = shown("convert", HALL, "-o", f"{folder}/", "--to", "rosbag2", columns=60, NO_COLOR="1")
+    command = text[text.index("next: ") + len("next: ") :]
+    assert "\\\n" in command
+    # As a shell reads it.
+    assert shlex.split(command.replace("\\\n", "")) == ["ros2", "bag", "play", str(folder / "hall_scan"), "--clock"]

@@ -340,7 +340,8 @@ def _refuse_repeated(readers: Sequence[Reader]) -> None:
         status = reader.path.stat()
         identity = (status.st_dev, status.st_ino)
         if identity in seen:
-            raise UsageError(f"the recording is given twice (as {seen[identity]} too)", path=reader.path)
+            other = "" if seen[identity] == reader.path else f" (as {seen[identity]} too)"
+            raise UsageError(f"the recording is given twice{other}", path=reader.path)
         seen[identity] = reader.path
 
 
@@ -354,5 +355,5 @@ def _refuse_mixed_ros_versions(readers: Sequence[Reader]) -> None:
     if len(found) > 1:
         raise UsageError(
             f"{found[1]} is a ROS 1 recording and {found[2]} is a ROS 2 recording; they cannot be merged",
-            hint="convert them one by one",
+            hint="convert them one by one, by themselves or with `each=True`",
         )

@@ -117,7 +117,7 @@ def _wrapped(line: str, width: int) -> str:
     hanging = " " * min(indent + 2, width // 2)
     room = width - 2 if is_command else width
     lines = [""]
-    for word in re.findall(r"\s*\S+", line):
+    for word in re.findall(r"""\s*(?:'[^']*'|"[^"]*"|\S)+""" if is_command else r"\s*\S+", line):
         if len(lines[-1]) + len(word) > room and lines[-1].strip():
             lines.append(hanging + word.lstrip())
         else:

@@ -179,7 +179,8 @@ def _refuse_collisions(outcomes: Sequence[Outcome]) -> None:
     for outcome in outcomes:
         source = outcome.source.resolve()
         if source in sources:
-            raise UsageError(f"the recording is given twice (as {sources[source]} too)", path=outcome.source)
+            other = f" (as {sources[source]} too)" if sources[source] != outcome.source else ""
+            raise UsageError(f"the recording is given twice{other}", path=outcome.source)
         sources[source] = outcome.source
         if outcome.destination is None:
             continue

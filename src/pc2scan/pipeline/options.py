@@ -322,7 +322,8 @@ class ConvertOptions:
         if self.fail_on not in ("", "empty", "warning"):
             raise UsageError(f"fail_on is {self.fail_on!r}, it must be empty or warning")
         if not 0 <= self.min_used <= 1:
-            raise UsageError(f"`min_used` is {self.min_used:g}, it must be a share from 0 to 1")
+            hint = f"{self.min_used:g} % is {self.min_used / 100:g}" if 1 < self.min_used <= 100 else None
+            raise UsageError(f"`min_used` is {self.min_used:g}, it must be a share from 0 to 1", hint=hint)
         if self.jobs < 0:
             raise UsageError(f"jobs is {self.jobs}, it must not be negative")
         if self.only_scans and (self.keep or self.keep_clouds):

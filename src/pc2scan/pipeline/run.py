@@ -50,7 +50,6 @@ from .beforehand import refuse_no_messages
 from .declarations import Declarations
 from .demands import refuse_nothing, refuse_unsatisfied
 from .first_clouds import FirstClouds
-from .forecast import forecast
 from .idle import doubts, refuse_unusable
 from .parameters import from_preset, preset_of
 from .plan import make_plan
@@ -225,6 +224,9 @@ class _Files:
         """Write the report of a run that failed, if that is possible: the user knows of the error in any case."""
         if self._output.report is None or self._output.dry_run:
             return
+        if report.error is not None and report.error.path == self._output.report:
+            # It cannot be written there.
+            return
         with suppress(DestinationError, OutputError), ExitStack() as stack:
             if self._write_report is None:
                 self.open_report(stack)
@@ -276,6 +278,8 @@ def _run(
         span = span_of(reader, options)
         refuse_no_messages(reader, converted, span.start_ns, span.stop_ns)
         conversion, _ = prepared(reader, plan, options, span, stack, report)
+        from .forecast import forecast  # noqa: PLC0415  # dry runs only
+
         forecast(reader, plan, target, conversion, options, span.start_ns, span.stop_ns, report)
         return
     if output.folder is not None:
