@@ -297,3 +297,16 @@ def test_real_recordings_get_heights_of_their_own(name: str, heights: tuple[floa
     assert heights[0] <= low < high <= heights[1]
     done = run("convert", RECORDINGS / name, "-o", tmp_path / "b.mcap", *words)
     assert (done.status, done.stderr) == (0, "")
+
+
+def test_check_finds_scans_in_a_frame_that_is_not_level(tmp_path: Path) -> None:
+    source = recorded(tmp_path / "a.mcap", 20, 0)
+    common = ("--keep-clouds", "--preset", "slam_toolbox", "--min-height")
+    assert run("convert", source, "-o", tmp_path / "b.mcap", *common, "-0.3").status == 0
+    done = run("check", tmp_path / "b.mcap")
+    assert "defect: the scan's frame 'lidar' is tilted by 20." in done.stdout
+    assert "pc2scan convert with --static-tf 'lidar_level lidar 0 0 0." in done.stdout
+    frames = ("--static-tf", "lidar_level lidar 0 0 0.6 0.349 0 0", "--target-frame", "lidar_level")
+    done = run("convert", source, "-o", tmp_path / "c.mcap", *common, "0.1", *frames, "--write-static-tf")
+    assert done.status == 0
+    assert "tilted" not in run("check", tmp_path / "c.mcap").stdout

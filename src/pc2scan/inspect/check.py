@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,6 +21,7 @@ from pc2scan.tf.options import FrameOptions
 from pc2scan.tf.reading import read_transforms
 
 from .scan_frames import ScanFrames
+from .scan_mounting import mounting_findings
 from .scan_topic import Finding, ScanTopic
 
 if TYPE_CHECKING:
@@ -306,6 +307,7 @@ def check(
         others = open_recordings(options.tf_from, stack)
         buffer, warnings = read_transforms([*readers, *others], options)
         found = _check_topics(reader, chosen, buffer, odom_frame, base_frame)
+        found = _with_mountings(found, reader, buffer)
         damage = tuple(place for each in (reader, *others) for place in each.damage)
     return Check(tuple(map(str, paths)), asked, tuple(found), tuple(warnings), damage)
 
@@ -339,6 +341,15 @@ def _check_topics(
             continue
         scans.add(scan, message.log_time_ns, places.add(scan.frame_id, scan.stamp_ns))
     return [_topic_check(name, scans, places) for name, (scans, places) in topics.items()]
+
+
+def _with_mountings(found: Sequence[TopicCheck], reader: Reader, buffer: TransformBuffer) -> list[TopicCheck]:
+    """Add what the clouds of the recording tell of the frames of its scans."""
+    tilted = mounting_findings(reader, buffer, [frame for topic in found for frame in topic.frames])
+    return [
+        replace(topic, findings=(*(tilted[frame] for frame in topic.frames if frame in tilted), *topic.findings))
+        for topic in found
+    ]
 
 
 def _topic_check(name: str, scans: ScanTopic, places: ScanFrames) -> TopicCheck:
