@@ -21,6 +21,7 @@ from .clouds import clouds_page
 from .html import BEGINNING, html
 from .moments import moment
 from .scans import findings, scan_connections, scans_page
+from .shots import take_shots
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -150,9 +151,8 @@ def page_of(
         buffer = _transforms([reader, *others], options)
         at_ns = [bound.resolve(reader.summary.start_ns or 0) for bound in at]
         if any(connection.ros_type in CLOUDS for connection in reader.connections) and not options.reverse:
-            described, blobs = clouds_page(
-                reader, buffer, options, count=clouds, at_ns=at_ns, preset=preset, command=command
-            )
+            taken = take_shots(reader, buffer, options, count=clouds, at_ns=at_ns)
+            described, blobs = clouds_page(taken, buffer, options, preset=preset, command=command)
         else:
             asked = [request.source for request in options.topics]
             described, blobs = scans_page(
