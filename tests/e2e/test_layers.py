@@ -75,7 +75,7 @@ THIRD_PARTY = {
     "compare": {"numpy"},
     "golden": set(),
     "streams": {"numpy"},
-    "look": {"numpy"},
+    "look": {"numpy", "matplotlib"},
     "api": set[str](),
     "requests": set[str](),
     "cli": {"typer", "rich"},

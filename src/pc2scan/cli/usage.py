@@ -36,7 +36,9 @@ def in_our_words(err: TyperUsageError, typed: Sequence[str]) -> UsageError:
             hint = f"did you mean {' or '.join(sorted(err.possibilities))}?"
         return UsageError(f"there is no option {err.option_name}", hint=hint)
     if isinstance(err, MissingParameter) and err.param is not None:
-        return UsageError(f"{err.param.human_readable_name} is missing", hint=hint)
+        is_option = err.param.param_type_name == "option"
+        name = "/".join(err.param.opts) if is_option else err.param.human_readable_name
+        return UsageError(f"{name} is missing", hint=hint)
     text = err.message.rstrip(".")
     if isinstance(err, BadParameter) and err.param is not None:
         value, is_not, kind = text.rpartition(" is not ")

@@ -1,4 +1,4 @@
-"""Writes a text, such as a report, completely or not at all, and never over a file of the user's."""
+"""Writes a small file, such as a report, completely or not at all, and never over a file of the user's."""
 
 from __future__ import annotations
 
@@ -16,26 +16,33 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
-__all__ = ["check_text_output", "text_output"]
+__all__ = ["check_text_output", "file_output", "text_output"]
 
 
 @contextmanager
 def text_output(path: Path, *, beginning: bytes, overwrite: bool) -> Iterator[Callable[[str], None]]:
-    """Check that a text can be written, and yield the function that writes it.
+    """Check that a text can be written, and yield the function that writes it; see `file_output`."""
+    with file_output(path, beginning=beginning, overwrite=overwrite) as write:
+        yield lambda text: write(text.encode("utf-8"))
+
+
+@contextmanager
+def file_output(path: Path, *, beginning: bytes | None, overwrite: bool) -> Iterator[Callable[[bytes], None]]:
+    """Check that a file can be written, and yield the function that writes it.
 
     Parameters
     ----------
     path
         The file to write, staged as by `pc2scan.files.staging.staged`.
     beginning
-        The first bytes of files of this kind: one that has them may be replaced, and an empty file.
+        The first bytes of files of this kind: one that has them may be replaced, and an empty file. None: no others.
     overwrite
         Whether any other file may be replaced. A symbolic link itself is replaced, not the file that it leads to.
 
     Yields
     ------
     function
-        Writes a text; called at most once. Without the call there is no file.
+        Writes the file; called at most once. Without the call there is no file.
 
     Raises
     ------
@@ -54,9 +61,9 @@ def text_output(path: Path, *, beginning: bytes, overwrite: bool) -> Iterator[Ca
         except OSError as err:
             raise _unwritable(path, err) from err
 
-        def write(text: str) -> None:
+        def write(data: bytes) -> None:
             try:
-                file.put(text.encode("utf-8"))
+                file.put(data)
                 file.finish()
             except OutputError as err:
                 # The user knows the final name.
@@ -75,7 +82,7 @@ def check_text_output(path: Path, *, beginning: bytes, overwrite: bool) -> None:
     _may_replace(path, beginning, overwrite=overwrite)
 
 
-def _may_replace(path: Path, beginning: bytes, *, overwrite: bool) -> bool:
+def _may_replace(path: Path, beginning: bytes | None, *, overwrite: bool) -> bool:
     if not os.path.lexists(path):
         return False
     if path.is_dir() and not path.is_symlink():
@@ -91,13 +98,13 @@ def _may_replace(path: Path, beginning: bytes, *, overwrite: bool) -> bool:
     return True
 
 
-def _is_ours(path: Path, beginning: bytes) -> bool:
+def _is_ours(path: Path, beginning: bytes | None) -> bool:
     """Whether a file may be replaced: a text of the same kind, or an empty file."""
     try:
         if not stat.S_ISREG(path.lstat().st_mode):
             return False
         with path.open("rb") as file:
-            return file.read(len(beginning)) in (beginning, b"")
+            return file.read(len(beginning or b" ")) in (beginning, b"")
     except OSError as err:
         raise _unwritable(path, err) from err
 

@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from pc2scan.arguments import path_of
-from pc2scan.bags.merged import as_one
-from pc2scan.bags.opening import open_recordings
 from pc2scan.errors import UsageError
 from pc2scan.files.overlap import InputPath, OutputPath, refuse_overlap
 from pc2scan.files.text_output import text_output
 from pc2scan.inspect.check import check
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.tf.options import FrameOptions
-from pc2scan.tf.reading import read_transforms
 
 from .clouds import clouds_page
 from .html import BEGINNING, html
 from .moments import moment
+from .opened import opened, title_of
 from .scans import findings, scan_connections, scans_page
 from .shots import take_shots
 
@@ -30,7 +27,6 @@ if TYPE_CHECKING:
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.reader import Reader
     from pc2scan.pipeline.options import ConvertOptions, TimeBound
-    from pc2scan.tf.buffer import TransformBuffer
 
 __all__ = ["Page", "page_of", "view"]
 
@@ -144,12 +140,9 @@ def page_of(
     """
     if clouds < 1:
         raise UsageError(f"clouds is {clouds}, it must be 1 or more")
-    with ExitStack() as stack:
-        readers = open_recordings(sources, stack, verify=options.verify, strict=options.strict)
-        others = open_recordings(options.frames.tf_from, stack, verify=options.verify, strict=options.strict)
-        reader = as_one(readers)
-        buffer = _transforms([reader, *others], options)
-        at_ns = [bound.resolve(reader.summary.start_ns or 0) for bound in at]
+    with opened(sources, options) as recording:
+        reader, _, buffer = recording
+        at_ns = recording.log_times(at)
         if any(connection.ros_type in CLOUDS for connection in reader.connections) and not options.reverse:
             taken = take_shots(reader, buffer, options, count=clouds, at_ns=at_ns)
             described, blobs = clouds_page(taken, buffer, options, preset=preset, command=command)
@@ -160,24 +153,8 @@ def page_of(
             )
             frames = FrameOptions(tf_topics=options.frames.tf_topics, tf_from=options.frames.tf_from)
             described["findings"] = findings(check(sources, topics=asked, frames=frames))
-        damage = tuple(damage for each in (reader, *others) for damage in each.damage)
-        described |= {"title": _title(sources), "subtitle": _subtitle(reader)}
-    return Page(html(described, blobs), tuple(described["notes"]), damage)
-
-
-def _transforms(readers: Sequence[Reader], options: ConvertOptions) -> TransformBuffer | None:
-    """All transforms; None where it is not clear which count, and nobody asked for any."""
-    try:
-        buffer, _ = read_transforms(readers, options.frames)
-    except UsageError:
-        if options.params.target_frame:
-            raise
-        return None
-    return buffer
-
-
-def _title(sources: Sequence[Path]) -> str:
-    return ", ".join(source.name or str(source) for source in sources)
+        described |= {"title": title_of(sources), "subtitle": _subtitle(reader)}
+        return Page(html(described, blobs), tuple(described["notes"]), recording.damage)
 
 
 def _subtitle(reader: Reader) -> str:

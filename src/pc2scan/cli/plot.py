@@ -1,0 +1,68 @@
+"""``pc2scan plot``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .damage import show_damage
+from .options import Conversion
+from .render import warn
+
+__all__ = ["plot"]
+
+#: As for a conversion of a damaged source.
+_DAMAGED = 3
+
+
+def plot(
+    sources: Annotated[
+        list[Path],
+        typer.Argument(metavar="SRC...", help="Recordings with clouds; several are one, merged in time order."),
+    ],
+    destination: Annotated[
+        Path, typer.Option("--output", "-o", metavar="FIGURE", help="*.png, *.svg or *.pdf.", show_default=False)
+    ],
+    frames: Annotated[
+        int,
+        typer.Option(metavar="N", min=1, help="Moments of each topic, side by side, spread over the recording."),
+    ] = 1,
+    at: Annotated[
+        list[str],
+        typer.Option(
+            "--at", metavar="TIME", help="Show the first cloud at or after this time, as --start takes it. Repeatable."
+        ),
+    ] = [],  # noqa: B006 - typer reads the default and never hands it out
+    overwrite: Annotated[bool, typer.Option(help="Replace a file of that name.")] = False,
+    *,
+    conversion: Conversion,
+) -> None:
+    """Draw clouds from above and from the side, with the height band and the scan, for reports.
+
+    Needs matplotlib: pip install 'pc2scan[plot]'. To tune parameters, `pc2scan view` makes a page.
+
+    Examples
+    --------
+      pc2scan plot drive.bag -o figure.png --min-height -0.3 --max-height 1
+
+      pc2scan plot drive.bag -o figure.pdf --frames 3 --target-frame base_link
+    """
+    options, _ = conversion.options()
+
+    from pc2scan.look.plot import plot as draw
+    from pc2scan.pipeline.options import TimeBound
+
+    drawn = draw(
+        sources,
+        destination,
+        options,
+        frames=frames,
+        at=[TimeBound.parse(time) for time in at],
+        overwrite=overwrite,
+    )
+    for note in drawn.notes:
+        warn(note)
+    show_damage(drawn.damage)
+    raise typer.Exit(_DAMAGED if drawn.damage else 0)

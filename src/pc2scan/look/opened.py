@@ -1,0 +1,73 @@
+"""Recordings as pictures need them: opened as one, with all their transforms."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack, contextmanager
+from typing import TYPE_CHECKING, NamedTuple
+
+from pc2scan.bags.merged import as_one
+from pc2scan.bags.opening import open_recordings
+from pc2scan.errors import UsageError
+from pc2scan.tf.reading import read_transforms
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from pathlib import Path
+
+    from pc2scan.bags.damage import Damage
+    from pc2scan.bags.reader import Reader
+    from pc2scan.pipeline.options import ConvertOptions, TimeBound
+    from pc2scan.tf.buffer import TransformBuffer
+
+__all__ = ["Opened", "opened", "title_of"]
+
+
+class Opened(NamedTuple):
+    """A recording, others that were read for their transforms, and the transforms (None where there are none)."""
+
+    reader: Reader
+    others: list[Reader]
+    buffer: TransformBuffer | None
+
+    @property
+    def damage(self) -> tuple[Damage, ...]:
+        """Damaged places, as far as they were read."""
+        return tuple(damage for each in (self.reader, *self.others) for damage in each.damage)
+
+    def log_times(self, at: Sequence[TimeBound]) -> list[int]:
+        """Return moments as log times."""
+        return [bound.resolve(self.reader.summary.start_ns or 0) for bound in at]
+
+
+@contextmanager
+def opened(sources: Sequence[Path], options: ConvertOptions) -> Iterator[Opened]:
+    """Open recordings as one.
+
+    Raises
+    ------
+    UsageError
+        If there is a target frame, and it is not clear which transforms count.
+    RecordingError
+        If one cannot be read.
+    """
+    with ExitStack() as stack:
+        readers = open_recordings(sources, stack, verify=options.verify, strict=options.strict)
+        others = open_recordings(options.frames.tf_from, stack, verify=options.verify, strict=options.strict)
+        reader = as_one(readers)
+        yield Opened(reader, others, _transforms([reader, *others], options))
+
+
+def title_of(sources: Sequence[Path]) -> str:
+    """Return what a picture of recordings is called."""
+    return ", ".join(source.name or str(source) for source in sources)
+
+
+def _transforms(readers: Sequence[Reader], options: ConvertOptions) -> TransformBuffer | None:
+    """All transforms; None where it is not clear which count, and nobody asked for any."""
+    try:
+        buffer, _ = read_transforms(readers, options.frames)
+    except UsageError:
+        if options.params.target_frame:
+            raise
+        return None
+    return buffer

@@ -1,0 +1,246 @@
+"""Figures for reports: clouds from above and from the side, with the height band and the scan that comes of them."""
+
+from __future__ import annotations
+
+import io
+import math
+import warnings
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from pc2scan.core import kernel
+from pc2scan.core.project import Projector
+from pc2scan.core.rule import rule_of
+from pc2scan.errors import UsageError
+from pc2scan.files.overlap import Input, Output, refuse_overlap
+from pc2scan.files.text_output import file_output
+from pc2scan.shown import plain
+
+from .opened import opened, title_of
+from .shots import take_shots
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from pc2scan.bags.damage import Damage
+    from pc2scan.core.params import ProjectionParams
+    from pc2scan.pipeline.options import ConvertOptions, TimeBound
+
+    from .shots import Shot, Shots
+
+__all__ = ["FORMATS", "Plotted", "plot"]
+
+#: What figures are saved as, by the suffix of the file.
+FORMATS = ("png", "svg", "pdf")
+
+#: Columns of a figure: more are too small to be read.
+_MOST_FRAMES = 24
+
+#: Okabe and Ito's colours, which the colour-blind can tell apart; the same as on pages.
+_COLOURS = {"used": "#0072b2", "height": "#e69f00", "other": "#9aa7b3"}
+_SCAN, _BAND = "#d1495b", "#0b6e99"
+
+#: Inches: the width of a view, and the least and the largest height of one.
+_WIDTH, _LOWEST, _HIGHEST = 4.2, 0.8, 6.0
+#: Inches for numbers and names beside a view, and for what is above and below all of them.
+_BESIDE, _AROUND = 0.7, 2.0
+
+#: More points than this are thinned: nobody could see them, and a figure of vectors would hold them all.
+_MOST_POINTS = 40_000
+
+#: Share of the points at either end that may lie outside of the picture.
+_OUTLIERS = 0.01
+
+
+class Plotted(NamedTuple):
+    """What was worth saying about a figure, and damaged places of the recording."""
+
+    notes: list[str]
+    damage: tuple[Damage, ...]
+
+
+def plot(
+    sources: Sequence[Path],
+    destination: Path,
+    options: ConvertOptions,
+    *,
+    frames: int = 1,
+    at: Sequence[TimeBound] = (),
+    overwrite: bool = False,
+) -> Plotted:
+    """Draw clouds of a recording into a file.
+
+    Parameters
+    ----------
+    sources
+        Recordings; several are one, merged in time order.
+    destination
+        The figure; its suffix, one of `FORMATS`, decides what it is.
+    options
+        As for a conversion: topics, parameters, frames, filters, ``start`` and ``end``.
+    frames
+        How many moments of each topic are shown, evenly spread.
+    at
+        Moments to show instead.
+    overwrite
+        Whether a file of that name may be replaced.
+
+    Raises
+    ------
+    UsageError
+        If the suffix is another one, there is nothing to show, or matplotlib is not installed.
+    DestinationError, OutputError
+        If there is such a file, or it cannot be written.
+    RecordingError
+        If nothing of the recording can be read.
+    """
+    kind = destination.suffix.lower().removeprefix(".")
+    if kind not in FORMATS:
+        shown = f"'.{kind}'" if kind else "no suffix"
+        raise UsageError(
+            f"has {shown}, a figure is one of {', '.join(f'.{name}' for name in FORMATS)}", path=destination
+        )
+    if not 1 <= frames <= _MOST_FRAMES:
+        raise UsageError(f"frames is {frames}, it must be from 1 to {_MOST_FRAMES}")
+    refuse_overlap(
+        [*map(Input, sources), *(Input(file, "file of `tf_from`") for file in options.frames.tf_from)],
+        [Output(destination)],
+    )
+    with (
+        file_output(destination, beginning=None, overwrite=overwrite) as deliver,
+        opened(sources, options) as recording,
+    ):
+        at_ns = recording.log_times(at)
+        taken = take_shots(recording.reader, recording.buffer, options, count=frames, at_ns=at_ns)
+        deliver(_figure(taken, title_of(sources), kind))
+        return Plotted(taken.notes, recording.damage)
+
+
+def _figure(taken: Shots, title: str, kind: str) -> bytes:
+    """Draw clouds, one a column, and return the file."""
+    try:
+        import matplotlib as mpl  # noqa: PLC0415  # an extra, and heavy
+        from matplotlib.figure import Figure  # noqa: PLC0415
+    except ImportError as err:
+        raise UsageError("figures need matplotlib, which is not installed", hint="pip install 'pc2scan[plot]'") from err
+    columns = len(taken.shots)
+    # The same bytes for the same input: no date, no version, no random ids.
+    with warnings.catch_warnings(), mpl.rc_context({"svg.hashsalt": "pc2scan", "text.parse_math": False}):
+        # A name in letters that the font lacks is no reason to warn.
+        warnings.simplefilter("ignore", UserWarning)
+        limits = [_limits(values) for values in zip(*(_placed(shot) for shot in taken.shots), strict=True)]
+        across, *heights = (high - low for low, high in limits)
+        inches = [min(_HIGHEST, max(_LOWEST, _WIDTH * height / across)) for height in heights]
+        size = (_WIDTH + _BESIDE) * columns, sum(inches) + _AROUND
+        figure = Figure(size, layout="constrained", dpi=150)
+        figure.suptitle(plain(title), fontsize=11)
+        axes: Any = figure.subplots(2, columns, squeeze=False, height_ratios=inches)
+        for column, shot in enumerate(taken.shots):
+            _draw(axes[0, column], axes[1, column], shot, taken.params, limits)
+        handles, names = axes[0, 0].get_legend_handles_labels()
+        figure.legend(
+            handles,
+            names,
+            loc="outside lower center",
+            ncols=4 if columns > 1 else 2,
+            fontsize=8,
+            frameon=False,
+            markerscale=3,
+        )
+        file = io.BytesIO()
+        metadata: dict[str, dict[str, Any]] = {
+            "png": {"Software": None},
+            "svg": {"Date": None, "Creator": None},
+            "pdf": {"CreationDate": None, "Creator": None, "Producer": None},
+        }
+        figure.savefig(file, format=kind, metadata=metadata[kind])
+    return file.getvalue()
+
+
+def _draw(above: Any, side: Any, shot: Shot, params: ProjectionParams, limits: Sequence[tuple[float, float]]) -> None:
+    x, y, z = _placed(shot)
+    projection = Projector(params)
+    used, height = _outcomes(x, y, z, shot.filtered, params)
+    kept = slice(None) if shot.filtered is None else shot.filtered == 0
+    ranges = projection(x[kept], y[kept], z[kept]).ranges.astype(np.float64)
+    layout = params.layout
+    angles = layout.angle_min + np.arange(layout.count) * layout.angle_increment
+    returns = np.isfinite(ranges) & (ranges != np.float64(params.empty_range))
+    ends = ranges[returns] * np.cos(angles[returns]), ranges[returns] * np.sin(angles[returns])
+    known = np.isfinite(x) & np.isfinite(y) & np.isfinite(z)
+    step = max(1, math.ceil(len(x) / _MOST_POINTS))
+    for name, chosen, label in (
+        ("other", ~used & ~height, "rejected: range, sector, filters"),
+        ("height", height & ~used, "rejected: height"),
+        ("used", used, "used"),
+    ):
+        some = np.flatnonzero(chosen & known)[::step]
+        style = {"s": 1.2, "c": _COLOURS[name], "linewidths": 0, "label": label, "rasterized": True}
+        above.scatter(x[some], y[some], **style)
+        side.scatter(x[some], z[some], **style)
+    above.scatter(*ends, s=5, c=_SCAN, linewidths=0, label="scan", zorder=3)
+    above.plot(0, 0, "+", c="k", ms=8)
+    side.plot(0, 0, "+", c="k", ms=8)
+    for axes, vertical in ((above, limits[1]), (side, limits[2])):
+        axes.set(xlim=limits[0], ylim=vertical)
+        axes.set_aspect("equal", adjustable="box")
+        axes.tick_params(labelsize=8)
+        axes.grid(visible=True, lw=0.3, c="#d5dce3")
+        axes.set_axisbelow(True)
+    low, high = limits[2]
+    side.axhspan(max(low, params.min_height), min(high, params.max_height), color=_BAND, alpha=0.12, lw=0)
+    for limit in (params.min_height, params.max_height):
+        if low < limit < high:
+            side.axhline(limit, c=_BAND, lw=0.9)
+    above.set_title(f"{plain(shot.topic)}\n{shot.moment}", fontsize=8)
+    above.set_ylabel("y (m)", fontsize=8)
+    side.set_ylabel("z (m)", fontsize=8)
+    side.set_xlabel(f"x (m) in {plain(shot.place.frame_id)}", fontsize=8)
+
+
+def _limits(values: Sequence[NDArray[Any]]) -> tuple[float, float]:
+    """What is shown of an axis in all columns: the sensor, and all but the farthest points."""
+    low = high = 0.0
+    for column in values:
+        known = column[np.isfinite(column)].astype(np.float64)
+        if known.size:
+            ends = np.quantile(known, (_OUTLIERS, 1 - _OUTLIERS)).tolist()
+            low, high = min(low, ends[0]), max(high, ends[1])
+    margin = 0.06 * (high - low) or 0.5
+    return low - margin, high + margin
+
+
+def _placed(shot: Shot) -> Sequence[NDArray[np.float32]]:
+    """The coordinates in the scan's frame, in float32 as the projection has them."""
+    x, y, z = (shot.columns[axis] for axis in "xyz")
+    rigid = shot.place.target_from_source
+    if rigid is None:
+        return x, y, z
+    placed: NDArray[np.float32] = rigid.apply(np.stack((x, y, z), axis=1))
+    return placed[:, 0].copy(), placed[:, 1].copy(), placed[:, 2].copy()
+
+
+def _outcomes(
+    x: NDArray[np.float32],
+    y: NDArray[np.float32],
+    z: NDArray[np.float32],
+    filtered: NDArray[np.uint8] | None,
+    params: ProjectionParams,
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Which points are used, and which are rejected by their height."""
+    rule = rule_of(params)
+    bins, ranges = np.empty(x.size, np.int32), np.empty(x.size, np.float32)
+    numbers = np.empty(x.size, np.int64)
+    rejected = kernel.gather(x, y, z, rule, None, params.length, bins, ranges, numbers)
+    used = np.zeros(x.size, np.bool_)
+    used[numbers[: x.size - sum(rejected)]] = True
+    with np.errstate(invalid="ignore"):
+        height = (z < np.float32(rule[0])) | (z > np.float32(rule[1]))
+    if filtered is not None:
+        used &= filtered == 0
+        height &= filtered == 0
+    return used, height

@@ -1,0 +1,87 @@
+"""``pc2scan plot`` through the real command."""
+
+from __future__ import annotations
+
+import sys
+from importlib.util import find_spec
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from builders import CLOUD, T0, Item, Recording, Stream, cloud, write_mcap
+from e2e.command import run
+from pc2scan.errors import UsageError
+from pc2scan.look.plot import plot
+from pc2scan.pipeline.options import ConvertOptions
+from support import ROOT
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+HALL = ROOT / "fixtures" / "hall.bag"
+
+needs_matplotlib = pytest.mark.skipif(find_spec("matplotlib") is None, reason="needs matplotlib")
+
+
+@needs_matplotlib
+@pytest.mark.parametrize(("suffix", "begins"), [("png", b"\x89PNG"), ("svg", b"<?xml"), ("PDF", b"%PDF")])
+def test_a_figure_is_the_same_every_time(tmp_path: Path, suffix: str, begins: bytes) -> None:
+    figures = [tmp_path / f"{name}.{suffix}" for name in "ab"]
+    for figure in figures:
+        done = run("plot", HALL, "-o", figure, "--min-height=-0.3", "--max-height", "1", "--where", "ring > 2")
+        assert (done.status, done.stderr) == (0, "")
+    first, second = (figure.read_bytes() for figure in figures)
+    assert first.startswith(begins)
+    assert first == second
+
+
+@needs_matplotlib
+def test_what_is_drawn_depends_on_the_parameters(tmp_path: Path) -> None:
+    made = []
+    for n, options in enumerate(([], ["--min-height=-0.3"], ["--angle-min=-1"], ["--frames", "2"], ["--at", "0.3"])):
+        assert run("plot", HALL, "-o", tmp_path / f"{n}.png", *options).status == 0
+        made.append((tmp_path / f"{n}.png").read_bytes())
+    assert len(set(made)) == len(made)
+
+
+@needs_matplotlib
+def test_names_are_text_and_odd_points_no_trouble(tmp_path: Path) -> None:
+    stream = Stream("/$\\frac{1}{0}$\u70b9", CLOUD)
+    points = np.array([[np.nan, 0, 0], [np.inf, 1, 1], [1e38, 1, 1], [-1e38, -1e38, 2]], np.float32)
+    data = {2: cloud(points, 2, frame_id="$x")}
+    source = write_mcap(tmp_path / "odd.mcap", Recording((stream,), (Item(stream, T0, data),)))
+    done = run("plot", source, "-o", tmp_path / "figure.png")
+    assert (done.status, done.stderr) == (0, "")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["-o", "figure.jpg"], "a figure is one of .png, .svg, .pdf"),
+        (["-o", "figure"], "no suffix"),
+        (["-o", "figure.png", "--frames", "1000"], "frames is 1000"),
+        (["-o", "figure.png", "--topic", "/nope"], "/nope"),
+        ([], "-o"),
+    ],
+)
+def test_wrong_usage_writes_nothing(tmp_path: Path, arguments: list[str], told: str) -> None:
+    done = run("plot", HALL, *arguments, cwd=tmp_path)
+    assert done.status == 2
+    assert told in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_figure_that_is_there_stays(tmp_path: Path) -> None:
+    figure = tmp_path / "figure.png"
+    figure.write_bytes(b"\x89PNG mine")
+    assert run("plot", HALL, "-o", figure).status == 2
+    assert figure.read_bytes() == b"\x89PNG mine"
+
+
+def test_without_matplotlib_the_error_names_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(UsageError, match="matplotlib") as caught:
+        plot([HALL], tmp_path / "figure.png", ConvertOptions())
+    assert caught.value.hint == "pip install 'pc2scan[plot]'"
+    assert list(tmp_path.iterdir()) == []
