@@ -15,6 +15,10 @@ EXAMPLES: dict[str, tuple[tuple[str, str], ...]] = {
         ("pc2scan view drive.bag", "a page that shows its clouds and scans"),
         ("pc2scan view drive.bag --min-height 0.1 --max-height 1.5", "with the scans that these heights make"),
     ),
+    "plot": (
+        ("pc2scan plot drive.bag -o figure.png --min-height -0.3 --max-height 1", "a cloud, the band, the scan"),
+        ("pc2scan plot drive.bag -o figure.pdf --frames 3", "three moments side by side"),
+    ),
     "check": (
         ("pc2scan check scans.mcap", "would SLAM and navigation take its scans?"),
         ("pc2scan check scans.mcap --for slam_toolbox --for nav2", "only these decide"),

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from .damage import show_damage
-from .options import Conversion
+from .options import ConversionGroup
 from .render import warn
 
 __all__ = ["plot"]
@@ -37,7 +37,7 @@ def plot(
     ] = [],  # noqa: B006 - typer reads the default and never hands it out
     overwrite: Annotated[bool, typer.Option(help="Replace a file of that name.")] = False,
     *,
-    conversion: Conversion,
+    conversion: ConversionGroup,
 ) -> None:
     """Draw clouds from above and from the side, with the height band and the scan, for reports.
 

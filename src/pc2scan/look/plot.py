@@ -13,7 +13,7 @@ from pc2scan.core import kernel
 from pc2scan.core.project import Projector
 from pc2scan.core.rule import rule_of
 from pc2scan.errors import UsageError
-from pc2scan.files.overlap import Input, Output, refuse_overlap
+from pc2scan.files.overlap import InputPath, OutputPath, refuse_overlap
 from pc2scan.files.text_output import file_output
 from pc2scan.shown import plain
 
@@ -107,8 +107,8 @@ def plot(
     if not 1 <= frames <= _MOST_FRAMES:
         raise UsageError(f"frames is {frames}, it must be from 1 to {_MOST_FRAMES}")
     refuse_overlap(
-        [*map(Input, sources), *(Input(file, "file of `tf_from`") for file in options.frames.tf_from)],
-        [Output(destination)],
+        [*map(InputPath, sources), *(InputPath(file, "file of `tf_from`") for file in options.frames.tf_from)],
+        [OutputPath(destination)],
     )
     with (
         file_output(destination, beginning=None, overwrite=overwrite) as deliver,
