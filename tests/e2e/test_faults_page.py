@@ -20,8 +20,8 @@ def rows() -> list[tuple[str, str, str]]:
     found = []
     folder = ""
     page = (ROOT / "docs" / "faults.md").read_text("utf-8")
-    # What is measured has a table of its own.
-    for line in re.sub("<!-- factors -->.*<!-- end of factors -->", "", page, flags=re.DOTALL).splitlines():
+    # What is measured has tables of its own.
+    for line in re.sub("<!-- (factors|costs) -->.*?<!-- end of \\1 -->", "", page, flags=re.DOTALL).splitlines():
         if line.startswith("## "):
             folder = FOLDERS[line.removeprefix("## ")]
         elif line.startswith("| ") and not line.startswith("| fault "):

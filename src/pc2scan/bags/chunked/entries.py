@@ -6,7 +6,7 @@ Checksums do not detect wrong entries: ROS 1 bags have none, and a program may h
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
     import struct
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from pc2scan.model import Buffer
 
-__all__ = ["EntryForm", "entries_astray"]
+__all__ = ["EntryForm", "IndexCheck", "entries_astray"]
 
 #: For more entries than this, NumPy is faster.
 _FEW = 32
@@ -40,6 +40,30 @@ class EntryForm:
     identity: struct.Struct
     id_at: int
     time_at: int
+
+
+class IndexCheck(NamedTuple):
+    """The result of comparing index entries with their chunk, but for the number of messages.
+
+    Entries are compared before the chunk is scanned: that is nearly free, since the scan finds the messages' headers
+    in the processor's cache. After the scan it costs up to 6 % of a conversion of small messages.
+
+    Attributes
+    ----------
+    problem
+        What is wrong with the entries; None if nothing is.
+    total
+        How many there are; None if there is no index.
+    """
+
+    problem: str | None = None
+    total: int | None = None
+
+    def trouble(self, found: int | None) -> str | None:
+        """Return what is wrong, given the number of messages in the chunk; None if not all were counted."""
+        if self.problem is None and self.total is not None and found is not None and self.total != found:
+            return f"it has entries for {self.total} messages, the chunk has {found}"
+        return self.problem
 
 
 def entries_astray(records: Buffer, groups: Sequence[tuple[int, Buffer]], form: EntryForm) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from typing import TYPE_CHECKING
 
-from pc2scan.bags.chunked.entries import EntryForm, entries_astray
+from pc2scan.bags.chunked.entries import EntryForm, IndexCheck, entries_astray
 from pc2scan.errors import DamageError
 
 from .records import OP_MESSAGE_INDEX, RECORD
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from .chunks import ChunkSegment
     from .records import RecordFile
 
-__all__ = ["index_entries", "index_trouble"]
+__all__ = ["index_check", "index_entries"]
 
 #: A message index up to its entries: opcode and length, the channel, and how many bytes of entries follow.
 _HEAD = struct.Struct("<BQHI")
@@ -59,10 +59,8 @@ def index_entries(file: RecordFile, segment: ChunkSegment) -> Iterator[tuple[int
             yield channel_id, memoryview(file.read(start, size))
 
 
-def index_trouble(
-    file: RecordFile, segment: ChunkSegment, records: Buffer, ids: Container[int], found: int | None
-) -> str | None:
-    """Describe how the message indexes after a chunk differ from it; None if they do not, or if there are none.
+def index_check(file: RecordFile, segment: ChunkSegment, records: Buffer, ids: Container[int]) -> IndexCheck:
+    """Compare the message indexes behind a chunk with it.
 
     Parameters
     ----------
@@ -72,17 +70,14 @@ def index_trouble(
         Its records.
     ids
         The channels to compare.
-    found
-        Number of their messages in the chunk; None if not all were counted.
     """
     try:
         groups = list(index_entries(file, segment))
     except DamageError as err:
-        return err.message
+        return IndexCheck(err.message)
     mine = [(channel_id, entries) for channel_id, entries in groups if channel_id in ids]
     total = sum(len(entries) for _, entries in mine) // _FORM.entry.size
+    problem = None
     if astray := entries_astray(records, mine, _FORM):
-        return f"{astray} of {total} entries are of no message with their channel and log time"
-    if found is not None and groups and total != found:
-        return f"they have {total} messages, the chunk has {found}"
-    return None
+        problem = f"{astray} of {total} entries are of no message with their channel and log time"
+    return IndexCheck(problem, total if groups else None)

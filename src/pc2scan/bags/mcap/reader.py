@@ -38,7 +38,7 @@ from pc2scan.model import (
 from .chunks import ChunkSegment, chunk_at, message_at, payload, with_payload
 from .copies import agreed, whole_by_content, whole_by_index
 from .data_crc import data_crc
-from .entries import index_trouble
+from .entries import index_check
 from .index import ExtraIndex, McapIndex, find_declarations, find_index
 from .records import FIRST_PRIVATE, MESSAGE, OP_MESSAGE, RECORD, RecordFile, parse, split
 
@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Container, Iterator, Mapping, Sequence
     from pathlib import Path
 
+    from pc2scan.bags.chunked.entries import IndexCheck
     from pc2scan.bags.chunked.segments import Segment
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.formats import ReadOptions
@@ -199,6 +200,7 @@ class McapReader(PartReader):
         def sound(segment: Segment, data: memoryview) -> Messages:
             span = _declared_span(segment)
             further = partial(self._compare_declaration, data, segment) if isinstance(segment, ChunkSegment) else None
+            check = self._check_index(segment, wanted, data)
             scan = _messages_in(data, wanted, first, stop, span or _ANY_TIME, further)
             if scan.astray is not None and span:
                 raise self._file.damage(
@@ -213,9 +215,9 @@ class McapReader(PartReader):
                 raise self._file.damage(
                     f"channel {min(unknown)} has messages near byte {segment.offset}, but is not declared"
                 )
-            if self._verify and isinstance(segment, ChunkSegment):
+            if check is not None:
                 is_cut = segment.start_ns < first or stop <= segment.end_ns
-                self._compare_index(segment, wanted, data, None if is_cut else len(scan.messages))
+                self._compare_index(segment, check, None if is_cut else len(scan.messages))
             return scan.messages
 
         def load(segment: Segment, callback: Callable[[RawMessage], Item], *, whole: bool) -> Loaded[Item]:
@@ -225,6 +227,9 @@ class McapReader(PartReader):
             return items
 
         def read(segment: Segment, callback: Callable[[RawMessage], Item], *, whole: bool) -> Loaded[Item]:
+            def compare(records: memoryview, found: int) -> None:
+                self._compare_index(segment, self._check_index(segment, wanted, records), found)
+
             self._bytes_read += segment.length
             seen: StoredChunk | memoryview | None = None
             if rule and whole and isinstance(segment, ChunkSegment):
@@ -232,7 +237,6 @@ class McapReader(PartReader):
                 with suppress(DamageError):
                     if segment.connection_ids and segment.connection_ids <= blindly:
                         seen = whole_by_index(self._file, segment, rule)
-                    compare = partial(self._compare_index, segment, wanted) if self._verify else None
                     seen = seen or whole_by_content(self._file, segment, rule, verify=self._verify, compare=compare)
             if isinstance(seen, StoredChunk):
                 return seen
@@ -291,14 +295,18 @@ class McapReader(PartReader):
         self._salvaged(chunk, data, problem)
         return salvaged_records(data)
 
-    def _compare_index(
-        self, segment: ChunkSegment, ids: Container[int], records: memoryview, found: int | None
-    ) -> None:
-        """Note wrong message indexes after a chunk; those of a damaged file are not compared."""
-        if self._is_whole and (trouble := index_trouble(self._file, segment, records, ids, found)):
+    def _check_index(self, segment: Segment, ids: Container[int], records: memoryview) -> IndexCheck | None:
+        """Compare the message indexes after a chunk with it; None for those of a damaged file."""
+        if self._verify and self._is_whole and isinstance(segment, ChunkSegment):
+            return index_check(self._file, segment, records, ids)
+        return None
+
+    def _compare_index(self, segment: Segment, check: IndexCheck | None, found: int | None) -> None:
+        """Note wrong message indexes after a chunk, given how many messages it has."""
+        if check is not None and isinstance(segment, ChunkSegment) and (trouble := check.trouble(found)):
             self._log.note(
                 self._file.damage(
-                    f"the message indexes behind the chunk at byte {segment.record_offset} contradict it: {trouble}"
+                    f"the message index behind the chunk at byte {segment.record_offset} contradicts it: {trouble}"
                 ),
                 offset=segment.record_offset,
                 key="index",

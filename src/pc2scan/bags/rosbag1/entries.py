@@ -6,7 +6,7 @@ import struct
 from itertools import permutations
 from typing import TYPE_CHECKING
 
-from pc2scan.bags.chunked.entries import EntryForm, entries_astray
+from pc2scan.bags.chunked.entries import EntryForm, IndexCheck, entries_astray
 
 from .records import INDEX_DATA, MESSAGE, UINT32, Damaged, kind_of, parsed_fields, uint32_field
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from .records import BagFile
 
-__all__ = ["index_entries", "index_trouble"]
+__all__ = ["index_check", "index_entries"]
 
 #: The stored seconds and nanoseconds of one message, and its place in the chunk.
 _ENTRY = struct.Struct("<8sI")
@@ -80,10 +80,8 @@ def index_entries(file: BagFile, segment: Segment) -> Iterator[tuple[int, bytes]
         yield uint32_field(fields, "conn"), taken(start, size)
 
 
-def index_trouble(
-    file: BagFile, segment: Segment, chunk: Buffer, ids: Collection[int], found: int | None
-) -> str | None:
-    """Describe how the index records after a chunk differ from it; None if they do not, or if there are none.
+def index_check(file: BagFile, segment: Segment, chunk: Buffer, ids: Collection[int]) -> IndexCheck:
+    """Compare the index records after a chunk with it.
 
     Records that contradict their own lengths are ignored: a known recorder writes them after sound chunks.
 
@@ -95,8 +93,6 @@ def index_trouble(
         Its records.
     ids
         The connections to compare.
-    found
-        Number of their messages in the chunk; None if not all were counted.
     """
     groups: list[tuple[int, bytes]] = []
     # To save time, no further records are read after those of all connections.
@@ -114,12 +110,9 @@ def index_trouble(
         astray = entries_astray(chunk, mine, form) if form else total
         astray = astray and _astray(memoryview(chunk), mine)
     except Damaged:
-        return None
-    if astray:
-        return f"{astray} of {total} entries are of no message with their connection and time"
-    if found is not None and groups and total != found:
-        return f"it has entries for {total} messages, the chunk has {found}"
-    return None
+        return IndexCheck()
+    problem = f"{astray} of {total} entries are of no message with their connection and time" if astray else None
+    return IndexCheck(problem, total if groups else None)
 
 
 def _form_of(chunk: Buffer, groups: Sequence[tuple[int, bytes]]) -> EntryForm | None:

@@ -6,6 +6,7 @@ from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING
 
+from pc2scan.bags.chunked.entries import IndexCheck
 from pc2scan.bags.chunked.salvaged import Salvaged, note_salvaged
 from pc2scan.bags.chunked.segments import standing_alone, units_of
 from pc2scan.bags.chunked.spans import SpanCheck
@@ -16,7 +17,7 @@ from pc2scan.model import StoredChunk, Summary, declared_counts
 
 from .chunks import Places, decompressed, messages_in, with_payload
 from .copies import first_uses, whole_chunk
-from .entries import index_trouble
+from .entries import index_check
 from .index import ConnectionCheck, contained_span, read_index
 from .records import BagFile, Damaged, uint32_field
 
@@ -166,10 +167,11 @@ class Rosbag1Reader(PartReader):
                     places.contradicts = True
 
             span = (segment.start_ns, segment.end_ns)
+            check = self._check_index(segment, chunk, chosen)
             messages = messages_in(
                 chunk, wanted, start_ns, stop_ns, span=span, places=places.messages, describe=describe
             )
-            self._compare_index(segment, chunk, chosen, len(messages))
+            self._compare_index(segment, check, len(messages))
             if isinstance(messages, Many):
                 return messages
             return whole_chunk(segment, stored, chunk, messages, places, rule, needed[segment]) or messages
@@ -184,9 +186,10 @@ class Rosbag1Reader(PartReader):
 
             def taken(chunk: Buffer) -> Loaded[Item]:
                 describe, span = partial(self._agrees, segment), (segment.start_ns, segment.end_ns)
+                check = self._check_index(segment, chunk, chosen)
                 found = messages_in(chunk, wanted, start_ns, stop_ns, span=span, describe=describe)
                 is_cut = segment.start_ns < (start_ns or 0) or (stop_ns is not None and stop_ns <= segment.end_ns)
-                self._compare_index(segment, chunk, chosen, None if is_cut else len(found))
+                self._compare_index(segment, check, None if is_cut else len(found))
                 return mapped(callback, found)
 
             try:
@@ -197,9 +200,13 @@ class Rosbag1Reader(PartReader):
 
         return units_of(due, load, alone, self._file)
 
-    def _compare_index(self, segment: Segment, chunk: Buffer, ids: frozenset[int], found: int | None) -> None:
-        """Note wrong index records after a chunk; those of a damaged bag are not compared."""
-        if self._is_whole and (trouble := index_trouble(self._file, segment, chunk, ids, found)):
+    def _check_index(self, segment: Segment, chunk: Buffer, ids: frozenset[int]) -> IndexCheck:
+        """Compare the index records after a chunk with it; those of a damaged bag are not compared."""
+        return index_check(self._file, segment, chunk, ids) if self._is_whole else IndexCheck()
+
+    def _compare_index(self, segment: Segment, check: IndexCheck, found: int | None) -> None:
+        """Note wrong index records after a chunk, given how many messages it has."""
+        if trouble := check.trouble(found):
             error = f"the index behind the chunk with data at byte {segment.offset} contradicts it: {trouble}"
             span = {"first_ns": segment.start_ns, "last_ns": segment.end_ns}
             self._log.note(self._file.damage_error(error), offset=segment.offset, key="index", messages_lost=0, **span)
