@@ -14,7 +14,11 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from e2e.command import COMMAND, environment
+from builders import write_mcap
+from e2e.command import COMMAND, environment, run
+from pc2scan.compare.diff import diff
+from pc2scan.inspect.check import check
+from scan_recordings import recording, scans
 from support import ROOT
 
 if TYPE_CHECKING:
@@ -127,3 +131,25 @@ def test_a_wrapped_command_stays_one_for_the_shell(tmp_path: Path) -> None:
     assert "\\\n" in command
     # As a shell reads it.
     assert shlex.split(command.replace("\\\n", "")) == ["ros2", "bag", "play", str(folder / "hall_scan"), "--clock"]
+
+
+@pytest.mark.parametrize("command", ["check", "diff"])
+def test_check_and_diff_have_the_progress_bar(command: str, tmp_path: Path) -> None:
+    assert run("convert", HALL, "-o", tmp_path / "scan.bag", "--min-height=-1").status == 0
+    sources = [tmp_path / "scan.bag"] * (2 if command == "diff" else 1)
+    assert "messages" in shown(command, *sources, columns=120)
+    assert "\x1b[?25l" in shown(command, *sources, columns=120)
+    assert "\x1b[?25l" not in shown(command, *sources, "--json", columns=120)
+    assert "\x1b" not in shown(command, *sources)
+
+
+def test_how_far_a_comparison_is(tmp_path: Path) -> None:
+    many = write_mcap(tmp_path / "many.mcap", recording({"/scan": scans(200)}))
+    told: list[tuple[int, int, int]] = []
+    assert diff(many, many, progress=lambda *step: told.append(step)).same
+    assert len(told) == 6
+    assert all(0 <= done <= total for done, total, _ in told)
+    assert [messages for _, _, messages in told] == [32, 64, 96, 128, 160, 192]
+    told.clear()
+    check(many, progress=lambda *step: told.append(step))
+    assert [messages for _, _, messages in told] == [0, 64, 128, 192]

@@ -87,14 +87,18 @@ def check(
     """
     from pc2scan.inspect.check import check as look
 
-    result = look(
-        sources,
-        consumers=[consumer.value for consumer in consumers],
-        topics=topics,
-        odom_frame=odom_frame,
-        base_frame=base_frame,
-        frames=transforms.options(),
-    )
+    from .progress import progress_bar
+
+    with progress_bar(enabled=not as_json) as progress:
+        result = look(
+            sources,
+            consumers=[consumer.value for consumer in consumers],
+            topics=topics,
+            odom_frame=odom_frame,
+            base_frame=base_frame,
+            frames=transforms.options(),
+            progress=progress,
+        )
     if as_json:
         print_json(result.as_dict())
     else:

@@ -129,7 +129,10 @@ def diff(
         from pc2scan.tf.reading import recorded_transforms
 
         compared = partial(compared, transforms_of=recorded_transforms, clouds=clouds)
-    result = compared()
+    from .progress import progress_bar
+
+    with progress_bar(enabled=not (as_json or quiet)) as progress:
+        result = compared(progress=progress)
     if view is not None:
         from pc2scan.look.compared import compared_view
 

@@ -18,6 +18,7 @@ from .libm import CloudsByStamp, Explainer
 from .match import OpenRecording, TopicStream, header_stamp_ns, matched
 from .messages import DECODED, compare_messages
 from .others import compare_others
+from .progress import Counted
 from .result import Difference
 from .rules import Rules
 from .scan_text import ScanText, is_scan_text, open_scan_text
@@ -68,6 +69,7 @@ def diff(
     rules: Rules | None = None,
     transforms_of: Callable[[Path], Lookup] | None = None,
     clouds: Path | None = None,
+    progress: Callable[[int, int, int], None] | None = None,
 ) -> Difference:
     """Compare two recordings; see `pc2scan.diff`.
 
@@ -77,6 +79,8 @@ def diff(
         Reads a recording's transforms. If given, differing beams are explained; see `pc2scan.compare.libm`.
     clouds
         A recording of the scans' clouds; None: ``a``, or if it has none, ``b``.
+    progress
+        Called now and then; see `pc2scan.compare.progress`.
     """
     if b is None and not (topics and all(pair.a != pair.b for pair in topics)):
         raise UsageError(
@@ -100,7 +104,10 @@ def diff(
             if clouds is not None and not holders:
                 raise TopicError("has no clouds: there is no PointCloud2 topic", path=clouds)
             found = CloudsByStamp(holders, transforms_of)
-        return diff_sources(sources[0], sources[1], topics=topics, all_topics=all_topics, rules=rules, clouds=found)
+        counted = Counted(progress, sources)
+        return diff_sources(
+            sources[0], sources[1], topics=topics, all_topics=all_topics, rules=rules, clouds=found, counted=counted
+        )
 
 
 def open_source(path: Path) -> OpenRecording:
@@ -122,6 +129,7 @@ def diff_sources(
     all_topics: bool = False,
     rules: Rules | None = None,
     clouds: CloudsByStamp | None = None,
+    counted: Counted | None = None,
 ) -> Difference:
     """Compare open recordings; with ``clouds``, differing beams are explained.
 
@@ -136,10 +144,12 @@ def diff_sources(
     result = Difference(str(a.path), str(b.path))
     asked = paired_streams(a, b, topics)
     others = [] if topics and not all_topics else _sides(a, b, decoded=False, without=topics)
-    for pair in _held(asked) if len(asked) > _MANY_TOPICS else asked:
-        _compare([pair], rules, result, clouds)
+    counted = counted or Counted(None, ())
+    for number, pair in enumerate(_held(asked) if len(asked) > _MANY_TOPICS else asked):
+        counted.begin(number, len(asked))
+        _compare([pair], rules, result, counted, clouds)
     if all_topics:
-        _compare(others, rules, result)
+        _compare(others, rules, result, counted)
     else:
         result.left_aside = len(others)
     if not result.topics:
@@ -220,6 +230,7 @@ def _compare(
     pairs: Sequence[tuple[TopicStream, TopicStream]],
     rules: Rules,
     result: Difference,
+    counted: Counted,
     clouds: CloudsByStamp | None = None,
 ) -> None:
     """Compare topics: scans and clouds topic by topic, all others in one pass."""
@@ -232,7 +243,7 @@ def _compare(
             entry.change("type", MessageTimes(None, 0), ", ".join(kinds[0]), ", ".join(kinds[1]))
         elif entry.msgtype in DECODED:
             explainer = Explainer(clouds, rules) if clouds is not None and entry.msgtype == LASERSCAN else None
-            _compare_decoded(one, other, entry, rules, explainer)
+            _compare_decoded(one, other, entry, rules, explainer, counted)
             if explainer is not None:
                 entry.libm = explainer.found
         else:
@@ -248,10 +259,16 @@ def _entry(one: TopicStream, other: TopicStream, rules: Rules) -> TopicDifferenc
 
 
 def _compare_decoded(
-    one: TopicStream, other: TopicStream, entry: TopicDifference, rules: Rules, explainer: Explainer | None
+    one: TopicStream,
+    other: TopicStream,
+    entry: TopicDifference,
+    rules: Rules,
+    explainer: Explainer | None,
+    counted: Counted,
 ) -> None:
     """Compare scans or clouds, pair by pair."""
     for pair in matched(one, other):
+        counted.count()
         entry.messages_a += pair.a is not None
         entry.messages_b += pair.b is not None
         if pair.a is not None and pair.b is not None:

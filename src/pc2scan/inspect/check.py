@@ -25,7 +25,7 @@ from .scan_mounting import mounting_findings
 from .scan_topic import Finding, ScanTopic
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.reader import Reader
@@ -38,6 +38,9 @@ if TYPE_CHECKING:
 _MAX_SHOWN = 5
 
 __all__ = ["Check", "ConsumerCheck", "TopicCheck", "check"]
+
+#: Scans between two calls of the progress function.
+_PROGRESS_EVERY = 64
 
 
 #: Defects of scans that are of no use to any consumer.
@@ -262,6 +265,7 @@ def check(
     odom_frame: str = "odom",
     base_frame: str = "",
     frames: FrameOptions | None = None,
+    progress: Callable[[int, int, int], None] | None = None,
 ) -> Check:
     """Check what those who read laser scans would do with the ones of a recording.
 
@@ -279,6 +283,8 @@ def check(
         ``base_footprint`` where that is not there.
     frames
         Where transforms come from; None means the recording's ``/tf`` and ``/tf_static``.
+    progress
+        Called now and then with the bytes read so far, the bytes in all, and the scans read so far.
 
     Raises
     ------
@@ -306,7 +312,7 @@ def check(
         chosen = _scan_connections(reader.connections, tuple(topics))
         others = open_recordings(options.tf_from, stack)
         buffer, warnings = read_transforms([*readers, *others], options)
-        found = _check_topics(reader, chosen, buffer, odom_frame, base_frame)
+        found = _check_topics(reader, chosen, buffer, odom_frame, base_frame, progress)
         found = _with_mountings(found, reader, buffer)
         damage = tuple(place for each in (reader, *others) for place in each.damage)
     return Check(tuple(map(str, paths)), asked, tuple(found), tuple(warnings), damage)
@@ -328,11 +334,19 @@ def _scan_connections(connections: Sequence[Connection], topics: tuple[str, ...]
 
 
 def _check_topics(
-    reader: Reader, chosen: dict[str, list[Connection]], buffer: TransformBuffer, odom_frame: str, base_frame: str
+    reader: Reader,
+    chosen: dict[str, list[Connection]],
+    buffer: TransformBuffer,
+    odom_frame: str,
+    base_frame: str,
+    progress: Callable[[int, int, int], None] | None,
 ) -> list[TopicCheck]:
     """Read the scans once, and check them."""
     topics = {name: (ScanTopic(), ScanFrames(buffer, odom_frame, base_frame)) for name in chosen}
-    for message in reader.messages([c for group in chosen.values() for c in group]):
+    total = reader.summary.size_bytes
+    for number, message in enumerate(reader.messages([c for group in chosen.values() for c in group])):
+        if progress is not None and number % _PROGRESS_EVERY == 0:
+            progress(min(reader.bytes_read, total), total, number)
         scans, places = topics[message.connection.topic]
         try:
             scan = decode_laserscan(message.data, message.connection.serialization)
