@@ -40,6 +40,13 @@ def _option_words(options: ConvertOptions) -> Iterator[str]:
         yield from ("--source-frame", frames.source_frame)
     if frames.write_static:
         yield "--write-static-tf"
+    if options.deskew:
+        yield "--deskew"
+    for name, value in (("--fixed-frame", options.fixed_frame), ("--point-time", options.point_time)):
+        if value:
+            yield from (name, value)
+    if options.stamp != "header":
+        yield from ("--stamp", options.stamp)
     for name, bound in (("--start", options.start), ("--end", options.end)):
         if bound is not None:
             yield from (name, _time(bound))

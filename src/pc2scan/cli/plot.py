@@ -42,12 +42,6 @@ def plot(
     """Draw clouds from above and from the side, with the height band and the scan, for reports.
 
     Needs matplotlib: pip install 'pc2scan[plot]'. To tune parameters, `pc2scan view` makes a page.
-
-    Examples
-    --------
-      pc2scan plot drive.bag -o figure.png --min-height -0.3 --max-height 1
-
-      pc2scan plot drive.bag -o figure.pdf --frames 3 --target-frame base_link
     """
     options, _ = conversion.options()
 

@@ -114,6 +114,8 @@ def take_shots(
             topics.setdefault(route.connection.topic, []).append(route.connection)
     frames = _frames(buffer, options)
     params, notes = options.params, list[str]()
+    if options.deskew:
+        notes.append("Clouds are shown as recorded; only a conversion deskews them.")
     if params.beams == "auto":
         params, note = _at_measured_resolution(reader, topics, options, frames)
         notes.append(note)
