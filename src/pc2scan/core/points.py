@@ -124,13 +124,13 @@ class _Selected(Mapping[str, "NDArray[Any]"]):
 
     def __init__(self, fields: Mapping[str, NDArray[Any]], places: NDArray[np.intp]) -> None:
         self._fields = fields
-        # Where the mask changes often, taking by places takes a sixth of the time of taking by mask.
+        # Where a mask changes often, points are taken by their places in a sixth of the time.
         self._places = places
         self._selected: dict[str, NDArray[Any]] = {}
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         if name not in self._selected:
-            self._selected[name] = np.take(self._fields[name], self._places)
+            self._selected[name] = self._fields[name].reshape(-1)[self._places]
         return self._selected[name]
 
     def __contains__(self, name: object) -> bool:

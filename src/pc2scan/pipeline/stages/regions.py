@@ -78,13 +78,7 @@ class ExcludeBox:
     def __call__(self, points: Points) -> NDArray[np.bool_]:
         """Return which points are outside; see `pc2scan.pipeline.stages.filters.Filter`."""
         x, y, z = points.xyz()
-        # Most points are outside by their x already.
-        inside = np.flatnonzero(within(x, *self.x))
-        for axis, limits in ((y, self.y), (z, self.z)):
-            inside = inside[within(np.take(axis, inside), *limits)]
-        kept = np.ones(x.size, np.bool_)
-        kept[inside] = False
-        return kept.reshape(x.shape)
+        return ~(within(x, *self.x) & within(y, *self.y) & within(z, *self.z))
 
 
 @dataclass(frozen=True, slots=True)
