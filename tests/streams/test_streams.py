@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import gc
+import pickle
 import shutil
 import subprocess
 import sys
@@ -354,6 +356,19 @@ def test_memory_stays_bounded(form: str, tmp_path: Path) -> None:
     assert clouds < 30_000_000
     # Scans that are kept do not keep what they were made of.
     assert scans < 30_000_000
+
+
+@pytest.mark.parametrize("container", CONTAINERS)
+def test_messages_go_to_other_processes(container: str) -> None:
+    cloud = next(iter(pc2scan.clouds(FIXTURES / container)))
+    for copied in (pickle.loads(pickle.dumps(cloud)), copy.deepcopy(cloud)):
+        assert repr(copied) == repr(cloud)
+        assert copied.log_time == cloud.log_time
+        assert all(np.array_equal(copied[name], cloud[name], equal_nan=True) for name in cloud.fields)
+    scan = next(iter(pc2scan.scans(FIXTURES / container, min_height=-0.3)))
+    restored = pickle.loads(pickle.dumps(scan))
+    assert repr(restored) == repr(scan)
+    assert np.array_equal(restored.ranges, scan.ranges)
 
 
 def test_tables(recording: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from dataclasses import fields as dataclass_fields
 from itertools import chain
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +11,7 @@ import numpy as np
 
 from pc2scan.errors import MessageError, stamp_text
 from pc2scan.messages.laserscan import LASERSCAN
-from pc2scan.messages.pointcloud2 import DATATYPES, POINTCLOUD2, CloudDecoder
+from pc2scan.messages.pointcloud2 import DATATYPES, POINTCLOUD2, CloudDecoder, PointCloud2
 from pc2scan.pipeline.options import ConvertOptions
 from pc2scan.pipeline.run import span_of
 
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pc2scan.bags.reader import Reader
-    from pc2scan.messages.pointcloud2 import PointCloud2
     from pc2scan.model import Buffer, RawMessage
 
 __all__ = ["Cloud", "Clouds"]
@@ -176,11 +176,23 @@ class Cloud:
                 columns[field.name] = self[field.name]
         return columns
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        # To other processes, and into files: a view cannot go there, its bytes can.
+        message = self._message
+        described = [getattr(message, each.name) for each in dataclass_fields(message) if each.name[0] != "_"]
+        values = [bytes(value) if isinstance(value, memoryview) else value for value in described]
+        return _restored, (self.topic, self.log_time_ns, values)
+
     def __repr__(self) -> str:
         return (
             f"<Cloud on {self.topic} at {stamp_text(self.stamp_ns)} in {self.frame!r}: "
             f"{len(self):,} points of {', '.join(self.fields)}>"
         )
+
+
+def _restored(topic: str, log_time_ns: int, values: Sequence[Any]) -> Cloud:
+    arguments: list[Any] = [memoryview(value) if isinstance(value, bytes) else value for value in values]
+    return Cloud(topic, log_time_ns, PointCloud2(*arguments))
 
 
 class Clouds(Stream[Cloud]):
