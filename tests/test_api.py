@@ -177,6 +177,14 @@ def test_a_wrong_type_is_told_before_anything_is_done(keyword: str, value: Any, 
     assert wanted.read_bytes() == b"kept"
 
 
+@pytest.mark.parametrize("wrong", ["1e-5", {"ranges": "1e-5"}, True])
+def test_tolerances_are_numbers(wrong: Any) -> None:
+    for name in ("atol", "rtol"):
+        with pytest.raises(TypeError, match=f"^{name} is .* it must be a number, or a dict of numbers"):
+            pc2scan.diff(HALL, HALL, **{name: wrong})
+    assert pc2scan.diff(HALL, HALL, rtol=np.float32(1e-5), atol={"ranges": 1}).same
+
+
 def test_degrees_are_asked_about_wherever_parameters_come_from(tmp_path: Path) -> None:
     params = pc2scan.ProjectionParams(angle_min=-90, angle_max=90)
     for given in ({"params": params}, {"angle_min": -90, "angle_max": 90}):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from numbers import Real
 from typing import TYPE_CHECKING
 
 from .arguments import known_keywords, names_in, path_of, paths_in
@@ -656,6 +657,10 @@ def diff(
     from .compare.rules import Rules  # noqa: PLC0415
     from .tf.reading import recorded_transforms  # noqa: PLC0415
 
+    for name, tolerance in (("atol", atol), ("rtol", rtol)):
+        numbers = tolerance.values() if isinstance(tolerance, Mapping) else (tolerance,)
+        if not all(isinstance(number, Real) and not isinstance(number, bool) for number in numbers):
+            raise TypeError(f"{name} is {tolerance!r}, it must be a number, or a dict of numbers")
     rules = Rules(
         atol=atol if isinstance(atol, Mapping) else {"": atol},
         rtol=rtol if isinstance(rtol, Mapping) else {"": rtol},

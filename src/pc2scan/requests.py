@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, cast
 from .arguments import names_in, path_of, path_text, paths_in, refuse_unknown
 from .core.params import ProjectionParams
 from .errors import UsageError
+from .names import did_you_mean
 from .pipeline.options import ConvertOptions, TimeBound, destination_and_folder
 from .tf.options import FrameOptions, StaticTransform
 
@@ -142,7 +143,8 @@ def channels_of(
     known = ("distances", "stamps", "viewpoint")
     for name in names:
         if name not in known:
-            raise UsageError(f"`channels` has {name!r}, it must be of {', '.join(known)}")
+            hint = did_you_mean(name, known) or None
+            raise UsageError(f"`channels` has {name!r}, it must be of {', '.join(known)}", hint=hint)
     wanted = {name: name in names for name in known}
     return UnprojectParams(**wanted, range_cutoff=-1.0 if range_cutoff is None else range_cutoff)
 
