@@ -182,7 +182,7 @@ def test_tolerances_are_numbers(wrong: Any) -> None:
     for name in ("atol", "rtol"):
         with pytest.raises(TypeError, match=f"^{name} is .* it must be a number, or a dict of numbers"):
             pc2scan.diff(HALL, HALL, **{name: wrong})
-    assert pc2scan.diff(HALL, HALL, rtol=np.float32(1e-5), atol={"ranges": 1}).same
+    assert pc2scan.diff(HALL, HALL, rtol=np.float64(1e-5), atol={"ranges": 1}).same
 
 
 def test_degrees_are_asked_about_wherever_parameters_come_from(tmp_path: Path) -> None:
