@@ -568,7 +568,7 @@ def golden(folder: PathText, pattern: str = "", *, update: bool = False) -> Gold
     pattern
         Only cases with this in their name; may be a glob.
     update
-        Whether the expected output of cases that differ, or have none, is written anew.
+        Whether to write the expected output of cases that differ or have none.
 
     Returns
     -------
@@ -732,7 +732,7 @@ def scans(
     Returns
     -------
     Scans
-        Iterate over it; each loop begins anew. ``to_xarray`` and ``to_dataframe`` make one table of all scans.
+        Iterate over it; each loop starts again. ``to_xarray`` and ``to_dataframe`` make one table of all scans.
 
     Raises
     ------
@@ -814,7 +814,7 @@ def clouds(
     Returns
     -------
     Clouds
-        Iterate over it; each loop begins anew. ``to_dataframe`` makes one table of all clouds.
+        Iterate over it; each loop starts again. ``to_dataframe`` makes one table of all clouds.
 
     Raises
     ------

@@ -18,7 +18,7 @@
         │   └── UnconnectedError   no transform for its frame, at whatever stamp
         └── UnwritableError        the destination's format cannot hold its log time or its size
 
-`RecordingWarning` is the category of Python's warnings about recordings that are read all the same.
+`RecordingWarning` is the category of Python's warnings about recordings.
 
 Any other exception is a bug and keeps its traceback. This module imports nothing of pc2scan.
 """

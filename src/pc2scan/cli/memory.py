@@ -30,7 +30,7 @@ def keep_freed_memory() -> bool:
     Returns
     -------
     bool
-        Whether it was told: False where the C library is another one. That costs time, nothing else.
+        Whether the setting was made; False if the C library is not glibc, which only costs time.
     """
     try:
         library = ctypes.CDLL(None)

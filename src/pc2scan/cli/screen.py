@@ -63,7 +63,7 @@ class Screen:
     stream
         What is written to.
     guarded
-        Whether failures are `StdoutError`, so that they can be told from those of other files.
+        Whether errors are raised as `StdoutError`, to distinguish them from those of other files.
     """
 
     def __init__(self, stream: TextIO, *, guarded: bool = False) -> None:

@@ -51,8 +51,8 @@ def tf(
 ) -> None:
     """Show the frames of a recording.
 
-    The tree, and for each frame its rate, first and last times, and largest gap; parts that are not connected are
-    told apart.
+    The tree, and for each frame its rate, first and last times, and largest gap; unconnected parts are shown
+    separately.
     """
     from pc2scan.inspect.tf import frame_tree
     from pc2scan.tf.options import FrameOptions, StaticTransform

@@ -28,7 +28,7 @@ _KINDS = {
 
 def in_our_words(err: TyperUsageError, typed: Sequence[str]) -> UsageError:
     """Turn an error of Typer into one of ours; ``typed`` are the arguments, including the command's name."""
-    # Where the parser itself gives up, Typer does not say for which command.
+    # If the parser itself fails, Typer's error does not have the command.
     command = err.ctx.command_path if err.ctx else " ".join(("pc2scan", *typed[:1]))
     hint = f"{command} --help shows what it takes"
     if isinstance(err, NoSuchOption):

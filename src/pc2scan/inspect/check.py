@@ -275,7 +275,7 @@ def check(
         A recording, or several that are one.
     consumers
         Whose verdicts count, of `pc2scan.core.consumers.CONSUMERS`; empty means all, and defects count too. All are
-        told in any case.
+        reported in any case.
     topics
         LaserScan topics to look at; empty means all.
     odom_frame, base_frame

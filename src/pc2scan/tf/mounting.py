@@ -140,13 +140,13 @@ def mounting(
         moved = None if buffer is None or not seen.ground.off else _lookup(buffer, judged_in, frame, stamp_ns)
         if moved is not None:
             return seen.corrected(judged_in, moved, seen.ground, _IDENTITY)
-        return seen.told(_fault(seen.ground), heights=heights_for(seen.ground, samples, origin_z=origin_z))
+        return seen.verdict(_fault(seen.ground), heights=heights_for(seen.ground, samples, origin_z=origin_z))
     if buffer is not None:
         found = _by_transforms(seen, buffer, stamp_ns)
         if found is not None:
             return found
     if not seen.ground.off:
-        return seen.told("", heights=heights_for(seen.ground, samples))
+        return seen.verdict("", heights=heights_for(seen.ground, samples))
     level = Rigid.from_rpy(*seen.ground.level_from_frame, (0.0, 0.0, seen.ground.height or 0.0))
     return seen.replaced(f"{frame.removeprefix('/')}_level", level, heights_for(seen.ground, samples, level))
 
@@ -161,13 +161,13 @@ class _Seen:
     samples: Sequence[NDArray[np.float64]]
     ground: Ground
 
-    def told(self, fault: str, target: str = "", static: str = "", heights: Heights | None = None) -> Mounting:
+    def verdict(self, fault: str, target: str = "", static: str = "", heights: Heights | None = None) -> Mounting:
         return Mounting(self.topic, self.frame, self.judged_in, self.ground, fault, target, static, heights)
 
     def replaced(self, parent: str, parent_from_frame: Rigid, heights: Heights | None) -> Mounting:
         """With another transform of the frame."""
         static = _static(parent, self.frame, parent_from_frame)
-        return self.told(_fault(self.ground), parent if static else "", static, heights)
+        return self.verdict(_fault(self.ground), parent if static else "", static, heights)
 
     def corrected(self, target: str, target_from_frame: Rigid, ground: Ground, turn: Rigid) -> Mounting:
         """With the recorded transform turned until the ground is level, where the recording has the frame.
@@ -190,7 +190,7 @@ def _by_transforms(seen: _Seen, buffer: TransformBuffer, stamp_ns: int) -> Mount
         # No frame is known to be level: one that makes the clouds level is.
         for name, moved in _ancestors(buffer, seen.frame, stamp_ns) if ground.off else ():
             if ground.up is not None and float((moved.matrix @ np.array(ground.up))[2]) > math.cos(LEVEL):
-                return seen.told(_fault(ground), name, heights=heights_for(ground, seen.samples, moved))
+                return seen.verdict(_fault(ground), name, heights=heights_for(ground, seen.samples, moved))
         return None
     name, body_from_frame = body
     turn = body_from_frame.rotation
@@ -209,7 +209,7 @@ def _by_transforms(seen: _Seen, buffer: TransformBuffer, stamp_ns: int) -> Mount
             return None
         how = "upside down" if tilt > math.pi - _NOTABLE_TILT else f"tilted by {math.degrees(tilt):.1f} deg"
         fault = f"{how} according to its transform to {name!r}; expected z up"
-    return seen.told(fault, name, heights=heights)
+    return seen.verdict(fault, name, heights=heights)
 
 
 def _height(rigid: Rigid) -> float:

@@ -366,8 +366,8 @@ class _OpenChunk:
     Parameters
     ----------
     buffer
-        Is written from its start on. Chunks hand it on: memory that the system has to provide anew for
-        every chunk costs a third of the time that lz4 takes.
+        Is written from its start on. Chunks share it, because new memory for every chunk takes a third of the time
+        of lz4.
     """
 
     __slots__ = ("buffer", "index", "size")

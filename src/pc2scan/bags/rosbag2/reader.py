@@ -182,11 +182,11 @@ class Rosbag2Reader(MergedReader):
             found = Counter[tuple[str, str]]()
             for connection in self.connections:
                 found[connection.topic, connection.msgtype] += connection.message_count or 0
-            told = self._info.topic_counts
-            pairs = [(key[0], told.get(key, 0), found[key]) for key in {**told, **found}]
+            listed_counts = self._info.topic_counts
+            pairs = [(key[0], listed_counts.get(key, 0), found[key]) for key in {**listed_counts, **found}]
             fewer = [(topic, count, there) for topic, count, there in pairs if there < count]
             # If the counts have another sum, they are unreliable, and only missing messages are noted.
-            details = count_details(pairs if sum(told.values()) == declared else fewer)
+            details = count_details(pairs if sum(listed_counts.values()) == declared else fewer)
             missing = max(missing, sum(count - there for _, count, there in fewer))
         if missing > 0 or details:
             problem = f"{METADATA_NAME} counts {declared} messages, its files have {stored}{details}"
