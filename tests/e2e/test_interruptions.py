@@ -21,6 +21,7 @@ import zstandard
 import pc2scan
 from builders import CONTENT, POINTS, T0, Recording, cloud, item, write_db3, write_rosbag1, write_rosbag2
 from e2e.command import COMMAND, run
+from pc2scan.bags.opening import open_recording
 from pc2scan.errors import RecordingError
 
 if TYPE_CHECKING:
@@ -126,6 +127,21 @@ def test_what_a_killed_run_left_is_no_obstacle(large: Path, tmp_path: Path) -> N
     done = run("convert", large, "-o", tmp_path / "out.bag")
     assert done.status == 0, done.stderr
     assert [path.name for path in tmp_path.iterdir()] == ["out.bag"]
+
+
+@pytest.mark.parametrize("kind", DESTINATIONS)
+def test_what_a_killed_run_left_is_recovered(kind: str, large: Path, tmp_path: Path) -> None:
+    name, *options = DESTINATIONS[kind]
+    command = [*COMMAND, "convert", str(large), "-o", str(tmp_path / name), "--keep-clouds", *options]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, text=True) as process:
+        assert half_done(process, tmp_path)
+        process.kill()
+    repaired = tmp_path / ("repaired" + (tmp_path / name).suffix)
+    done = run("repair", tmp_path / f"{name}.pc2scan-partial", "-o", repaired)
+    # A database that ends with a transaction is sound: nothing in it says that there was to be more.
+    assert done.status == 3 or (kind == "sqlite3" and done.status == 0), done.stderr
+    with closing(open_recording(repaired)) as reader:
+        assert len(list(reader.messages())) > 0
 
 
 @pytest.fixture

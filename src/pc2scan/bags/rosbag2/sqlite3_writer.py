@@ -43,8 +43,8 @@ CREATE INDEX timestamp_idx ON messages (timestamp ASC);
 INSERT INTO schema(schema_version, ros_distro) VALUES (4, '');
 """
 
-#: Bytes of messages in a transaction, which bound SQLite's memory.
-_BATCH_BYTES = 16 << 20
+#: Bytes of messages in a transaction. They bound SQLite's memory, and what `repair` cannot recover of a killed run.
+_BATCH_BYTES = 1 << 20
 
 #: rosbag2's default level; messages are compressed one by one, so speed matters more than size.
 _ZSTD_LEVEL = 1
