@@ -43,6 +43,11 @@ def test_a_missing_file_of_an_option_too(option: str, tmp_path: Path) -> None:
     assert f"did you mean {tmp_path / 'params.yaml'}?" in done.stderr
 
 
+def test_a_lookup_at_the_latest_time_names_no_stamp() -> None:
+    done = run("tf", HALL, "--lookup", "base_link", "lidra")
+    assert done.stderr.startswith("error: no transform has the source frame 'lidra'")
+
+
 def test_what_cannot_be_judged_is_no_verdict(tmp_path: Path) -> None:
     broken = tmp_path / "broken.bag"
     broken.write_bytes(b"nothing that is a recording")

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import itertools
 import os
-import shlex
 import signal
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -75,6 +74,8 @@ def _fitting(found: set[str], incomplete: str) -> list[str]:
 
 def _typed() -> list[Path]:
     """The recordings on the command line. While an option lacks its value, Typer's parser knows of no arguments."""
+    import shlex
+
     line = os.environ.get("_TYPER_COMPLETE_ARGS") or os.environ.get("COMP_WORDS") or ""
     try:
         words = shlex.split(line)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pc2scan.errors import UsageError, stamp_text
+from pc2scan.errors import TransformError, UsageError, stamp_text
 
 from . import completion
 from .damage import show_damage
@@ -64,7 +64,12 @@ def tf(
     show_damage(tree.damage)
     if frames is not None:
         stamp_ns = 0 if at is None else _stamp(at)
-        rigid = tree.buffer.lookup(frames[0], frames[1], stamp_ns)
+        try:
+            rigid = tree.buffer.lookup(frames[0], frames[1], stamp_ns)
+        except TransformError as err:
+            # 0 asks for the latest time, and is no stamp to show.
+            err.stamp_ns = err.stamp_ns or None
+            raise
         _show_transform(frames[0], frames[1], stamp_ns, rigid, as_json=as_json)
     elif as_json:
         print_json(tree.as_dict())
