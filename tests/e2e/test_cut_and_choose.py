@@ -263,7 +263,7 @@ def test_the_same_source_twice_is_refused(bag: Path, tmp_path: Path) -> None:
     ("name", "content", "word"),
     [
         ("absent.bag", None, "nothing of this name"),
-        ("text.bag", b"hello", "no recording"),
+        ("text.bag", b"hello", "not a recording"),
         ("empty.mcap", b"", "empty"),
     ],
 )
