@@ -33,7 +33,7 @@ __all__ = ["FirstClouds", "Sample", "TopicClouds"]
 
 #: Clouds that are judged together where the first one alone does not settle it, and points of each.
 _CLOUDS = 3
-_POINTS = 2_000
+_POINTS = 1_500
 
 #: Fewer points than this can be judged by nobody.
 _FEWEST_POINTS = 300
@@ -152,14 +152,15 @@ class TopicClouds:
             return
         self.full = True
         with np.errstate(all="ignore"):
-            self._judge()
+            if not self._is_fine():
+                self._judge()
 
     def _is_fine(self) -> bool:
-        """Whether the first cloud is level, its scan has points, and its heights need no advice."""
+        """Whether the scans have points, heights need no advice, and the first cloud is level, or nobody can judge it."""
         points = self._samples[0].points
-        if len(points) < _FEWEST_POINTS or self._is_nearly_empty() or self._needs_heights() or self._mistaken_units():
+        if self._is_nearly_empty() or self._needs_heights() or self._mistaken_units():
             return False
-        return level_floor(cells_of(points)) is not None
+        return len(points) < _FEWEST_POINTS or level_floor(cells_of(points)) is not None
 
     def _judge(self) -> None:
         from pc2scan.tf.mounting import mounting  # noqa: PLC0415  # loaded where there is something to say
