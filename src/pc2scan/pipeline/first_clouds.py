@@ -156,7 +156,7 @@ class TopicClouds:
                 self._judge()
 
     def _is_fine(self) -> bool:
-        """Whether the scans have points, heights need no advice, and the first cloud is level, or nobody can judge it."""
+        """Whether scans have points, heights need no advice, and the first cloud is level, or too small to tell."""
         points = self._samples[0].points
         if self._is_nearly_empty() or self._needs_heights() or self._mistaken_units():
             return False
