@@ -33,7 +33,7 @@ __all__ = ["FirstClouds", "Sample", "TopicClouds"]
 
 #: Clouds that are judged together where the first one alone does not settle it, and points of each.
 _CLOUDS = 3
-_POINTS = 1_500
+_POINTS = 2_000
 
 #: Fewer points than this can be judged by nobody.
 _FEWEST_POINTS = 300
