@@ -66,9 +66,10 @@ def jobs_for(source: Path, folder: Path) -> Iterator[Job]:
         ("convert", source, "-o", "DST.bag", "--report", "DST.json", *HEIGHTS),
         ("convert", source, "-o", "DST", "--storage", "sqlite3", "--tf-from", source, *HEIGHTS),
         ("convert", source, "-o", "DST", "--overwrite", "--strict", *HEIGHTS),
+        ("view", source, "-o", "DST.html", "--clouds", "1"),
     ]
     for number, call in enumerate(calls):
-        outputs = tuple(folder / f"{number}{ending}" for ending in ("", ".mcap", ".bag", ".json"))
+        outputs = tuple(folder / f"{number}{ending}" for ending in ("", ".mcap", ".bag", ".json", ".html"))
         # What is there is replaced.
         if "--overwrite" in call:
             shutil.copytree(FIXTURES / "hall", folder / str(number))
@@ -100,7 +101,7 @@ def test_no_command_touches_what_is_not_its_own(recordings: dict[str, Path], sou
         jobs += jobs_for(source, folder)
     before = state_of(sources)
     done = trace(jobs, tmp_path)
-    assert {job.job.arguments[0] for job in done} == {*COMMANDS} - {"golden"}
+    assert {job.job.arguments[0] for job in done} == {*COMMANDS} - {"golden", "plot"}
     assert {" ".join(each.job.arguments): foreign(each) for each in done if foreign(each)} == {}
     assert state_of(sources) == before
     for each in done:
@@ -135,6 +136,23 @@ def test_golden_touches_only_expected_outputs(recordings: dict[str, Path], sourc
     assert after[1] == before[1]
     assert {path for path in after[0] if before[0].get(path) != after[0][path] and path.endswith(".txt")}
     assert "passed  hall" in again.said
+
+
+def test_plot_touches_its_figure_and_the_cache_of_fonts(
+    recordings: dict[str, Path], sources: Path, tmp_path: Path
+) -> None:
+    matplotlib = pytest.importorskip("matplotlib")
+    kept = [Path(matplotlib.get_cachedir()), Path(matplotlib.get_configdir())]
+    before = state_of(sources)
+    figures = [tmp_path / f"{number}.svg" for number in range(2)]
+    jobs = [
+        Job(("plot", str(recordings[name]), "-o", str(figure)), tmp_path, (figure, *kept))
+        for name, figure in zip(("hall.bag", "metadata that leads out"), figures, strict=True)
+    ]
+    done = trace(jobs, tmp_path)
+    assert [foreign(each) for each in done] == [[], []]
+    assert (done[0].status, figures[0].is_file()) == (0, True), done[0].said
+    assert state_of(sources) == before
 
 
 @pytest.mark.parametrize("name", ["hall.bag", "hall", "journal"])
