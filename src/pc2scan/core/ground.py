@@ -401,7 +401,8 @@ def _rivals(plane: Plane, planes: Sequence[Plane], *, upside_down: bool) -> str:
         between = _between(plane, other)
         if between < 4:
             continue
-        if between < 20 and other.nearest < plane.nearest and other.share > _LEAST_SHARE and other.beyond < 0.3:
+        nearer = other.nearest < plane.nearest or other.height < 0.9 * plane.height
+        if between < 20 and nearer and other.share > _LEAST_SHARE and other.beyond < 0.3:
             return "there is ground of another slope nearer by"
         if not 20 < between < 160:
             continue
