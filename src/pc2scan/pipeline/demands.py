@@ -28,6 +28,10 @@ def refuse_nothing(report: Report) -> None:
     if any(topic.messages_out for topic in converted):
         return
     read = sum(topic.messages_in for topic in converted)
+    if not read and report.damage:
+        place = report.damage[0]
+        error = f"no message was converted: there was none to convert in a damaged recording: {place.what}"
+        raise ResultError(error, path=place.path)
     if not read:
         raise ResultError("no message was converted: there was none to convert", hint="see `topics`, `start` and `end`")
     reasons = Counter(entry.reason for entry in report.skipped)
