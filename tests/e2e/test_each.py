@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections import deque
 from typing import TYPE_CHECKING
 
 import pytest
 from typer.testing import CliRunner
 
+import pc2scan.files.staging
 import pc2scan.pipeline.each
 import pc2scan.pipeline.run
 from builders import CONTENT, write_mcap, write_rosbag1
@@ -223,6 +225,8 @@ def test_an_interruption_says_what_was_written(drives: Path, monkeypatch: pytest
         return real(*args, **keywords)
 
     monkeypatch.setattr(pc2scan.pipeline.each, "run", second_is_interrupted)
+    # A process of the command's own has written nothing yet.
+    monkeypatch.setattr(pc2scan.files.staging, "_renamed", deque())
     monkeypatch.chdir(drives)
     done = CliRunner().invoke(application(), ["convert", "--each", "a.bag", "b.mcap", *HEIGHTS])
     assert done.exit_code == 130
