@@ -637,7 +637,7 @@ def diff(
     Returns
     -------
     Difference
-        ``same`` tells whether there is none; ``print`` shows what the command prints.
+        ``same`` is true if nothing differs; ``print`` shows what the command prints.
 
     Raises
     ------

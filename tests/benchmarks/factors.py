@@ -109,7 +109,7 @@ def main() -> None:
     lines = [
         (
             f"| recording | command | {asked.mb[0]:g} MB | {asked.mb[1]:g} MB "
-            f"| for {large / small:g} times the size | of a sound one |"
+            f"| {asked.mb[1]:g} MB / {asked.mb[0]:g} MB | compared with a sound recording |"
         ),
         "|---|---|---:|---:|---:|---:|",
     ]

@@ -16,7 +16,10 @@ if TYPE_CHECKING:
     from pc2scan.bags.damage import Damage
     from pc2scan.pipeline.report import Report
 
-__all__ = ["SHOWN", "show_damage", "show_recovery"]
+__all__ = ["DAMAGED", "SHOWN", "show_damage", "show_recovery"]
+
+#: The exit status of a command that wrote what it could of a damaged source.
+DAMAGED = 3
 
 #: Damaged places, and reasons for skipping, that are shown without --verbose.
 SHOWN = 5

@@ -34,6 +34,7 @@ __all__ = [
     "ConversionGroup",
     "Destination",
     "Json",
+    "Moments",
     "OutputGroup",
     "ReportGroup",
     "StaticTf",
@@ -74,6 +75,14 @@ Destination = Annotated[
     ),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+Moments = Annotated[
+    list[str],
+    typer.Option(
+        "--at",
+        metavar="TIME",
+        help="Show the first cloud at or after this time (see convert --start). Repeatable.",
+    ),
+]
 StaticTf = Annotated[
     list[str],
     typer.Option(

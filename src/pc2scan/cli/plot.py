@@ -7,14 +7,11 @@ from typing import Annotated
 
 import typer
 
-from .damage import show_damage
-from .options import ConversionGroup
+from .damage import DAMAGED, show_damage
+from .options import ConversionGroup, Moments
 from .render import warn
 
 __all__ = ["plot"]
-
-#: As for a conversion of a damaged source.
-_DAMAGED = 3
 
 
 def plot(
@@ -29,12 +26,7 @@ def plot(
         int,
         typer.Option(metavar="N", min=1, help="Moments of each topic, side by side, spread over the recording."),
     ] = 1,
-    at: Annotated[
-        list[str],
-        typer.Option(
-            "--at", metavar="TIME", help="Show the first cloud at or after this time, as --start takes it. Repeatable."
-        ),
-    ] = [],  # noqa: B006 - typer reads the default and never hands it out
+    at: Moments = [],  # noqa: B006 - typer reads the default and never hands it out
     overwrite: Annotated[bool, typer.Option(help="Replace a file of that name.")] = False,
     *,
     conversion: ConversionGroup,
@@ -59,4 +51,4 @@ def plot(
     for note in drawn.notes:
         warn(note)
     show_damage(drawn.damage)
-    raise typer.Exit(_DAMAGED if drawn.damage else 0)
+    raise typer.Exit(DAMAGED if drawn.damage else 0)

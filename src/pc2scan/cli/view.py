@@ -7,18 +7,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .damage import show_damage
-from .options import ConversionGroup
+from .damage import DAMAGED, show_damage
+from .options import ConversionGroup, Moments
 from .render import printable, size, warn
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
 __all__ = ["view"]
-
-
-#: As for a conversion of a damaged source.
-_DAMAGED = 3
 
 
 def view(
@@ -39,14 +35,7 @@ def view(
         int,
         typer.Option(metavar="N", min=1, help="Moments of each topic on the page, evenly spread over the recording."),
     ] = 10,
-    at: Annotated[
-        list[str],
-        typer.Option(
-            "--at",
-            metavar="TIME",
-            help="Show the first cloud at or after this time (see convert --start). Repeatable.",
-        ),
-    ] = [],  # noqa: B006 - typer reads the default and never hands it out
+    at: Moments = [],  # noqa: B006 - typer reads the default and never hands it out
     open_page: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
     overwrite: Annotated[
         bool, typer.Option(help="Replace any file of that name; an older page is always replaced.")
@@ -84,7 +73,7 @@ def view(
     if open_page:
         _open(path)
     show_damage(page.damage)
-    raise typer.Exit(_DAMAGED if page.damage else 0)
+    raise typer.Exit(DAMAGED if page.damage else 0)
 
 
 def _beside(sources: Sequence[Path]) -> Path:

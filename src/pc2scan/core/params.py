@@ -351,7 +351,7 @@ class ProjectionParams:
 
     @property
     def empty_range(self) -> float:
-        """What a beam without a return reads, metres: a float32 value.
+        """The range of a beam that has no return: a float32 value in metres.
 
         Source: ``range_max + inf_epsilon`` is the node's sum of the message's float32 ``range_max`` and a
         double, stored as float32; a default ``range_max`` is inf as float32, and so is the sum.

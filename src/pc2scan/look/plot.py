@@ -132,15 +132,16 @@ def _figure(taken: Shots, title: str, kind: str) -> bytes:
     with warnings.catch_warnings(), mpl.rc_context({"svg.hashsalt": "pc2scan", "text.parse_math": False}):
         # A name in letters that the font lacks is no reason to warn.
         warnings.simplefilter("ignore", UserWarning)
-        limits = [_limits(values) for values in zip(*(_placed(shot) for shot in taken.shots), strict=True)]
+        placed = [_placed(shot) for shot in taken.shots]
+        limits = [_limits(values) for values in zip(*placed, strict=True)]
         across, *heights = (high - low for low, high in limits)
         inches = [min(_HIGHEST, max(_LOWEST, _WIDTH * height / across)) for height in heights]
         size = (_WIDTH + _BESIDE) * columns, sum(inches) + _AROUND
         figure = Figure(size, layout="constrained", dpi=150)
         figure.suptitle(plain(title), fontsize=11)
         axes: Any = figure.subplots(2, columns, squeeze=False, height_ratios=inches)
-        for column, shot in enumerate(taken.shots):
-            _draw(axes[0, column], axes[1, column], shot, taken.params, limits)
+        for column, (shot, points) in enumerate(zip(taken.shots, placed, strict=True)):
+            _draw(axes[0, column], axes[1, column], shot, points, taken.params, limits)
         handles, names = axes[0, 0].get_legend_handles_labels()
         figure.legend(
             handles,
@@ -161,8 +162,15 @@ def _figure(taken: Shots, title: str, kind: str) -> bytes:
     return file.getvalue()
 
 
-def _draw(above: Any, side: Any, shot: Shot, params: ProjectionParams, limits: Sequence[tuple[float, float]]) -> None:
-    x, y, z = _placed(shot)
+def _draw(
+    above: Any,
+    side: Any,
+    shot: Shot,
+    points: Sequence[NDArray[np.float32]],
+    params: ProjectionParams,
+    limits: Sequence[tuple[float, float]],
+) -> None:
+    x, y, z = points
     projection = Projector(params)
     used, height = _outcomes(x, y, z, shot.filtered, params)
     kept = slice(None) if shot.filtered is None else shot.filtered == 0

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import asdict, dataclass, field, fields
-from statistics import median_low
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.core.counts import PointCounts
@@ -164,6 +163,8 @@ class TopicReport:
         """The largest and the median of the motions, and the longest gap; None if nothing was deskewed."""
         if not self.motions:
             return None
+        from statistics import median_low  # noqa: PLC0415  # only conversions that deskew pay for loading it
+
         metres, radians, gaps = zip(*self.motions, strict=True)
         return {
             "largest_m": max(metres),

@@ -50,7 +50,7 @@ class Selection:
     start, end
         The cut, by log time.
     on_error
-        ``skip`` or ``fail``: what a message that cannot be used does.
+        What to do with a message that cannot be used: ``skip`` it, or ``fail``.
     verify, strict
         As for `pc2scan.bags.opening.open_recording`.
     """

@@ -76,7 +76,7 @@ class McapIndex:
     verified
         Whether the summary's CRC was compared.
     data_end
-        The end of the data section of a sound file, and its CRC (0: none); None if there is no DataEnd.
+        Where the data section ends, and its CRC (0 if none was written). None if there is no DataEnd record.
     differing
         Schemas and channels that are declared again differently: names and offsets.
     """

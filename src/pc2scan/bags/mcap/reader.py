@@ -553,7 +553,7 @@ def _messages_in(
 
 
 def _many(data: memoryview, wanted: Mapping[int, Connection], start_ns: int, stop_ns: int) -> Many[RawMessage]:
-    """The messages among sound records, to be made one by one."""
+    """The messages among sound records, each made when its turn comes."""
     times, places = array("Q"), array("Q")
     position, last = 0, len(data) - MESSAGE.size
     while position <= last:

@@ -10,6 +10,7 @@ import { copyButton, element, figure, oncePerFrame, setUpTheme, setUpTime, theme
 import { coloursOf, outcomeColours, usualRange, word } from "./palette.mjs";
 import { emptyRange, problemOf } from "./params.mjs";
 import { OUTCOMES, project, transformed } from "./project.mjs";
+import { layoutOf } from "./rule.mjs";
 import { niceStep } from "./stage.mjs";
 import { matrixOf, matrixOfMount } from "./transform.mjs";
 import { Unrolled } from "./unrolled.mjs";
@@ -215,7 +216,6 @@ export function showClouds(recording) {
   function drawAll() {
     if (!cloud.x.length && !fields.size) return;
     const byOutcome = colourBy.value === "outcome";
-    const current = theme();
     const beam = style.getPropertyValue("--beam");
     const size = cloud.x.length > 60_000 ? 1 : 1.5;
     top.points(cloud, colours, byOutcome ? front : null, size);
@@ -261,7 +261,6 @@ export function showClouds(recording) {
     orbit.stage.element.setAttribute("aria-label", `The cloud in 3D: ${text}`);
     unrolled.stage.element.setAttribute("aria-label", `Ranges of ${scan.ranges.length} beams by angle`);
     document.body.dataset.drawn = `${Number(document.body.dataset.drawn ?? 0) + 1}`;
-    document.body.dataset.drawnTheme = current;
   }
 
   /**
@@ -324,8 +323,7 @@ export function showClouds(recording) {
     if (name === "angle_increment") changes.beams = 0;
     if (name === "reduce") changes.kth = value === "kth" ? Math.max(1, params.kth) : 0;
     params = { ...params, ...changes };
-    if (name === "beams" && value && !problemOf(params))
-      params.angle_increment = project(cloudOfNothing(), params).layout.increment;
+    if (name === "beams" && value && !problemOf(params)) params.angle_increment = layoutOf(params).increment;
     update();
   }
 
@@ -468,9 +466,6 @@ function revived(values) {
 
 /** @param {[number, number]} pair */
 const flipped = ([x, y]) => /** @type {[number, number]} */ ([y, x]);
-
-/** @returns {Cloud} */
-const cloudOfNothing = () => ({ x: new Float32Array(), y: new Float32Array(), z: new Float32Array() });
 
 /**
  * The counts, and what can be copied.

@@ -68,7 +68,7 @@ export function problemOf(params) {
 }
 
 /**
- * What a beam without a return reads, metres: a float32 value.
+ * The range of a beam that has no return: a float32 value in metres.
  * @param {Params} params
  */
 export function emptyRange(params) {
