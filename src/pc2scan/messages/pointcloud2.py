@@ -98,7 +98,7 @@ class PointCloud2:
     stamp_ns
         ``header.stamp``, nanoseconds.
     data
-        The points: row r, column c begins at ``r * row_step + c * point_step``.
+        The points, read-only: row r, column c begins at ``r * row_step + c * point_step``.
     """
 
     sequence: int
@@ -151,10 +151,7 @@ class PointCloud2:
             )
         if not layout.needed:
             return np.empty(0, layout.dtype)
-        view: NDArray[Any] = np.ndarray(layout.shape, layout.dtype, self.data, layout.offset, layout.strides)
-        if not self.data.readonly:
-            view.flags.writeable = False
-        return view
+        return np.ndarray(layout.shape, layout.dtype, self.data, layout.offset, layout.strides)
 
     def _layout_of(self, name: str) -> _FieldLayout:
         found = next((field for field in self.fields if field.name == name), None)

@@ -50,7 +50,7 @@ class Cursor:
     __slots__ = ("_aligned", "_order", "base", "data", "position")
 
     def __init__(self, data: Buffer, serialization: str) -> None:
-        self.data = memoryview(data)
+        self.data = memoryview(data).toreadonly()
         self._aligned = serialization == "cdr"
         self._order = "<"
         self.base = 0

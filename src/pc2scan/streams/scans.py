@@ -362,7 +362,7 @@ def _converted(convert: Callable[[Buffer], Converted], targets: Sequence[str], m
         return Read(connection, log_time_ns, 0, error=err)
     first = _scan(message, targets[0], converted.data)
     scans = (first, *(replace(first, topic=target) for target in targets[1:]))
-    return Read(connection, log_time_ns, len(converted.data), scans, converted=converted._replace(data=b""))
+    return Read(connection, log_time_ns, len(converted.data), scans, converted=replace(converted, data=b""))
 
 
 class _Conversion:
