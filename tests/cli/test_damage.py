@@ -8,8 +8,8 @@ import pytest
 
 from pc2scan.bags.damage import Damage
 from pc2scan.cli.damage import show_damage, show_recovery
-from pc2scan.core.params import ProjectionParams
 from pc2scan.pipeline.report import Report, TopicReport
+from pc2scan.pipeline.scan_spec import ScanSpec
 
 PATH = Path("drive.bag")
 
@@ -56,7 +56,7 @@ def report(*damage: Damage, declared: int | None = None) -> Report:
     topics = [TopicReport("/a", "", "/a", "passed", messages_in=1200)]
     damaged = list(damage)
     return Report(
-        ["a"], "b", ProjectionParams(), topics=topics, damage=damaged, messages_read=1200, messages_declared=declared
+        ["a"], "b", (ScanSpec(),), topics=topics, damage=damaged, messages_read=1200, messages_declared=declared
     )
 
 

@@ -272,4 +272,4 @@ def test_a_new_output_is_one_encoder(tmp_path: Path, monkeypatch: pytest.MonkeyP
 def test_an_output_type_that_is_not_in_the_table_is_an_error() -> None:
     with pytest.raises(UsageError, match=f"output_type is '{TOY_SCAN}', it must be one of {LASERSCAN}"):
         ConvertOptions(output_type=TOY_SCAN)
-    assert ConvertOptions(output_type=POINTCLOUD2, reverse=True).output.name == "cloud"
+    assert ConvertOptions(output_type=POINTCLOUD2, reverse=True).specs[0].output.name == "cloud"

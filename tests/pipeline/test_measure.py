@@ -14,7 +14,7 @@ from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import ParameterError
 from pc2scan.pipeline import measure as measure_module
 from pc2scan.pipeline.measure import measure
-from pc2scan.pipeline.options import ConvertOptions
+from pc2scan.pipeline.scan_spec import ScanSpec
 from pc2scan.tf.builder import TransformBuilder
 from pc2scan.tf.placing import Frames
 
@@ -52,8 +52,7 @@ def measured(
     items = sorted(items, key=lambda entry: entry.log_time_ns)
     reader = open_recording(write_mcap(folder / "drive.mcap", Recording(streams, tuple(items))))
     try:
-        options = ConvertOptions(params=params)
-        return measure(reader, reader.connections, options, frames or Frames(), **cut)
+        return measure(reader, reader.connections, ScanSpec(params=params), frames or Frames(), **cut)
     finally:
         reader.close()
 

@@ -10,10 +10,11 @@ import pytest
 from pc2scan.core.counts import PointCounts
 from pc2scan.core.params import ProjectionParams
 from pc2scan.pipeline.report import MAX_LISTED, Report, Skipped, TopicReport
+from pc2scan.pipeline.scan_spec import ScanSpec
 
 
 def report(params: ProjectionParams | None = None, /, **counts: Any) -> Report:
-    made = Report(["a.bag"], "b.bag", params or ProjectionParams())
+    made = Report(["a.bag"], "b.bag", (ScanSpec(params=params or ProjectionParams()),))
     points = {"total": 100, **{k: v for k, v in counts.items() if k not in ("messages_out", "empty_scans", "advice")}}
     made.topics.append(
         TopicReport(
@@ -76,7 +77,7 @@ def test_nothing_converted_is_worth_a_warning() -> None:
 
 
 def test_a_gap_that_deskewing_bridged_is_a_warning() -> None:
-    made = Report(["a.bag"], "b.bag", ProjectionParams())
+    made = Report(["a.bag"], "b.bag", (ScanSpec(),))
     for gap in (0.1, 0.3):
         motions = [(0.1, 0.01, 0.02), (0.3, 0.02, gap), (0.2, 0.03, 0.02)]
         made.topics = [TopicReport("/points", "x", f"/scan{gap}", "converted", messages_out=3, motions=motions)]

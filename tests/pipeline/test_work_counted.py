@@ -265,7 +265,7 @@ def test_a_message_whose_result_takes_more_memory_waits_for_its_turn(passes: boo
     connection = Connection(1, "/points", POINTCLOUD2, "cdr")
     converted = Converted(b"scan", PointCounts(), False)
     report = TopicReport("/points", "", None, "")
-    route = OpenRoute(connection, [report], lambda _: converted, shrinks_from=shrinks_from)
+    route = OpenRoute(connection, report, lambda _: [converted], shrinks_from=shrinks_from)
     route.passing_handle = 1 if passes else -1
     message = RawMessage(connection, 5, memoryview(bytearray(b"cloud")), 6)
     done = stream._outcome_or_later({1: route}, message)
@@ -276,7 +276,7 @@ def test_a_message_whose_result_takes_more_memory_waits_for_its_turn(passes: boo
         assert isinstance(done.message.data, bytes)
         done = done.work(done.message)
     assert isinstance(done, stream._Outcome)
-    assert (done.converted, done.passing) == (converted, b"cloud" if passes else None)
+    assert (done.converted, done.passing) == ([converted], b"cloud" if passes else None)
     assert not isinstance(done.passing, memoryview)
 
 

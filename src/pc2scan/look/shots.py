@@ -13,8 +13,8 @@ import numpy as np
 from pc2scan.errors import DecodeError, MessageError, RecordingError
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.pipeline.measure import measure
-from pc2scan.pipeline.options import ConvertOptions
 from pc2scan.pipeline.plan import make_plan
+from pc2scan.pipeline.scan_spec import ScanSpec
 from pc2scan.pipeline.stages.select import Select
 from pc2scan.tf.placing import Frames
 
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from pc2scan.core.params import ProjectionParams
     from pc2scan.core.points import Points
     from pc2scan.model import Connection, RawMessage
+    from pc2scan.pipeline.options import ConvertOptions
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.placing import Placement
 
@@ -148,7 +149,7 @@ def _at_measured_resolution(
     """The parameters with as many beams as the first topic's lidar has, and what is said about it."""
     first, connections = next(iter(topics.items()))
     only_beams = replace(options.params, scan_time=0.0, time_increment=0.0, intensity_field="")
-    measured, _ = measure(reader, connections, ConvertOptions(params=only_beams), frames)
+    measured, _ = measure(reader, connections, ScanSpec(params=only_beams), frames)
     step = measured[first].azimuth_step
     params = options.params.at_resolution(step) if step else replace(options.params, beams=0)
     degrees = math.degrees(params.layout.angle_increment)
@@ -196,7 +197,7 @@ def _filtered(points: Points, place: Placement, options: ConvertOptions, frames:
     shape = points.xyz()[0].shape
     numbers = np.arange(math.prod(shape)).reshape(shape)
     numbered = replace(points, fields={**points.fields, _NUMBER: numbers})
-    kept = Select(options.filters, frames)(numbered, place).points.field(_NUMBER)
+    kept = Select(options.filters, frames).apply(numbered, place).points.field(_NUMBER)
     filtered = np.ones(numbers.size, np.uint8)
     filtered[kept.reshape(-1)] = 0
     return filtered

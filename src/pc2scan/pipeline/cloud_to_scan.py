@@ -16,6 +16,7 @@ from pc2scan.messages.outputs import OF_CLOUDS
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
 
 from .conversion import Conversion, Measured, Result
+from .stages.place import Place
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -23,13 +24,14 @@ if TYPE_CHECKING:
     from pc2scan.core.params import ProjectionParams
     from pc2scan.core.points import Points
     from pc2scan.core.project import ProjectedScan
-    from pc2scan.messages.clouds import Decode
     from pc2scan.model import Buffer
-    from pc2scan.tf.placing import Frames, Placement
+    from pc2scan.tf.placing import Frames
 
-    from .first_clouds import FirstClouds, TopicClouds
-    from .stages.deskew import Deskew, Moving
+    from .conversion import Step
+    from .first_clouds import TopicClouds
+    from .stages.deskew import Deskew
     from .stages.filters import Filter
+    from .stages.place import Placed
 
 __all__ = ["CloudToScan"]
 
@@ -71,7 +73,7 @@ class CloudToScan(Conversion):
     output_type
         What the scans are encoded as: a key of `OF_CLOUDS`.
     first_clouds
-        Judges the first clouds of each topic; None if nobody does.
+        Returns what judges the first clouds of a topic; None if nobody does.
     """
 
     def __init__(
@@ -82,7 +84,7 @@ class CloudToScan(Conversion):
         filters: Sequence[Filter] = (),
         deskew: Deskew | None = None,
         output_type: str = LASERSCAN,
-        first_clouds: FirstClouds | None = None,
+        first_clouds: Callable[[str], TopicClouds] | None = None,
     ) -> None:
         self._timings = timings or {}
         # A scan repeats the cloud's header; what else it has besides ranges and intensities takes less.
@@ -98,38 +100,36 @@ class CloudToScan(Conversion):
         with np.errstate(over="ignore"):
             # Upstream's default is a float64's largest: once here, it need not be rounded for every scan.
             self._range_max = float(np.float32(params.range_max))
-        self._deskew = deskew
-        self._select = None
+        self._place = Place(frames, deskew)
+        self._select: Callable[[Placed], Placed] | None = None
         if filters or deskew is not None:
             from .stages.select import Select  # noqa: PLC0415  # only where something is selected
 
             self._select = Select(filters, frames)
         self._beams = _Beams(params) if params.beams != "auto" else None
 
-    def stages(self, topic: str, source: str, source_type: str = "") -> Callable[[Buffer], Result]:
-        """Return the stages of one topic's messages, with its timing; see `Conversion`."""
-        decode = CLOUDS[source_type or POINTCLOUD2](source)
+    def decoder(self, source: str, source_type: str) -> Callable[[Buffer], Points]:
+        """Return what decodes clouds; see `Conversion`."""
+        return CLOUDS[source_type or POINTCLOUD2](source)
+
+    def stages(self, topic: str) -> tuple[Step, ...]:
+        """Return the stages of one topic's messages, with its timing: place, select, project; see `Conversion`."""
         measured = self._timings.get(topic, self._default)
         beams = self._beams or _Beams(_resolved(self.params, measured))
-        firsts = None if self._first_clouds is None else self._first_clouds.of(topic)
-        return partial(self._scan, measured, beams, decode, firsts)
+        firsts = None if self._first_clouds is None else self._first_clouds(topic)
+        project = partial(self._scan, measured, beams, firsts)
+        return (self._place, project) if self._select is None else (self._place, self._select, project)
 
-    def _scan(
-        self, timing: Measured, beams: _Beams, decode: Decode, firsts: TopicClouds | None, data: Buffer
-    ) -> Result:
-        points = decode(data)
-        moving = None if self._deskew is None else self._deskew(points)
-        points, stamp_ns = (points, points.stamp_ns) if moving is None else (moving.points, moving.stamp_ns)
-        place = self._frames.place(points.frame_id, stamp_ns)
-        scan = self._projected(points, place, moving, beams.project)
-        params, layout = self.params, beams.layout
+    def _scan(self, timing: Measured, beams: _Beams, firsts: TopicClouds | None, placed: Placed) -> Result:
+        scan = self._projected(placed, beams.project)
+        params, layout, stamp_ns = self.params, beams.layout, placed.stamp_ns
         if timing.first_beam_ns:
             # A simulation's time begins at 0, and ROS 1 has none before.
             stamp_ns = max(0, stamp_ns + timing.first_beam_ns)
         message = LaserScan(
-            points.sequence,
+            placed.points.sequence,
             stamp_ns,
-            place.frame_id,
+            placed.place.frame_id,
             layout.angle_min,
             layout.angle_max,
             layout.angle_increment,
@@ -141,19 +141,17 @@ class CloudToScan(Conversion):
             scan.intensities,
         )
         empty = scan.ranges.tobytes() == beams.no_returns
-        sample = None if firsts is None or firsts.full else firsts.sample(points, place)
+        sample = None if firsts is None or firsts.full else firsts.sample(placed.whole, placed.place)
+        moving = placed.moving
         return Result(message, scan.counts, empty, None if moving is None else moving.motion, sample)
 
-    def _projected(self, points: Points, place: Placement, moving: Moving | None, project: Projector) -> ProjectedScan:
-        """Place, select and project; without filters, the loops over points transform and project at once."""
-        transform = place.target_from_source
-        rejected: dict[str, int] = {}
-        if self._select is not None:
-            points, transform, rejected = self._select(points, place, moving)
+    def _projected(self, placed: Placed, project: Projector) -> ProjectedScan:
+        """Project; the loops over points transform them on the way where that is still to be done."""
+        points, transform = placed.points, placed.target_from_source
         rotation_and_translation = None if transform is None else transform.as_float32()
         name = self.params.intensity_field
         scan = project(*points.xyz(), rotation_and_translation, points.field(name) if name else None)
-        if rejected:
-            filtered = PointCounts(sum(rejected.values()), **rejected)
+        if placed.rejected:
+            filtered = PointCounts(sum(placed.rejected.values()), **placed.rejected)
             return dataclasses.replace(scan, counts=scan.counts + filtered)
         return scan

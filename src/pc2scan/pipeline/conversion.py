@@ -5,10 +5,12 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+
+from pc2scan.errors import MessageError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from pc2scan.core.counts import PointCounts
     from pc2scan.messages.outputs import OutputType
@@ -17,7 +19,10 @@ if TYPE_CHECKING:
     from .first_clouds import Sample
     from .stages.deskew import Motion
 
-__all__ = ["Conversion", "Converted", "Measured", "Result"]
+    #: One step of the way from a message to what it becomes.
+    Step: TypeAlias = Callable[[Any], Any]
+
+__all__ = ["Conversion", "Converted", "Measured", "Result", "converter"]
 
 
 # Never changed, but neither frozen nor named tuples: making these takes two to three times as long, for every message.
@@ -86,8 +91,8 @@ class Conversion(ABC):
         self.shrinks_from = shrinks_from
 
     @abstractmethod
-    def stages(self, topic: str, source: str, source_type: str = "") -> Callable[[Buffer], Result]:
-        """Return what decodes the messages of one source topic and takes them through all stages but encoding.
+    def decoder(self, source: str, source_type: str) -> Callable[[Buffer], Any]:
+        """Return what decodes messages, for all conversions of this direction.
 
         Parameters
         ----------
@@ -95,27 +100,111 @@ class Conversion(ABC):
             The serialisation of the messages: ``ros1`` or ``cdr``.
         source_type
             Their ROS type; empty means the direction's usual one.
+        """
+
+    @abstractmethod
+    def stages(self, topic: str) -> tuple[Step, ...]:
+        """Return the stages between decoding and encoding of one topic's messages: the last one returns a `Result`.
+
+        Conversions that have equal stages, behind equal ones, share their work on each message.
 
         Notes
         -----
-        What is returned takes each message by itself, on any thread. It raises a `MessageError` if a message cannot be
-        converted.
+        They take each message by itself, on any thread. They raise a `MessageError` if a message cannot be converted.
         """
 
     def for_topic(self, topic: str, source: str, target: str, source_type: str = "") -> Callable[[Buffer], Converted]:
-        """Return the whole conversion of one source topic's messages, as `stages` does.
+        """Return the whole conversion of one source topic's messages.
 
         Parameters
         ----------
+        source, source_type
+            As for `decoder`.
         target
             The serialisation of what they become: ``ros1`` or ``cdr``.
         """
-        return partial(_encoded, self.stages(topic, source, source_type), self.output.encode, target)
+        steps = (self.decoder(source, source_type), *self.stages(topic), self.encoder(target))
+        return partial(_in_turn, steps)
+
+    def encoder(self, target: str) -> Callable[[Result], Converted]:
+        """Return what serialises results as ``ros1`` or ``cdr``."""
+        return partial(_encoded, self.output.encode, target)
 
 
-def _encoded(
-    stages: Callable[[Buffer], Result], encode: Callable[[Any, str], bytes], target: str, data: Buffer
-) -> Converted:
-    # Stages that combine several messages belong here: they take results, in order, before these are encoded.
-    result = stages(data)
+def converter(
+    conversions: Sequence[Conversion], topic: str, source: str, target: str, source_type: str = ""
+) -> Callable[[Buffer], Sequence[Converted | MessageError]]:
+    """Return what makes everything that one source topic's messages become, one for each conversion.
+
+    Parameters
+    ----------
+    conversions
+        Of one direction.
+    topic, source, target, source_type
+        As for `Conversion.for_topic`.
+
+    Returns
+    -------
+    callable
+        An error of one conversion is in its place, and keeps no other one from its result. It raises the `MessageError`
+        of a message that cannot be decoded, and where there is only one conversion, its error.
+    """
+    first = conversions[0]
+    if len(conversions) == 1:
+        return partial(_alone, first.for_topic(topic, source, target, source_type))
+    tree: list[_Node] = []
+    for place, conversion in enumerate(conversions):
+        nodes = tree
+        for step in (*conversion.stages(topic), conversion.encoder(target)):
+            node = next((node for node in nodes if node.step == step), None)
+            if node is None:
+                node = _Node(step, [], [])
+                nodes.append(node)
+            node.places.append(place)
+            nodes = node.further
+    return partial(_all, first.decoder(source, source_type), tree, len(conversions))
+
+
+class _Node(NamedTuple):
+    """A step, the conversions that take it, and their next ones."""
+
+    step: Step
+    places: list[int]
+    further: list[_Node]
+
+
+def _all(
+    decode: Callable[[Buffer], Any], tree: Sequence[_Node], count: int, data: Buffer
+) -> list[Converted | MessageError]:
+    found: list[Any] = [None] * count
+    _follow(tree, decode(data), found)
+    return found
+
+
+def _follow(nodes: Sequence[_Node], value: Any, found: list[Any]) -> None:
+    """Take a value through each of some steps, and through the further ones."""
+    for step, places, further in nodes:
+        made: Any
+        try:
+            made = step(value)
+        except MessageError as err:
+            made, further = err, []  # noqa: PLW2901  # nothing follows
+        if further:
+            _follow(further, made, found)
+        else:
+            for place in places:
+                found[place] = made
+
+
+def _alone(convert: Callable[[Buffer], Converted], data: Buffer) -> tuple[Converted]:
+    return (convert(data),)
+
+
+def _in_turn(steps: Sequence[Step], value: Any) -> Any:
+    for step in steps:
+        value = step(value)
+    return value
+
+
+def _encoded(encode: Callable[[Any, str], bytes], target: str, result: Result) -> Converted:
     return Converted(encode(result.message, target), result.counts, result.empty, result.motion, result.sample)

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from pc2scan.tf.placing import Placement
 
     from .report import Report, TopicReport
+    from .scan_spec import ScanSpec
 
 __all__ = ["FirstClouds", "Sample", "TopicClouds"]
 
@@ -93,14 +94,16 @@ class FirstClouds:
         self.transforms = transforms
         self.buffer: TransformBuffer | None = None
         self._warn = warn
-        self._topics: dict[str, TopicClouds] = {}
+        self._topics: dict[tuple[str, ScanSpec], TopicClouds] = {}
 
-    def of(self, topic: str) -> TopicClouds:
-        """Those of one topic, which several publishers may share."""
-        return self._topics.setdefault(topic, TopicClouds(topic, self))
+    def of(self, spec: ScanSpec, topic: str) -> TopicClouds:
+        """Those of one topic, which several publishers may share, for one output."""
+        return self._topics.setdefault((topic, spec), TopicClouds(topic, spec, self))
 
     def warn(self, text: str) -> None:
-        """Warn at once."""
+        """Warn at once, of what concerns several outputs only once."""
+        if text in self.report.warnings:
+            return
         self.report.warnings.append(text)
         if self._warn is not None:
             self._warn(text)
@@ -112,7 +115,7 @@ class FirstClouds:
 
 
 class TopicClouds:
-    """The first clouds of one topic.
+    """The first clouds of one topic, as one output has them.
 
     Attributes
     ----------
@@ -120,9 +123,11 @@ class TopicClouds:
         Whether enough have been judged; read by all threads.
     """
 
-    def __init__(self, topic: str, every: FirstClouds) -> None:
+    def __init__(self, topic: str, spec: ScanSpec, every: FirstClouds) -> None:
         self.full = False
         self._topic = topic
+        self._spec = spec
+        self._label = f"{spec.name}: " if spec.name else ""
         self._every = every
         self._samples: list[Sample] = []
         self._counts = PointCounts()
@@ -182,30 +187,30 @@ class TopicClouds:
         if found.warning:
             every.warn(found.warning)
         if units := self._mistaken_units():
-            every.warn(units)
+            every.warn(self._label + units)
         advice = self._advice(found)
         if self._is_nearly_empty() and (emptiness := self._emptiness(advice)):
-            every.warn(emptiness)
+            every.warn(self._label + emptiness)
         for entry in self._entries():
             entry.advice = advice
-        if self._without_heights() and any(map(from_preset, every.report.origins.values())) and advice:
+        if self._without_heights() and any(map(from_preset, self._spec.origins.values())) and advice:
             every.report.notes.append(
-                f"{self._topic}: no heights are given, presets leave them to you, and the default min_height drops "
-                f"everything at z <= 0; these suit the clouds: {advice}"
+                f"{self._label}{self._topic}: no heights are given, presets leave them to you, and the default "
+                f"min_height drops everything at z <= 0; these suit the clouds: {advice}"
             )
 
     def _entries(self) -> list[TopicReport]:
         topics = self._every.report.topics
-        return [entry for entry in topics if entry.topic == self._topic and entry.action == "converted"]
+        return [entry for entry in topics if entry.topic == self._topic and entry.spec is self._spec]
 
     def _is_nearly_empty(self) -> bool:
-        beams = len(self._samples) * self._every.report.params.length
+        beams = len(self._samples) * self._spec.params.length
         return self._counts.total > 0 and self._counts.used < _NEARLY_EMPTY * beams
 
     def _is_default(self, name: str) -> bool:
-        report = self._every.report
-        return report.origins.get(name, "default") == "default" and (
-            getattr(report.params, name) == getattr(ProjectionParams(), name)
+        spec = self._spec
+        return spec.origins.get(name, "default") == "default" and (
+            getattr(spec.params, name) == getattr(ProjectionParams(), name)
         )
 
     def _without_heights(self) -> bool:
@@ -214,7 +219,7 @@ class TopicClouds:
     def _needs_heights(self) -> bool:
         """Whether the default min_height drops what users want to keep, or a preset leaves it to them."""
         cut = self._counts.height >= _NOTABLE_SHARE * max(self._counts.total, 1)
-        presets = any(map(from_preset, self._every.report.origins.values()))
+        presets = any(map(from_preset, self._spec.origins.values()))
         return (self._is_default("min_height") and cut) or (self._without_heights() and presets)
 
     @staticmethod
@@ -229,7 +234,7 @@ class TopicClouds:
 
     def _emptiness(self, advice: str) -> str:
         """Say which limits leave nothing, beside what the clouds have; empty if it is none of them."""
-        params, counts = self._every.report.params, self._counts
+        params, counts = self._spec.params, self._counts
         placed = np.concatenate([sample.placed for sample in self._samples])
         share = f"{counts.used:,} of the {counts.total:,} points of the first {_clouds(len(self._samples))} are used"
         frame = self._samples[0].scan_frame
@@ -254,7 +259,7 @@ class TopicClouds:
 
     def _mistaken_units(self) -> str:
         """Heights that are no metres, next to the clouds' own; empty where they may be."""
-        params = self._every.report.params
+        params = self._spec.params
         wrong = [name for name in ("min_height", "max_height") if self._is_tall(name)]
         if not wrong:
             return ""
@@ -267,7 +272,7 @@ class TopicClouds:
         )
 
     def _is_tall(self, name: str) -> bool:
-        value = abs(float(getattr(self._every.report.params, name)))
+        value = abs(float(getattr(self._spec.params, name)))
         if self._is_default(name) or not _TALL <= value < 1e5:
             return False
         # 100, 1000 and 999 are ways to say "no limit".

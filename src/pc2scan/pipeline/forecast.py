@@ -19,11 +19,12 @@ if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Connection
 
-    from .conversion import Conversion
+    from .conversion import Conversion, Converted
     from .options import ConvertOptions
     from .plan import Plan
     from .report import Report
     from .routes import OpenRoute
+    from .scan_spec import ScanSpec
 
 __all__ = ["forecast"]
 
@@ -52,7 +53,7 @@ def forecast(
     reader: Reader,
     plan: Plan,
     target: Destination,
-    conversion: Conversion,
+    conversions: Mapping[ScanSpec, Conversion],
     options: ConvertOptions,
     start_ns: int | None,
     stop_ns: int | None,
@@ -70,7 +71,7 @@ def forecast(
         With ``on_error`` ``fail``, if one of the first messages cannot be converted.
     """
     declared = Declarations()
-    routes = open_routes(plan.routes, conversion, target, target.same_kind(reader.summary), options, declared, report)
+    routes = open_routes(plan.routes, conversions, target, target.same_kind(reader.summary), options, declared, report)
     routes = count_skipped(routes, reader, start_ns, stop_ns)
     sizes: dict[int, _Size] = _converted_sizes(
         reader, routes, options, start_ns, stop_ns, report, is_packed=target.compression != "none"
@@ -99,36 +100,43 @@ def _converted_sizes(
     unconnected = Unconnected(route.connection for route in converting.values())
     sizes: dict[int, _Size] = {}
     for key, route in converting.items():
-        connection, read, made = route.connection, [], []
+        connection, read, sizes_made = route.connection, list[int](), list[int]()
         with closing(reader.messages([connection], start_ns, stop_ns)) as messages:
             for message in messages:
-                error: MessageError | None = None
                 read.append(len(message.data))
+                assert route.convert is not None  # chosen so
+                converted: Sequence[Converted | MessageError]
                 try:
-                    assert route.convert is not None  # chosen so
                     converted = route.convert(message.data)
                 except MessageError as err:
-                    error = err
+                    converted = [err] * (1 + max(output.place for output in route.outputs))
+                errors = {id(error): error for error in converted if isinstance(error, MessageError)}
+                for error in errors.values():
                     error.topic = connection.topic
                     if options.on_error == "fail":
-                        raise
-                    report.list_skipped(
-                        Skipped(connection.topic, message.log_time_ns, err.stamp_ns, err.message, err.hint or "")
+                        raise error
+                    skipped = Skipped(
+                        connection.topic, message.log_time_ns, error.stamp_ns, error.message, error.hint or ""
                     )
-                else:
-                    made.append(_packed(converted.data) if is_packed else len(converted.data))
-                    for output in route.outputs:
-                        output.report.messages_out += 1
-                        output.report.points += converted.counts
-                        output.report.empty_scans += converted.empty
+                    report.list_skipped(skipped)
+                size = 0
                 for output in route.outputs:
                     output.report.messages_in += 1
+                    result = converted[output.place]
+                    if not isinstance(result, MessageError):
+                        size += _packed(result.data) if is_packed else len(result.data)
+                        output.report.messages_out += 1
+                        output.report.points += result.counts
+                        output.report.empty_scans += result.empty
+                failed = all(isinstance(result, MessageError) for result in converted)
+                if not failed:
+                    sizes_made.append(size)
                 if unconnected.is_possible:
-                    unconnected.note(connection, error)
-                if len(made) == _CONVERTED or len(read) == _LOOKED_AT:
+                    unconnected.note(connection, next(iter(errors.values())) if failed else None)
+                if len(sizes_made) == _CONVERTED or len(read) == _LOOKED_AT:
                     break
         kept = _mean(read) if route.passing_handle >= 0 else 0.0
-        sizes[key] = _Size(_mean(read), kept, _mean(made) * len(route.outputs))
+        sizes[key] = _Size(_mean(read), kept, _mean(sizes_made))
     return sizes
 
 

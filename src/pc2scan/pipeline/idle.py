@@ -14,9 +14,8 @@ from pc2scan.names import did_you_mean
 from .parameters import from_option
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from .options import ConvertOptions
+    from .scan_spec import ScanSpec
 
 __all__ = ["doubts", "refuse_unusable"]
 
@@ -48,25 +47,24 @@ def refuse_unusable(options: ConvertOptions) -> None:
             )
 
 
-def doubts(options: ConvertOptions, origins: Mapping[str, str]) -> list[str]:
+def doubts(options: ConvertOptions) -> list[str]:
     """Return a warning for each option without an effect, and each value that looks like degrees.
 
-    Parameters
-    ----------
-    options
-        The conversion.
-    origins
-        Where each parameter comes from. Only those given as options are looked at: a parameter file that lists all
-        parameters is normal.
+    Only parameters that are given as options are looked at: a parameter file that lists all parameters is normal.
     """
-    given = {name for name, origin in origins.items() if from_option(origin)}
-    return [*_frames(options, given), *_returns(options, given), *_angles(options, origins)]
+    found: list[str] = []
+    for spec in options.specs:
+        label = f"{spec.name}: " if spec.name else ""
+        given = {name for name, origin in spec.origins.items() if from_option(origin)}
+        doubtful = (*_frames(options, spec, given), *_returns(spec, given), *_angles(spec))
+        found += (label + each for each in doubtful)
+    return found
 
 
-def _frames(options: ConvertOptions, given: set[str]) -> list[str]:
-    params, frames = options.params, options.frames
+def _frames(options: ConvertOptions, spec: ScanSpec, given: set[str]) -> list[str]:
+    params, frames = spec.params, options.frames
     found = []
-    if params.target_frame or any(isinstance(each.frame, str) for each in options.filters):
+    if params.target_frame or any(isinstance(each.frame, str) for each in spec.filters):
         source = frames.source_frame.removeprefix("/")
         if source and source == params.target_frame.removeprefix("/"):
             found.append(f"`source_frame` and `target_frame` are both {source}: nothing is transformed")
@@ -90,9 +88,9 @@ def _frames(options: ConvertOptions, given: set[str]) -> list[str]:
     return found
 
 
-def _returns(options: ConvertOptions, given: set[str]) -> list[str]:
-    params = options.params
-    if options.reverse:
+def _returns(spec: ScanSpec, given: set[str]) -> list[str]:
+    params = spec.params
+    if spec.reverse:
         return []
     found = []
     is_sum = (params.no_return or ("inf" if params.use_inf else "range-max-plus")) == "range-max-plus"
@@ -103,9 +101,9 @@ def _returns(options: ConvertOptions, given: set[str]) -> list[str]:
     return found
 
 
-def _angles(options: ConvertOptions, origins: Mapping[str, str]) -> list[str]:
-    params = options.params
-    if options.reverse:
+def _angles(spec: ScanSpec) -> list[str]:
+    params, origins = spec.params, spec.origins
+    if spec.reverse:
         return []
     found = []
     increment = params.angle_increment

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from pc2scan.model import Connection
     from pc2scan.tf.placing import Frames
 
-    from .options import ConvertOptions
+    from .scan_spec import ScanSpec
 
 __all__ = ["measure"]
 
@@ -46,7 +46,7 @@ SWEEPS = 11
 def measure(
     reader: Reader,
     connections: Iterable[Connection],
-    options: ConvertOptions,
+    spec: ScanSpec,
     frames: Frames,
     start_ns: int | None = None,
     stop_ns: int | None = None,
@@ -57,7 +57,7 @@ def measure(
     ----------
     connections
         Those to be converted.
-    options
+    spec
         ``scan_time``, ``time_increment`` and ``beams`` that are ``auto`` are measured; fields that are asked for have
         to be there.
     frames
@@ -76,7 +76,7 @@ def measure(
         If no cloud of a topic's first ones has the ``intensity_field``, or a field that a filter or deskewing needs; if
         ``beams`` is auto, and they are not in regular rings.
     """
-    params = options.params
+    params = spec.params
     timings: dict[str, Measured] = {}
     notes: list[str] = []
     topics: dict[str, list[Connection]] = {}
@@ -93,7 +93,7 @@ def measure(
             except MessageError:
                 # What cannot be decoded or transformed is reported when its turn to be converted comes.
                 continue
-        first.require_fields(topic, options)
+        first.require_fields(topic, spec)
         timings[topic] = first.timing(topic, notes)
     return timings, notes
 
@@ -159,27 +159,23 @@ class _FirstClouds:
         angles[nowhere] = np.nan
         return angles
 
-    def require_fields(self, topic: str, options: ConvertOptions) -> None:
+    def require_fields(self, topic: str, spec: ScanSpec) -> None:
         """Refuse to begin without a field that was asked for."""
         if not self._stamps:
             return
         there = f"their fields are: {', '.join(self._fields) or 'none'}"
-        name = options.params.intensity_field
+        name = spec.params.intensity_field
         asked = [("intensity_field", f"intensity_field is {name!r}", name)] if name else []
-        asked += [
-            (f.name, f"`{f.name}` needs the field {field!r}", field) for f in options.filters for field in f.fields
-        ]
-        if options.point_time:
-            asked.append(
-                ("point_time", f"`point_time` is {options.point_time!r}", options.point_time.partition(":")[0])
-            )
+        asked += [(f.name, f"`{f.name}` needs the field {field!r}", field) for f in spec.filters for field in f.fields]
+        if spec.point_time:
+            asked.append(("point_time", f"`point_time` is {spec.point_time!r}", spec.point_time.partition(":")[0]))
         for option, request, field in asked:
             if field not in self._fields:
                 near = did_you_mean(field, self._fields)
                 raise ParameterError(
                     f"{request}, which the clouds on {topic} do not have", name=option, hint=f"{near} {there}".strip()
                 )
-        if options.deskew and not options.point_time and not any(name in self._fields for name in TIME_FIELDS):
+        if spec.deskew and not spec.point_time and not any(name in self._fields for name in TIME_FIELDS):
             raise ParameterError(
                 f"the clouds on {topic} have no times of their points: no field {', '.join(TIME_FIELDS)}",
                 name="point_time",

@@ -5,30 +5,24 @@ from __future__ import annotations
 import math
 import os
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields, replace
 from datetime import UTC, datetime, timedelta
 from numbers import Integral, Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
-from pc2scan.core.counts import PointCounts
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import UsageError
-from pc2scan.messages.clouds import CLOUDS
-from pc2scan.messages.laserscan import LASERSCAN
-from pc2scan.messages.outputs import OF_CLOUDS, OF_SCANS
 from pc2scan.tf.options import FrameOptions
 
-from .stages.filters import rejection_of
+from .scan_spec import ScanSpec, TopicRequest
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     import numpy as np
 
-    from pc2scan.core.rule import Rejection
     from pc2scan.core.unproject import UnprojectParams
-    from pc2scan.messages.outputs import OutputType
 
     from .stages.filters import Filter
 
@@ -208,59 +202,18 @@ def destination_and_folder(text: str | None) -> tuple[Path | None, Path | None]:
     return Path(text), None
 
 
-@dataclass(frozen=True, slots=True)
-class TopicRequest:
-    """A topic to convert, and where to."""
-
-    source: str
-    target: str | None = None
-
-    @classmethod
-    def parse(cls, text: str) -> TopicRequest:
-        """Read ``/points`` or, in ROS's remapping notation, ``/points:=/scan``.
-
-        Raises
-        ------
-        UsageError
-            If a side of ``:=`` is empty.
-        """
-        source, remapped, target = text.partition(":=")
-        if not source or (remapped and not target):
-            raise UsageError(f"{text!r} is not a topic", hint="write /points or /points:=/scan")
-        return cls(source, target or None)
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ConvertOptions:
     """Everything that `pc2scan.convert` can be told, checked.
 
     Attributes
     ----------
-    params
-        The projection's parameters.
-    reverse
-        Whether LaserScan becomes PointCloud2; of ``params`` then only the frame's count.
-    channels
-        Fields of the clouds that ``reverse`` makes, and the range cutoff; None means the defaults.
-    deskew
-        Transform each point of a cloud, with ``reverse`` each beam of a scan, by the pose at its own time.
-    fixed_frame
-        With ``deskew`` of clouds: a frame that does not move, through which points are placed.
-    point_time
-        With ``deskew`` of clouds: where the times of points are, as ``FIELD`` or ``FIELD:UNIT``. Empty: in the first
-        field that is usual.
-    stamp
-        With ``deskew`` of clouds: the scan's time: that of the cloud's ``header``, or the ``start``, ``middle`` or
-        ``end`` of its points' times.
-    filters
-        What selects points of clouds before they are projected, in order.
-    output_type
-        What messages become: a type in the tables of `pc2scan.messages.outputs`. Empty: the first one there,
-        LaserScan (PointCloud2 with ``reverse``).
+    scans
+        The outputs; empty: only one, as the next attributes describe it.
+    topics, origins, params, reverse, channels, deskew, fixed_frame, point_time, stamp, filters, output_type
+        See `ScanSpec`. They do not count where there are ``scans``.
     frames
         Where transforms come from.
-    topics
-        What to convert; empty means every topic of `source_types`.
     keep_clouds
         Write the converted messages too.
     only_scans
@@ -290,6 +243,9 @@ class ConvertOptions:
         Convert nothing: everything passes through as it is, byte for byte.
     """
 
+    scans: tuple[ScanSpec, ...] = ()
+    topics: tuple[TopicRequest, ...] = ()
+    origins: Mapping[str, str] = field(default_factory=dict)
     params: ProjectionParams = ProjectionParams()
     reverse: bool = False
     channels: UnprojectParams | None = None
@@ -300,7 +256,6 @@ class ConvertOptions:
     filters: tuple[Filter, ...] = ()
     output_type: str = ""
     frames: FrameOptions = FrameOptions()
-    topics: tuple[TopicRequest, ...] = ()
     keep_clouds: bool = False
     only_scans: bool = False
     keep: tuple[str, ...] = ()
@@ -328,47 +283,8 @@ class ConvertOptions:
             raise UsageError(f"jobs is {self.jobs}, it must not be negative")
         if self.only_scans and (self.keep or self.keep_clouds):
             raise UsageError("`only_scans` leaves out what `keep` and `keep_clouds` ask for")
-        if not self.reverse and self.channels is not None:
-            raise UsageError("`channels` and `range_cutoff` go with `reverse`")
-        self._check_stages()
-        self._check_deskewing()
-
-    def _check_deskewing(self) -> None:
-        if self.deskew and self.reverse and not self.params.target_frame:
-            raise UsageError(
-                "`deskew` needs a `target_frame` that does not move with the sensor",
-                hint="such as `target_frame=odom`",
-            )
-        if (self.reverse or not self.deskew) and (self.fixed_frame or self.point_time or self.stamp != "header"):
-            raise UsageError("`fixed_frame`, `point_time` and `stamp` go with `deskew` of clouds")
-        if self.reverse or not self.deskew:
-            return
-        from .stages.deskew import STAMPS, PointTime  # noqa: PLC0415  # only where points move
-
-        if not self.fixed_frame:
-            raise UsageError(
-                "`deskew` of clouds needs a frame that does not move: `fixed_frame`", hint="such as `fixed_frame=odom`"
-            )
-        if self.stamp not in STAMPS:
-            raise UsageError(f"`stamp` is {self.stamp!r}, it must be one of {', '.join(STAMPS)}")
-        if self.point_time:
-            PointTime.parse(self.point_time)
-        if self.params.time_increment != 0:
-            raise UsageError(
-                f"time_increment is {self.params.time_increment}, but a deskewed scan is of one time",
-                hint="leave `time_increment` out",
-            )
-
-    def _check_stages(self) -> None:
-        if self.reverse and self.filters:
-            raise UsageError("filters select points of clouds; `reverse` converts scans")
-        taken = PointCounts().as_dict()
-        for name in (each.name for each in self.filters):
-            if name in taken or not name.isidentifier():
-                raise UsageError(f"a filter is named {name!r}, which cannot be the name of its count")
-        outputs = self._outputs
-        if self.output_type and self.output_type not in outputs:
-            raise UsageError(f"output_type is {self.output_type!r}, it must be one of {', '.join(outputs)}")
+        # Whatever cannot be is noticed here.
+        self.specs  # noqa: B018  # a property that checks
 
     @classmethod
     def of(
@@ -398,30 +314,31 @@ class ConvertOptions:
         )
 
     @property
-    def rejections(self) -> tuple[Rejection, ...]:
-        """Why points may be rejected, other than by the projection itself."""
-        further = tuple(map(rejection_of, self.filters))
-        if not self.deskew or self.reverse:
-            return further
-        from .stages.deskew import NO_TIME, NO_TRANSFORM  # noqa: PLC0415  # only where points move
-
-        return (*further, NO_TIME, NO_TRANSFORM)
-
-    @property
-    def source_types(self) -> tuple[str, ...]:
-        """The types that are converted, in ROS 2's spelling."""
-        return (LASERSCAN,) if self.reverse else tuple(CLOUDS)
-
-    @property
-    def _outputs(self) -> Mapping[str, OutputType[Any]]:
-        return OF_SCANS if self.reverse else OF_CLOUDS
-
-    @property
-    def made_type(self) -> str:
-        """The type that messages become."""
-        return self.output_type or next(iter(self._outputs))
+    def specs(self) -> tuple[ScanSpec, ...]:
+        """The outputs: ``scans``, or else the only one, which the other attributes describe."""
+        if self.scans:
+            return self.scans
+        return (
+            ScanSpec(
+                topics=self.topics,
+                origins=self.origins,
+                params=self.params,
+                reverse=self.reverse,
+                channels=self.channels,
+                deskew=self.deskew,
+                fixed_frame=self.fixed_frame,
+                point_time=self.point_time,
+                stamp=self.stamp,
+                filters=self.filters,
+                output_type=self.output_type,
+            ),
+        )
 
     @property
-    def output(self) -> OutputType[Any]:
-        """The table's entry for the type that messages become."""
-        return self._outputs[self.made_type]
+    def first(self) -> ConvertOptions:
+        """The same with the first output alone."""
+        spec = self.specs[0]
+        if not self.scans:
+            return self
+        own = {each.name: getattr(spec, each.name) for each in fields(spec) if each.name != "name"}
+        return replace(self, scans=(), **own)

@@ -17,9 +17,18 @@ if TYPE_CHECKING:
 
     from pc2scan.model import Connection
 
-    from .options import ConvertOptions, TopicRequest
+    from .options import ConvertOptions
+    from .scan_spec import ScanSpec
 
-__all__ = ["Plan", "Route", "make_plan"]
+__all__ = ["Plan", "Route", "Task", "make_plan"]
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """Something to be made of a message, and the topics that it goes to."""
+
+    spec: ScanSpec
+    targets: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,22 +37,28 @@ class Route:
 
     Attributes
     ----------
-    targets
-        The topics that its converted messages go to; none if it is not converted.
+    tasks
+        What its messages are converted to; none if they are not.
     passes
         Whether its own messages go to the destination.
     """
 
     connection: Connection
-    targets: tuple[str, ...]
+    tasks: tuple[Task, ...]
     passes: bool
+
+    @property
+    def targets(self) -> tuple[str, ...]:
+        """The topics that its converted messages go to; none if it is not converted."""
+        return tuple(target for task in self.tasks for target in task.targets)
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """The routes in the order of the source's connections, and what about the request is worth a warning."""
+    """The routes in the order of the source's connections, the outputs, and what is worth a warning."""
 
     routes: tuple[Route, ...]
+    specs: tuple[ScanSpec, ...] = ()
     warnings: tuple[str, ...] = ()
 
 
@@ -63,36 +78,40 @@ def make_plan(connections: Sequence[Connection], options: ConvertOptions) -> Pla
         If there is nothing to convert, a topic asked for is missing or of another type, or an output topic
         is already in the source.
     """
-    targets = {} if options.repair else _targets(connections, options)
+    specs = () if options.repair else options.specs
+    targets = {spec: _targets(connections, spec, options.drop) for spec in specs}
     routes = []
     for connection in connections:
-        topic = connection.topic
-        converted = topic in targets and _kind(connection) in options.source_types
-        passes = not options.only_scans and (
-            options.keep_clouds if converted else _chosen(topic, options.keep, options.drop)
+        topic, kind = connection.topic, _kind(connection)
+        tasks = tuple(
+            Task(spec, found[topic]) for spec, found in targets.items() if topic in found and kind in spec.source_types
         )
-        routes.append(Route(connection, targets[topic] if converted else (), passes))
-    _refuse_collisions(routes, {request.source: request for request in options.topics})
-    return Plan(tuple(routes), tuple(_idle_patterns(connections, options, targets.keys())))
+        passes = not options.only_scans and (
+            options.keep_clouds if tasks else _chosen(topic, options.keep, options.drop)
+        )
+        routes.append(Route(connection, tasks, passes))
+    _refuse_collisions(routes)
+    converted = {topic for found in targets.values() for topic in found}
+    return Plan(tuple(routes), specs, tuple(_idle_patterns(connections, options, converted)))
 
 
-def _targets(connections: Sequence[Connection], options: ConvertOptions) -> dict[str, tuple[str, ...]]:
+def _targets(connections: Sequence[Connection], spec: ScanSpec, drop: Sequence[str]) -> dict[str, tuple[str, ...]]:
     """The topics to convert and the topics that their scans go to."""
     types = _types_by_topic(connections)
-    convertible = options.source_types
+    convertible = spec.source_types
     candidates = [topic for topic, kinds in types.items() if not kinds.isdisjoint(convertible)]
-    if options.topics:
+    if spec.topics:
         requests: dict[str, list[str | None]] = {}
-        for request in options.topics:
+        for request in spec.topics:
             for topic in find_topics(request.source, types, candidates, *convertible):
                 target = request.target and renamed(topic, request.source, request.target)
                 requests.setdefault(topic, []).append(target)
     else:
-        requests = {topic: [None] for topic in candidates if not matches(topic, options.drop)}
+        requests = {topic: [None] for topic in candidates if not matches(topic, drop)}
         if not requests:
-            raise TopicError(_nothing_to_convert(types, candidates, convertible), hint=_other_direction(types, options))
+            raise TopicError(_nothing_to_convert(types, candidates, convertible), hint=_other_direction(types, spec))
     single = len(requests) == 1
-    name = options.output.name
+    name = spec.output.name
 
     def named(topic: str, target: str | None) -> str:
         return target or (f"/{name}" if single else f"{topic.rstrip('/')}/{name}")
@@ -112,34 +131,37 @@ def _nothing_to_convert(types: dict[str, set[str]], candidates: list[str], conve
     return f"the recording has no {short_types(convertible)} topic; its topics are: {name_list(described)}"
 
 
-def _other_direction(types: dict[str, set[str]], options: ConvertOptions) -> str | None:
+def _other_direction(types: dict[str, set[str]], spec: ScanSpec) -> str | None:
     """What may have been meant where there is nothing to convert."""
     there = {kind for kinds in types.values() for kind in kinds}
-    if options.reverse and (clouds := [kind for kind in CLOUDS if kind in there]):
+    if spec.reverse and (clouds := [kind for kind in CLOUDS if kind in there]):
         return f"it has {short_types(clouds)} topics; without `reverse` they become scans"
-    if not options.reverse and LASERSCAN in there:
+    if not spec.reverse and LASERSCAN in there:
         return "it has LaserScan topics; `reverse=True` turns those into clouds"
     return None
 
 
-def _refuse_collisions(routes: Sequence[Route], requests: dict[str, TopicRequest]) -> None:
+def _refuse_collisions(routes: Sequence[Route]) -> None:
     """No scan may share a topic with another scan or with what passes through."""
     passing = {route.connection.topic for route in routes if route.passes}
-    origin: dict[str, str] = {}
-    for topic, target in ((route.connection.topic, target) for route in routes for target in route.targets):
-        source = origin.setdefault(target, topic)
+    origin: dict[str, tuple[str, ScanSpec]] = {}
+    made = [(route.connection.topic, task) for route in routes for task in route.tasks]
+    for topic, own, target in ((topic, task.spec, target) for topic, task in made for target in task.targets):
+        source, spec = origin.setdefault(target, (topic, own))
         if source != topic:
             raise TopicError(
                 f"{source} and {topic} would both become {target}; several sources are not merged into one scan",
                 hint=f"give one of them another topic: `topics={topic}:={target}_2`",
             )
-    for target, source in origin.items():
+        if spec is not own:
+            raise TopicError(f"{spec.name} and {own.name} would both become {target}")
+    for target, (source, spec) in origin.items():
         if target in passing:
             taken = passing | origin.keys()
-            own = f"{source.rstrip('/')}/{target.rsplit('/', 1)[-1]}"
-            candidates = (own, *(f"{target}_{n}" for n in range(2, len(taken) + 3)))
+            beside = f"{source.rstrip('/')}/{target.rsplit('/', 1)[-1]}"
+            candidates = (beside, *(f"{target}_{n}" for n in range(2, len(taken) + 3)))
             free = next(name for name in candidates if name not in taken)
-            how = "" if source in requests else " (the default)"
+            how = "" if any(request.source == source for request in spec.topics) else " (the default)"
             raise TopicError(
                 f"the recording already has a topic {target}, which {source} would be converted to{how}",
                 hint=f"choose a free one: `topics={source}:={free}`, or leave the old one out: `drop={target}`",

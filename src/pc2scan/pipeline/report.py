@@ -19,12 +19,12 @@ from .parameters import from_preset
 from .stages.filters import as_dict
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from pc2scan.bags.damage import Damage
     from pc2scan.errors import Pc2ScanError
 
-    from .stages.filters import Filter
+    from .scan_spec import ScanSpec
 
 __all__ = ["BEGINNING", "Failure", "Report", "Skipped", "TopicReport"]
 
@@ -36,6 +36,9 @@ MAX_LISTED = 100
 
 #: Damaged places, and skipped messages, that are shown as text.
 _MAX_SHOWN = 5
+
+#: Attributes of a topic's entry that JSON has in another form, or not.
+_NOT_AS_THEY_ARE = {"points", "motions", "spec"}
 
 #: Topics that are listed in the warning of skipped ones.
 _MAX_WARNED = 5
@@ -141,6 +144,8 @@ class TopicReport:
         Whether the topic was asked for but cannot be carried over; ``note`` says why.
     advice
         Options with heights that suit the clouds, in a frame that is level; empty where none were needed.
+    spec
+        What the output is made of and how; None if the topic is not converted.
     """
 
     topic: str
@@ -157,6 +162,7 @@ class TopicReport:
     clouds_kept: bool = False
     lost: bool = False
     advice: str = ""
+    spec: ScanSpec | None = field(default=None, compare=False, repr=False)
 
     @property
     def motion(self) -> dict[str, float] | None:
@@ -195,14 +201,8 @@ class Report(Shown):
         Whether nothing was written: counts and sizes are estimates, and points those of the first messages.
     container, ros_version
         Of the destination: ``rosbag1``, ``rosbag2`` or ``mcap``, and 1 or 2; empty and 0 where they are not known yet.
-    params
-        The projection's parameters.
-    origins
-        Where each parameter's value came from, by name; ``default`` if from nowhere.
-    filters
-        What selected points before they were projected.
-    further
-        Why points may be rejected, other than by the projection itself.
+    scans
+        What each output was made of and how; nearly always there is only one.
     source_frame
         The frame that all clouds are in, whatever they say; empty for their own.
     topics
@@ -226,10 +226,7 @@ class Report(Shown):
 
     sources: list[str]
     destination: str
-    params: ProjectionParams
-    origins: dict[str, str] = field(default_factory=dict)
-    filters: tuple[Filter, ...] = ()
-    further: tuple[Rejection, ...] = ()
+    scans: tuple[ScanSpec, ...]
     source_frame: str = ""
     topics: list[TopicReport] = field(default_factory=list)
     skipped: list[Skipped] = field(default_factory=list)
@@ -246,6 +243,16 @@ class Report(Shown):
     bytes_read: int = 0
     bytes_written: int = 0
     seconds: float = 0.0
+
+    @property
+    def params(self) -> ProjectionParams:
+        """The projection's parameters, of the first output."""
+        return self.scans[0].params
+
+    @property
+    def origins(self) -> Mapping[str, str]:
+        """Where each parameter's value came from, by name, of the first output; ``default`` if from nowhere."""
+        return self.scans[0].origins
 
     @property
     def skipped_count(self) -> int:
@@ -284,20 +291,8 @@ class Report(Shown):
 
     def conclude(self) -> None:
         """Add what only the whole conversion can tell."""
-        layout, asked = self.params.layout, self.params.angle_increment
-        # Where beams are measured, a note says how many there are.
-        measured = self.params.beams == "auto"
-        if not measured and layout.full_circle and abs(layout.angle_increment - asked) > _NOTABLE_STEP * asked:
-            self.notes.append(
-                f"angle_increment is {layout.angle_increment:.7g} rad instead of {asked:.7g}: "
-                f"{layout.count} beams divide the circle evenly"
-            )
-        origin = self.origins.get("range_max", "")
-        if from_preset(origin):
-            self.notes.append(
-                f"range_max is {self.params.range_max:g} m, chosen by {origin}: returns beyond are left out; "
-                "`range_max` chooses another"
-            )
+        for spec in self.scans:
+            self.notes += (note for note in _param_notes(spec) if note not in self.notes)
         if lost := self._lost_topics():
             self.warnings.append(_loss_warning(lost))
         for topic in self.topics:
@@ -321,7 +316,8 @@ class Report(Shown):
     @property
     def rejections(self) -> dict[str, Rejection]:
         """Why points may be rejected, by the name of the count."""
-        return {each.name: each for each in (*REJECTIONS, *self.further)}
+        further = (rejection for spec in self.scans for rejection in spec.rejections)
+        return {each.name: each for each in (*REJECTIONS, *further)}
 
     def _point_warnings(self, topic: TopicReport) -> list[str]:
         """Name the parameter to blame for scans without returns, and for the default that surprises most."""
@@ -332,24 +328,25 @@ class Report(Shown):
         warnings = []
         for each in self.rejections.values():
             share = points.rejected.get(each.name, 0) / points.total if points.total else 0.0
-            if share >= _NOTABLE_SHARE and self._surprises(each):
+            if share >= _NOTABLE_SHARE and self._surprises(topic, each):
                 advice = f": {topic.advice}" if topic.advice and each.name == "height" else ""
                 warnings.append(f"{topic.target}: {share:.0%} of the points were {each.by_default[1]}{advice}")
         return warnings
 
-    def _surprises(self, rejection: Rejection) -> bool:
+    def _surprises(self, topic: TopicReport, rejection: Rejection) -> bool:
         """Whether a parameter that nobody gave has a default that rejects more than users expect."""
         name, _ = rejection.by_default
-        if not name or self.origins.get(name, "default") != "default":
+        spec = topic.spec or self.scans[0]
+        if not name or spec.origins.get(name, "default") != "default":
             return False
-        return bool(getattr(self.params, name) == getattr(ProjectionParams(), name))
+        return bool(getattr(spec.params, name) == getattr(ProjectionParams(), name))
 
     def _blame(self, topic: TopicReport) -> str:
         """The most frequent reason, and its parameters."""
         points = topic.points
         explained = Counter[str]()
         for name, rejection in self.rejections.items():
-            explanation = rejection.by_default[1] if self._surprises(rejection) else rejection.explanation
+            explanation = rejection.by_default[1] if self._surprises(topic, rejection) else rejection.explanation
             if name == "height" and topic.advice:
                 explanation += f": {topic.advice}"
             explained[explanation] += points.rejected.get(name, 0)
@@ -418,12 +415,10 @@ class Report(Shown):
             "dry_run": self.dry_run,
             "container": self.container or None,
             "ros_version": self.ros_version or None,
-            "params": json_value(asdict(self.params)),
-            "param_origins": self.origins,
-            "filters": [json_value(as_dict(each)) for each in self.filters],
+            **_spec_as_dict(self.scans[0]),
             "topics": [
                 {
-                    **{f.name: getattr(topic, f.name) for f in fields(topic) if f.name not in {"points", "motions"}},
+                    **{f.name: getattr(topic, f.name) for f in fields(topic) if f.name not in _NOT_AS_THEY_ARE},
                     "motion": topic.motion,
                     "points": topic.points.as_dict(),
                 }
@@ -444,6 +439,33 @@ class Report(Shown):
     def as_json(self) -> str:
         """Return the report as the text of its file."""
         return _json(self.as_dict())
+
+
+def _param_notes(spec: ScanSpec) -> Iterator[str]:
+    """What is notable about parameters."""
+    params = spec.params
+    layout, asked = params.layout, params.angle_increment
+    # Where beams are measured, a note says how many there are.
+    if params.beams != "auto" and layout.full_circle and abs(layout.angle_increment - asked) > _NOTABLE_STEP * asked:
+        yield (
+            f"angle_increment is {layout.angle_increment:.7g} rad instead of {asked:.7g}: "
+            f"{layout.count} beams divide the circle evenly"
+        )
+    origin = spec.origins.get("range_max", "")
+    if from_preset(origin):
+        yield (
+            f"range_max is {params.range_max:g} m, chosen by {origin}: returns beyond are left out; "
+            "`range_max` chooses another"
+        )
+
+
+def _spec_as_dict(spec: ScanSpec) -> dict[str, Any]:
+    """What an output is made with, as JSON's types."""
+    return {
+        "params": json_value(asdict(spec.params)),
+        "param_origins": dict(spec.origins),
+        "filters": [json_value(as_dict(each)) for each in spec.filters],
+    }
 
 
 def _json(document: dict[str, Any]) -> str:

@@ -13,6 +13,7 @@ from pc2scan.messages.tfmessage import encode_transforms
 from pc2scan.model import LATCHED_QOS, NEW_ID, ChunkRule, Connection
 from pc2scan.tf.reading import is_static
 
+from .conversion import converter
 from .report import TopicReport
 
 if TYPE_CHECKING:
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from .options import ConvertOptions
     from .plan import Route
     from .report import Report
+    from .scan_spec import ScanSpec
 
 __all__ = [
     "OpenRoute",
@@ -48,11 +50,13 @@ _MAX_COMPILED_FIELDS = 20_000
 class Output:
     """A topic of the destination that the converted messages of a route go to.
 
-    ``handle`` is the writer's. ``sample`` is the first message; all others have its geometry.
+    ``handle`` is the writer's. ``place`` is that of its messages in what ``convert`` makes. ``sample`` is the first
+    message; all others have its geometry.
     """
 
     handle: int
     report: TopicReport
+    place: int
     sample: bytes = b""
 
 
@@ -60,19 +64,24 @@ class Output:
 class OpenRoute:
     """Where the messages of one source connection go, declared in the destination.
 
-    ``convert`` and ``encode`` are the work; None where there is none. What ``convert`` makes goes to each of
-    ``outputs``. Messages of ``shrinks_from`` bytes and more become smaller ones by it. ``reports`` has one entry for
-    each output, or one for what is not converted. ``messages`` counts those that were read.
+    ``convert`` and ``encode`` are the work; None where there is none. What ``convert`` makes goes to ``outputs``, an
+    error in its place to none. Messages of ``shrinks_from`` bytes and more become smaller ones by it. ``report`` is
+    the entry of what is not converted, each output has its own. ``messages`` counts those that were read.
     """
 
     connection: Connection
-    reports: list[TopicReport]
-    convert: Callable[[Buffer], Converted] | None = None
+    report: TopicReport | None = None
+    convert: Callable[[Buffer], Sequence[Converted | MessageError]] | None = None
     encode: Callable[[Buffer], Buffer] | None = None
     outputs: list[Output] = field(default_factory=list)
     passing_handle: int = -1
     shrinks_from: int = sys.maxsize
     messages: int = 0
+
+    @property
+    def reports(self) -> Sequence[TopicReport]:
+        """The entries that count its messages."""
+        return [output.report for output in self.outputs] if self.report is None else [self.report]
 
     @property
     def writes(self) -> bool:
@@ -87,7 +96,7 @@ class OpenRoute:
 
 def open_routes(
     routes: Iterable[Route],
-    conversion: Conversion,
+    conversions: Mapping[ScanSpec, Conversion],
     target: Destination,
     same_kind: bool,
     options: ConvertOptions,
@@ -101,32 +110,35 @@ def open_routes(
     """
     opened: dict[int, OpenRoute] = {}
     compiled: dict[tuple[str, Definition], int] = {}
-    entries: dict[tuple[str | None, ...], TopicReport] = {}
+    entries: dict[tuple[object, ...], TopicReport] = {}
 
     def shared(entry: TopicReport) -> TopicReport:
         """The entry of the report: publishers of one topic share it if the same becomes of their messages."""
-        return entries.setdefault((entry.topic, entry.msgtype, entry.target, entry.action, entry.note), entry)
+        key = (entry.topic, entry.msgtype, entry.target, entry.action, entry.note, entry.spec)
+        return entries.setdefault(key, entry)
 
     for route in routes:
         connection = route.connection
         topic, msgtype = connection.topic, connection.ros_type
-        made = opened[connection.id] = OpenRoute(connection, [])
+        made = opened[connection.id] = OpenRoute(connection)
         passing = TopicReport(topic, msgtype, topic, "passed") if route.passes else None
         if passing is not None:
             _prepare_passing(made, passing, target, same_kind, options, declared, compiled)
-        if not route.targets:
-            made.reports.append(shared(passing or TopicReport(topic, msgtype, None, "skipped")))
+        if not route.tasks:
+            made.report = shared(passing or TopicReport(topic, msgtype, None, "skipped"))
             continue
         source, written = connection.serialization, target.serialization
-        made.convert = conversion.for_topic(topic, source, written, msgtype)
-        made.shrinks_from = conversion.shrinks_from
-        for name in route.targets:
-            handle = declared.add(_converted_connection(connection, name, conversion, target))
-            entry = TopicReport(topic, msgtype, name, "converted", clouds_kept=made.passing_handle >= 0)
-            if passing is not None and passing.lost:
-                entry.note, entry.lost = passing.note, True
-            made.outputs.append(Output(handle, shared(entry)))
-            made.reports.append(made.outputs[-1].report)
+        chosen = [conversions[task.spec] for task in route.tasks]
+        made.convert = converter(chosen, topic, source, written, msgtype)
+        made.shrinks_from = sum(conversion.shrinks_from for conversion in chosen)
+        for place, (task, conversion) in enumerate(zip(route.tasks, chosen, strict=True)):
+            for name in task.targets:
+                handle = declared.add(_converted_connection(connection, name, conversion, target))
+                kept = made.passing_handle >= 0
+                entry = TopicReport(topic, msgtype, name, "converted", clouds_kept=kept, spec=task.spec)
+                if passing is not None and passing.lost:
+                    entry.note, entry.lost = passing.note, True
+                made.outputs.append(Output(handle, shared(entry), place))
     report.topics += entries.values()
     return opened
 

@@ -76,9 +76,10 @@ if TYPE_CHECKING:
     from pc2scan.model import Connection, Summary
     from pc2scan.tf.buffer import TransformBuffer
 
-    from .conversion import Conversion
+    from .conversion import Conversion, Measured
     from .options import ConvertOptions
     from .plan import Plan
+    from .scan_spec import ScanSpec
 
 __all__ = ["OutputOptions", "Progress", "prepared", "report_failure", "report_file", "run", "span_of"]
 
@@ -147,15 +148,11 @@ def run(
     began = time.monotonic()
     if not sources:
         raise UsageError("no source given")
-    report = Report(
-        [str(source) for source in sources],
-        str(destination or ""),
-        options.params,
-        dict(origins or {}),
-        options.filters,
-        options.rejections,
-        options.frames.source_frame,
-    )
+    # From here on there is one object for each output.
+    options = replace(options, origins=dict(origins or options.origins))
+    options = replace(options, scans=options.specs)
+    report = Report([str(source) for source in sources], str(destination or ""), options.scans)
+    report.source_frame = options.frames.source_frame
     with ExitStack() as stack:
         files = _Files(sources, destination, options.frames, also_read or {}, output)
         try:
@@ -270,17 +267,17 @@ def _run(
     check_to(path, output.to)
     target = _target(path, is_named, reader, summaries, options, output)
     report.container, report.ros_version = target.container, target.ros_version
-    report.warnings += (*overlap_warnings(readers), *plan.warnings, *doubts(options, report.origins))
+    report.warnings += (*overlap_warnings(readers), *plan.warnings, *doubts(options))
     if output.dry_run:
         report.dry_run = True
         files.open_report(stack)
         check_destination(path, overwrite=output.overwrite, beside_recording=beside_recording, folder=output.folder)
         span = span_of(reader, options)
         refuse_no_messages(reader, converted, span.start_ns, span.stop_ns)
-        conversion, _ = prepared(reader, plan, options, span, stack, report)
+        conversions, _ = prepared(reader, plan, options, span, stack, report)
         from .forecast import forecast  # noqa: PLC0415  # dry runs only
 
-        forecast(reader, plan, target, conversion, options, span.start_ns, span.stop_ns, report)
+        forecast(reader, plan, target, conversions, options, span.start_ns, span.stop_ns, report)
         return
     if output.folder is not None:
         stack.enter_context(made_folder(output.folder))
@@ -289,7 +286,7 @@ def _run(
         span = span_of(reader, options)
         refuse_no_messages(reader, converted, span.start_ns, span.stop_ns)
         firsts = FirstClouds(report, warn, partial(_transforms_of, files.read, options, span))
-        conversion, others = prepared(reader, plan, options, span, stack, report, firsts)
+        conversions, others = prepared(reader, plan, options, span, stack, report, firsts)
         writer = open_writer(target, unfinished, path.name)
         try:
             copying = target.chunks == chunk_format(reader.summary) != ""
@@ -297,7 +294,7 @@ def _run(
                 writer.keep_ids(reader.connections)
             same_kind = target.same_kind(reader.summary)
             declared = Declarations()
-            routes = open_routes(plan.routes, conversion, target, same_kind, options, declared, report)
+            routes = open_routes(plan.routes, conversions, target, same_kind, options, declared, report)
             added = declared.add(static_connection(target)) if options.frames.write_static else None
             handles = declared.declare(writer, one_a_topic=target.format.one_a_topic)
             bind(routes.values(), handles)
@@ -314,9 +311,10 @@ def _run(
             rule = chunk_rule(routes, target, writer) if copying else None
             stream(reader, routes, options, span, rule, pool, writer, report, progress)
             firsts.finish()
-            if conversion.output_type == LASERSCAN:
-                report.warnings += ghosts(options.params)
-                report.warnings += _refusals(routes.values(), target.serialization, report)
+            for spec in conversions:
+                if spec.made_type == LASERSCAN:
+                    report.warnings += (each for each in ghosts(spec.params) if each not in report.warnings)
+            report.warnings += _refusals(routes.values(), target.serialization)
             files.refuse_changed()
             report.damage += [damage for each in (reader, *others) for damage in each.damage]
             _compare_counts(reader, routes, options, report)
@@ -446,50 +444,67 @@ def prepared(
     stack: ExitStack,
     report: Report,
     firsts: FirstClouds | None = None,
-) -> tuple[Conversion, Sequence[Reader]]:
-    """The direction asked for, with all that has to be known before the first message is converted.
+) -> tuple[Mapping[ScanSpec, Conversion], Sequence[Reader]]:
+    """The conversion of each output, with all that has to be known before the first message is converted.
 
     The other recordings that transforms were taken from are returned too.
     """
-    params, asked = options.params, options.frames
+    asked = options.frames
     others: list[Reader] = []
-    frames = Frames(source_frame=asked.source_frame)
-    if params.target_frame or options.fixed_frame or any(isinstance(each.frame, str) for each in options.filters):
+    buffer: TransformBuffer | None = None
+    if any(spec.needs_transforms for spec in plan.specs):
         others = open_recordings(asked.tf_from, stack, verify=options.verify, strict=options.strict)
         buffer, warnings = read_transforms([reader, *others], asked)
         report.warnings += warnings
-        tolerance_ns = round(params.transform_tolerance * 1e9)
-        frames = Frames(params.target_frame, asked.source_frame, buffer, tolerance_ns)
         if firsts is not None:
             firsts.buffer = buffer
-    if options.reverse:
-        from .scan_to_cloud import ScanToCloud  # noqa: PLC0415  # each direction loads its own arithmetic
+    conversions: dict[ScanSpec, Conversion] = {}
+    for spec in plan.specs:
+        frames = Frames(source_frame=asked.source_frame)
+        if spec.needs_transforms:
+            tolerance_ns = round(spec.params.transform_tolerance * 1e9)
+            frames = Frames(spec.params.target_frame, asked.source_frame, buffer, tolerance_ns)
+        if spec.reverse:
+            from .scan_to_cloud import ScanToCloud  # noqa: PLC0415  # each direction loads its own arithmetic
 
-        made = options.made_type
-        return ScanToCloud(options.channels, frames, deskewed=options.deskew, output_type=made), others
-    from .cloud_to_scan import CloudToScan  # noqa: PLC0415
+            conversions[spec] = ScanToCloud(spec.channels, frames, deskewed=spec.deskew, output_type=spec.made_type)
+        else:
+            timings = _measured(reader, plan, spec, frames, span, report) if spec.needs_measuring else None
+            conversions[spec] = _to_scans(spec, frames, timings, firsts)
+    return conversions, others
 
-    make = partial(CloudToScan, params, frames, filters=options.filters, output_type=options.made_type)
-    make = partial(make, first_clouds=firsts)
-    if options.deskew:
+
+def _to_scans(
+    spec: ScanSpec, frames: Frames, timings: Mapping[str, Measured] | None, firsts: FirstClouds | None
+) -> Conversion:
+    from .cloud_to_scan import CloudToScan  # noqa: PLC0415  # each direction loads its own arithmetic
+
+    deskew = None
+    if spec.deskew:
         from .stages.deskew import Deskew, PointTime  # noqa: PLC0415  # only where points move
 
-        where = PointTime.parse(options.point_time) if options.point_time else PointTime()
-        make = partial(make, deskew=Deskew(frames, options.fixed_frame, where, options.stamp))
-    needs_fields = params.intensity_field or options.deskew or any(each.fields for each in options.filters)
-    if "auto" not in (params.scan_time, params.time_increment, params.beams) and not needs_fields:
-        return make(), others
+        where = PointTime.parse(spec.point_time) if spec.point_time else PointTime()
+        deskew = Deskew(frames, spec.fixed_frame, where, spec.stamp)
+    judges = None if firsts is None else partial(firsts.of, spec)
+    return CloudToScan(spec.params, frames, timings, spec.filters, deskew, spec.made_type, judges)
+
+
+def _measured(
+    reader: Reader, plan: Plan, spec: ScanSpec, frames: Frames, span: Span, report: Report
+) -> Mapping[str, Measured]:
     from .measure import measure  # noqa: PLC0415  # only where something is left to be measured
 
-    converted = [route.connection for route in plan.routes if route.targets]
+    converted = [route.connection for route in plan.routes if any(task.spec is spec for task in route.tasks)]
+    label = f"{spec.name}: " if spec.name else ""
     try:
-        timings, notes = measure(reader, converted, options, frames, span.start_ns, span.stop_ns)
+        timings, notes = measure(reader, converted, spec, frames, span.start_ns, span.stop_ns)
     except ParameterError as err:
-        if origin := report.origins.get(err.name):
+        if origin := spec.origins.get(err.name):
             err.message += f" (from {origin})"
+        err.message = label + err.message
         raise
-    report.notes += notes
-    return make(timings=timings), others
+    report.notes += (label + note for note in notes)
+    return timings
 
 
 def _ros_version(connections: Iterable[Connection]) -> int | None:
@@ -516,12 +531,15 @@ def span_of(reader: Reader, options: ConvertOptions) -> Span:
     return Span(start, stop, beginning if start is None else max(start, beginning))
 
 
-def _refusals(routes: Iterable[OpenRoute], serialization: str, report: Report) -> list[str]:
+def _refusals(routes: Iterable[OpenRoute], serialization: str) -> list[str]:
     """Who would refuse the scans that were written, topics of one answer together."""
-    chosen = next((preset_of(origin) for origin in report.origins.values() if from_preset(origin)), "")
     topics: dict[str, dict[str, None]] = {}
     for output in (output for route in routes for output in route.outputs):
-        if output.sample and (text := refusal(output.sample, serialization, chosen)):
+        spec = output.report.spec
+        if spec is None or spec.made_type != LASERSCAN or not output.sample:
+            continue
+        chosen = next((preset_of(origin) for origin in spec.origins.values() if from_preset(origin)), "")
+        if text := refusal(output.sample, serialization, chosen):
             topics.setdefault(text, {})[output.report.target or ""] = None
     return [f"{', '.join(names)}: {text}" for text, names in topics.items()]
 

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from pc2scan.model import Buffer
     from pc2scan.tf.placing import Frames
 
+    from .conversion import Step
+
 __all__ = ["ScanToCloud"]
 
 
@@ -53,12 +55,15 @@ class ScanToCloud(Conversion):
         self._frames = frames
         self._deskewed = deskewed
 
-    def stages(self, topic: str, source: str, source_type: str = "") -> Callable[[Buffer], Result]:  # noqa: ARG002
-        """Return the stages of a topic's messages, which are the same for all; see `Conversion`."""
-        return partial(self._cloud, source)
+    def decoder(self, source: str, source_type: str) -> Callable[[Buffer], LaserScan]:  # noqa: ARG002
+        """Return what decodes scans, of which there is one type; see `Conversion`."""
+        return partial(decode_laserscan, serialization=source)
 
-    def _cloud(self, source: str, data: Buffer) -> Result:
-        scan = decode_laserscan(data, source)
+    def stages(self, topic: str) -> tuple[Step, ...]:  # noqa: ARG002
+        """Return the only stage, which is the same for all topics; see `Conversion`."""
+        return (self._cloud,)
+
+    def _cloud(self, scan: LaserScan) -> Result:
         try:
             points = unproject(
                 scan.ranges,

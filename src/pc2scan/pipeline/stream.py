@@ -15,7 +15,7 @@ from .report import Report, Skipped
 from .scheduler import Later, schedule
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Iterable, Iterator, Mapping
+    from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 
     from pc2scan.bags.reader import Reader
     from pc2scan.bags.units import Unit
@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 
     from .conversion import Converted
     from .options import ConvertOptions
-    from .routes import OpenRoute
+    from .report import TopicReport
+    from .routes import OpenRoute, Output
 
 __all__ = ["Progress", "Span", "stream"]
 
@@ -42,14 +43,24 @@ class _Outcome(NamedTuple):
     log_time_ns: int
     publish_time_ns: int
     sequence: int
-    converted: Converted | None
+    converted: Sequence[Converted | MessageError]
     passing: Buffer | None
     error: MessageError | None
 
     @property
     def size(self) -> int:
         """Bytes of what is written."""
-        return len(self.passing or b"") + (len(self.converted.data) if self.converted else 0)
+        size = len(self.passing or b"")
+        for made in self.converted:
+            if not isinstance(made, MessageError):
+                size += len(made.data)
+        return size
+
+    @property
+    def failure(self) -> MessageError | None:
+        """Why nothing was made of the message; None where something was."""
+        errors = [made for made in self.converted if isinstance(made, MessageError)]
+        return errors[0] if errors and len(errors) == len(self.converted) else self.error
 
 
 class Span(NamedTuple):
@@ -84,7 +95,7 @@ def stream(
             else:
                 _write(outcome, writer, report, options.on_error)
                 if unconnected.is_possible and outcome.route.convert is not None:
-                    unconnected.note(outcome.route.connection, outcome.error)
+                    unconnected.note(outcome.route.connection, outcome.failure)
             if progress is not None:
                 steps += _PROGRESS_EVERY if isinstance(outcome, StoredChunk) else 1
                 if steps >= _PROGRESS_EVERY:
@@ -105,7 +116,7 @@ def _outcomes(
 ) -> Generator[_Outcome | StoredChunk]:
     """What becomes of the messages of the cut, after the latched ones from before it."""
     work = partial(_outcome_or_later, routes)
-    window = options.params.queue_size or None
+    window = min((spec.params.queue_size for spec in options.specs if spec.params.queue_size), default=None)
     for units in _cut(reader, routes, span, rule):
         yield from schedule(units, work, pool, window=window, path=reader.path)
 
@@ -132,7 +143,8 @@ def _outcome_or_later(routes: Mapping[int, OpenRoute], message: RawMessage) -> _
 
 def _outcome(route: OpenRoute, message: RawMessage) -> _Outcome:
     """All the work on one message."""
-    converted = passing = error = None
+    converted: Sequence[Converted | MessageError] = ()
+    passing = error = None
     try:
         if route.passing_handle >= 0:
             passing = own(message.data) if route.encode is None else route.encode(message.data)
@@ -162,28 +174,50 @@ def _write(outcome: _Outcome, writer: Writer, report: Report, on_error: str) -> 
             entry.skip(1)
         return
     route.messages += 1
+    errors: list[MessageError] = []
     try:
         if passing is not None:
             writer.write(route.passing_handle, log_time_ns, passing, publish_time_ns, sequence)
-        if converted is not None:
-            for output in route.outputs:
-                writer.write(output.handle, log_time_ns, converted.data, publish_time_ns, sequence)
-                output.sample = output.sample or converted.data
-                output.report.points += converted.counts
-                output.report.empty_scans += converted.empty
-                if converted.motion is not None:
-                    output.report.motions.append(converted.motion)
-            if converted.sample is not None:
-                converted.sample.clouds.add(converted.sample, converted.counts)
     except UnwritableError as err:
         error = err
     if error is not None:
-        error.topic = route.connection.topic
+        errors.append(error)
+    if route.report is not None:
+        _count(route.report, error)
+    for output in route.outputs:
+        failed = error
+        if failed is None:
+            made = converted[output.place]
+            failed = made if isinstance(made, MessageError) else _write_one(made, output, outcome, writer)
+        _count(output.report, failed)
+        if failed is not None and all(failed.message != other.message for other in errors):
+            errors.append(failed)
+    for made in converted:
+        if not isinstance(made, MessageError) and made.sample is not None:
+            made.sample.clouds.add(made.sample, made.counts)
+    topic = route.connection.topic
+    for each in errors:
+        each.topic = topic
         if on_error == "fail":
-            raise error
-        topic = route.connection.topic
-        report.list_skipped(Skipped(topic, log_time_ns, error.stamp_ns, error.message, error.hint or ""))
-    for entry in route.reports:
-        entry.messages_in += 1
-        entry.messages_out += error is None
-        entry.skipped += error is not None
+            raise each
+        report.list_skipped(Skipped(topic, log_time_ns, each.stamp_ns, each.message, each.hint or ""))
+
+
+def _write_one(made: Converted, output: Output, outcome: _Outcome, writer: Writer) -> MessageError | None:
+    """Write what a message became to one topic, and account for it; return why that cannot be."""
+    try:
+        writer.write(output.handle, outcome.log_time_ns, made.data, outcome.publish_time_ns, outcome.sequence)
+    except UnwritableError as err:
+        return err
+    output.sample = output.sample or made.data
+    output.report.points += made.counts
+    output.report.empty_scans += made.empty
+    if made.motion is not None:
+        output.report.motions.append(made.motion)
+    return None
+
+
+def _count(entry: TopicReport, error: MessageError | None) -> None:
+    entry.messages_in += 1
+    entry.messages_out += error is None
+    entry.skipped += error is not None

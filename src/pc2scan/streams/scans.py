@@ -215,20 +215,21 @@ class Scans(Stream[Scan]):
         """Convert clouds as `pc2scan.convert` does."""
         if not options.topics:
             # The only one, or an error.
-            self._selection.chosen(reader, options.source_types, _scans_instead)
-        plan = make_plan(reader.connections, options)
+            self._selection.chosen(reader, options.specs[0].source_types, _scans_instead)
+        plan = make_plan(reader.connections, replace(options, origins=self._origins))
         span = span_of(reader, options)
         sources = [str(path) for path in self._selection.paths]
-        report = Report(sources, "", options.params, dict(self._origins), options.filters)
-        conversion, others = prepared(reader, plan, options, span, stack, report)
+        report = Report(sources, "", plan.specs)
+        conversions, others = prepared(reader, plan, options, span, stack, report)
         self.notes = tuple(report.notes)
         routes = {}
         for route in plan.routes:
             connection = route.connection
-            if route.targets:
+            # Without named outputs, there is one task.
+            for task in route.tasks:
                 serial = connection.serialization
-                convert = conversion.for_topic(connection.topic, serial, serial, connection.ros_type)
-                routes[connection.id] = (convert, route.targets)
+                convert = conversions[task.spec].for_topic(connection.topic, serial, serial, connection.ros_type)
+                routes[connection.id] = (convert, task.targets)
 
         def read(message: RawMessage) -> Read:
             return _converted(*routes[message.connection.id], message)
@@ -377,9 +378,10 @@ class _Conversion:
             route.connection.id: [
                 entries.setdefault(
                     (route.connection.topic, target),
-                    TopicReport(route.connection.topic, route.connection.ros_type, target, "converted"),
+                    TopicReport(route.connection.topic, route.connection.ros_type, target, "converted", spec=task.spec),
                 )
-                for target in route.targets
+                for task in route.tasks
+                for target in task.targets
             ]
             for route in routes
         }

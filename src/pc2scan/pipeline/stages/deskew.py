@@ -157,7 +157,7 @@ class Moving(NamedTuple):
 
 
 class Deskew:
-    """Finds out where the points of clouds are at their own times.
+    """Finds out where the points of clouds are at their own times. Two that do it alike are equal.
 
     Parameters
     ----------
@@ -178,6 +178,14 @@ class Deskew:
         self._fixed = fixed_frame
         self._point_time = point_time
         self._stamp = stamp
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Deskew):
+            return NotImplemented
+        return all(getattr(self, name) == getattr(other, name) for name in self.__slots__)
+
+    def __hash__(self) -> int:
+        return hash((self._fixed, self._point_time, self._stamp))
 
     def __call__(self, points: Points) -> Moving | None:
         """Look up the motion of a cloud's sensor; None for a cloud without a point.

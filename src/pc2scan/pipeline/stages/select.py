@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
     from .deskew import Moving
     from .filters import Filter
+    from .place import Placed
 
 __all__ = ["Select", "Selected"]
 
@@ -45,7 +46,7 @@ class _Seen:
 
 
 class Select:
-    """Applies filters one after the other: each sees what those before it have kept.
+    """Applies filters one after the other: each sees what those before it have kept. Equal filters make equal ones.
 
     Parameters
     ----------
@@ -58,10 +59,23 @@ class Select:
     __slots__ = ("_filters", "_frames")
 
     def __init__(self, filters: Sequence[Filter], frames: Frames) -> None:
-        self._filters = filters
+        self._filters = tuple(filters)
         self._frames = frames
 
-    def __call__(self, points: Points, place: Placement, moving: Moving | None = None) -> Selected:
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Select):
+            return NotImplemented
+        return self._filters == other._filters and self._frames == other._frames
+
+    def __hash__(self) -> int:
+        return hash(tuple(chosen.name for chosen in self._filters))
+
+    def __call__(self, placed: Placed) -> Placed:
+        """Select points of a cloud on its way to a scan; see `apply`."""
+        points, transform, rejected = self.apply(placed.points, placed.place, placed.moving)
+        return placed._replace(points=points, target_from_source=transform, rejected=rejected)
+
+    def apply(self, points: Points, place: Placement, moving: Moving | None = None) -> Selected:
         """Select points of a cloud.
 
         Parameters

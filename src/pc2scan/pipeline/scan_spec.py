@@ -1,0 +1,183 @@
+"""One output of a conversion: which topics become it, and how."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from pc2scan.core.counts import PointCounts
+from pc2scan.core.params import ProjectionParams
+from pc2scan.errors import UsageError
+from pc2scan.messages.clouds import CLOUDS
+from pc2scan.messages.laserscan import LASERSCAN
+from pc2scan.messages.outputs import OF_CLOUDS, OF_SCANS
+
+from .stages.filters import rejection_of
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from pc2scan.core.rule import Rejection
+    from pc2scan.core.unproject import UnprojectParams
+    from pc2scan.messages.outputs import OutputType
+
+    from .stages.filters import Filter
+
+__all__ = ["ScanSpec", "TopicRequest"]
+
+
+@dataclass(frozen=True, slots=True)
+class TopicRequest:
+    """A topic to convert, and where to."""
+
+    source: str
+    target: str | None = None
+
+    @classmethod
+    def parse(cls, text: str) -> TopicRequest:
+        """Read ``/points`` or, in ROS's remapping notation, ``/points:=/scan``.
+
+        Raises
+        ------
+        UsageError
+            If a side of ``:=`` is empty.
+        """
+        source, remapped, target = text.partition(":=")
+        if not source or (remapped and not target):
+            raise UsageError(f"{text!r} is not a topic", hint="write /points or /points:=/scan")
+        return cls(source, target or None)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ScanSpec:
+    """What one output is made of, and how, checked. Two of them are never equal.
+
+    Attributes
+    ----------
+    topics
+        What to convert and where to; empty means every topic of `source_types`. Messages that go to several topics are
+        converted once.
+    name
+        What errors and the report call it; empty where there is only one.
+    origins
+        Where each parameter's value came from, by name; ``default`` if from nowhere.
+    params
+        The projection's parameters.
+    reverse
+        Whether LaserScan becomes PointCloud2; of ``params`` then only the frame's count.
+    channels
+        Fields of the clouds that ``reverse`` makes, and the range cutoff; None means the defaults.
+    deskew
+        Transform each point of a cloud, with ``reverse`` each beam of a scan, by the pose at its own time.
+    fixed_frame
+        With ``deskew`` of clouds: a frame that does not move, through which points are placed.
+    point_time
+        With ``deskew`` of clouds: where the times of points are, as ``FIELD`` or ``FIELD:UNIT``. Empty: in the first
+        field that is usual.
+    stamp
+        With ``deskew`` of clouds: the scan's time: that of the cloud's ``header``, or the ``start``, ``middle`` or
+        ``end`` of its points' times.
+    filters
+        What selects points of clouds before they are projected, in order.
+    output_type
+        What messages become: a type in the tables of `pc2scan.messages.outputs`. Empty: the first one there,
+        LaserScan (PointCloud2 with ``reverse``).
+    """
+
+    topics: tuple[TopicRequest, ...] = ()
+    name: str = ""
+    origins: Mapping[str, str] = field(default_factory=dict)
+    params: ProjectionParams = ProjectionParams()
+    reverse: bool = False
+    channels: UnprojectParams | None = None
+    deskew: bool = False
+    fixed_frame: str = ""
+    point_time: str = ""
+    stamp: str = "header"
+    filters: tuple[Filter, ...] = ()
+    output_type: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.reverse and self.channels is not None:
+            raise UsageError("`channels` and `range_cutoff` go with `reverse`")
+        self._check_stages()
+        self._check_deskewing()
+
+    def _check_stages(self) -> None:
+        if self.reverse and self.filters:
+            raise UsageError("filters select points of clouds; `reverse` converts scans")
+        taken = PointCounts().as_dict()
+        for name in (each.name for each in self.filters):
+            if name in taken or not name.isidentifier():
+                raise UsageError(f"a filter is named {name!r}, which cannot be the name of its count")
+        outputs = self._outputs
+        if self.output_type and self.output_type not in outputs:
+            raise UsageError(f"output_type is {self.output_type!r}, it must be one of {', '.join(outputs)}")
+
+    def _check_deskewing(self) -> None:
+        if self.deskew and self.reverse and not self.params.target_frame:
+            raise UsageError(
+                "`deskew` needs a `target_frame` that does not move with the sensor",
+                hint="such as `target_frame=odom`",
+            )
+        if (self.reverse or not self.deskew) and (self.fixed_frame or self.point_time or self.stamp != "header"):
+            raise UsageError("`fixed_frame`, `point_time` and `stamp` go with `deskew` of clouds")
+        if self.reverse or not self.deskew:
+            return
+        from .stages.deskew import STAMPS, PointTime  # noqa: PLC0415  # only where points move
+
+        if not self.fixed_frame:
+            raise UsageError(
+                "`deskew` of clouds needs a frame that does not move: `fixed_frame`", hint="such as `fixed_frame=odom`"
+            )
+        if self.stamp not in STAMPS:
+            raise UsageError(f"`stamp` is {self.stamp!r}, it must be one of {', '.join(STAMPS)}")
+        if self.point_time:
+            PointTime.parse(self.point_time)
+        if self.params.time_increment != 0:
+            raise UsageError(
+                f"time_increment is {self.params.time_increment}, but a deskewed scan is of one time",
+                hint="leave `time_increment` out",
+            )
+
+    @property
+    def rejections(self) -> tuple[Rejection, ...]:
+        """Why points may be rejected, other than by the projection itself."""
+        further = tuple(map(rejection_of, self.filters))
+        if not self.deskew or self.reverse:
+            return further
+        from .stages.deskew import NO_TIME, NO_TRANSFORM  # noqa: PLC0415  # only where points move
+
+        return (*further, NO_TIME, NO_TRANSFORM)
+
+    @property
+    def needs_transforms(self) -> bool:
+        """Whether messages, or what filters see of them, are transformed."""
+        in_others = any(isinstance(each.frame, str) for each in self.filters)
+        return bool(self.params.target_frame or self.fixed_frame or in_others)
+
+    @property
+    def needs_measuring(self) -> bool:
+        """Whether something has to be found out in the first clouds."""
+        params = self.params
+        needs_fields = params.intensity_field or self.deskew or any(each.fields for each in self.filters)
+        return bool(needs_fields) or "auto" in (params.scan_time, params.time_increment, params.beams)
+
+    @property
+    def source_types(self) -> tuple[str, ...]:
+        """The types that are converted, in ROS 2's spelling."""
+        return (LASERSCAN,) if self.reverse else tuple(CLOUDS)
+
+    @property
+    def _outputs(self) -> Mapping[str, OutputType[Any]]:
+        return OF_SCANS if self.reverse else OF_CLOUDS
+
+    @property
+    def made_type(self) -> str:
+        """The type that messages become."""
+        return self.output_type or next(iter(self._outputs))
+
+    @property
+    def output(self) -> OutputType[Any]:
+        """The table's entry for the type that messages become."""
+        return self._outputs[self.made_type]

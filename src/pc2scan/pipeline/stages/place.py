@@ -1,0 +1,89 @@
+"""Placing: which frame a cloud goes to, at which time, and where its points are if they are deskewed."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from pc2scan.core.points import Points
+    from pc2scan.core.rigid import Rigid
+    from pc2scan.tf.placing import Frames, Placement
+
+    from .deskew import Deskew, Moving
+
+__all__ = ["Place", "Placed"]
+
+_NOTHING: Mapping[str, int] = {}
+
+
+class Placed(NamedTuple):
+    """A cloud on its way to a scan.
+
+    Attributes
+    ----------
+    points
+        Those that were not rejected.
+    stamp_ns
+        The scan's.
+    place
+        Where the cloud goes.
+    moving
+        Its motion; None if it is not deskewed.
+    target_from_source
+        The transform that is still to be applied to ``points``.
+    rejected
+        How many points were rejected so far, by reason.
+    whole
+        All points, as they were decoded.
+    """
+
+    points: Points
+    stamp_ns: int
+    place: Placement
+    moving: Moving | None
+    target_from_source: Rigid | None
+    rejected: Mapping[str, int]
+    whole: Points
+
+
+class Place:
+    """Finds out where clouds go. Two that do it alike are equal.
+
+    Parameters
+    ----------
+    frames
+        The recording's transforms.
+    deskew
+        What places points at their own times; None: all points of a cloud are placed at its stamp.
+    """
+
+    __slots__ = ("deskew", "frames")
+
+    def __init__(self, frames: Frames, deskew: Deskew | None = None) -> None:
+        self.frames = frames
+        self.deskew = deskew
+
+    def __call__(self, points: Points) -> Placed:
+        """Place a cloud.
+
+        Raises
+        ------
+        DecodeError
+            If it is deskewed, and its points have no times.
+        TransformError
+            If there is no transform.
+        """
+        moving = None if self.deskew is None else self.deskew(points)
+        seen, stamp_ns = (points, points.stamp_ns) if moving is None else (moving.points, moving.stamp_ns)
+        place = self.frames.place(points.frame_id, stamp_ns)
+        return Placed(seen, stamp_ns, place, moving, place.target_from_source, _NOTHING, points)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Place):
+            return NotImplemented
+        return self.frames == other.frames and self.deskew == other.deskew
+
+    def __hash__(self) -> int:
+        return hash((self.frames.target_frame, self.frames.source_frame))
