@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from contextlib import closing
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -21,6 +20,9 @@ from pc2scan.pipeline.scan_spec import ScanSpec, TopicRequest
 from pc2scan.pipeline.stages.where import Where
 from pc2scan.tf.options import FrameOptions
 from support import ROOT
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 HALL = ROOT / "fixtures" / "hall.mcap"
 MOUNT = FrameOptions()
@@ -136,7 +138,9 @@ def test_warnings_and_counts_are_those_of_each_output(tmp_path: Path) -> None:
     assert (full.empty_scans, empty.empty_scans) == (0, empty.messages_out)
     assert empty.points.height > full.points.height
     (warning,) = [text for text in report.warnings if "have no return" in text]
-    assert warning.startswith(f"{empty.messages_out} of {empty.messages_out} scans on /none have no return at all: 97% ")
+    assert warning.startswith(
+        f"{empty.messages_out} of {empty.messages_out} scans on /none have no return at all: 97% "
+    )
     assert report.exit_status == 0
 
 

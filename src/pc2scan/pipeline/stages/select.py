@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -73,7 +74,7 @@ class Select:
     def __call__(self, placed: Placed) -> Placed:
         """Select points of a cloud on its way to a scan; see `apply`."""
         points, transform, rejected = self.apply(placed.points, placed.place, placed.moving)
-        return placed._replace(points=points, target_from_source=transform, rejected=rejected)
+        return replace(placed, points=points, target_from_source=transform, rejected=rejected)
 
     def apply(self, points: Points, place: Placement, moving: Moving | None = None) -> Selected:
         """Select points of a cloud.
