@@ -4,25 +4,25 @@ import pytest
 
 from pc2scan.errors import TransformError
 from pc2scan.tf.options import FrameOptions
-from pc2scan.tf.placing import Frames
+from pc2scan.tf.placing import Frames, Placement
 from tf.recorded import Recording, frames, row
 
 
 def test_no_target_frame_leaves_everything_in_its_place() -> None:
-    assert Frames().place("lidar", 5) == ("lidar", None)
+    assert Frames().place("lidar", 5) == Placement("lidar", None)
 
 
 @pytest.mark.parametrize("own", ["base", "/base"])
 def test_a_message_that_is_in_the_target_frame_stays(own: str) -> None:
     known, _ = frames([])
-    assert known.place(own, 5) == ("base", None)
+    assert known.place(own, 5) == Placement("base", None)
 
 
 def test_the_source_frame_is_overridden() -> None:
     recording = Recording(("/tf_static", [row("base", "lidar", 0, 0.5)]))
     known, _ = frames([recording], FrameOptions(source_frame="lidar"))
     assert known.place("", 5).target_from_source is not None
-    assert Frames(source_frame="lidar").place("wrong", 5) == ("lidar", None)
+    assert Frames(source_frame="lidar").place("wrong", 5) == Placement("lidar", None)
 
 
 def test_the_tolerance_takes_the_nearest_transform() -> None:

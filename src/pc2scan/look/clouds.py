@@ -104,7 +104,7 @@ def _shown(params: ProjectionParams) -> dict[str, float | bool | str]:
 
 
 def _described(shot: Shot, buffer: TransformBuffer | None) -> dict[str, Any]:
-    frame_id, rigid = shot.place
+    frame_id, rigid, _ = shot.place
     return {
         "moment": shot.moment,
         "frame": shot.frame,

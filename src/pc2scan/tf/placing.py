@@ -9,15 +9,46 @@ if TYPE_CHECKING:
     from pc2scan.core.rigid import Rigid
 
     from .buffer import TransformBuffer
+    from .levelling import UpSource
 
-__all__ = ["Frames", "Placement"]
+__all__ = ["STABILIZED", "Frames", "Level", "Placement"]
+
+#: What a level frame is called: the name of the frame that it is level with, and this.
+STABILIZED = "_stabilized"
+
+
+class Level(NamedTuple):
+    """A frame without roll and pitch, of the origin and the yaw of another one.
+
+    Attributes
+    ----------
+    frame
+        The other frame.
+    frame_from_level
+        A rotation.
+    tilt
+        Between the z axes of both, radians.
+    """
+
+    frame: str
+    frame_from_level: Rigid
+    tilt: float
+
+    @property
+    def name(self) -> str:
+        """The name of the level frame."""
+        return self.frame + STABILIZED
 
 
 class Placement(NamedTuple):
-    """The output's ``frame_id``, and the transform to that frame (None if the message stays in its own)."""
+    """The output's ``frame_id``, and the transform to that frame (None if the message stays in its own).
+
+    ``level`` is the output's frame, if it is made level.
+    """
 
     frame_id: str
     target_from_source: Rigid | None
+    level: Level | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,12 +65,15 @@ class Frames:
         None where nothing is transformed.
     tolerance_ns
         How far a stamp may be outside the known transforms.
+    up
+        Which way is up: messages are converted in a level frame. None: in the target frame itself.
     """
 
     target_frame: str = ""
     source_frame: str = ""
     buffer: TransformBuffer | None = None
     tolerance_ns: int = 0
+    up: UpSource | None = None
 
     def place(self, frame_id: str, stamp_ns: int) -> Placement:
         """Return the frame and the transform for a message of this frame and stamp.
@@ -47,12 +81,33 @@ class Frames:
         Raises
         ------
         TransformError
-            If there is no transform to the target frame at the stamp.
+            If there is no transform to the target frame at the stamp, or it is not known which way is up.
         """
         target = self.target_frame
-        if not target:
-            return Placement(self.source_frame or frame_id, None)
-        return Placement(target, self.transform(target, frame_id, stamp_ns))
+        transform = self.transform(target, frame_id, stamp_ns) if target else None
+        target = target or self.source_frame or frame_id
+        level = self.level(target, stamp_ns)
+        if level is None:
+            return Placement(target, transform)
+        level_from_target = level.frame_from_level.inverse()
+        return Placement(
+            level.name, level_from_target if transform is None else level_from_target.compose(transform), level
+        )
+
+    def level(self, frame: str, stamp_ns: int) -> Level | None:
+        """Return the level frame of a frame at a stamp; None if messages are not converted in one.
+
+        Raises
+        ------
+        TransformError
+            If it is not known which way is up.
+        """
+        if self.up is None:
+            return None
+        from pc2scan.core.upright import tilt, upright  # noqa: PLC0415  # only where scans are level
+
+        up = self.up(frame, stamp_ns)
+        return Level(frame, upright(up), tilt(up))
 
     def transform(self, target: str, frame_id: str, stamp_ns: int) -> Rigid | None:
         """The transform that takes a message of this frame and stamp to another frame; None where it is the same.

@@ -132,5 +132,5 @@ class Select:
         if isinstance(frame, str):
             name, transform = frame, self._frames.transform(frame, points.frame_id, points.stamp_ns)
         else:
-            name, transform = place
+            name, transform, _ = place
         seen.by_frame[frame] = points if transform is None else points.transform(packed(transform.as_float32()), name)

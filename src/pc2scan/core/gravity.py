@@ -1,0 +1,206 @@
+"""Which way is up, by the gyroscope and the accelerometer of an IMU.
+
+A complementary filter: the gyroscope tells how the IMU turns, and drifts; the accelerometer shows up, wherever the IMU
+is not accelerated. The filter turns the direction of up by the gyroscope, and pulls it slowly towards the
+accelerometer.
+
+Sources of the rules:
+
+- R. Mahony, T. Hamel, J.-M. Pflimlin: Nonlinear complementary filters on the special orthogonal group. IEEE
+  Transactions on Automatic Control 53 (2008), 1203-1218: the explicit complementary filter with bias correction. With
+  gravity as its only direction it needs no rotation: with the estimated direction ``u``, the measured one ``v``, the
+  gyroscope's ``w`` and its bias ``b``, the error is ``e = v x u``; ``u' = u x (w - b + k_p e)`` and ``b' = -k_i e``.
+- R. G. Valenti, I. Dryanovski, J. Xiao: Keeping a good attitude. Sensors 15 (2015), 19302-19330 (the filter of
+  imu_tools): the gain falls where the length of the acceleration is not that of gravity.
+
+The recording is known as a whole, so the filter runs forward, backward and forward again, each time from where it was,
+and the last two results are averaged: what one of them lags behind, the other runs ahead. The bias that the first run
+begins with is the one by which the first seconds fit best to a direction of up that does not move.
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from .rigid import rotation_matrices
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+__all__ = ["LONGEST_GAP_NS", "up_by_gravity"]
+
+#: Nanoseconds between two samples from which nobody knows how the IMU turned in between.
+LONGEST_GAP_NS = 250_000_000
+
+#: The gains: the accelerometer counts by a time constant of 20 s, and the bias is critically damped.
+_PROPORTIONAL = 0.05
+_INTEGRAL = _PROPORTIONAL**2 / 4
+
+#: Deviations of the length of the acceleration, as a share of gravity: the gain is full up to the first, and 0 from
+#: the second on.
+_FULL, _NONE = 0.1, 0.2
+
+#: Seconds that the first bias is found by, and what is expected of it, radians a second; how far the acceleration is
+#: from gravity, as a share of it, in the mean of a second.
+_FIRST = 30.0
+_USUAL_BIAS = 0.03
+_USUAL_DEVIATION = 0.05
+
+#: The columns of samples in time that runs backward.
+_BACKWARD = (-1, -1, -1, -1, 1, 1, 1)
+
+#: Samples that are lists at a time: as Python's numbers they take four times as much memory.
+_BLOCK = 10_000
+
+
+class _State(NamedTuple):
+    """Where the filter is: up in the IMU's frame, and the bias of the gyroscope, radians a second."""
+
+    up: tuple[float, ...]
+    bias: tuple[float, ...]
+
+    def reversed(self) -> _State:
+        """The same for time that runs backward: everything turns the other way, the bias too."""
+        return self._replace(bias=tuple(-each for each in self.bias))
+
+
+def up_by_gravity(
+    stamps_ns: NDArray[np.int64], turning: NDArray[np.float64], acceleration: NDArray[np.float64], gravity: float
+) -> NDArray[np.float64]:
+    """Return the direction of up at every sample.
+
+    Parameters
+    ----------
+    stamps_ns
+        (N,) increasing, N > 0. After a gap of more than `LONGEST_GAP_NS` the filter begins again.
+    turning
+        (N, 3) angular velocity, radians a second.
+    acceleration
+        (N, 3) what the accelerometer shows: up, with the length ``gravity``, at rest. Any unit.
+    gravity
+        The length of the acceleration at rest.
+
+    Returns
+    -------
+    (N, 3) float64
+        Directions of unit length in the IMU's frame.
+    """
+    seconds = (stamps_ns - stamps_ns[:1]) / 1e9
+    samples = np.column_stack([seconds, turning, acceleration / gravity])
+    later: NDArray[np.float64] = np.empty((len(samples), 3))
+    earlier = np.empty_like(later)
+    bias: tuple[float, ...] = (0.0, 0.0, 0.0)
+    gaps = np.flatnonzero(np.diff(stamps_ns) > LONGEST_GAP_NS) + 1
+    for begin, end in pairwise([0, *gaps.tolist(), len(samples)]):
+        part = samples[begin:end]
+        state = _filtered(part, None, _first_bias(part, bias), later[begin:end])
+        state = _filtered(part[::-1] * _BACKWARD, state.up, state.reversed().bias, earlier[begin:end][::-1])
+        bias = _filtered(part, state.up, state.reversed().bias, later[begin:end]).bias
+    both = later + earlier
+    lengths = np.sqrt(np.einsum("ni,ni->n", both, both))[:, np.newaxis]
+    # Two opposite directions have no mean.
+    return np.where(lengths > 1e-9, both / np.maximum(lengths, 1e-9), later)
+
+
+def _first_bias(samples: NDArray[np.float64], expected: tuple[float, ...]) -> tuple[float, ...]:
+    """The bias of the gyroscope by which the first seconds fit best to gravity; see `_filtered` for the rows.
+
+    With ``R`` from the IMU to where it was at first, by the gyroscope alone, ``R a`` is gravity, as far as the rotation
+    is right: a bias turns it by ``S b``, where ``S`` is the integral of ``R``. Least squares, with the expected bias as
+    one more observation, as that about the vertical axis has no effect.
+    """
+    samples = samples[: int(samples[:, 0].searchsorted(samples[0, 0] + _FIRST, "right"))]
+    steps = np.diff(samples[:, 0], prepend=samples[0, 0])
+    lengths = np.sqrt(np.square(samples[:, 4:]).sum(axis=1))
+    weights = np.sqrt(steps * (np.abs(lengths - 1) < _NONE)) / _USUAL_DEVIATION
+    bias = np.array(expected)
+    for _ in range(3):
+        rotations = _turned(samples[:, 1:4] - bias, steps)
+        shown = np.einsum("nij,nj->ni", rotations, samples[:, 4:])
+        gravity = (weights[:, np.newaxis] ** 2 * shown).sum(axis=0)
+        if not gravity.any():
+            break
+        gravity /= np.linalg.norm(gravity)
+        integrals = (rotations * steps[:, np.newaxis, np.newaxis]).cumsum(axis=0)
+        # A bias b turns what is shown by S b: by S b x gravity.
+        columns = np.cross(integrals, gravity, axisa=1, axisb=0, axisc=1)
+        unknown = np.concatenate([np.broadcast_to(np.eye(3), columns.shape), columns], axis=2)
+        weighted = weights[:, np.newaxis, np.newaxis] * unknown
+        prior = np.hstack([np.zeros((3, 3)), np.eye(3) / _USUAL_BIAS])
+        left = np.concatenate([weighted.reshape(-1, 6), prior])
+        right = np.concatenate([(weights[:, np.newaxis] * shown).ravel(), (np.array(expected) - bias) / _USUAL_BIAS])
+        bias = bias + np.linalg.lstsq(left, right, rcond=None)[0][3:]
+    return tuple(bias.tolist())
+
+
+def _turned(turning: NDArray[np.float64], steps: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rotations (N, 3, 3) from each sample to the first one, by angular velocities."""
+    half = (turning + np.vstack([turning[:1], turning[:-1]])) / 4 * steps[:, np.newaxis]
+    x, y, z, w = 0.0, 0.0, 0.0, 1.0
+    quaternions = np.empty((len(half), 4))
+    for place, (i, j, k) in enumerate(half.tolist()):
+        x, y, z, w = (
+            x + w * i + y * k - z * j,
+            y + w * j + z * i - x * k,
+            z + w * k + x * j - y * i,
+            w - x * i - y * j - z * k,
+        )
+        length = math.sqrt(x * x + y * y + z * z + w * w)
+        x, y, z, w = x / length, y / length, z / length, w / length
+        quaternions[place] = x, y, z, w
+    return np.moveaxis(rotation_matrices(quaternions.T), -1, 0)
+
+
+def _rows(samples: NDArray[np.float64]) -> Iterator[list[float]]:
+    for begin in range(0, len(samples), _BLOCK):
+        yield from samples[begin : begin + _BLOCK].tolist()
+
+
+def _filtered(
+    samples: NDArray[np.float64], up: tuple[float, ...] | None, bias: tuple[float, ...], out: NDArray[np.float64]
+) -> _State:
+    """Filter rows of a time, an angular velocity and an acceleration in units of gravity.
+
+    With ``up`` None the gain begins high and falls with time, so that up is at first the mean of what the accelerometer
+    has shown.
+    """
+    bx, by, bz = bias
+    last, lx, ly, lz, ax, ay, az = samples[0].tolist()
+    ux, uy, uz = up or (ax, ay, az)
+    began = -math.inf if up else last
+    made: list[tuple[float, float, float]] = []
+    place = 0
+    for now, wx, wy, wz, ax, ay, az in _rows(samples):
+        step = now - last
+        length = math.sqrt(ax * ax + ay * ay + az * az)
+        deviation = abs(length - 1.0)
+        trust = 0.0 if deviation >= _NONE else min(1.0, (_NONE - deviation) / (_NONE - _FULL))
+        ex = ey = ez = 0.0
+        if trust > 0:
+            # The measured direction times the estimated one.
+            vx, vy, vz = ax / length, ay / length, az / length
+            ex, ey, ez = vy * uz - vz * uy, vz * ux - vx * uz, vx * uy - vy * ux
+        gain = trust * max(_PROPORTIONAL, 1.0 / (now - began + step + 1e-9))
+        slow = step * trust * _INTEGRAL
+        bx, by, bz = bx - slow * ex, by - slow * ey, bz - slow * ez
+        # Between two samples the IMU turned at their mean rate.
+        tx = ((wx + lx) / 2 - bx + gain * ex) * step
+        ty = ((wy + ly) / 2 - by + gain * ey) * step
+        tz = ((wz + lz) / 2 - bz + gain * ez) * step
+        ux, uy, uz = ux + uy * tz - uz * ty, uy + uz * tx - ux * tz, uz + ux * ty - uy * tx
+        length = math.sqrt(ux * ux + uy * uy + uz * uz) or 1.0
+        ux, uy, uz = ux / length, uy / length, uz / length
+        last, lx, ly, lz = now, wx, wy, wz
+        made.append((ux, uy, uz))
+        if len(made) == _BLOCK:
+            out[place : place + _BLOCK] = made
+            place += _BLOCK
+            made.clear()
+    out[place:] = np.array(made).reshape(-1, 3)
+    return _State((ux, uy, uz), (bx, by, bz))

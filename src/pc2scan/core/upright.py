@@ -1,0 +1,83 @@
+"""A frame without roll and pitch: where up is in it, and the rotation to the same frame, levelled."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+
+from .rigid import Rigid
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+__all__ = ["UP", "Up", "tilt", "up_in", "upright"]
+
+#: A direction of unit length: x, y, z.
+Up: TypeAlias = tuple[float, float, float]
+
+UP: Up = (0.0, 0.0, 1.0)
+
+#: The sine of the angle to the vertical below which an axis has no heading.
+_VERTICAL = 1e-6
+
+
+def up_in(world_from_frame: Sequence[float]) -> Up:
+    """Return the direction of the world's z axis in a frame, by a quaternion x, y, z, w."""
+    x, y, z, w = world_from_frame
+    return _unit((2 * (x * z - w * y), 2 * (y * z + w * x), w * w + z * z - x * x - y * y))
+
+
+def tilt(up: Up) -> float:
+    """Return the angle between a frame's z axis and up, radians: 0 of a level frame, pi of one that is upside down."""
+    return math.atan2(math.hypot(up[0], up[1]), up[2])
+
+
+def upright(up: Up) -> Rigid:
+    """Return the rotation ``frame_from_level``, where the level frame has the yaw of the frame, and no roll and pitch.
+
+    Parameters
+    ----------
+    up
+        The direction of up in the frame.
+
+    Notes
+    -----
+    With ``world_from_frame = Rz(yaw) Ry(pitch) Rx(roll)``, as `Rigid.rpy` has them, this is ``Rx(-roll) Ry(-pitch)``,
+    whatever the yaw. So the level x axis is the frame's own, projected onto the horizontal plane. At a pitch of
+    +-pi/2, where that has no direction, roll is 0, as for `Rigid.rpy`: the level y axis is the frame's own.
+    """
+    z = np.array(_unit(up))
+    x = np.array([1.0, 0.0, 0.0]) - z[0] * z
+    length = float(np.linalg.norm(x))
+    if length < _VERTICAL:
+        y = np.array([0.0, 1.0, 0.0]) - z[1] * z
+        y /= np.linalg.norm(y)
+        x = np.cross(y, z)
+    else:
+        x /= length
+        y = np.cross(z, x)
+    return Rigid(np.array(_quaternion(np.column_stack([x, y, z]).tolist())), np.zeros(3))
+
+
+def _unit(direction: Sequence[float]) -> Up:
+    length = math.hypot(*direction)
+    x, y, z = (part / length for part in direction)
+    return (x, y, z)
+
+
+def _quaternion(m: Sequence[Sequence[float]]) -> tuple[float, float, float, float]:
+    """The quaternion of a rotation matrix, by its largest component, which is positive."""
+    (m00, m01, m02), (m10, m11, m12), (m20, m21, m22) = m
+    four_squares = (1 + m00 - m11 - m22, 1 - m00 + m11 - m22, 1 - m00 - m11 + m22, 1 + m00 + m11 + m22)
+    largest = max(range(4), key=four_squares.__getitem__)
+    products = (
+        (four_squares[0], m10 + m01, m20 + m02, m21 - m12),
+        (m10 + m01, four_squares[1], m21 + m12, m02 - m20),
+        (m20 + m02, m21 + m12, four_squares[2], m10 - m01),
+        (m21 - m12, m02 - m20, m10 - m01, four_squares[3]),
+    )[largest]
+    scale = 1 / (2 * math.sqrt(four_squares[largest]))
+    x, y, z, w = (product * scale for product in products)
+    return (x, y, z, w)

@@ -1,0 +1,241 @@
+"""Reads the messages of an IMU, and finds out which way is up by them."""
+
+from __future__ import annotations
+
+from array import array
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pc2scan.bags.topics import find_topic
+from pc2scan.core.gravity import up_by_gravity
+from pc2scan.core.upright import up_in
+from pc2scan.errors import DecodeError, TopicError, UsageError, name_list
+from pc2scan.messages.imu import IMU, decode_imu
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from pc2scan.bags.reader import Reader
+
+__all__ = ["ImuRequest", "MeasuredUp", "read_up"]
+
+#: m/s^2: the standard acceleration of gravity; and how far an accelerometer at rest may be from it, as a share.
+GRAVITY = 9.80665
+_NEAR = 0.15
+
+#: Degrees between up by orientation and by the accelerometer, in the median, from which one of them is wrong.
+_DISAGREE = 20.0
+
+_NAN = float("nan")
+_UNKNOWN = (_NAN, _NAN, _NAN)
+
+
+@dataclass(frozen=True, slots=True)
+class ImuRequest:
+    """An IMU that a user names: its topic, and its frame where the messages' own is wrong or empty."""
+
+    topic: str
+    frame: str = ""
+
+    @classmethod
+    def parse(cls, text: str) -> ImuRequest:
+        """Read ``TOPIC`` or ``TOPIC:FRAME``.
+
+        Raises
+        ------
+        UsageError
+            If a side of the colon is empty.
+        """
+        topic, colon, frame = text.partition(":")
+        if not topic or (colon and not frame):
+            raise UsageError(
+                f"`imu` is {text!r}, it must be a topic, or a topic and a frame",
+                hint="write `imu=/imu/data` or `imu=/imu/data:imu_link`",
+            )
+        return cls(topic, frame)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeasuredUp:
+    """Which way is up, by the messages of an IMU.
+
+    Attributes
+    ----------
+    topic, frame
+        The IMU's.
+    stamps_ns
+        (N,) increasing.
+    ups
+        (N, 3) directions of unit length in its frame.
+    notes, warnings
+        What was found, for the user.
+    """
+
+    topic: str
+    frame: str
+    stamps_ns: NDArray[np.int64]
+    ups: NDArray[np.float64]
+    notes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(slots=True)
+class _Messages:
+    """What the messages of a topic have: times, and three numbers each; NaN where there is nothing."""
+
+    stamps_ns: array[int] = field(default_factory=lambda: array("q"))
+    ups: array[float] = field(default_factory=lambda: array("d"))
+    turning: array[float] = field(default_factory=lambda: array("d"))
+    acceleration: array[float] = field(default_factory=lambda: array("d"))
+    frames: dict[str, None] = field(default_factory=dict)
+    undecoded: int = 0
+    why: str = ""
+
+
+def read_up(readers: Sequence[Reader], request: ImuRequest) -> MeasuredUp:
+    """Read an IMU's messages, wherever they are in recordings, and find out which way is up.
+
+    Parameters
+    ----------
+    readers
+        The sources first, then the recordings of ``tf_from``.
+
+    Raises
+    ------
+    TopicError
+        If there is no such topic, or it has no messages.
+    UsageError
+        If its messages do not show which way is up.
+    """
+    topic = _topic(readers, request.topic)
+    messages = _read(readers, topic)
+    if not messages.stamps_ns:
+        why = f": {messages.undecoded} cannot be decoded: {messages.why}" if messages.undecoded else ""
+        raise TopicError(f"there are no messages on {topic}{why}", hint="give another topic to `imu`, or `fixed_frame`")
+    stamps, order = np.unique(np.array(messages.stamps_ns, np.int64), return_index=True)
+    if not stamps[-1]:
+        raise UsageError(
+            f"the messages on {topic} have no stamps: all are 0", hint="give another topic to `imu`, or `fixed_frame`"
+        )
+    ups, turning, acceleration = (
+        np.array(values, np.float64).reshape(-1, 3)[order]
+        for values in (messages.ups, messages.turning, messages.acceleration)
+    )
+    warnings = []
+    if messages.undecoded:
+        warnings.append(f"{topic}: {messages.undecoded} messages cannot be decoded: {messages.why}")
+    if repeated := len(messages.stamps_ns) - len(stamps):
+        warnings.append(f"{topic}: {repeated} messages have the stamp of another one, and are ignored")
+    frame = request.frame or _only_frame(topic, messages.frames)
+    known, ups, notes, further = _ups(topic, stamps, ups, turning, acceleration)
+    return MeasuredUp(topic, frame, stamps[known], ups, tuple(notes), (*warnings, *further))
+
+
+def _topic(readers: Sequence[Reader], asked: str) -> str:
+    types: dict[str, set[str]] = {}
+    for connection in (connection for reader in readers for connection in reader.connections):
+        kind = connection.ros_type if connection.ros_version is not None else connection.msgtype
+        types.setdefault(connection.topic, set()).add(kind)
+    return find_topic(asked, types, sorted(topic for topic, kinds in types.items() if IMU in kinds), IMU)
+
+
+def _read(readers: Sequence[Reader], topic: str) -> _Messages:
+    found = _Messages()
+    for reader in readers:
+        connections = [c for c in reader.connections if c.topic == topic and c.ros_type == IMU and c.ros_version]
+        if not connections:
+            continue
+        for message in reader.messages(connections):
+            try:
+                imu = decode_imu(message.data, message.connection.serialization)
+            except DecodeError as err:
+                found.undecoded += 1
+                found.why = found.why or err.message
+                continue
+            found.frames[imu.frame_id] = None
+            found.stamps_ns.append(imu.stamp_ns)
+            found.ups.extend(_UNKNOWN if imu.orientation is None else up_in(imu.orientation))
+            found.turning.extend(imu.angular_velocity or _UNKNOWN)
+            found.acceleration.extend(imu.linear_acceleration or _UNKNOWN)
+    return found
+
+
+def _only_frame(topic: str, frames: dict[str, None]) -> str:
+    names = {name.removeprefix("/") for name in frames}
+    if len(names) > 1:
+        raise UsageError(
+            f"the messages on {topic} are of several frames: {name_list(sorted(names))}",
+            hint=f"name the one that counts: `imu={topic}:{min(names)}`",
+        )
+    (name,) = names
+    if not name:
+        raise UsageError(f"the messages on {topic} have no frame_id", hint=f"name it: `imu={topic}:imu_link`")
+    return name
+
+
+def _ups(
+    topic: str,
+    stamps_ns: NDArray[np.int64],
+    ups: NDArray[np.float64],
+    turning: NDArray[np.float64],
+    acceleration: NDArray[np.float64],
+) -> tuple[NDArray[np.intp], NDArray[np.float64], list[str], list[str]]:
+    """The messages that tell which way is up, the directions, notes, and warnings."""
+    oriented = ~np.isnan(ups[:, 0])
+    felt = ~np.isnan(turning[:, 0]) & ~np.isnan(acceleration[:, 0])
+    gravity, fault = _gravity(acceleration[felt])
+    if not fault and not turning[felt].any():
+        fault = "the gyroscope always shows 0"
+    known = np.flatnonzero(oriented)
+    never_changes = len(known) > 1 and bool((ups[known] == ups[known[0]]).all())
+    if 2 * len(known) >= len(ups) and not (never_changes and not fault):
+        warnings = _disagreement(topic, ups[oriented & felt], acceleration[oriented & felt], fault)
+        if lost := len(ups) - len(known):
+            warnings.append(f"{topic}: {lost:,} of {len(ups):,} messages have no valid orientation, and are ignored")
+        return known, ups[known], [f"{topic}: up is known by the orientations of {len(known):,} messages"], warnings
+    if fault:
+        raise UsageError(
+            f"the messages on {topic} do not show which way is up: {_why_no_orientation(ups)}, and {fault}",
+            hint="give another topic to `imu`, or level by transforms: `fixed_frame=odom`",
+        )
+    known = np.flatnonzero(felt)
+    found = up_by_gravity(stamps_ns[known], turning[known], acceleration[known], gravity)
+    unit = " (in units of g)" if gravity < 2 else ""
+    why = "its orientation never changes" if never_changes else _why_no_orientation(ups)
+    note = f"{topic}: up is estimated by gyroscope and accelerometer{unit} of {len(known):,} messages: {why}"
+    return known, found, [note], []
+
+
+def _why_no_orientation(ups: NDArray[np.float64]) -> str:
+    known = int(np.count_nonzero(~np.isnan(ups[:, 0])))
+    return f"{known:,} of {len(ups):,} have a valid orientation" if known else "none has a valid orientation"
+
+
+def _gravity(acceleration: NDArray[np.float64]) -> tuple[float, str]:
+    """The length of the acceleration at rest, in its own unit; or what is wrong with it."""
+    if not len(acceleration):
+        return 0.0, "none has both an angular velocity and an acceleration"
+    length = float(np.median(np.sqrt(np.square(acceleration).sum(axis=1))))
+    if any(abs(length / expected - 1) < _NEAR for expected in (GRAVITY, 1.0)):
+        return length, ""
+    return 0.0, f"the accelerometer shows {length:.3g} m/s^2 in the median, where gravity is {GRAVITY:.4g}"
+
+
+def _disagreement(topic: str, ups: NDArray[np.float64], acceleration: NDArray[np.float64], fault: str) -> list[str]:
+    """A warning where the orientations have another up than the accelerometer."""
+    if fault or not len(ups):
+        return []
+    with np.errstate(all="ignore"):
+        cosines = np.einsum("ni,ni->n", ups, acceleration) / np.sqrt(np.square(acceleration).sum(axis=1))
+        angle = float(np.degrees(np.arccos(np.clip(np.nanmedian(cosines), -1.0, 1.0))))
+    if angle < _DISAGREE:
+        return []
+    text = (
+        f"{topic}: up by its orientations is {angle:.0f} degrees from up by its accelerometer (median): "
+        "orientations have to be in a world whose z is up, and an accelerometer at rest has to show up"
+    )
+    return [text]

@@ -1,0 +1,132 @@
+"""Up by a simulated IMU, whose true attitude is known."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import pytest
+
+from pc2scan.core.gravity import up_by_gravity
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
+
+GRAVITY = 9.81
+
+
+class Simulated(NamedTuple):
+    """What an IMU measures, and which way is up in its frame."""
+
+    stamps_ns: NDArray[np.int64]
+    turning: Floats
+    acceleration: Floats
+    ups: Floats
+
+
+def simulated(
+    seconds: float, *, degrees: float = 3.0, bias: float = 0.01, noise: float = 1.0, drive: float = 0.0
+) -> Simulated:
+    """A robot that pitches and rolls, and now and then accelerates for a second (``drive``, m/s^2)."""
+    rng = np.random.default_rng(5)
+    t = np.arange(0, seconds, 0.01)
+    amplitude = np.radians(degrees)
+    pitch, roll = amplitude * np.sin(np.pi * t), amplitude * np.sin(2.3 * t + 1)
+    pitching, rolling = amplitude * np.pi * np.cos(np.pi * t), amplitude * 2.3 * np.cos(2.3 * t + 1)
+    yawing = 0.5 * np.cos(0.4 * t)
+    turning = [
+        rolling - yawing * np.sin(pitch),
+        pitching * np.cos(roll) + yawing * np.cos(pitch) * np.sin(roll),
+        -pitching * np.sin(roll) + yawing * np.cos(pitch) * np.cos(roll),
+    ]
+    ups = np.stack([-np.sin(pitch), np.cos(pitch) * np.sin(roll), np.cos(pitch) * np.cos(roll)], axis=1)
+    ahead = np.stack([np.cos(pitch), np.sin(pitch) * np.sin(roll), np.sin(pitch) * np.cos(roll)], axis=1)
+    wave = np.sin(2 * np.pi * t / 7)
+    acceleration = GRAVITY * ups + (drive * np.sign(wave) * (np.abs(wave) > 0.7))[:, np.newaxis] * ahead
+    measured = np.stack(turning, axis=1) + bias * np.array([1, -1, 0.5])
+    measured += noise * rng.normal(scale=0.005, size=measured.shape)
+    acceleration += noise * rng.normal(scale=0.1, size=acceleration.shape)
+    return Simulated((t * 1e9).astype(np.int64), measured, acceleration, ups)
+
+
+def errors(found: Floats, ups: Floats) -> Floats:
+    """Degrees between directions."""
+    np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1, atol=1e-9)
+    between: Floats = np.degrees(2 * np.arcsin(np.linalg.norm(found - ups, axis=1) / 2))
+    return between
+
+
+def filtered(world: Simulated) -> Floats:
+    return up_by_gravity(world.stamps_ns, world.turning, world.acceleration, GRAVITY)
+
+
+def test_without_noise_and_bias_it_is_exact() -> None:
+    world = simulated(60, bias=0, noise=0)
+    assert errors(filtered(world), world.ups).max() < 0.02
+
+
+@pytest.mark.parametrize("bias", [0.0, 0.01, 0.05])
+@pytest.mark.parametrize("seconds", [10.0, 120.0])
+def test_a_robot_that_tilts_with_noise_and_a_bias_of_the_gyroscope(seconds: float, bias: float) -> None:
+    world = simulated(seconds, bias=bias)
+    off = errors(filtered(world), world.ups)
+    assert np.median(off) < 0.5
+    assert off.max() < 0.8
+
+
+def test_accelerations_of_driving_count_for_little() -> None:
+    world = simulated(120, drive=1.0)
+    off = errors(filtered(world), world.ups)
+    shown = world.acceleration / np.linalg.norm(world.acceleration, axis=1)[:, np.newaxis]
+    assert np.percentile(errors(shown, world.ups), 95) > 5.0
+    assert np.median(off) < 0.3
+    assert off.max() < 1.0
+
+
+def test_units_of_g() -> None:
+    world = simulated(20)
+    found = up_by_gravity(world.stamps_ns, world.turning, world.acceleration / GRAVITY, 1.0)
+    np.testing.assert_allclose(found, filtered(world), atol=1e-9)
+
+
+def test_an_imu_that_is_mounted_upside_down() -> None:
+    world, turned = simulated(30), np.array([1.0, -1.0, -1.0])
+    found = up_by_gravity(world.stamps_ns, world.turning * turned, world.acceleration * turned, GRAVITY)
+    assert errors(found, world.ups * turned).max() < 0.7
+
+
+def test_after_a_gap_it_begins_again() -> None:
+    world = simulated(60)
+    # While nothing was recorded the robot turned by what nobody knows.
+    second = world.stamps_ns > 30_000_000_000
+    turned = np.where(second[:, np.newaxis], np.array([-1.0, -1.0, 1.0]), 1.0)
+    kept = ~((world.stamps_ns > 29_700_000_000) & (world.stamps_ns <= 30_000_000_000))
+    found = up_by_gravity(
+        world.stamps_ns[kept], (world.turning * turned)[kept], (world.acceleration * turned)[kept], GRAVITY
+    )
+    assert errors(found, (world.ups * turned)[kept]).max() < 0.7
+
+
+def test_few_samples() -> None:
+    world = simulated(10)
+    for count in (1, 2):
+        found = up_by_gravity(world.stamps_ns[:count], world.turning[:count], world.acceleration[:count], GRAVITY)
+        assert found.shape == (count, 3)
+        assert (errors(found, world.ups[:count]) < 3).all()
+
+
+def test_free_fall_leaves_the_gyroscope() -> None:
+    world = simulated(20, bias=0, noise=0)
+    falling = (world.stamps_ns > 8_000_000_000) & (world.stamps_ns < 10_000_000_000)
+    acceleration = np.where(falling[:, np.newaxis], 0.0, world.acceleration)
+    found = up_by_gravity(world.stamps_ns, world.turning, acceleration, GRAVITY)
+    assert errors(found, world.ups).max() < 0.1
+
+
+def test_blocks_make_no_difference(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = simulated(10)
+    whole = filtered(world)
+    monkeypatch.setattr("pc2scan.core.gravity._BLOCK", 7)
+    assert filtered(world).tobytes() == whole.tobytes()
