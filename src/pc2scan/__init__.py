@@ -10,6 +10,7 @@ Recordings to recordings, in the words of the command line:
 Recordings to arrays:
 
 - `scans`, `clouds`: the messages of a recording, one after the other; `scans` also converts clouds on the way
+- `export`: scans with poses, trajectories and clouds as files that learning and evaluation read
 - `project`: points to a scan, without a recording
 - `view`: clouds and the scans that come of them, as a page
 
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
     from .api import clouds as clouds
     from .api import convert as convert
     from .api import diff as diff
+    from .api import export as export
     from .api import golden as golden
     from .api import info as info
     from .api import repair as repair
@@ -53,6 +55,7 @@ if TYPE_CHECKING:
     from .core.unproject import UnprojectParams as UnprojectParams
     from .errors import Pc2ScanError as Pc2ScanError
     from .errors import RecordingWarning as RecordingWarning
+    from .export.report import ExportReport as ExportReport
     from .golden.result import GoldenReport as GoldenReport
     from .inspect.check import Check as Check
     from .inspect.info import Info as Info
@@ -78,6 +81,7 @@ _HOMES = {
     "Difference": "compare.result",
     "ExcludeBox": "pipeline.stages.regions",
     "ExcludePolygon": "pipeline.stages.regions",
+    "ExportReport": "export.report",
     "FrameOptions": "tf.options",
     "FrameTree": "inspect.tf",
     "GoldenReport": "golden.result",
@@ -100,7 +104,8 @@ _HOMES = {
     "convert": "api",
     "diff": "api",
     "errors": "errors",
-    # A package that is called like the function of its name.
+    # Packages that are called like the functions of their names.
+    "export": "export",
     "golden": "golden",
     "info": "api",
     "project": "core.project",
@@ -117,6 +122,7 @@ __all__ = [
     "Difference",
     "ExcludeBox",
     "ExcludePolygon",
+    "ExportReport",
     "FrameOptions",
     "FrameTree",
     "GoldenReport",
@@ -139,6 +145,7 @@ __all__ = [
     "convert",
     "diff",
     "errors",
+    "export",
     "golden",
     "info",
     "project",

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from .compare.result import Difference
     from .core.params import ProjectionParams
     from .core.unproject import UnprojectParams
+    from .export.report import ExportReport
     from .golden.result import GoldenReport
     from .inspect.check import Check
     from .inspect.info import Info
@@ -41,7 +42,7 @@ if TYPE_CHECKING:
     from .streams.scans import Scans
     from .tf.options import FrameOptions, StaticTransform
 
-__all__ = ["check", "clouds", "convert", "diff", "golden", "info", "repair", "scans", "tf", "view"]
+__all__ = ["check", "clouds", "convert", "diff", "export", "golden", "info", "repair", "scans", "tf", "view"]
 
 #: Words of the command line, and of ROS, for what an argument is called.
 _SYNONYMS = {
@@ -676,6 +677,137 @@ def diff(
         transforms_of=recorded_transforms if explain or clouds is not None else None,
         clouds=None if clouds is None else path_of("clouds", clouds),
     )
+
+
+@known_keywords(further=parameter_names, synonyms=_SYNONYMS)
+def export(
+    sources: PathText | Iterable[PathText],
+    destination: PathText,
+    *,
+    format: str | None = None,  # noqa: A002  # the command's word
+    pose_frame: str = "",
+    base_frame: str = "",
+    odom_topic: str = "",
+    topics: str | Iterable[str] = (),
+    start: Time | None = None,
+    end: Time | None = None,
+    params: ProjectionParams | None = None,
+    preset: str | None = None,
+    params_file: PathText | None = None,
+    node: str | None = None,
+    static_tf: str | StaticTransform | Iterable[str | StaticTransform] = (),
+    static_tf_file: PathText | None = None,
+    tf_from: PathText | Iterable[PathText] = (),
+    tf_topics: str | Iterable[str] = (),
+    source_frame: str = "",
+    frames: FrameOptions | None = None,
+    where: str | Iterable[str] = (),
+    exclude_box: str | Iterable[str] = (),
+    exclude_polygon: str | Iterable[str] = (),
+    min_height_slope: float | None = None,
+    filters: Iterable[Filter] = (),
+    on_error: str = "skip",
+    overwrite: bool = False,
+    verify: bool = True,
+    strict: bool = False,
+    **parameters: Any,
+) -> ExportReport:
+    """Write scans with poses, trajectories or clouds for learning and evaluation, as ``pc2scan export`` does.
+
+    Parameters
+    ----------
+    sources
+        A recording, or several that are one: ROS 1 bag, rosbag2 directory, ``.db3`` or ``.mcap``.
+    destination
+        A file; or a folder, which is made: of several topics, of clouds, and where the text ends with a slash.
+    format
+        ``npz``, ``csv`` or ``tum``. Default: that of the file's suffix.
+    pose_frame
+        Write the robot's pose in this frame, such as ``odom``, at each message's own stamp, from the transforms.
+        Messages without a transform at their stamp are skipped.
+    base_frame
+        Whose pose. Default: ``base_link``, or ``base_footprint``, where it is between ``pose_frame`` and the message's
+        frame; else the frame farthest up that nothing moves against the message's frame.
+    odom_topic
+        Take the poses from this nav_msgs/Odometry topic instead.
+    topics, start, end
+        As for `pc2scan.convert`. Default: all LaserScan topics; of clouds, and where scans are made of them, all
+        PointCloud2 topics.
+    params, preset, params_file, node, **parameters
+        As for `pc2scan.scans`: with any of them scans are made of clouds on the way.
+    static_tf, static_tf_file, tf_from, tf_topics, source_frame, frames
+        As for `pc2scan.convert`; for poses too.
+    where, exclude_box, exclude_polygon, min_height_slope, filters
+        As for `pc2scan.convert`.
+    on_error
+        ``skip`` counts and lists messages that cannot be written, ``fail`` makes the first one an error.
+    overwrite
+        Whether an existing destination is replaced: a file, or a folder with nothing but an export of this format.
+    verify, strict
+        As for `pc2scan.convert`.
+
+    Returns
+    -------
+    ExportReport
+        What was written, and what was skipped; ``print`` shows it as a table.
+
+    Raises
+    ------
+    UsageError
+        If the request contradicts itself or the recording, or the format cannot hold the data.
+    RecordingError
+        If a source cannot be read.
+    DamageError
+        With ``strict``, if a source is damaged.
+    OutputError
+        If the destination cannot be written.
+    ResultError
+        If there is nothing to write.
+    MessageError
+        If ``on_error`` is ``fail`` and a message cannot be written. After any error nothing is written.
+
+    Examples
+    --------
+    >>> import pc2scan
+    >>> pc2scan.export("drive.bag", "scans.npz", pose_frame="odom")  # doctest: +SKIP
+    >>> pc2scan.export("drive.bag", "scans.csv", preset="slam_toolbox", min_height=-0.3)  # doctest: +SKIP
+    """
+    from .export.poses import PoseOptions  # noqa: PLC0415
+    from .export.run import ExportOptions, run  # noqa: PLC0415
+
+    names = names_in("topics", topics)
+    converting = bool(parameters) or any(each is not None for each in (params, preset, params_file))
+    if node is not None and params_file is None:
+        raise UsageError("`node` names a section of a parameter file; give it with `params_file`")
+    resolved = resolved_parameters(params, preset, params_file, node, parameters)
+    options = ConvertOptions.of(
+        params=resolved.params,
+        reverse=resolved.reverse,
+        frames=frames_of(frames, static_tf, static_tf_file, False, tf_from, tf_topics, source_frame),
+        filters=filters_of(resolved, where, exclude_box, exclude_polygon, min_height_slope, filters),
+        topics=names or resolved.topics,
+        start=start,
+        end=end,
+        on_error=on_error,
+        verify=verify,
+        strict=strict,
+    )
+    path, folder = destination_of(destination)
+    asked = PoseOptions(pose_frame=pose_frame, base_frame=base_frame, odom_topic=odom_topic)
+    files = {"`params_file`": params_file, "`static_tf_file`": static_tf_file}
+    place = path if path is not None else folder
+    assert place is not None
+    done = run(
+        paths_in("sources", sources),
+        place,
+        options,
+        ExportOptions(format=format, poses=asked, converting=converting, overwrite=overwrite),
+        in_folder=path is None,
+        origins=resolved.origin,
+        also_read={name: path_of(name.strip("`"), file) for name, file in files.items() if file is not None},
+    )
+    done.warnings += [f"not a parameter of the projection, ignored: {origin}" for origin in resolved.ignored]
+    return done
 
 
 @known_keywords(further=parameter_names, synonyms={**_SYNONYMS, "topics": "topic", "sources": "source"})

@@ -42,15 +42,16 @@ ALLOWED = {
     "compare": {"messages", "bags", "core", "files"},
     "golden": {"compare", "bags", "files"},
     "streams": {"pipeline", "core", "tf", "messages", "bags"},
+    "export": {"streams", "pipeline", "core", "tf", "messages", "bags", "files"},
     "look": {"pipeline", "inspect", "compare", "core", "tf", "messages", "bags", "files"},
     # `cli.in_process`: golden cases run the command. `cli.command_line`: pages show the one that means the same.
     "requests": {"pipeline", "core", "streams", "tf"},
     "api": {
-        *("requests", "pipeline", "inspect", "compare", "golden", "streams", "look", "core", "tf"),
+        *("requests", "pipeline", "inspect", "compare", "golden", "streams", "export", "look", "core", "tf"),
         *("cli.in_process", "cli.command_line"),
     },
     # `bags.damage`: results have its data classes. `files.staging`: what is complete when a command is interrupted.
-    "cli": {"pipeline", "inspect", "compare", "golden", "look", "core", "tf", "bags.damage", "files.staging"},
+    "cli": {"pipeline", "inspect", "compare", "golden", "export", "look", "core", "tf", "bags.damage", "files.staging"},
     "pytest_plugin": {"api", "cli", "golden"},
 }
 
@@ -75,6 +76,7 @@ THIRD_PARTY = {
     "compare": {"numpy"},
     "golden": set(),
     "streams": {"numpy"},
+    "export": {"numpy"},
     "look": {"numpy", "matplotlib"},
     "api": set[str](),
     "requests": set[str](),

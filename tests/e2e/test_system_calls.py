@@ -67,9 +67,10 @@ def jobs_for(source: Path, folder: Path) -> Iterator[Job]:
         ("convert", source, "-o", "DST", "--storage", "sqlite3", "--tf-from", source, *HEIGHTS),
         ("convert", source, "-o", "DST", "--overwrite", "--strict", *HEIGHTS),
         ("view", source, "-o", "DST.html", "--clouds", "1"),
+        ("export", source, "-o", "DST.npz", "--pose-frame", "odom", *HEIGHTS),
     ]
     for number, call in enumerate(calls):
-        outputs = tuple(folder / f"{number}{ending}" for ending in ("", ".mcap", ".bag", ".json", ".html"))
+        outputs = tuple(folder / f"{number}{ending}" for ending in ("", ".mcap", ".bag", ".json", ".html", ".npz"))
         # What is there is replaced.
         if "--overwrite" in call:
             shutil.copytree(FIXTURES / "hall", folder / str(number))

@@ -25,6 +25,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "check": (),
     "repair": ("-o", "OUT/fixed.mcap"),
     "convert": ("-o", "OUT/scans.mcap"),
+    "export": ("-o", "OUT/scans.csv", "--min-height", "-0.3"),
     "diff": ("SRC",),
 }
 

@@ -11,6 +11,10 @@ EXAMPLES: dict[str, tuple[tuple[str, str], ...]] = {
         ("pc2scan convert drive.bag -o drive.mcap --params-file params.yaml", "the file that ran the robot"),
         ("pc2scan convert drive.bag --preset slam_toolbox --target-frame base_link", "scans that SLAM takes"),
     ),
+    "export": (
+        ("pc2scan export scans.mcap -o scans.npz --pose-frame odom", "scans with the robot's pose, as NumPy arrays"),
+        ("pc2scan export drive.bag -o scans.csv --min-height -0.3", "scans made of its clouds, a row for each"),
+    ),
     "view": (
         ("pc2scan view drive.bag", "a page that shows its clouds and scans"),
         ("pc2scan view drive.bag --min-height 0.1 --max-height 1.5", "with the scans that these heights make"),

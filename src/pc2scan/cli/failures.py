@@ -23,8 +23,8 @@ __all__ = ["VERDICTS", "end_without_output", "show_failure"]
 #: Commands whose status 1 is a verdict; if they cannot judge, it is 2.
 VERDICTS = frozenset({"check", "diff", "golden"})
 
-#: Commands that write a recording before they print anything.
-_WRITING = frozenset({"convert", "repair"})
+#: Commands that write their output before they print anything.
+_WRITING = frozenset({"convert", "export", "repair"})
 
 
 def show_failure(err: Pc2ScanError, words: Sequence[str]) -> int:
@@ -73,6 +73,6 @@ def end_without_output(err: OSError, words: Sequence[str]) -> int:
     if err.errno == errno.EPIPE:
         return 128 + signal.SIGPIPE
     command = "" if {"-h", "--help"} & set(words) else "".join(words[:1])
-    note = "; the recording is written" if command in _WRITING else ""
+    note = "; the output is written" if command in _WRITING else ""
     sys.stderr.write(message(f"error: standard output cannot be written: {err.strerror}{note}") + "\n")
     return 3 if command in _WRITING else 2 if command in VERDICTS else 1

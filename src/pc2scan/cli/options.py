@@ -302,6 +302,11 @@ class ProjectionGroup(Group):
     ] = None
     given: ParameterOptions
 
+    @property
+    def is_given(self) -> bool:
+        """Whether any parameter of the projection is, in whatever way."""
+        return bool(self.given.settings or self.param or self.preset or self.params_file)
+
 
 class PointsGroup(Group):
     """Which points of the clouds are used; in the order of what they return."""

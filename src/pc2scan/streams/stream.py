@@ -210,6 +210,8 @@ class Stream(ABC, Generic[Item]):
         self._live: WeakSet[Generator[Item]] = WeakSet()
         self.skipped: list[Skipped] = []
         self.skipped_count = 0
+        #: Takes what the user should know of a conversion, instead of Python's warnings; its owner reports the rest.
+        self.listener: Callable[[str], None] | None = None
         source = self._open()
         self._prepared: Source | None = source
         #: Closes what is open if nobody iterates.
@@ -252,7 +254,7 @@ class Stream(ABC, Generic[Item]):
             yield None  # type: ignore[misc]
             self.skipped, self.skipped_count = [], 0
             self.damage = source.damage
-            warned = _warn_of_damage(self.damage, 0)
+            warned = 0 if self.listener else _warn_of_damage(self.damage, 0)
             with closing(source.messages()) as messages:  # type: ignore[type-var]
                 for message in messages:
                     if source.account is not None:
@@ -263,9 +265,13 @@ class Stream(ABC, Generic[Item]):
                         self._skip(message)
                     del message
             self.damage = source.damage
-            _warn_of_damage(self.damage, warned)
+            if not self.listener:
+                _warn_of_damage(self.damage, warned)
             for text in () if source.account is None else source.account.warnings():
-                warnings.warn(text, RecordingWarning, stacklevel=2)
+                if self.listener:
+                    self.listener(text)
+                else:
+                    warnings.warn(text, RecordingWarning, stacklevel=2)
 
     def _skip(self, message: Read) -> None:
         """Account for a message that cannot be used; the first one is warned of, the others are listed."""
@@ -274,7 +280,7 @@ class Stream(ABC, Generic[Item]):
         error.topic = message.connection.topic
         if self._selection.on_error == "fail":
             raise error
-        if not self.skipped_count:
+        if not self.skipped_count and not self.listener:
             hint = f" ({error.hint})" if error.hint else ""
             text = f"skipped: {error}{hint}; see .skipped for all such messages; on_error='fail' makes them errors"
             warnings.warn(text, RecordingWarning, stacklevel=3)

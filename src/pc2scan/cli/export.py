@@ -1,0 +1,116 @@
+"""``pc2scan export``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+from typer.models import TyperPath
+
+from . import completion
+from .damage import show_damage
+from .options import ConversionGroup, Json
+from .render import print_json, show_parts, warn
+
+__all__ = ["export"]
+
+#: The names of `pc2scan.export.formats.FORMATS`, which are not loaded for ``--help``; a test compares them.
+FORMATS = Literal["npz", "csv", "tum"]
+
+
+def export(
+    sources: Annotated[
+        list[Path],
+        typer.Argument(metavar="SRC...", help="Recordings with scans or clouds; several are merged in time order."),
+    ],
+    destination: Annotated[
+        str,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="OUT",
+            help="The file; DIR/: a folder, which is made, with a file for each topic.",
+            show_default=False,
+            click_type=TyperPath(path_type=str),
+        ),
+    ],
+    written: Annotated[
+        FORMATS | None,
+        typer.Option(
+            "--format",
+            "-f",
+            help="npz: NumPy arrays; csv: a row for each scan; tum: the trajectory alone.  [default: OUT's suffix]",
+            show_default=False,
+        ),
+    ] = None,
+    pose_frame: Annotated[
+        str,
+        typer.Option(
+            metavar="FRAME",
+            autocompletion=completion.frames,
+            help="Write the robot's pose in this frame (odom, map) at each message's own stamp, from its transforms.",
+            show_default=False,
+        ),
+    ] = "",
+    base_frame: Annotated[
+        str,
+        typer.Option(
+            metavar="FRAME",
+            autocompletion=completion.frames,
+            help="Whose pose.  [default: base_link, base_footprint, or what carries the sensor]",
+            show_default=False,
+        ),
+    ] = "",
+    odom_topic: Annotated[
+        str,
+        typer.Option(
+            metavar="TOPIC",
+            autocompletion=completion.topics("/Odometry"),
+            help="Take the poses from this nav_msgs/Odometry topic instead.",
+            show_default=False,
+        ),
+    ] = "",
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace OUT: a file, or a folder with nothing but an export.")
+    ] = False,
+    as_json: Json = False,
+    *,
+    conversion: ConversionGroup,
+) -> None:
+    """Write scans with poses, or the trajectory alone, for learning and evaluation.
+
+    The scans are those of the LaserScan topics; with any parameter of the projection they are made of the clouds on the
+    way, as `pc2scan convert` makes them. Poses are interpolated as tf2 does it, and never extrapolated: messages
+    without a pose at their stamp are skipped and counted, and the exit status is 3.
+    """
+    from pc2scan.export.poses import PoseOptions
+    from pc2scan.export.run import ExportOptions, run
+    from pc2scan.pipeline.options import destination_and_folder
+
+    options, origins = conversion.options()
+    named, folder = destination_and_folder(destination)
+    place = named or folder
+    assert place is not None
+    report = run(
+        sources,
+        place,
+        options,
+        ExportOptions(
+            format=written,
+            poses=PoseOptions(pose_frame=pose_frame, base_frame=base_frame, odom_topic=odom_topic),
+            converting=conversion.projection.is_given,
+            overwrite=overwrite,
+        ),
+        in_folder=named is None,
+        origins=origins,
+        also_read=conversion.read_files(),
+    )
+    if as_json:
+        print_json(report.as_dict())
+    else:
+        show_parts(report.parts())
+        for text in report.warnings:
+            warn(text)
+    show_damage(report.damage)
+    raise typer.Exit(report.exit_status)

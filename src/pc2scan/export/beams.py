@@ -1,0 +1,55 @@
+"""The beams of the scans of one topic, where a format wants the same of all of them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pc2scan.errors import UsageError, stamp_text
+
+if TYPE_CHECKING:
+    from pc2scan.streams.scans import Scan
+
+__all__ = ["SameBeams"]
+
+
+class SameBeams:
+    """Compares each scan with the first one.
+
+    Parameters
+    ----------
+    what
+        What has one number of beams, for errors: ``an .npz archive``.
+    angles
+        Whether the angles have to be the same too.
+    """
+
+    def __init__(self, what: str, *, angles: bool) -> None:
+        self._what = what
+        self._angles = angles
+        self._first: Scan | None = None
+
+    def check(self, scan: Scan) -> None:
+        """Raise a `UsageError` if a scan has other beams than the first, or intensities where that has none."""
+        first = self._first
+        if first is None:
+            self._first = scan
+            return
+        if len(scan.ranges) != len(first.ranges):
+            found = f"{len(scan.ranges)} beams, and the first has {len(first.ranges)}"
+        elif self._angles and (scan.angle_min, scan.angle_increment) != (first.angle_min, first.angle_increment):
+            found = f"its beams from {scan.angle_min:.6g} rad on, {scan.angle_increment:.6g} rad apart, and the first "
+            found += f"from {first.angle_min:.6g}, {first.angle_increment:.6g} apart"
+        elif has_intensities(scan) != has_intensities(first):
+            found = "intensities, and the first has none" if has_intensities(scan) else "no intensities, as the first"
+        else:
+            return
+        raise UsageError(
+            f"the scan at {stamp_text(scan.stamp_ns)} has {found}: {self._what} holds scans with the same beams",
+            topic=scan.topic,
+            hint="`start` and `end` export a part of the recording",
+        )
+
+
+def has_intensities(scan: Scan) -> bool:
+    """Whether each beam has an intensity."""
+    return len(scan.intensities) == len(scan.ranges) > 0

@@ -1,0 +1,71 @@
+"""CSV: a row for each scan."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from .beams import SameBeams, has_intensities
+from .digits import float32_text, float32_texts, planar
+from .text import TextFile
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from pc2scan.streams.scans import Scan
+
+    from .poses import Placed
+
+__all__ = ["CsvWriter"]
+
+#: Numbers of a scan that are float32 in the message.
+_GEOMETRY = ("angle_min", "angle_increment", "time_increment", "scan_time", "range_min", "range_max")
+
+
+class CsvWriter:
+    """One row a scan: stamps, pose, geometry, ``range_0`` and so on, ``intensity_0`` and so on.
+
+    Numbers have the fewest digits that mean them: what is read as float32 (poses: as float64) is what was recorded.
+    """
+
+    def __init__(self, path: Path, *, posed: bool) -> None:
+        self._file = TextFile(path)
+        self._posed = posed
+        self._beams = SameBeams("a CSV file", angles=False)
+        self._begun = False
+
+    def add(self, item: Scan, placed: Placed | None) -> None:
+        """Write a row."""
+        self._beams.check(item)
+        if not self._begun:
+            self._begun = True
+            self._file.line(",".join(self._columns(item)))
+        row = [str(item.stamp_ns), str(item.log_time_ns), _quoted(item.frame)]
+        if placed is not None:
+            row += map(repr, planar(placed.robot))
+        row += (float32_text(getattr(item, name)) for name in _GEOMETRY)
+        row += float32_texts(item.ranges)
+        if has_intensities(item):
+            row += float32_texts(item.intensities)
+        self._file.line(",".join(row))
+
+    def _columns(self, scan: Scan) -> list[str]:
+        count = range(len(scan.ranges))
+        names = ["stamp_ns", "log_time_ns", "frame", *(("x", "y", "yaw") if self._posed else ()), *_GEOMETRY]
+        names += (f"range_{i}" for i in count)
+        return names + [f"intensity_{i}" for i in count if has_intensities(scan)]
+
+    def finish(self) -> list[str]:
+        """Complete the file."""
+        self._file.finish()
+        return []
+
+    def abort(self) -> None:
+        """Release the file."""
+        self._file.abort()
+
+
+def _quoted(text: str) -> str:
+    """Return a text as a cell: in quotes where it has to be."""
+    if not any(c in text for c in ',"\r\n'):
+        return text
+    return '"' + text.replace('"', '""') + '"'

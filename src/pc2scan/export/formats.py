@@ -1,0 +1,125 @@
+"""The table of formats: what each holds, what its files are called, and who writes it.
+
+A new format is one entry and one module with a `Writer`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Protocol
+
+from pc2scan.errors import UsageError
+from pc2scan.names import did_you_mean
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from .poses import Placed
+
+__all__ = ["FORMATS", "Format", "Writer", "format_of"]
+
+
+class Writer(Protocol):
+    """Writes the messages of one topic."""
+
+    def add(self, item: Any, placed: Placed | None) -> None:
+        """Write a message.
+
+        Parameters
+        ----------
+        item
+            A `pc2scan.Scan` or a `pc2scan.Cloud`, as the format's entry says.
+        placed
+            Where the robot is at its stamp; None where nobody asked for poses.
+
+        Raises
+        ------
+        MessageError
+            If this message cannot be written, but others can.
+        UsageError
+            If the format cannot hold the topic.
+        OutputError
+            If there is no room, or the like.
+        """
+        ...
+
+    def finish(self) -> list[str]:
+        """Complete the files; return what the user should know about them."""
+        ...
+
+    def abort(self) -> None:
+        """Release what is open."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Format:
+    """A format.
+
+    Attributes
+    ----------
+    name
+        As users type it.
+    suffix
+        Of its files.
+    what
+        What is in them, for people.
+    clouds
+        Whether it holds clouds; otherwise scans.
+    folder
+        Whether a topic is a folder of files; otherwise one file.
+    needs_poses
+        Whether there is nothing to write without poses.
+    home
+        The module and the name of its `Writer`, which takes the path to write, and whether there are poses.
+    further
+        Names of other files in a folder.
+    """
+
+    name: str
+    suffix: str
+    what: str
+    home: tuple[str, str]
+    clouds: bool = False
+    folder: bool = False
+    needs_poses: bool = False
+    further: tuple[str, ...] = ()
+
+    def open(self, path: Path, *, posed: bool) -> Writer:
+        """Begin to write a topic; ``path`` does not exist."""
+        module, name = self.home
+        writer: Writer = getattr(import_module(f".{module}", __package__), name)(path, posed=posed)
+        return writer
+
+
+#: By name.
+FORMATS = {
+    entry.name: entry
+    for entry in (
+        Format("npz", ".npz", "NumPy arrays: ranges, angles, stamps, poses", ("npz", "NpzWriter")),
+        Format("csv", ".csv", "a row for each scan", ("csv_rows", "CsvWriter")),
+        Format("tum", ".tum", "the trajectory alone, which evo reads", ("tum", "TumWriter"), needs_poses=True),
+    )
+}
+
+
+def format_of(name: str | None, destination: Path) -> Format:
+    """Return the format of a name, or without one that of a file's suffix.
+
+    Raises
+    ------
+    UsageError
+        If there is no such format, or the suffix is of none.
+    """
+    if name is None:
+        found = next((entry for entry in FORMATS.values() if entry.suffix == destination.suffix.lower()), None)
+        if found is None:
+            raise UsageError(
+                "its suffix is that of no format", path=destination, hint=f"give `format`: {', '.join(FORMATS)}"
+            )
+        return found
+    if name not in FORMATS:
+        hint = did_you_mean(name, FORMATS) or None
+        raise UsageError(f"`format` is {name!r}, it must be one of {', '.join(FORMATS)}", hint=hint)
+    return FORMATS[name]

@@ -1,0 +1,138 @@
+"""NumPy's .npz: one archive with the arrays of a topic.
+
+How many scans there are is known at the end only, and an array's length is at its beginning. So each array is
+collected in a file without a name, and copied into the archive at the end: memory stays small however long the
+recording is. The archive is not compressed, and its bytes depend on the scans alone.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import zipfile
+from contextlib import contextmanager
+from typing import IO, TYPE_CHECKING, Any
+
+import numpy as np
+
+from pc2scan.errors import OutputError
+
+from .beams import SameBeams, has_intensities
+from .digits import planar
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from numpy.typing import ArrayLike
+
+    from pc2scan.streams.scans import Scan
+
+    from .poses import Placed
+
+__all__ = ["NpzWriter"]
+
+#: Bytes that are copied at once.
+_PIECE = 1 << 20
+
+#: Numbers of each scan, by the name of their array.
+_NUMBERS = {"range_min": "<f4", "range_max": "<f4", "time_increment": "<f4", "scan_time": "<f4"}
+
+
+class NpzWriter:
+    """One archive: ``ranges`` (scans, beams), ``angles`` (beams,), ``stamps`` (scans,), ``poses`` (scans, 3), ..."""
+
+    def __init__(self, path: Path, *, posed: bool) -> None:
+        self._path = path
+        self._posed = posed
+        self._beams = SameBeams("an .npz archive", angles=True)
+        self._first: Scan | None = None
+        self._placed: Placed | None = None
+        self._arrays: dict[str, _GrowingArray] = {}
+
+    def add(self, item: Scan, placed: Placed | None) -> None:
+        """Append a scan to the arrays."""
+        self._beams.check(item)
+        if self._first is None:
+            self._first, self._placed = item, placed
+            with self._writing():
+                self._arrays = self._empty(len(item.ranges), intensities=has_intensities(item))
+        arrays = self._arrays
+        with self._writing():
+            arrays["ranges"].append(item.ranges)
+            if "intensities" in arrays:
+                arrays["intensities"].append(item.intensities)
+            arrays["stamps"].append(item.stamp_ns)
+            arrays["log_times"].append(item.log_time_ns)
+            if placed is not None:
+                arrays["poses"].append(planar(placed.robot))
+            for name in _NUMBERS:
+                arrays[name].append(getattr(item, name))
+
+    def _empty(self, beams: int, *, intensities: bool) -> dict[str, _GrowingArray]:
+        shapes: dict[str, tuple[str, tuple[int, ...]]] = {"ranges": ("<f4", (beams,))}
+        if intensities:
+            shapes["intensities"] = ("<f4", (beams,))
+        shapes |= {"stamps": ("<i8", ()), "log_times": ("<i8", ())}
+        if self._posed:
+            shapes["poses"] = ("<f8", (3,))
+        shapes |= {name: (dtype, ()) for name, dtype in _NUMBERS.items()}
+        return {name: _GrowingArray(self._path.parent, *shape) for name, shape in shapes.items()}
+
+    def finish(self) -> list[str]:
+        """Write the archive."""
+        first = self._first
+        assert first is not None
+        alone: dict[str, ArrayLike] = {"angles": first.angles, "topic": first.topic, "frame": first.frame}
+        if self._placed is not None:
+            alone |= {"pose_frame": self._placed.pose_frame, "base_frame": self._placed.base_frame}
+        with self._writing(), zipfile.ZipFile(self._path, "x", zipfile.ZIP_STORED) as archive:
+            for name, array in self._arrays.items():
+                with _member(archive, name) as file:
+                    array.copy_to(file)
+                array.close()
+            for name, value in alone.items():
+                with _member(archive, name) as file:
+                    np.lib.format.write_array(file, np.asanyarray(value), allow_pickle=False)
+        return []
+
+    def abort(self) -> None:
+        """Release the files without a name."""
+        for array in self._arrays.values():
+            array.close()
+
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as err:
+            raise OutputError(f"cannot be written: {err.strerror}", path=self._path) from err
+
+
+def _member(archive: zipfile.ZipFile, name: str) -> IO[bytes]:
+    # The earliest time that the format knows, so that the same scans make the same bytes.
+    return archive.open(zipfile.ZipInfo(f"{name}.npy", (1980, 1, 1, 0, 0, 0)), "w", force_zip64=True)
+
+
+class _GrowingArray:
+    """Rows of one shape, in a file that nobody else sees and that is gone when it is closed."""
+
+    def __init__(self, folder: Path, dtype: str, shape: tuple[int, ...]) -> None:
+        self._file = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115  # closed by its owner
+        self._dtype = np.dtype(dtype)
+        self._shape = shape
+        self._rows = 0
+
+    def append(self, row: Any) -> None:
+        self._file.write(np.ascontiguousarray(row, self._dtype).tobytes())
+        self._rows += 1
+
+    def copy_to(self, file: IO[bytes]) -> None:
+        """Write the array as an .npy file."""
+        header = {"descr": self._dtype.str, "fortran_order": False, "shape": (self._rows, *self._shape)}
+        np.lib.format.write_array_header_1_0(file, header)
+        self._file.seek(0)
+        while piece := self._file.read(_PIECE):
+            file.write(piece)
+
+    def close(self) -> None:
+        self._file.close()

@@ -1,0 +1,142 @@
+"""What an export wrote: table and JSON read this."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from pc2scan.errors import stamp_text
+from pc2scan.pipeline.report import MAX_LISTED, Skipped
+from pc2scan.shown import Shown, Table, count, listed
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from pc2scan.bags.damage import Damage
+    from pc2scan.errors import MessageError
+
+__all__ = ["ExportReport", "ExportedTopic"]
+
+#: Reasons for skipping that are shown.
+_SHOWN = 5
+
+
+@dataclass(slots=True)
+class ExportedTopic:
+    """What became of one topic.
+
+    Attributes
+    ----------
+    topic
+        Its name; of scans that are made of clouds, the scans'.
+    path
+        Its file or folder; None where nothing was written.
+    written, skipped
+        Messages.
+    pose_frame, base_frame
+        What the poses are in, and whose they are; empty without poses.
+    first_ns, last_ns
+        Stamps of the first and the last message written; None without any.
+    """
+
+    topic: str
+    path: str | None = None
+    written: int = 0
+    skipped: int = 0
+    pose_frame: str = ""
+    base_frame: str = ""
+    first_ns: int | None = None
+    last_ns: int | None = None
+
+
+@dataclass(repr=False)
+class ExportReport(Shown):
+    """What an export wrote; ``print`` shows it as a table.
+
+    Attributes
+    ----------
+    sources
+        The recordings.
+    destination
+        The file, or the folder.
+    format
+        What it is.
+    topics
+        What became of each topic.
+    skipped
+        The first hundred messages that were skipped.
+    skipped_reasons
+        How many were skipped for which reason.
+    notes
+        What was measured or chosen without being asked for.
+    warnings
+        What the user should know.
+    damage
+        Damaged places of the sources.
+    """
+
+    sources: list[str]
+    destination: str
+    format: str
+    topics: list[ExportedTopic] = field(default_factory=list)
+    skipped: list[Skipped] = field(default_factory=list)
+    skipped_reasons: Counter[str] = field(default_factory=Counter)
+    notes: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    damage: tuple[Damage, ...] = ()
+
+    @property
+    def messages(self) -> int:
+        """Messages written."""
+        return sum(topic.written for topic in self.topics)
+
+    @property
+    def exit_status(self) -> int:
+        """The command's exit status: 3 where messages were skipped or a source is damaged, else 0."""
+        return 3 if self.skipped_reasons or self.damage else 0
+
+    def skip(self, topic: str, log_time_ns: int, stamp_ns: int | None, error: MessageError) -> None:
+        """Note a message that is not written."""
+        self.skipped_reasons[error.message] += 1
+        if len(self.skipped) < MAX_LISTED:
+            self.skipped.append(Skipped(topic, log_time_ns, stamp_ns, error.message, error.hint or ""))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the report as JSON's types."""
+        return {
+            "sources": self.sources,
+            "destination": self.destination,
+            "format": self.format,
+            "topics": [{name: getattr(topic, name) for name in ExportedTopic.__slots__} for topic in self.topics],
+            "skipped": [
+                {name: getattr(entry, name) for name in ("topic", "log_time_ns", "stamp_ns", "reason", "hint")}
+                for entry in self.skipped
+            ],
+            "skipped_reasons": dict(self.skipped_reasons),
+            "notes": self.notes,
+            "warnings": self.warnings,
+            "damage": [str(place) for place in self.damage],
+            "exit_status": self.exit_status,
+        }
+
+    def parts(self) -> Iterator[str | Table]:
+        """Yield the table, and lines below it."""
+        return self._shown()
+
+    def _shown(self) -> Iterator[str | Table]:
+        rows = []
+        for topic in self.topics:
+            poses = f"{topic.base_frame} in {topic.pose_frame}" if topic.pose_frame else ""
+            span = ""
+            if topic.first_ns is not None and topic.last_ns is not None:
+                span = f"{stamp_text(topic.first_ns)} to {stamp_text(topic.last_ns)}"
+            rows.append([topic.topic, topic.path or "", count(topic.written), count(topic.skipped), poses, span])
+        columns = ("topic", "file", "written", "skipped", "poses", "stamps")
+        yield Table(columns, rows, left=("topic", "file", "poses", "stamps"))
+        yield from listed(self.notes, "note", _SHOWN)
+        reasons = [f"{number:,} messages: {reason}" for reason, number in self.skipped_reasons.most_common()]
+        yield from listed(reasons, "skipped", _SHOWN)
+
+    def __repr__(self) -> str:
+        return f"<ExportReport: {self.messages:,} messages as {self.format} in {self.destination}>"

@@ -1,0 +1,320 @@
+"""One export from beginning to end."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from pc2scan.bags.merged import as_one
+from pc2scan.bags.opening import open_recordings
+from pc2scan.errors import DestinationError, MessageError, OutputError, ResultError, UsageError, name_list
+from pc2scan.files.overlap import InputPath, OutputPath, refuse_overlap
+from pc2scan.files.staging import staged
+from pc2scan.messages.laserscan import LASERSCAN
+from pc2scan.messages.pointcloud2 import POINTCLOUD2
+from pc2scan.pipeline.options import TopicRequest
+from pc2scan.streams.clouds import Clouds
+from pc2scan.streams.scans import Scans
+from pc2scan.streams.stream import Selection
+
+from .formats import format_of
+from .names import file_names
+from .poses import PoseOptions, open_poses
+from .report import ExportedTopic, ExportReport
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+    from pathlib import Path
+
+    from pc2scan.pipeline.options import ConvertOptions
+
+    from .formats import Format, Writer
+    from .poses import Poses
+
+__all__ = ["ExportOptions", "run"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExportOptions:
+    """How messages are written.
+
+    Attributes
+    ----------
+    format
+        A name in `pc2scan.export.formats.FORMATS`; None for that of the destination's suffix.
+    poses
+        Which poses are written with them.
+    converting
+        Whether scans are made of clouds; otherwise they are read.
+    overwrite
+        Whether an existing destination is replaced.
+    """
+
+    format: str | None = None
+    poses: PoseOptions = field(default_factory=PoseOptions)
+    converting: bool = False
+    overwrite: bool = False
+
+
+def run(
+    sources: Sequence[Path],
+    destination: Path,
+    options: ConvertOptions,
+    form: ExportOptions,
+    *,
+    in_folder: bool = False,
+    origins: Mapping[str, str] | None = None,
+    also_read: Mapping[str, Path] | None = None,
+) -> ExportReport:
+    """Export the scans, or the clouds, of a recording.
+
+    Parameters
+    ----------
+    sources
+        Recordings; several are one.
+    destination
+        The file; or a folder, which is made: of several topics, or of a format that has a file for each message.
+    options
+        As for a conversion: topics, ``start`` and ``end``, where transforms come from, and what becomes of clouds.
+    form
+        How they are written.
+    in_folder
+        Whether ``destination`` is a folder even for a single file.
+    origins
+        Where each parameter comes from.
+    also_read
+        Files that were read for the options, by option.
+
+    Raises
+    ------
+    UsageError
+        If the request contradicts itself or the recording, or the format cannot hold what is in it.
+    DestinationError, OutputError
+        If the destination exists, or cannot be written.
+    RecordingError
+        If a source cannot be read.
+    ResultError
+        If there is nothing to write.
+    MessageError
+        If ``options.on_error`` is ``fail`` and a message cannot be written. After any error nothing is written.
+    """
+    written = format_of(form.format, destination)
+    _check_request(written, options, form)
+    inputs = [*map(InputPath, sources), *(InputPath(file, "file of `tf_from`") for file in options.frames.tf_from)]
+    inputs += (InputPath(path, f"file of {option}") for option, path in (also_read or {}).items())
+    refuse_overlap(inputs, [OutputPath(destination)])
+    with ExitStack() as stack:
+        readers = open_recordings(sources, stack, verify=options.verify, strict=options.strict)
+        reader = as_one(readers)
+        names = _topics([c for c in reader.connections if c.ros_version is not None], written, options, form)
+        stream = _stream(sources, names, written, options, form, origins)
+        stack.callback(stream.close)
+        folder = _is_folder(destination, stream.topics, written, in_folder=in_folder)
+        report = ExportReport([str(source) for source in sources], str(destination), written.name)
+        stream.listener = report.warnings.append
+        # Before transforms are read: that may take long.
+        partial = stack.enter_context(
+            staged(destination, overwrite=form.overwrite, beside_recording=_only_exports(written))
+        )
+        poses = None
+        if form.poses.wanted:
+            others = open_recordings(options.frames.tf_from, stack, verify=options.verify, strict=options.strict)
+            poses, texts = open_poses([reader, *others], options.frames, form.poses)
+            report.warnings += texts
+        export = _Export(written, poses, report, failing=options.on_error == "fail")
+        export.lay_out(stream.topics, partial, destination, folder=folder)
+        try:
+            export.write(stream)
+        finally:
+            export.abort()
+        report.notes += getattr(stream, "notes", ())
+        report.damage = tuple(dict.fromkeys((*stream.damage, *(d for each in readers for d in each.damage))))
+    return report
+
+
+def _check_request(written: Format, options: ConvertOptions, form: ExportOptions) -> None:
+    """Refuse what has no effect on an export, and what it lacks."""
+    if written.clouds and form.converting:
+        raise UsageError(
+            f"{written.name} holds clouds, and parameters of the projection make scans of them",
+            hint="leave the parameters out; or choose a format of scans: `format=npz`",
+        )
+    if written.needs_poses and not form.poses.wanted:
+        raise UsageError(
+            f"{written.name} needs poses", hint="`pose_frame=odom` takes them from tf, `odom_topic=/odom` from odometry"
+        )
+    idle = {
+        "reverse": options.reverse,
+        "keep": options.keep,
+        "drop": options.drop,
+        "keep_clouds": options.keep_clouds,
+        "fail_on": options.fail_on,
+        "min_used": options.min_used,
+        "write_static_tf": options.frames.write_static,
+    }
+    if given := [f"`{name}`" for name, value in idle.items() if value]:
+        raise UsageError(f"{' and '.join(given)} would have no effect: no recording is written")
+    frames = options.frames
+    if not form.converting and not form.poses.wanted and (frames.static or frames.tf_from or frames.tf_topics):
+        raise UsageError(
+            "transforms would have no effect: neither poses nor scans of clouds are asked for",
+            hint="`pose_frame=odom` writes poses",
+        )
+    if not form.converting and (options.filters or options.deskew):
+        raise UsageError(
+            "filters and `deskew` count only where clouds become scans",
+            hint="give parameters: `preset`, `params_file`, or any of them by name, `min_height=-0.3`",
+        )
+
+
+def _topics(connections: Iterable[Any], written: Format, options: ConvertOptions, form: ExportOptions) -> list[str]:
+    """Return the topics to ask for: those that were, or all of the type."""
+    if options.topics:
+        if not form.converting and (renamed := [topic for topic in options.topics if topic.target]):
+            raise UsageError(
+                f"{renamed[0].source}:={renamed[0].target} renames a topic, and only scans that are made of clouds "
+                "have a topic of their own",
+                hint=f"`topics={renamed[0].source}`",
+            )
+        return [topic.source for topic in options.topics]
+    kinds = options.source_types if form.converting else (POINTCLOUD2,) if written.clouds else (LASERSCAN,)
+    return sorted({each.topic for each in connections if each.ros_type in kinds})
+
+
+def _stream(
+    sources: Sequence[Path],
+    names: Sequence[str],
+    written: Format,
+    options: ConvertOptions,
+    form: ExportOptions,
+    origins: Mapping[str, str] | None,
+) -> Scans | Clouds:
+    selection = Selection(
+        paths=tuple(sources),
+        topics=tuple(names),
+        start=options.start,
+        end=options.end,
+        on_error=options.on_error,
+        verify=options.verify,
+        strict=options.strict,
+    )
+    if written.clouds:
+        return Clouds(selection)
+    if not form.converting:
+        return Scans(selection)
+    from dataclasses import replace  # noqa: PLC0415  # only where clouds are converted
+
+    topics = options.topics or tuple(map(TopicRequest, names))
+    return Scans(selection, replace(options, topics=topics, only_scans=True), origins)
+
+
+def _is_folder(destination: Path, topics: Sequence[str], written: Format, *, in_folder: bool) -> bool:
+    """Whether the files of topics go into a folder; of a format with folders: whether each into one of its own."""
+    if len(topics) > 1 and not in_folder and not written.folder and destination.suffix.lower() == written.suffix:
+        raise DestinationError(
+            f"{len(topics)} topics make {len(topics)} files: {name_list(list(topics), 5)}",
+            path=destination,
+            hint=f"name a folder: `destination={destination.with_suffix('')}/`; or choose: `topics={topics[0]}`",
+        )
+    return len(topics) > 1 or (in_folder and not written.folder)
+
+
+def _only_exports(written: Format) -> Any:
+    """Return what decides whether a folder may be replaced: it has only files that this format writes."""
+
+    def check(folder: Path) -> str:
+        for entry in folder.rglob("*"):
+            is_ours = entry.is_dir() or entry.suffix == written.suffix or entry.name in written.further
+            if entry.is_symlink() or not is_ours:
+                raise DestinationError(
+                    f"is a folder with other files than those of an export as {written.name} ({entry.name}), and is "
+                    "not overwritten",
+                    path=folder,
+                    hint="choose another name, or delete it yourself",
+                )
+        return ""
+
+    return check
+
+
+class _Export:
+    """The writers of all topics."""
+
+    def __init__(self, written: Format, poses: Poses | None, report: ExportReport, *, failing: bool) -> None:
+        self._format = written
+        self._poses = poses
+        self._report = report
+        self._failing = failing
+        self._entries: dict[str, ExportedTopic] = {}
+        self._places: dict[str, tuple[Path, Path]] = {}
+        self._writers: dict[str, Writer] = {}
+
+    def lay_out(self, topics: Sequence[str], partial: Path, final: Path, *, folder: bool) -> None:
+        """Decide where each topic goes."""
+        self._entries = {topic: ExportedTopic(topic) for topic in topics}
+        self._report.topics += self._entries.values()
+        if not folder:
+            self._places = dict.fromkeys(topics, (partial, final))
+            return
+        suffix = "" if self._format.folder else self._format.suffix
+        names = {topic: f"{name}{suffix}" for topic, name in file_names(topics).items()}
+        self._places = {topic: (partial / name, final / name) for topic, name in names.items()}
+        try:
+            partial.mkdir()
+        except OSError as err:
+            raise OutputError(f"cannot be made: {err.strerror}", path=final) from err
+
+    def write(self, stream: Scans | Clouds) -> None:
+        """Write all messages."""
+        report = self._report
+        for item in stream:
+            entry = self._entries[item.topic]
+            try:
+                self._add(item, entry)
+            except MessageError as err:
+                err.topic, err.stamp_ns = item.topic, item.stamp_ns
+                if self._failing:
+                    raise
+                entry.skipped += 1
+                report.skip(item.topic, item.log_time_ns, item.stamp_ns, err)
+        for skipped in stream.skipped:
+            report.skipped_reasons[skipped.reason] += 1
+        if further := stream.skipped_count - len(stream.skipped):
+            report.skipped_reasons["other messages that cannot be read"] += further
+        report.skipped += stream.skipped
+        if not self._writers:
+            raise self._nothing(stream)
+        for topic, writer in self._writers.items():
+            report.warnings += (f"{topic}: {text}" for text in writer.finish())
+        for entry in self._entries.values():
+            if not entry.written:
+                report.warnings.append(f"{entry.topic}: nothing to write, so there is no file")
+
+    def _add(self, item: Any, entry: ExportedTopic) -> None:
+        placed = None if self._poses is None else self._poses.at(item.frame, item.stamp_ns)
+        writer = self._writers.get(item.topic)
+        if writer is None:
+            partial, final = self._places[item.topic]
+            writer = self._writers[item.topic] = self._format.open(partial, posed=placed is not None)
+            entry.path = str(final)
+        writer.add(item, placed)
+        entry.written += 1
+        entry.first_ns = item.stamp_ns if entry.first_ns is None else entry.first_ns
+        entry.last_ns = item.stamp_ns
+        if placed is not None:
+            entry.pose_frame, entry.base_frame = placed.pose_frame, placed.base_frame
+
+    def _nothing(self, stream: Scans | Clouds) -> ResultError:
+        what = "cloud" if self._format.clouds else "scan"
+        reasons = self._report.skipped_reasons.most_common(1)
+        if not reasons:
+            return ResultError(f"no {what} to write: the topic has no messages", topic=stream.topics[0])
+        (reason, number), total = reasons[0], sum(self._report.skipped_reasons.values())
+        hint = next((entry.hint for entry in self._report.skipped if entry.reason == reason and entry.hint), None)
+        return ResultError(f"no {what} can be written; of {total:,}, {number:,}: {reason}", hint=hint)
+
+    def abort(self) -> None:
+        """Release what is open; the files of finished writers stay."""
+        for writer in self._writers.values():
+            writer.abort()

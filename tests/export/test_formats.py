@@ -1,0 +1,45 @@
+"""The table of formats, and the names of files."""
+
+from __future__ import annotations
+
+from typing import get_args
+
+from pc2scan.cli.export import FORMATS as OFFERED
+from pc2scan.export.formats import FORMATS
+from pc2scan.export.names import file_names
+
+
+def test_the_command_offers_the_formats() -> None:
+    assert get_args(OFFERED) == tuple(FORMATS)
+
+
+def test_every_format_names_its_writer() -> None:
+    from importlib import import_module
+
+    for entry in FORMATS.values():
+        module, name = entry.home
+        assert hasattr(import_module(f"pc2scan.export.{module}"), name)
+
+
+def test_names_are_safe_and_never_the_same() -> None:
+    topics = [
+        "/a/b",
+        "/a_b",
+        "/A_B",
+        "/a_b_2",
+        "/..",
+        "/.",
+        "/ö",
+        "/con",
+        "/" + "x" * 300,
+        "/" + "x" * 301,
+        "/a\0b\n/c",
+    ]
+    names = list(file_names(topics).values())
+    assert len({name.lower() for name in names}) == len(topics)
+    for name in names:
+        assert name.isascii()
+        assert name.replace("_", "").replace("-", "").replace(".", "").isalnum()
+        assert len(name) < 130
+        assert not name.startswith(".")
+    assert file_names(["/con"])["/con"] == "topic_con"
