@@ -145,6 +145,7 @@ def _check_request(written: Format, options: ConvertOptions, form: ExportOptions
             f"{written.name} needs poses", hint="`pose_frame=odom` takes them from tf, `odom_topic=/odom` from odometry"
         )
     idle = {
+        "scans": options.scans,
         "reverse": options.reverse,
         "keep": options.keep,
         "drop": options.drop,
@@ -178,7 +179,7 @@ def _topics(connections: Iterable[Any], written: Format, options: ConvertOptions
                 hint=f"`topics={renamed[0].source}`",
             )
         return [topic.source for topic in options.topics]
-    kinds = options.source_types if form.converting else (POINTCLOUD2,) if written.clouds else (LASERSCAN,)
+    kinds = options.specs[0].source_types if form.converting else (POINTCLOUD2,) if written.clouds else (LASERSCAN,)
     return sorted({each.topic for each in connections if each.ros_type in kinds})
 
 
