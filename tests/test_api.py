@@ -10,7 +10,7 @@ import re
 import subprocess
 import sys
 import traceback
-from datetime import UTC, datetime, timedelta, timezone
+from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
 
@@ -208,7 +208,7 @@ def test_degrees_are_asked_about_wherever_parameters_come_from(tmp_path: Path) -
         (1604515190.25, 1604515190250000000, True),
         (1604515190231374463, 1604515190231374463, True),
         (np.uint64(1604515190231374463), 1604515190231374463, True),
-        (datetime(2020, 11, 4, 18, 39, 50, 231374, UTC), 1604515190231374000, True),
+        (datetime(2020, 11, 4, 18, 39, 50, 231374, timezone.utc), 1604515190231374000, True),
         (datetime(2020, 11, 4, 19, 39, 50, tzinfo=timezone(timedelta(hours=1))), 1604515190000000000, True),
         (np.datetime64("2020-11-04T18:39:50.231374463"), 1604515190231374463, True),
         (np.datetime64("2020-11-04"), 1604448000000000000, True),

@@ -108,9 +108,9 @@ def stamp(stamp_ns: int) -> str:
     seconds = stamp_ns // 1_000_000_000
     if not _FIRST_DATE <= seconds <= _LAST_DATE:
         return stamp_text(stamp_ns)
-    from datetime import UTC, datetime  # noqa: PLC0415  # few results have dates
+    from datetime import datetime, timezone  # noqa: PLC0415  # few results have dates
 
-    return f"{stamp_text(stamp_ns)} ({datetime.fromtimestamp(seconds, UTC):%Y-%m-%d %H:%M:%S} UTC)"
+    return f"{stamp_text(stamp_ns)} ({datetime.fromtimestamp(seconds, timezone.utc):%Y-%m-%d %H:%M:%S} UTC)"
 
 
 def listed(entries: Sequence[str], label: str, most: int) -> Iterator[str]:

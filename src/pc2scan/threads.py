@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any, Generic, ParamSpec, TypeVar
 if TYPE_CHECKING:
     from collections.abc import Callable
     from types import TracebackType
-    from typing import Self
+
+    from typing_extensions import Self
 
 __all__ = ["InOrder", "Task", "Threads"]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from datetime import UTC, datetime
+from datetime import datetime, timezone
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -79,7 +79,7 @@ def targets(since_ns: int, until_ns: int) -> list[tuple[str, int]]:
 
 
 STEP = SECOND // 10
-ISO = datetime.fromtimestamp((T0 + STEP) // 1000 / 1e6, UTC).isoformat()
+ISO = datetime.fromtimestamp((T0 + STEP) // 1000 / 1e6, timezone.utc).isoformat()
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,6 @@ import tempfile
 from collections import Counter
 from contextlib import closing
 from dataclasses import dataclass
-from enum import StrEnum
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,6 +22,7 @@ from pc2scan import ProjectionParams
 from pc2scan.bags.opening import open_recording
 from pc2scan.pipeline.options import ConvertOptions, TimeBound
 from pc2scan.pipeline.run import OutputOptions, run
+from pc2scan.text_enum import TextEnum
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 __all__ = ["Finding", "Operation", "Outcome", "attempt", "by_command", "mutant_of"]
 
 
-class Outcome(StrEnum):
+class Outcome(TextEnum):
     """What became of a mutant."""
 
     identical = "identical"

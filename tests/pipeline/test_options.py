@@ -19,6 +19,8 @@ from pc2scan.pipeline.options import ConvertOptions, TimeBound, TopicRequest
         ("1604515190231374463", TimeBound(1604515190231374463, absolute=True)),
         ("@1604515190231374463", TimeBound(1604515190231374463, absolute=True)),
         ("2020-11-04T18:39:50.231374Z", TimeBound(1604515190231374000, absolute=True)),
+        ("2020-11-04T19:39:50.231374463+01:00", TimeBound(1604515190231374463, absolute=True)),
+        ("2020-11-04 19:39:50,25+0100", TimeBound(1604515190250000000, absolute=True)),
         ("2020-11-04 19:39:50+01:00", TimeBound(1604515190000000000, absolute=True)),
         ("2020-11-04T18:39:50", TimeBound(1604515190000000000, absolute=True)),
     ],

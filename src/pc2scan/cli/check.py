@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
+
+from pc2scan.text_enum import TextEnum
 
 from . import completion
 from .damage import show_damage
@@ -16,7 +17,7 @@ from .render import message, print_json, warn
 __all__ = ["check"]
 
 
-class Consumer(StrEnum):
+class Consumer(TextEnum):
     """The consumers of scans, as in `pc2scan.core.consumers.CONSUMERS`."""
 
     slam_toolbox = "slam_toolbox"

@@ -9,11 +9,12 @@ from __future__ import annotations
 from functools import wraps
 from inspect import Parameter, Signature, signature
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, TypeGuard, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Any, TypeGuard, get_args, get_origin
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
-    from typing import Self
+
+    from typing_extensions import Self
 
 __all__ = ["Group", "flat"]
 
@@ -49,19 +50,19 @@ def _is_group(kind: object) -> TypeGuard[type[Group]]:
 
 def flat(command: Callable[..., None]) -> Callable[..., None]:
     """Return a function with one parameter for each option, which calls ``command`` with its groups."""
-    hints = get_type_hints(command, include_extras=True)
+    # Not typing.get_type_hints: up to Python 3.10, that makes what has None as its default optional.
+    taken = signature(command, eval_str=True).parameters
     parameters: list[Parameter] = []
-    for parameter in signature(command).parameters.values():
-        kind = hints[parameter.name]
-        parameters += kind.parameters() if _is_group(kind) else [parameter.replace(annotation=kind)]
+    for parameter in taken.values():
+        kind = parameter.annotation
+        parameters += kind.parameters() if _is_group(kind) else [parameter]
 
     @wraps(command)
     def run(**values: Any) -> None:
         command(
             **{
-                name: kind.gathered(values) if _is_group(kind) else values[name]
-                for name, kind in hints.items()
-                if name != "return"
+                name: kind.gathered(values) if _is_group(kind := parameter.annotation) else values[name]
+                for name, parameter in taken.items()
             }
         )
 

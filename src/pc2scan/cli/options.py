@@ -4,10 +4,9 @@ No ``from __future__ import annotations`` here: see `pc2scan.cli.groups.Group`.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from enum import StrEnum
 from inspect import Parameter
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from typer.models import TyperPath
@@ -16,6 +15,7 @@ from pc2scan.errors import UsageError
 from pc2scan.pipeline.parameters import PARAMETERS, Setting, default_in_words
 from pc2scan.pipeline.parameters import Parameter as TableRow
 from pc2scan.pipeline.ros_scalars import plain_scalar
+from pc2scan.text_enum import TextEnum
 
 from . import completion
 from .groups import Group
@@ -23,6 +23,8 @@ from .render import warn
 from .spelling import as_typed
 
 if TYPE_CHECKING:
+    from typing_extensions import Self
+
     from pc2scan.core.unproject import UnprojectParams
     from pc2scan.pipeline.options import ConvertOptions
     from pc2scan.pipeline.run import OutputOptions
@@ -198,7 +200,7 @@ class ParameterOptions(Group):
             yield Parameter(name, Parameter.KEYWORD_ONLY, default=option, annotation=bool if boolean else str)
 
     @classmethod
-    def gathered(cls, values: Mapping[str, Any]) -> Self:
+    def gathered(cls, values: Mapping[str, Any]) -> "Self":
         """Collect the options that were typed."""
         settings = []
         for name, parameter in PARAMETERS.items():
@@ -465,7 +467,7 @@ class MovingGroup(Group):
     ] = "header"
 
 
-class Channel(StrEnum):
+class Channel(TextEnum):
     """Channels that laser_geometry can add to a cloud."""
 
     distances = "distances"

@@ -7,7 +7,7 @@ import numbers
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, Literal, Self
+from typing import TYPE_CHECKING, Any, Literal
 
 from pc2scan.arguments import refuse_unknown
 from pc2scan.errors import ParameterError
@@ -27,6 +27,8 @@ from .presets import PRESETS
 
 if TYPE_CHECKING:
     from os import PathLike
+
+    from typing_extensions import Self
 
 __all__ = ["CHOICES", "MAX_BEAMS", "MEASURED", "ProjectionParams", "beam_count", "float32", "range_max_minus"]
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field
-from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.shown import Shown, Table
+from pc2scan.text_enum import TextEnum
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 __all__ = ["CaseOutcome", "CaseResult", "GoldenReport"]
 
 
-class CaseOutcome(StrEnum):
+class CaseOutcome(TextEnum):
     """The outcome of a case."""
 
     passed = "passed"

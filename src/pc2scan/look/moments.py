@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
+from datetime import datetime, timezone
 from typing import TYPE_CHECKING
 
 from pc2scan.inspect.sampling import sampled
@@ -25,7 +25,7 @@ def moment(stamp_ns: int) -> str:
     if stamp_ns < _FIRST_DATE_NS:
         return f"{stamp_ns / 1e9:.3f} s"
     seconds, rest = divmod(stamp_ns, 1_000_000_000)
-    return f"{datetime.fromtimestamp(seconds, UTC):%Y-%m-%d %H:%M:%S}.{rest // 1_000_000:03d} UTC"
+    return f"{datetime.fromtimestamp(seconds, timezone.utc):%Y-%m-%d %H:%M:%S}.{rest // 1_000_000:03d} UTC"
 
 
 def spread(

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import re
 import sqlite3
+import sys
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -40,6 +41,7 @@ from pc2scan.files.temporary import making_copy, private_folder, sqlite_is_full
 from pc2scan.model import Connection, Definition, RawMessage, Summary, declared_counts
 
 from .sqlite3_checks import TIMES_SUM, index_trouble, table_trouble
+from .sqlite3_codes import CORRUPT, ERROR, FULL, IOERR_SHORT_READ, NOTADB, code_of
 from .sqlite3_logs import missing_bytes, side_logs, write_merged
 from .sqlite3_pages import PageFile, declared_size, rebuilt
 
@@ -60,7 +62,7 @@ __all__ = ["Sqlite3Reader", "open_reader"]
 _SHORT_DEFAULT = re.compile(r"[+-]?\w{1,20}|'[^']{0,40}'|\"[^\"]{0,40}\"")
 
 #: SQLite's codes for a damaged database; ERROR is that of a damaged schema.
-_DAMAGE_CODES = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_ERROR, sqlite3.SQLITE_IOERR_SHORT_READ)
+_DAMAGE_CODES = (CORRUPT, NOTADB, ERROR, IOERR_SHORT_READ)
 
 #: Messages among which one in CDR is searched, to detect whether they are compressed one by one.
 _LOOKED_AT = 1000
@@ -367,10 +369,11 @@ class Sqlite3Reader(Reader):
         database = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro&immutable=1", uri=True, check_same_thread=False)
         # A topic's name may have bytes that are not UTF-8.
         database.text_factory = lambda raw: raw.decode("utf-8", "replace")
-        # No value is longer than the file, or than SQLite's limit.
-        database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, min(self._most, 2**31 - 1))
-        # No statement of an untrusted recording may open another file, or call functions with effects.
-        database.setlimit(sqlite3.SQLITE_LIMIT_ATTACHED, 0)
+        if sys.version_info >= (3, 11):
+            # No value is longer than the file, or than SQLite's limit.
+            database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, min(self._most, 2**31 - 1))
+            # No statement of an untrusted recording may open another file, or call functions with effects.
+            database.setlimit(sqlite3.SQLITE_LIMIT_ATTACHED, 0)
         database.execute("PRAGMA trusted_schema = OFF")
         return database
 
@@ -406,11 +409,11 @@ class Sqlite3Reader(Reader):
         return DamageError(message, path=self._path, topic=topic, hint=RECOVER)
 
     def _error(self, err: Exception) -> RecordingError:
-        if isinstance(err, sqlite3.Error) and err.sqlite_errorcode == sqlite3.SQLITE_FULL:
+        if isinstance(err, sqlite3.Error) and code_of(err) == FULL:
             return sqlite_is_full(self._path)
         message = f"SQLite cannot read it: {str(err) or type(err).__name__}"
         # Failing disks and a lack of memory are not damage.
-        if not isinstance(err, sqlite3.Error) or err.sqlite_errorcode in _DAMAGE_CODES:
+        if not isinstance(err, sqlite3.Error) or code_of(err) in _DAMAGE_CODES:
             return self._damage(message)
         return RecordingError(message, path=self._path)
 
