@@ -96,10 +96,14 @@ def _patiently() -> Iterator[None]:
     def stop(*_: Any) -> None:
         raise _TooLateError
 
-    previous = signal.signal(signal.SIGALRM, stop)
-    signal.setitimer(signal.ITIMER_REAL, _PATIENCE)
+    # Windows has no such timer: there, completion waits.
+    timed = hasattr(signal, "setitimer")
+    if timed:
+        previous = signal.signal(signal.SIGALRM, stop)
+        signal.setitimer(signal.ITIMER_REAL, _PATIENCE)
     # Whatever is wrong with a recording, it is not said here.
     with suppress(Exception):
         yield
-    signal.setitimer(signal.ITIMER_REAL, 0)
-    signal.signal(signal.SIGALRM, previous)
+    if timed:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, previous)

@@ -70,8 +70,9 @@ def end_without_output(err: OSError, words: Sequence[str]) -> int:
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 1)
     os.close(nowhere)
-    if err.errno == errno.EPIPE:
-        return 128 + signal.SIGPIPE
+    # Windows has no SIGPIPE, and calls a pipe that was closed an invalid argument.
+    if err.errno == errno.EPIPE or (os.name == "nt" and err.errno == errno.EINVAL):
+        return 128 + getattr(signal, "SIGPIPE", 13)
     command = "" if {"-h", "--help"} & set(words) else "".join(words[:1])
     note = "; the output is written" if command in _WRITING else ""
     sys.stderr.write(message(f"error: standard output cannot be written: {err.strerror}{note}") + "\n")

@@ -11,6 +11,8 @@ from weakref import WeakValueDictionary
 
 from pc2scan.errors import OutputError, RecordingError
 
+from .system import BINARY, read_at
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
     from io import TextIOWrapper
@@ -120,7 +122,7 @@ class SourceFile:
         self._descriptor = -1
         self._buffers = _shared.setdefault("", _Buffers())
         try:
-            self._descriptor = _open_regular(str(path), os.O_RDONLY | getattr(os, "O_CLOEXEC", 0))
+            self._descriptor = _open_regular(str(path), os.O_RDONLY | BINARY | getattr(os, "O_CLOEXEC", 0))
             self.size = os.fstat(self._descriptor).st_size - start
         except OSError as err:
             self.close()
@@ -165,9 +167,9 @@ class SourceFile:
         self._expect_inside(offset, length)
         offset += self.start
         try:
-            data = os.pread(self._descriptor, length, offset)
-            # One call returns 2 GiB at most.
-            while len(data) < length and (more := os.pread(self._descriptor, length - len(data), offset + len(data))):
+            data = read_at(self._descriptor, length, offset)
+            # Many bytes take several calls.
+            while len(data) < length and (more := read_at(self._descriptor, length - len(data), offset + len(data))):
                 data += more
         except OSError as err:
             raise self._unreadable(offset, err) from err

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 
 from pc2scan.errors import DestinationError, OutputError
 
+from . import system
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
@@ -228,6 +230,8 @@ def check_place(dst: Path) -> None:
     """Raise if nothing of this name can be written."""
     if dst.name in {"", ".."}:
         raise DestinationError("is not a name that a recording can have", path=dst)
+    if reason := system.unusable_name(dst.name):
+        raise DestinationError(f"cannot be written: the name {reason}", path=dst, hint="choose another name")
     parent = dst.parent
     try:
         exists = parent.exists()
@@ -319,23 +323,29 @@ def _only_run(dst: Path) -> Iterator[None]:
         yield
     finally:
         # Removed before it is released: a run that locks the removed file notices, in _locked.
-        with suppress(OSError):
-            lock.unlink()
+        # Windows removes only what nobody has open.
+        removed = _unlinked(lock)
         with suppress(OSError):
             os.close(descriptor)
+        if not removed:
+            _unlinked(lock)
+
+
+def _unlinked(lock: Path) -> bool:
+    try:
+        lock.unlink()
+    except OSError:
+        return False
+    return True
 
 
 def _locked(lock: Path) -> int:
     """Open a lock file and lock it; BlockingIOError if another process has locked it."""
-    try:
-        import fcntl  # noqa: PLC0415  (not on Windows)
-    except ImportError:
-        return _open_lock(lock)
     while True:
         descriptor = _open_lock(lock)
         try:
             try:
-                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                system.lock(descriptor)
             except BlockingIOError:
                 raise
             except OSError:
@@ -353,7 +363,9 @@ def _locked(lock: Path) -> int:
 
 def _open_lock(lock: Path) -> int:
     """Open a lock file, or create it; never through a link, and never a file that is not empty."""
-    flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_NOFOLLOW", 0)
+    flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0) | system.REFUSES_LINKS
+    if not system.REFUSES_LINKS and lock.is_symlink():
+        raise _no_lock(lock, "a symbolic link")
     try:
         descriptor = os.open(lock, flags, 0o644)
     except OSError as err:

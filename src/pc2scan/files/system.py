@@ -1,0 +1,86 @@
+"""What operating systems differ in: reading at a place, and locks."""
+
+from __future__ import annotations
+
+import errno
+import os
+from threading import Lock
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+__all__ = ["BINARY", "REFUSES_LINKS", "lock", "read_at", "sought_and_read", "unusable_name"]
+
+#: Windows would translate line ends in files that are opened without it.
+BINARY = getattr(os, "O_BINARY", 0)
+
+#: With this, opening a symbolic link fails; 0 where the system cannot do so.
+REFUSES_LINKS = getattr(os, "O_NOFOLLOW", 0)
+
+#: Linux returns at most 2 GiB a call; macOS refuses to return more.
+_MOST_AT_ONCE = 1 << 30
+
+#: Names that Windows takes for devices, with any suffix.
+#: Source: https://learn.microsoft.com/windows/win32/fileio/naming-a-file
+_DEVICES = {"con", "prn", "aux", "nul", *(f"{kind}{n}" for kind in ("com", "lpt") for n in range(1, 10))}
+
+_turn = Lock()
+
+
+def _read_at(descriptor: int, length: int, offset: int) -> bytes:
+    return os.pread(descriptor, min(length, _MOST_AT_ONCE), offset)
+
+
+def sought_and_read(descriptor: int, length: int, offset: int) -> bytes:
+    """Do what `read_at` does without ``pread``: the descriptor has one position, which all threads share."""
+    with _turn:
+        os.lseek(descriptor, offset, os.SEEK_SET)
+        return os.read(descriptor, min(length, _MOST_AT_ONCE))
+
+
+#: Reads at most so many bytes at a place of an open file, on any thread: ``read_at(descriptor, length, offset)``.
+read_at: Callable[[int, int, int], bytes] = _read_at if hasattr(os, "pread") else sought_and_read
+
+
+def lock(descriptor: int) -> None:
+    """Lock an open file; the system releases it when the process ends.
+
+    Raises
+    ------
+    BlockingIOError
+        If another process has locked it.
+    OSError
+        If the file system cannot lock files, as some network file systems.
+    """
+    try:
+        import fcntl  # noqa: PLC0415  # not on Windows
+    except ImportError:
+        _lock_on_windows(descriptor)
+    else:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+def _lock_on_windows(descriptor: int) -> None:
+    try:
+        import msvcrt  # noqa: PLC0415  # only there
+    except ImportError as err:
+        raise OSError(errno.ENOLCK, "this system has no locks") from err
+    try:
+        msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined,unused-ignore]
+    except OSError as err:
+        if err.errno in {errno.EACCES, errno.EDEADLK}:
+            raise BlockingIOError(err.errno, "is locked") from err
+        raise
+
+
+def unusable_name(name: str) -> str:
+    """Return why Windows cannot have a file of this name; empty elsewhere, and if it can."""
+    if os.name != "nt":
+        return ""
+    if name.partition(".")[0].rstrip(" ").lower() in _DEVICES:
+        return "is the name of a device on Windows"
+    if name[-1:] in {".", " "}:
+        return "ends with a character that Windows drops"
+    forbidden = sorted(set(name) & set('<>:"|?*'))
+    return f"has {' '.join(forbidden)}, which names on Windows cannot have" if forbidden else ""
