@@ -18,7 +18,18 @@ if TYPE_CHECKING:
 PACKAGE = ROOT / "src" / "pc2scan"
 
 #: Every layer may import these; they import nothing of pc2scan but each other.
-GROUND = {"arguments", "callable_package", "errors", "json_types", "model", "names", "shown", "threads", "version"}
+GROUND = {
+    "arguments",
+    "callable_package",
+    "errors",
+    "json_types",
+    "model",
+    "names",
+    "shown",
+    "text_enum",
+    "threads",
+    "version",
+}
 
 #: What else each layer may import of pc2scan, for type checkers too; its own modules always.
 ALLOWED = {
@@ -31,6 +42,7 @@ ALLOWED = {
     "version": set[str](),
     "model": set[str](),
     "names": set[str](),
+    "text_enum": set[str](),
     "threads": set[str](),
     "files": set[str](),
     "core": set[str](),
@@ -65,6 +77,7 @@ THIRD_PARTY = {
     "version": set[str](),
     "model": set[str](),
     "names": set[str](),
+    "text_enum": set[str](),
     "threads": set[str](),
     "files": {"isal", "lz4", "zstandard", "ruamel"},
     "core": {"numpy"},
