@@ -721,7 +721,7 @@ def export(
     destination
         A file; or a folder, which is made: of several topics, of clouds, and where the text ends with a slash.
     format
-        ``npz``, ``csv`` or ``tum``. Default: that of the file's suffix.
+        ``npz``, ``csv``, ``tum``, ``carmen``, ``flaser``, ``pcd`` or ``kitti``. Default: that of the file's suffix.
     pose_frame
         Write the robot's pose in this frame, such as ``odom``, at each message's own stamp, from the transforms.
         Messages without a transform at their stamp are skipped.

@@ -14,6 +14,7 @@ EXAMPLES: dict[str, tuple[tuple[str, str], ...]] = {
     "export": (
         ("pc2scan export scans.mcap -o scans.npz --pose-frame odom", "scans with the robot's pose, as NumPy arrays"),
         ("pc2scan export drive.bag -o scans.csv --min-height -0.3", "scans made of its clouds, a row for each"),
+        ("pc2scan export drive.bag -o clouds --format pcd", "a file for each cloud"),
     ),
     "view": (
         ("pc2scan view drive.bag", "a page that shows its clouds and scans"),

@@ -16,7 +16,7 @@ from .render import print_json, show_parts, warn
 __all__ = ["export"]
 
 #: The names of `pc2scan.export.formats.FORMATS`, which are not loaded for ``--help``; a test compares them.
-FORMATS = Literal["npz", "csv", "tum"]
+FORMATS = Literal["npz", "csv", "tum", "carmen", "flaser", "pcd", "kitti"]
 
 
 def export(
@@ -30,7 +30,7 @@ def export(
             "--output",
             "-o",
             metavar="OUT",
-            help="The file; DIR/: a folder, which is made, with a file for each topic.",
+            help="The file; DIR/: a folder, which is made, with a file for each topic. Of clouds: the folder.",
             show_default=False,
             click_type=TyperPath(path_type=str),
         ),
@@ -40,7 +40,8 @@ def export(
         typer.Option(
             "--format",
             "-f",
-            help="npz: NumPy arrays; csv: a row for each scan; tum: the trajectory alone.  [default: OUT's suffix]",
+            help="Scans: npz (NumPy arrays), csv (a row for each), carmen (ROBOTLASER1, .log), flaser (FLASER, .clf). "
+            "tum: the trajectory alone. Clouds, in a folder: pcd, kitti.  [default: OUT's suffix]",
             show_default=False,
         ),
     ] = None,
@@ -78,7 +79,7 @@ def export(
     *,
     conversion: ConversionGroup,
 ) -> None:
-    """Write scans with poses, or the trajectory alone, for learning and evaluation.
+    """Write scans with poses, the trajectory alone, or clouds, for learning and evaluation.
 
     The scans are those of the LaserScan topics; with any parameter of the projection they are made of the clouds on the
     way, as `pc2scan convert` makes them. Poses are interpolated as tf2 does it, and never extrapolated: messages

@@ -100,6 +100,18 @@ FORMATS = {
         Format("npz", ".npz", "NumPy arrays: ranges, angles, stamps, poses", ("npz", "NpzWriter")),
         Format("csv", ".csv", "a row for each scan", ("csv_rows", "CsvWriter")),
         Format("tum", ".tum", "the trajectory alone, which evo reads", ("tum", "TumWriter"), needs_poses=True),
+        Format("carmen", ".log", "CARMEN's ROBOTLASER1", ("carmen", "CarmenWriter"), needs_poses=True),
+        Format("flaser", ".clf", "CARMEN's older FLASER", ("carmen", "FlaserWriter"), needs_poses=True),
+        Format("pcd", ".pcd", "a binary file for each cloud", ("pcd", "PcdWriter"), clouds=True, folder=True),
+        Format(
+            "kitti",
+            ".bin",
+            "x, y, z and intensity of each cloud, as KITTI has them",
+            ("kitti", "KittiWriter"),
+            clouds=True,
+            folder=True,
+            further=("times.txt", "stamps.txt", "poses.txt"),
+        ),
     )
 }
 
@@ -113,7 +125,8 @@ def format_of(name: str | None, destination: Path) -> Format:
         If there is no such format, or the suffix is of none.
     """
     if name is None:
-        found = next((entry for entry in FORMATS.values() if entry.suffix == destination.suffix.lower()), None)
+        suffix = destination.suffix.lower()
+        found = next((each for each in FORMATS.values() if each.suffix == suffix and not each.folder), None)
         if found is None:
             raise UsageError(
                 "its suffix is that of no format", path=destination, hint=f"give `format`: {', '.join(FORMATS)}"

@@ -122,7 +122,9 @@ def run(
             others = open_recordings(options.frames.tf_from, stack, verify=options.verify, strict=options.strict)
             poses, texts = open_poses([reader, *others], options.frames, form.poses)
             report.warnings += texts
-        export = _Export(written, poses, report, failing=options.on_error == "fail")
+        # Scans that are made of clouds say themselves which frame they are in.
+        frame = "" if form.converting else options.frames.source_frame
+        export = _Export(written, poses, report, source_frame=frame, failing=options.on_error == "fail")
         export.lay_out(stream.topics, partial, destination, folder=folder)
         try:
             export.write(stream)
@@ -157,7 +159,11 @@ def _check_request(written: Format, options: ConvertOptions, form: ExportOptions
     if given := [f"`{name}`" for name, value in idle.items() if value]:
         raise UsageError(f"{' and '.join(given)} would have no effect: no recording is written")
     frames = options.frames
-    if not form.converting and not form.poses.wanted and (frames.static or frames.tf_from or frames.tf_topics):
+    if (
+        not form.converting
+        and not form.poses.wanted
+        and (frames.static or frames.tf_from or frames.tf_topics or frames.source_frame)
+    ):
         raise UsageError(
             "transforms would have no effect: neither poses nor scans of clouds are asked for",
             hint="`pose_frame=odom` writes poses",
@@ -242,10 +248,13 @@ def _only_exports(written: Format) -> Any:
 class _Export:
     """The writers of all topics."""
 
-    def __init__(self, written: Format, poses: Poses | None, report: ExportReport, *, failing: bool) -> None:
+    def __init__(
+        self, written: Format, poses: Poses | None, report: ExportReport, *, source_frame: str, failing: bool
+    ) -> None:
         self._format = written
         self._poses = poses
         self._report = report
+        self._source_frame = source_frame
         self._failing = failing
         self._entries: dict[str, ExportedTopic] = {}
         self._places: dict[str, tuple[Path, Path]] = {}
@@ -284,16 +293,32 @@ class _Export:
         if further := stream.skipped_count - len(stream.skipped):
             report.skipped_reasons["other messages that cannot be read"] += further
         report.skipped += stream.skipped
-        if not self._writers:
+        if not report.messages:
             raise self._nothing(stream)
-        for topic, writer in self._writers.items():
-            report.warnings += (f"{topic}: {text}" for text in writer.finish())
-        for entry in self._entries.values():
-            if not entry.written:
-                report.warnings.append(f"{entry.topic}: nothing to write, so there is no file")
+        for topic, entry in self._entries.items():
+            if entry.written:
+                report.warnings += (f"{topic}: {text}" for text in self._writers[topic].finish())
+            else:
+                self._give_up(topic)
+                report.warnings.append(f"{topic}: nothing to write, so there is no file")
+
+    def _give_up(self, topic: str) -> None:
+        """Remove what was begun of a topic without a message that can be written."""
+        if (writer := self._writers.pop(topic, None)) is None:
+            return
+        writer.abort()
+        self._entries[topic].path = None
+        path = self._places[topic][0]
+        if path.is_dir():
+            for file in path.iterdir():
+                file.unlink()
+            path.rmdir()
+        else:
+            path.unlink(missing_ok=True)
 
     def _add(self, item: Any, entry: ExportedTopic) -> None:
-        placed = None if self._poses is None else self._poses.at(item.frame, item.stamp_ns)
+        frame = self._source_frame or item.frame
+        placed = None if self._poses is None else self._poses.at(frame, item.stamp_ns)
         writer = self._writers.get(item.topic)
         if writer is None:
             partial, final = self._places[item.topic]
@@ -304,7 +329,8 @@ class _Export:
         entry.first_ns = item.stamp_ns if entry.first_ns is None else entry.first_ns
         entry.last_ns = item.stamp_ns
         if placed is not None:
-            entry.pose_frame, entry.base_frame = placed.pose_frame, placed.base_frame
+            entry.pose_frame = placed.pose_frame
+            entry.base_frame = frame.removeprefix("/") if self._format.clouds else placed.base_frame
 
     def _nothing(self, stream: Scans | Clouds) -> ResultError:
         what = "cloud" if self._format.clouds else "scan"

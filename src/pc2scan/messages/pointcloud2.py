@@ -153,6 +153,50 @@ class PointCloud2:
             return np.empty(0, layout.dtype)
         return np.ndarray(layout.shape, layout.dtype, self.data, layout.offset, layout.strides)
 
+    def structured(self) -> NDArray[Any]:
+        """Return all fields of every point, with all their elements, packed and little-endian.
+
+        Returns
+        -------
+        numpy.ndarray
+            Structured, shape ``(points,)``; a copy.
+
+        Raises
+        ------
+        DecodeError
+            If two fields have one name; as `field` does; and if a field's elements do not fit into a point.
+        """
+        names = [field.name for field in self.fields]
+        if twice := [name for name in names if names.count(name) > 1]:
+            raise self._error(f"two fields are named {twice[0]!r}")
+        self.check_size()
+        views = {field.name: self._elements(field) for field in self.fields}
+        dtype = np.dtype(
+            [
+                (name, view.dtype.newbyteorder("<"), view.shape[-1:] if view.shape[-1] != 1 else ())
+                for name, view in views.items()
+            ]
+        )
+        packed = np.empty(self.points, dtype)
+        for name, view in views.items():
+            packed[name] = view.reshape(self.points, *dtype[name].shape)
+        return packed
+
+    def _elements(self, field: PointField) -> NDArray[Any]:
+        """All elements of a field, along the last axis."""
+        first = self.field(field.name)
+        # Drivers write 0 for a single element.
+        count = max(field.count, 1)
+        size = first.dtype.itemsize
+        if first.size and field.offset + count * size > self.point_step:
+            raise self._error(
+                f"field {field.name!r} takes bytes {field.offset} to {field.offset + count * size} of a point, but "
+                f"point_step is {self.point_step}"
+            )
+        if not first.size:
+            return np.empty((0, count), first.dtype)
+        return np.ndarray((*first.shape, count), first.dtype, self.data, field.offset, (*first.strides, size))
+
     def _layout_of(self, name: str) -> _FieldLayout:
         found = next((field for field in self.fields if field.name == name), None)
         if found is None:

@@ -142,6 +142,22 @@ class Cloud:
                 points[:, index] = column.ravel()
         return points
 
+    def points(self) -> NDArray[Any]:
+        """All fields of all points.
+
+        Returns
+        -------
+        numpy.ndarray
+            Structured, shape (points,), little-endian and without padding: a copy, in the order of the points. A field
+            with several elements is an array in each point.
+
+        Raises
+        ------
+        DecodeError
+            If two fields have one name, or the message contradicts itself.
+        """
+        return self._message.structured()
+
     def to_dataframe(self) -> Any:
         """Return a ``pandas.DataFrame`` with a row for each point and a column for each field.
 

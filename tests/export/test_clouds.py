@@ -1,0 +1,251 @@
+"""Clouds as files, read back by pypcd4 and NumPy."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+import pc2scan
+from builders import (
+    CLOUD,
+    SECOND,
+    TF,
+    Item,
+    Recording,
+    Stream,
+    header,
+    item,
+    serialized,
+    transforms,
+    typestore,
+    write_mcap,
+)
+from builders import cloud as plain_cloud
+from e2e.command import run
+from pc2scan.errors import DestinationError, ResultError, UsageError
+from support import ROOT
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+HALL = ROOT / "fixtures" / "hall.bag"
+START = 1_700_000_000_000_000_000
+
+#: name, NumPy's type, elements, offset: unaligned, with padding, of every datatype.
+FIELDS = (
+    ("x", "f4", 1, 0),
+    ("y", "f4", 1, 4),
+    ("z", "f4", 1, 8),
+    ("intensity", "f4", 1, 16),
+    ("ring", "u2", 1, 20),
+    ("normal", "f4", 3, 23),
+    ("t", "f8", 1, 40),
+    ("tag", "u1", 0, 48),
+    ("a", "i1", 1, 49),
+    ("b", "i2", 1, 50),
+    ("c", "i4", 1, 52),
+    ("d", "u4", 1, 56),
+)
+NAMES = tuple(name for name, *_ in FIELDS)
+STEP = 61
+_CODES = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
+
+
+def content(count: int, seed: int) -> dict[str, Any]:
+    """Random values of each field."""
+    random = np.random.default_rng(seed)
+    values = {}
+    for name, kind, elements, _ in FIELDS:
+        shape = (count, elements) if elements > 1 else (count,)
+        values[name] = (random.uniform(-100, 100, shape) if kind[0] != "u" else random.uniform(0, 100, shape)).astype(
+            kind
+        )
+    values["x"][1] = np.nan
+    return values
+
+
+def cloud(
+    ros_version: int,
+    seq: int,
+    *,
+    stamp_ns: int = START,
+    big: bool = False,
+    padding: int = 0,
+    names: Sequence[str] = NAMES,
+) -> bytes:
+    """Two rows of three points, whose rows may have bytes behind them."""
+    order = ">" if big else "<"
+    values = content(6, 1)
+    row_step = 3 * STEP + padding
+    data = np.full(2 * row_step, 0xEE, np.uint8)
+    for name, kind, elements, offset in FIELDS:
+        size = np.dtype(kind).itemsize
+        for point in range(6):
+            begin = (point // 3) * row_step + (point % 3) * STEP + offset
+            data[begin : begin + size * max(elements, 1)] = np.frombuffer(
+                np.atleast_1d(values[name][point]).astype(order + kind).tobytes(), np.uint8
+            )
+    store = typestore(ros_version)
+    kind_of_field = store.types["sensor_msgs/msg/PointField"]
+    fields = [
+        kind_of_field(name, offset, _CODES[kind], elements)
+        for name, (_, kind, elements, offset) in zip(names, FIELDS, strict=True)
+    ]
+    message = store.types[CLOUD](
+        header(store, ros_version, seq, stamp_ns, "lidar"), 2, 3, fields, big, STEP, row_step, data, False
+    )
+    return serialized(store, message, CLOUD, ros_version)
+
+
+def recorded(
+    tmp_path: Path, *, topics: Sequence[str] = ("/points",), stamps: Sequence[int] = (START,), **how: Any
+) -> Path:
+    """Clouds, and a transform of their frame."""
+    items: list[Item] = []
+    streams = [Stream(topic, CLOUD) for topic in topics]
+    for i, stamp in enumerate(stamps):
+        for stream in streams:
+            make = lambda version, seq, stamp=stamp: cloud(version, seq, stamp_ns=stamp, **how)  # noqa: E731
+            items.append(item(stream, START + i, make))
+    tf = Stream("/tf_static", TF, latched=True)
+    row = ("map", "lidar", START, (1.5, -2.0, 0.25))
+    items.insert(0, Item(tf, START - SECOND, {version: transforms([row], version) for version in (1, 2)}))
+    return write_mcap(tmp_path / "clouds.mcap", Recording((tf, *streams), tuple(items)))
+
+
+def read_pcd(path: Path) -> Any:
+    pypcd4 = pytest.importorskip("pypcd4")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return pypcd4.PointCloud.from_path(path)
+
+
+@pytest.mark.parametrize("how", [{}, {"big": True}, {"padding": 7}, {"big": True, "padding": 64}], ids=str)
+def test_pcd_has_every_field_of_every_point(how: dict[str, Any], tmp_path: Path) -> None:
+    path = recorded(tmp_path, **how)
+    report = pc2scan.export(path, tmp_path / "out", format="pcd")
+    assert (report.messages, report.exit_status) == (1, 0)
+    found = read_pcd(tmp_path / "out" / f"{START}.pcd")
+    meta = found.metadata
+    assert meta.fields == tuple(field[0] for field in FIELDS)
+    assert (meta.width, meta.height, meta.points, meta.data.value) == (3, 2, 6, "binary")
+    assert meta.viewpoint == (0, 0, 0, 1, 0, 0, 0)
+    assert dict(zip(meta.fields, meta.count, strict=True))["normal"] == 3
+    for name, values in content(6, 1).items():
+        columns = [found.pc_data[f"{name}__{i:04d}"] for i in range(3)] if values.ndim == 2 else [found.pc_data[name]]
+        read = np.column_stack(columns).reshape(values.shape)
+        assert read.dtype == values.dtype
+        assert read.tobytes() == values.tobytes(), name
+
+
+def test_the_viewpoint_is_where_the_sensor_is(tmp_path: Path) -> None:
+    path = recorded(tmp_path)
+    pc2scan.export(path, tmp_path / "out", format="pcd", pose_frame="map")
+    assert read_pcd(tmp_path / "out" / f"{START}.pcd").metadata.viewpoint == (1.5, -2.0, 0.25, 1, 0, 0, 0)
+
+
+def test_real_clouds(tmp_path: Path) -> None:
+    report = pc2scan.export(HALL, tmp_path / "out", format="pcd", pose_frame="odom")
+    assert (report.topics[0].base_frame, report.messages) == ("lidar", 5)
+    for each in pc2scan.clouds(HALL):
+        found = read_pcd(tmp_path / "out" / f"{each.stamp_ns}.pcd")
+        assert found.metadata.fields == each.fields
+        for name in each.fields:
+            assert found.pc_data[name].tobytes() == each[name].tobytes()
+
+
+def test_clouds_of_one_stamp_are_two_files(tmp_path: Path) -> None:
+    path = recorded(tmp_path, stamps=(START, START, START + 1))
+    pc2scan.export(path, tmp_path / "out", format="pcd")
+    names = {entry.name for entry in (tmp_path / "out").iterdir()}
+    assert names == {f"{START}.pcd", f"{START}_1.pcd", f"{START + 1}.pcd"}
+
+
+def test_names_that_a_header_cannot_hold(tmp_path: Path) -> None:
+    names = list(NAMES)
+    names[4] = "laser ring"
+    with pytest.raises(ResultError, match="'laser ring'"):
+        pc2scan.export(recorded(tmp_path, names=names), tmp_path / "out", format="pcd")
+    names[4] = "x"
+    with pytest.raises(ResultError, match="two fields are named 'x'"):
+        pc2scan.export(recorded(tmp_path, names=names), tmp_path / "out", format="pcd")
+    assert not (tmp_path / "out").exists()
+
+
+def test_kitti_has_returns_alone(tmp_path: Path) -> None:
+    stamps = (START, START + SECOND // 8)
+    path = recorded(tmp_path, stamps=stamps)
+    pc2scan.export(path, tmp_path / "out", format="kitti", pose_frame="map")
+    values = content(6, 1)
+    expected = np.column_stack([values[name] for name in ("x", "y", "z", "intensity")])[[0, 2, 3, 4, 5]]
+    for name in ("000000.bin", "000001.bin"):
+        found = np.fromfile(tmp_path / "out" / name, np.float32).reshape(-1, 4)
+        assert found.tobytes() == expected.astype(np.float32).tobytes()
+    assert np.loadtxt(tmp_path / "out" / "times.txt").tolist() == [0.0, 0.125]
+    assert (tmp_path / "out" / "stamps.txt").read_text().split() == [str(stamp) for stamp in stamps]
+    poses = np.loadtxt(tmp_path / "out" / "poses.txt").reshape(2, 3, 4)
+    assert poses[1].tolist() == [[1, 0, 0, 1.5], [0, 1, 0, -2], [0, 0, 1, 0.25]]
+
+
+def test_kitti_needs_an_intensity(tmp_path: Path) -> None:
+    names = list(NAMES)
+    names[3] = "other"
+    with pytest.raises(ResultError, match="no field is the intensity: the cloud's fields are x, y, z, other") as caught:
+        pc2scan.export(recorded(tmp_path, names=names), tmp_path / "out", format="kitti")
+    assert "pcd" in str(caught.value.hint)
+
+
+def test_several_topics_are_folders(tmp_path: Path) -> None:
+    path = recorded(tmp_path, topics=("/front/points", "/rear/points"))
+    pc2scan.export(path, f"{tmp_path}/out/", format="pcd")
+    found = sorted(str(entry.relative_to(tmp_path / "out")) for entry in (tmp_path / "out").rglob("*.pcd"))
+    assert found == [f"front_points/{START}.pcd", f"rear_points/{START}.pcd"]
+    # The same again is replaced as a whole, and only if it is nothing but an export.
+    pc2scan.export(path, tmp_path / "out", format="pcd", topics="/front/points", overwrite=True)
+    assert [entry.name for entry in (tmp_path / "out").iterdir()] == [f"{START}.pcd"]
+    (tmp_path / "out" / "mine.txt").write_text("")
+    with pytest.raises(DestinationError, match=r"mine\.txt"):
+        pc2scan.export(path, tmp_path / "out", format="pcd", overwrite=True)
+
+
+def test_a_topic_of_which_nothing_can_be_written_has_no_file(tmp_path: Path) -> None:
+    items = [
+        item(stream, START, lambda version, seq, frame=frame: plain(version, seq, frame))  # type: ignore[misc]
+        for stream, frame in ((Stream("/known", CLOUD), "lidar"), (Stream("/lost", CLOUD), "nowhere"))
+    ]
+    tf = Stream("/tf_static", TF, latched=True)
+    row = ("map", "lidar", START, (1.5, -2.0, 0.25))
+    items.insert(0, Item(tf, START - SECOND, {version: transforms([row], version) for version in (1, 2)}))
+    streams = (tf, *(each.stream for each in items[1:]))
+    path = write_mcap(tmp_path / "clouds.mcap", Recording(streams, tuple(items)))
+    report = pc2scan.export(path, tmp_path / "out", format="pcd", pose_frame="map")
+    assert [(topic.topic, topic.written, topic.skipped) for topic in report.topics] == [
+        ("/known", 1, 0),
+        ("/lost", 0, 1),
+    ]
+    assert [entry.name for entry in (tmp_path / "out").iterdir()] == ["known"]
+    assert report.topics[1].path is None
+
+
+def plain(ros_version: int, seq: int, frame: str) -> bytes:
+    return plain_cloud(np.ones((3, 3), np.float32), ros_version, seq=seq, frame_id=frame)
+
+
+def test_parameters_of_scans_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="pcd holds clouds"):
+        pc2scan.export(HALL, tmp_path / "out", format="pcd", min_height=0.1)
+    pc2scan.convert(HALL, tmp_path / "scans.mcap", min_height=0.1)
+    with pytest.raises(UsageError, match="no PointCloud2 topic"):
+        pc2scan.export(tmp_path / "scans.mcap", tmp_path / "out", format="pcd")
+
+
+def test_the_command(tmp_path: Path) -> None:
+    done = run("export", HALL, "-o", tmp_path / "out", "--format", "pcd", "--json")
+    assert done.status == 0, done.stderr
+    assert json.loads(done.stdout)["topics"][0]["written"] == 5
+    assert len(list(Path(tmp_path / "out").iterdir())) == 5
