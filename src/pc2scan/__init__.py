@@ -13,6 +13,7 @@ Recordings to arrays:
 - `export`: scans with poses, trajectories and clouds as files that learning and evaluation read
 - `project`: points to a scan, without a recording
 - `view`: clouds and the scans that come of them, as a page
+- `map`: scans in a map, where the recorded odometry places them
 
 A recording is a ROS 1 bag, a rosbag2 directory, a ``.db3`` or an ``.mcap`` file, as ``str`` or ``pathlib.Path``, or a
 list of several that are one. The parameters of the projection are `ProjectionParams`, or keywords of `convert` and
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
     from .api import export as export
     from .api import golden as golden
     from .api import info as info
+    from .api import map as map  # noqa: A004
     from .api import repair as repair
     from .api import scans as scans
     from .api import tf as tf
@@ -60,6 +62,7 @@ if TYPE_CHECKING:
     from .inspect.check import Check as Check
     from .inspect.info import Info as Info
     from .inspect.tf import FrameTree as FrameTree
+    from .look.map import Map as Map
     from .look.view import Page as Page
     from .pipeline.report import Report as Report
     from .pipeline.stages.height_slope import MinHeightSlope as MinHeightSlope
@@ -86,6 +89,7 @@ _HOMES = {
     "FrameTree": "inspect.tf",
     "GoldenReport": "golden.result",
     "Info": "inspect.info",
+    "Map": "look.map",
     "MinHeightSlope": "pipeline.stages.height_slope",
     "Page": "look.view",
     "Pc2ScanError": "errors",
@@ -108,6 +112,7 @@ _HOMES = {
     "export": "export",
     "golden": "golden",
     "info": "api",
+    "map": "api",
     "project": "core.project",
     "repair": "api",
     "scans": "api",
@@ -127,6 +132,7 @@ __all__ = [
     "FrameTree",
     "GoldenReport",
     "Info",
+    "Map",
     "MinHeightSlope",
     "Page",
     "Pc2ScanError",
@@ -148,6 +154,7 @@ __all__ = [
     "export",
     "golden",
     "info",
+    "map",
     "project",
     "repair",
     "scans",

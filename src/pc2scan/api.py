@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from .inspect.check import Check
     from .inspect.info import Info
     from .inspect.tf import FrameTree
+    from .look.map import Map
     from .look.view import Page
     from .pipeline.options import Time
     from .pipeline.report import Report
@@ -42,7 +43,7 @@ if TYPE_CHECKING:
     from .streams.scans import Scans
     from .tf.options import FrameOptions, StaticTransform
 
-__all__ = ["check", "clouds", "convert", "diff", "export", "golden", "info", "repair", "scans", "tf", "view"]
+__all__ = ["check", "clouds", "convert", "diff", "export", "golden", "info", "map", "repair", "scans", "tf", "view"]
 
 #: Words of the command line, and of ROS, for what an argument is called.
 _SYNONYMS = {
@@ -466,6 +467,124 @@ def view(
         preset=preset or "",
         command=convert_words(paths, options, "scans.mcap"),
     )
+
+
+@known_keywords(further=parameter_names, synonyms=_SYNONYMS)
+def map(  # noqa: A001  # as the command is called
+    sources: PathText | Iterable[PathText],
+    *,
+    odom_frame: str = "odom",
+    base_frame: str = "",
+    resolution: float = 0.05,
+    max_range: float | None = None,
+    clear_to: float = 0.0,
+    params: ProjectionParams | None = None,
+    preset: str | None = None,
+    params_file: PathText | None = None,
+    node: str | None = None,
+    topics: str | Iterable[str] = (),
+    start: Time | None = None,
+    end: Time | None = None,
+    static_tf: str | StaticTransform | Iterable[str | StaticTransform] = (),
+    static_tf_file: PathText | None = None,
+    tf_from: PathText | Iterable[PathText] = (),
+    tf_topics: str | Iterable[str] = (),
+    source_frame: str = "",
+    frames: FrameOptions | None = None,
+    where: str | Iterable[str] = (),
+    exclude_box: str | Iterable[str] = (),
+    exclude_polygon: str | Iterable[str] = (),
+    min_height_slope: float | None = None,
+    filters: Iterable[Filter] = (),
+    deskew: bool = False,
+    fixed_frame: str = "",
+    point_time: str = "",
+    stamp: str = "header",
+    on_error: str = "skip",
+    verify: bool = True,
+    strict: bool = False,
+    progress: Progress | None = None,
+    **parameters: Any,
+) -> Map:
+    """Draw the scans of a recording into a map, as ``pc2scan map`` does: where the recorded odometry places them.
+
+    A preview, no SLAM: nothing is matched or corrected. It shows whether heights, mounts, stamps and odometry fit
+    together. Scans are placed at their stamp, their beams at their own time where ``time_increment`` says it.
+
+    Parameters
+    ----------
+    sources
+        A recording, or several that are one: ROS 1 bag, rosbag2 directory, ``.db3`` or ``.mcap``.
+    odom_frame
+        The frame in which the robot moves; that of the map.
+    base_frame
+        The robot's frame, whose way is shown. Default: ``base_link``, or ``base_footprint`` where that is not there.
+    resolution
+        The side of a cell, metres.
+    max_range
+        Returns beyond it only clear the way so far, metres. Default: all returns count.
+    clear_to
+        How far beams without a return clear, metres. By default they say nothing, as in gmapping and slam_toolbox.
+    topics
+        LaserScan or PointCloud2 topics. Default: all scans; all clouds if there are no scans, or if anything is given
+        that makes scans of clouds.
+    params, preset, params_file, node, start, end, **parameters
+        As for `pc2scan.convert`.
+    static_tf, static_tf_file, tf_from, tf_topics, source_frame, frames
+        As for `pc2scan.convert`.
+    where, exclude_box, exclude_polygon, min_height_slope, filters, deskew, fixed_frame, point_time, stamp
+        As for `pc2scan.convert`.
+    on_error, verify, strict, progress
+        As for `pc2scan.convert`.
+
+    Returns
+    -------
+    Map
+        Its ``cells`` are an array; ``save`` writes it for map_server. Notebooks show its picture.
+
+    Raises
+    ------
+    UsageError
+        If the request contradicts itself or the recording, there is no such frame, or the map would be too large.
+    RecordingError
+        If a source cannot be read.
+    ResultError
+        If no scan has a place, or none has a return.
+
+    Examples
+    --------
+    >>> import pc2scan
+    >>> pc2scan.map("drive.bag", min_height=0.1, max_height=1.5).save("map.yaml")  # doctest: +SKIP
+    """
+    import math  # noqa: PLC0415
+
+    from .look.map import MapOptions, map_of  # noqa: PLC0415
+
+    resolved = resolved_parameters(params, preset, params_file, node, parameters)
+    options = ConvertOptions.of(
+        params=resolved.params,
+        reverse=resolved.reverse,
+        filters=filters_of(resolved, where, exclude_box, exclude_polygon, min_height_slope, filters),
+        frames=frames_of(frames, static_tf, static_tf_file, False, tf_from, tf_topics, source_frame),
+        deskew=deskew,
+        fixed_frame=fixed_frame,
+        point_time=point_time,
+        stamp=stamp,
+        topics=names_in("topics", topics) or resolved.topics,
+        start=start,
+        end=end,
+        on_error=on_error,
+        verify=verify,
+        strict=strict,
+    )
+    asked = MapOptions(
+        odom_frame=odom_frame,
+        base_frame=base_frame,
+        resolution=resolution,
+        max_range=math.inf if max_range is None else max_range,
+        clear_to=clear_to,
+    )
+    return map_of(paths_in("sources", sources), options, asked, progress=progress)
 
 
 @known_keywords(synonyms={**_SYNONYMS, "for": "consumers", "consumer": "consumers"})

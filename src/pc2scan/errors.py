@@ -209,7 +209,15 @@ class DecodeError(MessageError):
 
 
 class TransformError(MessageError):
-    """There is no transform between two frames at a stamp."""
+    """There is no transform between two frames at a stamp.
+
+    Attributes
+    ----------
+    reason
+        Why, without the times: the same for all messages of which it is true. Empty where the message has no times.
+    """
+
+    reason: str = ""
 
 
 class UnconnectedError(TransformError):

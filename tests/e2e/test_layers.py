@@ -55,7 +55,7 @@ ALLOWED = {
     "golden": {"compare", "bags", "files"},
     "streams": {"pipeline", "core", "tf", "messages", "bags"},
     "export": {"streams", "pipeline", "core", "tf", "messages", "bags", "files"},
-    "look": {"pipeline", "inspect", "compare", "core", "tf", "messages", "bags", "files"},
+    "look": {"streams", "pipeline", "inspect", "compare", "core", "tf", "messages", "bags", "files"},
     # `cli.in_process`: golden cases run the command. `cli.command_line`: pages show the one that means the same.
     "requests": {"pipeline", "core", "streams", "tf"},
     "api": {

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 __all__ = ["COMMANDS", "application"]
 
 #: The commands in the order of the help; each is a function in the module of its name.
-COMMANDS = ("convert", "export", "view", "plot", "check", "info", "tf", "repair", "diff", "golden")
+COMMANDS = ("convert", "export", "view", "plot", "map", "check", "info", "tf", "repair", "diff", "golden")
 
 EPILOG = (
     "Exit status: 0 done, 1 failed and nothing written, 2 wrong usage or a missing file, "

@@ -24,6 +24,10 @@ EXAMPLES: dict[str, tuple[tuple[str, str], ...]] = {
         ("pc2scan plot drive.bag -o figure.png --min-height -0.3 --max-height 1", "a cloud, the band, the scan"),
         ("pc2scan plot drive.bag -o figure.pdf --frames 3", "three moments side by side"),
     ),
+    "map": (
+        ("pc2scan map scans.mcap --png map.png", "its scans, where the odometry places them"),
+        ("pc2scan map drive.bag -o map.yaml --min-height 0.1 --max-height 1.5", "a map for map_server, of clouds"),
+    ),
     "check": (
         ("pc2scan check scans.mcap", "would SLAM and navigation take its scans?"),
         ("pc2scan check scans.mcap --for slam_toolbox --for nav2", "only these decide"),

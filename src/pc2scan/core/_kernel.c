@@ -1,4 +1,5 @@
-/* The projection's inner loop. project.py and rule.py describe the rules; this file makes them fast.
+/* The inner loops of the projection, of deskewing and of maps. project.py, rule.py and occupancy.py describe the rules;
+   this file makes them fast.
 
    Points are taken a block at a time, small enough for the first-level cache: load and drop by height, one loop, or
    eight at a time; then squares, angles and bins, loops without branches that compilers turn into vector
@@ -772,6 +773,88 @@ release_cloud:
     return result;
 }
 
+/* A grid of log-odds that rays are drawn into; occupancy.py has the numbers. */
+enum { UNKNOWN = -128, HIT = 17, MISS = -8, LOWEST = -40, HIGHEST = 70 };
+
+/* A cell's high byte is its log-odds, the low one the mark of the last scan that changed it. */
+typedef struct {
+    int16_t *cells;
+    int mark;
+} Grid;
+
+/* A cell takes the first change of each scan. */
+INLINED void observe(const Grid *grid, int64_t place, int change) {
+    const int cell = grid->cells[place], odds = cell >> 8;
+    if ((cell & 255) == grid->mark) return;
+    int value = (odds == UNKNOWN ? 0 : odds) + change;
+    value = value < LOWEST ? LOWEST : value;
+    value = value > HIGHEST ? HIGHEST : value;
+    grid->cells[place] = (int16_t)(value * 256 + grid->mark);
+}
+
+/* The cells of a line, by Bresenham's algorithm; the last one only if nothing was hit there. */
+static void draw_free(const Grid *grid, int64_t width, const int32_t *ray, int hit) {
+    const int64_t dx = (int64_t)ray[2] - ray[0], dy = (int64_t)ray[3] - ray[1];
+    const int64_t across = dx < 0 ? -dx : dx, up = dy < 0 ? -dy : dy;
+    const int64_t along_x = dx < 0 ? -1 : 1, along_y = dy < 0 ? -width : width;
+    const int64_t length = across > up ? across : up, other = across > up ? up : across;
+    const int64_t step = across > up ? along_x : along_y, aside = across > up ? along_y : along_x;
+    int64_t place = ray[1] * width + ray[0], error = length;
+    for (int64_t left = length + !hit; left > 0; left--) {
+        observe(grid, place, MISS);
+        error += 2 * other;
+        const int64_t turns = -(int64_t)(error >= 2 * length);
+        place += step + (aside & turns);
+        error -= 2 * length & turns;
+    }
+}
+
+static void draw_rays(const Grid *grid, int64_t width, const int32_t *rays, const uint8_t *hits, Py_ssize_t count) {
+    for (Py_ssize_t i = 0; i < count; i++)
+        if (hits[i]) observe(grid, rays[4 * i + 3] * width + rays[4 * i + 2], HIT);
+    for (Py_ssize_t i = 0; i < count; i++) {
+        /* Near the sensor many beams end in one cell. */
+        if (i && hits[i] == hits[i - 1] && !memcmp(rays + 4 * i, rays + 4 * i - 4, 4 * sizeof *rays)) continue;
+        draw_free(grid, width, rays + 4 * i, hits[i]);
+    }
+}
+
+static int are_inside(const int32_t *rays, Py_ssize_t count, Py_ssize_t width, Py_ssize_t height) {
+    for (Py_ssize_t i = 0; i < 4 * count; i++)
+        if (rays[i] < 0 || rays[i] >= (i % 2 ? height : width)) return 0;
+    return 1;
+}
+
+static PyObject *trace(PyObject *self, PyObject *args) {
+    (void)self;
+    PyObject *cells_of, *rays_of, *hits_of, *result = NULL;
+    Py_ssize_t width;
+    int mark;
+    if (!PyArg_ParseTuple(args, "OniOO", &cells_of, &width, &mark, &rays_of, &hits_of)) return NULL;
+    Py_buffer cells, rays, hits;
+    if (contiguous(cells_of, &cells, PyBUF_WRITABLE, 2, -1) < 0) return NULL;
+    if (contiguous(hits_of, &hits, PyBUF_SIMPLE, 1, -1) < 0) goto release_cells;
+    if (contiguous(rays_of, &rays, PyBUF_SIMPLE, 4, 4 * hits.len) < 0) goto release_hits;
+    const Py_ssize_t size = cells.len / 2;
+    if (width < 1 || size % width || mark < 0 || mark > 255) PyErr_SetString(PyExc_ValueError, "the grid is not as wide as that, or the mark no byte");
+    else if (!are_inside(rays.buf, hits.len, width, size / width))
+        PyErr_SetString(PyExc_ValueError, "a ray leaves the grid");
+    else {
+        const Grid grid = {cells.buf, mark};
+        /* A ray takes as long as dozens of points. */
+        PyThreadState *state = let_others(64 * hits.len);
+        draw_rays(&grid, width, rays.buf, hits.buf, hits.len);
+        if (state) PyEval_RestoreThread(state);
+        result = Py_NewRef(Py_None);
+    }
+    PyBuffer_Release(&rays);
+release_hits:
+    PyBuffer_Release(&hits);
+release_cells:
+    PyBuffer_Release(&cells);
+    return result;
+}
+
 static PyMethodDef methods[] = {
     {"project", project, METH_VARARGS,
      "project(x, y, z, rule, transform, ranges, limit, empty) -> (nan, height, range, angle, past_end); see plain.py"},
@@ -779,6 +862,7 @@ static PyMethodDef methods[] = {
      "gather(x, y, z, rule, transform, beams, bins, ranges, numbers) -> the same counts; see plain.py"},
     {"deskew", deskew, METH_VARARGS,
      "deskew(x, y, z, times, node_times, transforms, out) -> points without a transform; see plain.py"},
+    {"trace", trace, METH_VARARGS, "trace(cells, width, mark, rays, hits): rays into a grid; see plain.py"},
     {"angles", angles, METH_VARARGS, "angles(x, y, out, glibc=False): atan2(y, x) of contiguous float32; see plain.py"},
     {NULL, NULL, 0, NULL},
 };

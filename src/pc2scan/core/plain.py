@@ -1,4 +1,4 @@
-"""The loops over points in NumPy: they run where ``_kernel.c`` is not compiled, and explain it.
+"""The loops over points and beams in NumPy: they run where ``_kernel.c`` is not compiled, and explain it.
 
 Points are compared with the numbers of a rule; see `pc2scan.core.rule`.
 """
@@ -17,10 +17,16 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["angles", "bins_of", "deskew", "gather", "project", "transformed"]
+__all__ = ["angles", "bins_of", "deskew", "gather", "project", "trace", "transformed"]
 
 #: Points at a time: few enough for the cache, and enough to make the cost of calling NumPy small.
 BLOCK = 16384
+
+#: Lines at a time.
+_LINES = 256
+
+#: Log-odds of a cell in steps of 0.05; see `pc2scan.core.occupancy`.
+UNKNOWN, HIT, MISS, LOWEST, HIGHEST = -128, 17, -8, -40, 70
 
 
 def project(
@@ -241,6 +247,69 @@ def deskew(
         out[~found] = np.nan
         measured = ~(np.isnan(source[0]) | np.isnan(source[1]) | np.isnan(source[2]))
     return int(np.count_nonzero(~found & measured))
+
+
+def trace(
+    cells: NDArray[np.int16],
+    width: int,
+    mark: int,
+    rays: NDArray[np.int32],
+    hits: NDArray[np.bool_],
+) -> None:
+    """Draw the rays of a scan into a grid of log-odds; `pc2scan.core.occupancy` has the rules and the numbers.
+
+    Parameters
+    ----------
+    cells
+        (H, W), contiguous, changed in place: the log-odds times 256, and the mark of the last scan that changed it.
+    width
+        W.
+    mark
+        0 to 255: cells that have it stay as they are, those that change get it.
+    rays
+        (N, 4), contiguous: column and row of the cell of the sensor, and of the cell where the beam ends.
+    hits
+        (N,), contiguous: whether something reflects where the beam ends.
+
+    Raises
+    ------
+    ValueError
+        If a ray leaves the grid.
+    """
+    height = cells.size // width
+    if rays.size and (rays.min() < 0 or rays[:, 0::2].max() >= width or rays[:, 1::2].max() >= height):
+        raise ValueError("a ray leaves the grid")
+    lines = rays.astype(np.int64)
+    _observe(cells, mark, lines[hits, 3] * width + lines[hits, 2], HIT)
+    for start in range(0, len(lines), _LINES):
+        part = slice(start, start + _LINES)
+        _observe(cells, mark, _line_cells(lines[part], hits[part], width), MISS)
+
+
+def _line_cells(lines: NDArray[np.int64], hits: NDArray[np.bool_], width: int) -> NDArray[np.int64]:
+    """The places of the cells of lines, by Bresenham's algorithm, without the last one of those that hit something."""
+    begin, change = lines[:, :2], lines[:, 2:] - lines[:, :2]
+    steep = np.abs(change[:, 1]) >= np.abs(change[:, 0])
+    longer, shorter = np.abs(change).max(axis=1), np.abs(change).min(axis=1)
+    counts = longer + ~hits
+    step = np.repeat(np.arange(len(lines)), counts)
+    along = np.arange(step.size) - np.repeat(np.cumsum(counts) - counts, counts)
+    # Rounded half up, in whole numbers.
+    aside = (2 * along * shorter[step] + longer[step]) // np.maximum(2 * longer[step], 1)
+    columns = begin[step, 0] + np.sign(change[step, 0]) * np.where(steep[step], aside, along)
+    rows = begin[step, 1] + np.sign(change[step, 1]) * np.where(steep[step], along, aside)
+    places: NDArray[np.int64] = rows * width + columns
+    return places
+
+
+def _observe(cells: NDArray[np.int16], mark: int, places: NDArray[np.int64], change: int) -> None:
+    """Change the log-odds of those of some cells that the scan has not changed yet."""
+    flat = cells.reshape(-1)
+    places = np.unique(places)
+    odds, marks = flat[places] >> 8, flat[places] & 255
+    odds[odds == UNKNOWN] = 0
+    fresh = marks != mark
+    flat[places[fresh]] = np.clip(odds[fresh] + change, LOWEST, HIGHEST) * 256 + mark
 
 
 def transformed(

@@ -25,6 +25,7 @@ __all__ = [
     "Transform",
     "UnprojectParams",
     "UnprojectedScan",
+    "beam_angles",
     "deskew",
     "last_beam_ns",
     "unproject",
@@ -234,7 +235,7 @@ def unproject(
 
     points = np.zeros(len(beams), _point_dtype(params, has_intensities=len(intensities) > 0))
     names = points.dtype.names or ()
-    angles = _beam_angles(len(ranges), angle_min, angle_increment)[beams]
+    angles = beam_angles(len(ranges), angle_min, angle_increment)[beams]
     # NaN: -inf (kept where range_min is -inf) straight along an axis, beam 0 of an infinite time_increment.
     with np.errstate(invalid="ignore", over="ignore"):
         points["x"] = distances[beams] * np.cos(angles)
@@ -342,8 +343,14 @@ def _float32(*values: float) -> list[float]:
     return rounded
 
 
-def _beam_angles(count: int, angle_min: float, angle_increment: float) -> NDArray[np.float64]:
-    """Direction of every beam, radians: float64 arithmetic on the message's float32 values."""
+def beam_angles(count: int, angle_min: float, angle_increment: float) -> NDArray[np.float64]:
+    """Return the direction of every beam, radians: float64 arithmetic on the message's float32 values.
+
+    Raises
+    ------
+    DecodeError
+        If there are beams, and the angles are not finite.
+    """
     if not count:
         return np.empty(0)
     first, step = _float32(angle_min, angle_increment)

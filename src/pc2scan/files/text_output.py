@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import stat
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import DestinationError, OutputError
@@ -13,10 +13,10 @@ from .source import NewFile
 from .staging import check_place, prepared
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
-__all__ = ["check_text_output", "file_output", "text_output"]
+__all__ = ["check_text_output", "file_output", "files_output", "text_output"]
 
 
 @contextmanager
@@ -51,6 +51,38 @@ def file_output(path: Path, *, beginning: bytes | None, overwrite: bool) -> Iter
     OutputError
         If it cannot be written; by the function too.
     """
+    with _staged_file(path, beginning, overwrite=overwrite) as (put, commit):
+
+        def write(data: bytes) -> None:
+            put(data)
+            commit()
+
+        yield write
+
+
+@contextmanager
+def files_output(paths: Sequence[Path], *, overwrite: bool) -> Iterator[Callable[[Sequence[bytes]], None]]:
+    """Check that several files can be written, and yield the function that writes them; see `file_output`.
+
+    None gets its name before all are complete on the disk. They get it in their order.
+    """
+    with ExitStack() as stack:
+        staged = [stack.enter_context(_staged_file(path, None, overwrite=overwrite)) for path in paths]
+
+        def write(contents: Sequence[bytes]) -> None:
+            for (put, _), data in zip(staged, contents, strict=True):
+                put(data)
+            for _, commit in staged:
+                commit()
+
+        yield write
+
+
+@contextmanager
+def _staged_file(
+    path: Path, beginning: bytes | None, *, overwrite: bool
+) -> Iterator[tuple[Callable[[bytes], None], Callable[[], None]]]:
+    """Yield the function that writes the whole file under another name, and the one that gives it its own."""
 
     def check() -> bool:
         return _may_replace(path, beginning, overwrite=overwrite)
@@ -61,17 +93,16 @@ def file_output(path: Path, *, beginning: bytes | None, overwrite: bool) -> Iter
         except OSError as err:
             raise _unwritable(path, err) from err
 
-        def write(data: bytes) -> None:
+        def put(data: bytes) -> None:
             try:
                 file.put(data)
                 file.finish()
             except OutputError as err:
                 # The user knows the final name.
                 raise OutputError(err.message, path=path) from err
-            commit()
 
         try:
-            yield write
+            yield put, commit
         finally:
             file.abort()
 

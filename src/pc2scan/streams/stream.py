@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from pc2scan.model import Connection, RawMessage
     from pc2scan.pipeline.conversion import Converted
     from pc2scan.pipeline.options import TimeBound
+    from pc2scan.pipeline.run import Progress
 
 __all__ = ["Account", "Read", "Selection", "Source", "Stream"]
 
@@ -36,6 +37,9 @@ Item = TypeVar("Item")
 
 #: Topics that a representation names.
 _SHOWN = 3
+
+#: Messages between two calls of a progress function.
+_PROGRESS_EVERY = 64
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -238,16 +242,47 @@ class Stream(ABC, Generic[Item]):
             return source._replace(stack=stack.pop_all())
 
     def __iter__(self) -> Generator[Item]:
-        source, self._prepared = self._prepared, None
-        if source is None:
-            source = self._open()
-        else:
-            self._release.detach()
-        items = self._items(source)
+        items = self._items(self._taken())
         self._live.add(items)
         # From here on the generator closes the files, whatever becomes of it.
         next(items)
         return items
+
+    def reads(self, progress: Progress | None = None) -> Generator[Read]:
+        """Yield what became of each message, for callers that report it themselves: Python's warnings are not used.
+
+        At the end, `listener` gets what the user should know of a conversion.
+
+        Parameters
+        ----------
+        progress
+            Called now and then with bytes read, bytes in all, and messages read.
+
+        Raises
+        ------
+        MessageError
+            If it is clear by now that no message can be used.
+        """
+        source = self._taken()
+        with source.stack, closing(_accounted(source)) as messages:
+            reader = source.readers[0]
+            total = reader.summary.size_bytes
+            for number, message in enumerate(messages):
+                if progress is not None and number % _PROGRESS_EVERY == 0:
+                    progress(min(reader.bytes_read, total), total, number)
+                yield message
+                del message
+            self.damage = source.damage
+            for text in () if source.account is None or self.listener is None else source.account.warnings():
+                self.listener(text)
+
+    def _taken(self) -> Source:
+        """The recording, open; the caller closes it."""
+        source, self._prepared = self._prepared, None
+        if source is None:
+            return self._open()
+        self._release.detach()
+        return source
 
     def _items(self, source: Source) -> Generator[Item]:
         """Yield nothing of interest, and then the items."""
@@ -256,10 +291,8 @@ class Stream(ABC, Generic[Item]):
             self.skipped, self.skipped_count = [], 0
             self.damage = source.damage
             warned = 0 if self.listener else _warn_of_damage(self.damage, 0)
-            with closing(source.messages()) as messages:  # type: ignore[type-var]
+            with closing(_accounted(source)) as messages:
                 for message in messages:
-                    if source.account is not None:
-                        source.account.note(message)
                     if message.error is None:
                         yield from message.items  # type: ignore[misc]
                     else:
@@ -309,6 +342,16 @@ class Stream(ABC, Generic[Item]):
         paths = ", ".join(repr(str(path)) for path in self._selection.paths)
         more = ", ..." if len(self.topics) > _SHOWN else ""
         return f"<{type(self).__name__} on {', '.join(self.topics[:_SHOWN])}{more} of {paths}>"
+
+
+def _accounted(source: Source) -> Generator[Read]:
+    """What became of each message; the account has taken note of it."""
+    with closing(source.messages()) as messages:  # type: ignore[type-var]
+        for message in messages:
+            if source.account is not None:
+                source.account.note(message)
+            yield message
+            del message
 
 
 def _warn_of_damage(damage: tuple[Damage, ...], warned: int) -> int:

@@ -63,7 +63,7 @@ def extrapolation(query: Query, link: FrameHistory, frames: Sequence[str], time_
     gap_ns = link.gap_ns(time_ns)
     gap, time, first, last = (stamp_text(ns) for ns in (abs(gap_ns), time_ns, link.first_ns, link.last_ns))
     child, parent = frames[link.child], frames[link.parent_at(time_ns)]
-    return TransformError(
+    error = TransformError(
         f"the transform from [{query.source}] to [{query.target}] is not known at {time}: "
         f"[{child}] in [{parent}] is known {f'only at {first}' if first == last else f'from {first} to {last}'}, "
         f"the time is {gap} s too {'early' if gap_ns < 0 else 'late'}, "
@@ -71,6 +71,8 @@ def extrapolation(query: Query, link: FrameHistory, frames: Sequence[str], time_
         stamp_ns=query.stamp_ns,
         hint=f"a transform_tolerance of at least {gap} s would use the nearest transform; {_SEE_TF}",
     )
+    error.reason = f"their stamps are {'before the first' if gap_ns < 0 else 'after the last'} [{child}] in [{parent}]"
+    return error
 
 
 def unconnected(

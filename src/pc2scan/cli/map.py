@@ -1,0 +1,114 @@
+"""``pc2scan map``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from . import completion
+from .damage import show_damage
+from .options import ConversionGroup, Json
+from .progress import progress_bar
+from .render import message, print_json, printable, warn
+
+__all__ = ["map"]
+
+#: Reasons for skipping that are shown.
+_SHOWN = 5
+
+
+def map(  # noqa: A001  # the function of a command has its name
+    sources: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="SRC...",
+            help="Recordings with scans, or with clouds, which become scans as by `pc2scan convert`; several are "
+            "merged in time order.",
+        ),
+    ],
+    destination: Annotated[
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="NAME.yaml",
+            help="The map as map_server reads it: NAME.yaml and NAME.pgm, and the picture NAME.png.",
+        ),
+    ] = None,
+    png: Annotated[Path | None, typer.Option(metavar="FILE", help="The picture; without -o nothing else.")] = None,
+    resolution: Annotated[float, typer.Option(metavar="M", help="Side of a cell, metres.")] = 0.05,
+    max_range: Annotated[
+        float | None,
+        typer.Option(
+            metavar="M",
+            help="Returns beyond it only clear the way so far, metres.  [default: all returns count]",
+            show_default=False,
+        ),
+    ] = None,
+    clear_to: Annotated[
+        float,
+        typer.Option(
+            metavar="M",
+            help="How far beams without a return clear, metres. 0: they say nothing, as in gmapping and slam_toolbox.",
+        ),
+    ] = 0.0,
+    odom_frame: Annotated[
+        str,
+        typer.Option(
+            metavar="FRAME",
+            help="The frame in which the robot moves; that of the map.",
+            autocompletion=completion.frames,
+        ),
+    ] = "odom",
+    base_frame: Annotated[
+        str,
+        typer.Option(
+            metavar="FRAME",
+            autocompletion=completion.frames,
+            help="The robot's frame, whose way is drawn.  [default: base_link, or base_footprint]",
+            show_default=False,
+        ),
+    ] = "",
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace files of these names.")] = False,
+    as_json: Json = False,
+    *,
+    conversion: ConversionGroup,
+) -> None:
+    """Draw the scans of a recording into a map, where the recorded odometry places them: a preview, no SLAM.
+
+    Nothing is matched or corrected: doubled walls show that mounts, stamps or odometry do not fit together. Scans are
+    drawn at their stamp, beams at their own time if time_increment says it. Clouds are drawn if there are no scans, if
+    --topic names them, or if any option asks for something that makes scans of clouds.
+
+    Exit status: 0 done, 1 failed, 2 wrong usage, 3 written, but with scans skipped or from a damaged source.
+    """
+    options, _ = conversion.options()
+
+    import math
+
+    from pc2scan.look.map import MapOptions, write_map
+
+    asked = MapOptions(
+        odom_frame=odom_frame,
+        base_frame=base_frame,
+        resolution=resolution,
+        max_range=math.inf if max_range is None else max_range,
+        clear_to=clear_to,
+    )
+    with progress_bar(enabled=not as_json) as progress:
+        made = write_map(sources, destination, png, options, asked, overwrite=overwrite, progress=progress)
+    if as_json:
+        print_json(made.as_dict())
+    else:
+        for line in made.lines():
+            typer.echo(message(line))
+    for note in made.notes:
+        warn(note)
+    for skipped in made.skipped[:_SHOWN]:
+        typer.echo(printable(f"skipped: {skipped}"), err=True)
+    if len(made.skipped) > _SHOWN:
+        typer.echo(f"skipped: for {len(made.skipped) - _SHOWN:,} more reasons (--json tells them)", err=True)
+    show_damage(made.damage)
+    raise typer.Exit(made.exit_status)

@@ -1,0 +1,283 @@
+"""An occupancy grid of laser scans with known poses: which cells are free, and which are occupied.
+
+Sources of the rules:
+
+- Each cell has the log-odds of being occupied, and each observation adds to them: Thrun, Burgard and Fox,
+  *Probabilistic Robotics*, chapter 9 (occupancy grid mapping with an inverse sensor model).
+- The numbers are those of Hornung et al., *OctoMap* (Autonomous Robots 34, 2013): 0.85 for a hit and -0.4 for a miss
+  (probabilities of 0.7 and 0.4), clamped to -2 and 3.5. They are multiples of 0.05, so that a cell is one int8.
+- As there, a scan changes each cell at most once, and what is hit is not missed by another beam of the same scan.
+- The cells of a beam are those of Bresenham's line from the cell of the sensor to the cell where the beam ends, as
+  Karto (slam_toolbox) and the costmaps of nav2 draw it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from pc2scan.errors import ParameterError, UsageError
+
+from . import kernel
+from .plain import UNKNOWN
+from .rigid import lerp, rotation_matrices, slerp
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from .rigid import Rigid
+
+__all__ = ["FREE", "OCCUPIED", "UNSEEN", "Beams", "Occupancy", "OccupancyGrid", "beams_of", "placed_beams"]
+
+#: Values of cells, as nav_msgs/OccupancyGrid has them.
+UNSEEN, FREE, OCCUPIED = -1, 0, 100
+
+#: Cells beyond this have no exact number as float64, and none as int32.
+_FARTHEST = 2**30
+
+#: A grid grows by this share of its size at least, so that it is not copied for every scan.
+_GROWTH = 4
+_LEAST_GROWTH = 64
+
+
+class Beams(NamedTuple):
+    """The beams of a scan that tell something.
+
+    Attributes
+    ----------
+    numbers
+        (N,), their places in ``ranges``.
+    lengths
+        (N,), metres.
+    hits
+        (N,), whether something reflects at their ends; they pass through free space in any case.
+    """
+
+    numbers: NDArray[np.intp]
+    lengths: NDArray[np.float64]
+    hits: NDArray[np.bool_]
+
+
+class Occupancy(NamedTuple):
+    """A map.
+
+    Attributes
+    ----------
+    cells
+        (H, W) int8, one of `UNSEEN`, `FREE` and `OCCUPIED`; the first row has the smallest y.
+    resolution
+        The side of a cell, metres.
+    x, y
+        The corner of the first cell, metres.
+    """
+
+    cells: NDArray[np.int8]
+    resolution: float
+    x: float
+    y: float
+
+
+def beams_of(
+    ranges: NDArray[np.float32],
+    range_min: float,
+    range_max: float,
+    *,
+    longest: float = math.inf,
+    clear_to: float = 0.0,
+) -> Beams:
+    """Tell what the beams of a scan say about free and occupied space.
+
+    A range from ``range_min`` to less than ``range_max`` is a return, as for laser_geometry. Beams without a return
+    (inf, or from ``range_max`` on) say nothing, as gmapping and slam_toolbox take them, unless ``clear_to`` is given:
+    a scan of a cloud has none where all points were too high or too low, too. NaN and ranges below ``range_min`` say
+    nothing.
+
+    Parameters
+    ----------
+    ranges
+        (M,), metres.
+    range_min, range_max
+        Of the scan, metres.
+    longest
+        A return beyond it only clears the way so far, metres; what gmapping calls ``maxUrange``.
+    clear_to
+        How far beams without a return clear, metres, but not beyond ``range_max``.
+    """
+    with np.errstate(invalid="ignore"):  # a NaN may be one that signals
+        lengths = ranges.astype(np.float64)
+        returns = (lengths >= range_min) & (lengths < range_max) & np.isfinite(lengths)
+        empty = lengths >= range_max if clear_to > 0 else np.zeros(len(lengths), np.bool_)
+    empty[~returns & (lengths == math.inf)] = clear_to > 0
+    lengths[empty] = min(clear_to, range_max)
+    hits = returns & (lengths <= longest)
+    numbers = np.flatnonzero(returns | empty)
+    return Beams(numbers, np.minimum(lengths[numbers], longest), hits[numbers])
+
+
+def placed_beams(
+    beams: Beams, directions: NDArray[np.float64], count: int, start: Rigid, end: Rigid | None = None
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Place beams in the map.
+
+    Parameters
+    ----------
+    beams
+        Of `beams_of`.
+    directions
+        (2, M): cosines and sines of all beams of the scan.
+    count
+        M, how many beams the scan has.
+    start, end
+        map_from_sensor when the first and the last beam of the scan were measured; between them it is interpolated as
+        laser_geometry does it. Without ``end`` all beams have the same.
+
+    Returns
+    -------
+    origins, ends
+        (N, 2) float64 each, metres: x and y of the sensor and of where each beam ends. Of a tilted scan that is what
+        is seen from above.
+    """
+    ahead, left = directions[:, beams.numbers] * beams.lengths
+    if end is None or count < 2:
+        matrix = start.matrix
+        x, y, _ = start.translation.tolist()
+        ends = np.stack((matrix[0, 0] * ahead + matrix[0, 1] * left, matrix[1, 0] * ahead + matrix[1, 1] * left), 1)
+        origins = np.broadcast_to(start.translation[:2], ends.shape)
+        return origins, ends + np.array((x, y))
+    ratio = beams.numbers / (count - 1)
+    matrices = rotation_matrices(slerp(start.quaternion, end.quaternion, ratio).T)
+    origins = lerp(start.translation, end.translation, ratio)[:, :2]
+    ends = origins + np.stack([row[0] * ahead + row[1] * left for row in matrices[:2]], 1)
+    return origins, ends
+
+
+class OccupancyGrid:
+    """A grid that scans are drawn into; it grows where the robot drives.
+
+    Parameters
+    ----------
+    resolution
+        The side of a cell, metres.
+    most
+        How many cells it may have.
+
+    Raises
+    ------
+    ParameterError
+        If the resolution is not a positive number.
+    """
+
+    def __init__(self, resolution: float, most: int) -> None:
+        if not (math.isfinite(resolution) and resolution > 0):
+            raise ParameterError(f"`resolution` is {resolution}, it must be more than 0 metres", name="resolution")
+        self.resolution = resolution
+        self._most = most
+        #: Log-odds, and the mark of a scan; see `pc2scan.core.plain.trace`.
+        self._cells = np.empty((0, 0), np.int16)
+        #: Column and row of the grid's first cell, counted from that at the frame's origin.
+        self._first = (0, 0)
+        self._scans = 0
+
+    def add(self, origins: NDArray[np.float64], ends: NDArray[np.float64], hits: NDArray[np.bool_]) -> None:
+        """Draw the beams of a scan.
+
+        Parameters
+        ----------
+        origins, ends
+            (N, 2), metres: where each beam begins and ends.
+        hits
+            (N,): whether something reflects there.
+
+        Raises
+        ------
+        UsageError
+            If the grid would have too many cells.
+        """
+        if not len(hits):
+            return
+        with np.errstate(all="ignore"):
+            places = np.floor(np.concatenate([origins, ends], 1) / self.resolution)
+        if not (np.abs(places) < _FARTHEST).all():
+            farthest = float(np.abs(np.concatenate([origins, ends])).max())
+            raise UsageError(
+                f"a beam of a scan ends {farthest:g} m from the origin of the map, more than {_FARTHEST:,} cells",
+                hint="`start` and `end` cut the recording; pc2scan tf shows its transforms",
+            )
+        cells = places.astype(np.int64)
+        columns, rows = cells[:, 0::2], cells[:, 1::2]
+        self._grow(int(columns.min()), int(rows.min()), int(columns.max()) + 1, int(rows.max()) + 1)
+        cells -= np.array(self._first * 2)
+        # One byte tells 255 scans apart.
+        self._scans = self._scans % 255 + 1
+        if self._scans == 1:
+            self._cells &= ~255
+        kernel.trace(
+            self._cells,
+            self._cells.shape[1],
+            self._scans,
+            np.ascontiguousarray(cells, np.int32),
+            np.ascontiguousarray(hits, np.bool_),
+        )
+
+    def _grow(self, left: int, below: int, right: int, above: int) -> None:
+        """Make the grid contain all cells from one column and row to others (exclusive)."""
+        height, width = self._cells.shape
+        old = (*self._first, self._first[0] + width, self._first[1] + height)
+        if not width:
+            old = (left, below, left, below)
+        low = [min(a, b) for a, b in zip(old[:2], (left, below), strict=True)]
+        high = [max(a, b) for a, b in zip(old[2:], (right, above), strict=True)]
+        if width and (*low, *high) == old:
+            return
+        if (high[0] - low[0]) * (high[1] - low[1]) > self._most:
+            raise self._too_large(high[0] - low[0], high[1] - low[1])
+        # Room for what comes next, on those sides where it grows.
+        exact = (*low, *high)
+        for axis in (0, 1):
+            room = max(_LEAST_GROWTH, (high[axis] - low[axis]) // _GROWTH)
+            low[axis] -= room if low[axis] < old[axis] else 0
+            high[axis] += room if high[axis] > old[axis + 2] else 0
+        if (high[0] - low[0]) * (high[1] - low[1]) > self._most:
+            low, high = list(exact[:2]), list(exact[2:])
+        shape = high[1] - low[1], high[0] - low[0]
+        at = old[1] - low[1], old[0] - low[0]
+        self._cells = _moved(self._cells, shape, at)
+        self._first = (low[0], low[1])
+
+    def _too_large(self, width: int, height: int) -> UsageError:
+        size = self.resolution
+        coarser = size * math.sqrt(width * height / self._most)
+        digits = -math.floor(math.log10(coarser))
+        # Rounded up to one digit, so that it is enough.
+        coarser = math.ceil(coarser * 10**digits) / 10**digits
+        return UsageError(
+            f"the map would have {width:,} x {height:,} cells of {size:g} m ({width * size:,.0f} x "
+            f"{height * size:,.0f} m); at most {self._most:,} cells are possible",
+            hint=f"`resolution={coarser:g}` makes larger cells, `max_range=30` shortens beams, `start` and `end` cut",
+        )
+
+    def occupancy(self) -> Occupancy | None:
+        """Return the map: the cells that were observed, and the rectangle around them; None if there are none.
+
+        A cell is occupied if that is more probable than not.
+        """
+        odds = self._cells >> 8
+        known = odds != UNKNOWN
+        rows, columns = np.flatnonzero(known.any(axis=1)), np.flatnonzero(known.any(axis=0))
+        if not rows.size:
+            return None
+        inside = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+        cells = np.full(odds[inside].shape, UNSEEN, np.int8)
+        cells[known[inside]] = FREE
+        cells[odds[inside] > 0] = OCCUPIED
+        x, y = (self._first[0] + int(columns[0])), (self._first[1] + int(rows[0]))
+        return Occupancy(cells, self.resolution, x * self.resolution, y * self.resolution)
+
+
+def _moved(old: NDArray[np.int16], shape: tuple[int, int], at: tuple[int, int]) -> NDArray[np.int16]:
+    """A larger grid with a smaller one in it."""
+    new = np.full(shape, UNKNOWN * 256, np.int16)
+    new[at[0] : at[0] + old.shape[0], at[1] : at[1] + old.shape[1]] = old
+    return new
