@@ -9,7 +9,7 @@ import typer
 
 from . import completion
 from .damage import show_damage
-from .options import ConversionGroup, Json
+from .options import ConversionGroup, Json, length
 from .progress import progress_bar
 from .render import message, print_json, printable, warn
 
@@ -38,22 +38,22 @@ def map(  # noqa: A001  # the function of a command has its name
         ),
     ] = None,
     png: Annotated[Path | None, typer.Option(metavar="FILE", help="The picture; without -o nothing else.")] = None,
-    resolution: Annotated[float, typer.Option(metavar="M", help="Side of a cell, metres.")] = 0.05,
+    resolution: Annotated[str, typer.Option(metavar="M", help="Side of a cell: 0.05, or 5cm.")] = "0.05",
     max_range: Annotated[
-        float | None,
+        str | None,
         typer.Option(
             metavar="M",
-            help="Returns beyond it only clear the way so far, metres.  [default: all returns count]",
+            help="Returns beyond it only clear the way so far.  [default: all returns count]",
             show_default=False,
         ),
     ] = None,
     clear_to: Annotated[
-        float,
+        str,
         typer.Option(
             metavar="M",
-            help="How far beams without a return clear, metres. 0: they say nothing, as in gmapping and slam_toolbox.",
+            help="How far beams without a return clear. 0: they say nothing, as in gmapping and slam_toolbox.",
         ),
-    ] = 0.0,
+    ] = "0",
     odom_frame: Annotated[
         str,
         typer.Option(
@@ -93,9 +93,9 @@ def map(  # noqa: A001  # the function of a command has its name
     asked = MapOptions(
         odom_frame=odom_frame,
         base_frame=base_frame,
-        resolution=resolution,
-        max_range=math.inf if max_range is None else max_range,
-        clear_to=clear_to,
+        resolution=length("--resolution", resolution),
+        max_range=math.inf if max_range is None else length("--max-range", max_range),
+        clear_to=length("--clear-to", clear_to),
     )
     with progress_bar(enabled=not as_json) as progress:
         made = write_map(sources, destination, png, options, asked, overwrite=overwrite, progress=progress)

@@ -43,6 +43,7 @@ __all__ = [
     "Storage",
     "TfSources",
     "TfTopics",
+    "length",
     "ros_arguments",
 ]
 
@@ -227,7 +228,7 @@ def _read_number(number: Callable[[str], float], text: str) -> object:
         return plain_scalar(text)
 
 
-def _length(option: str, text: str) -> float:
+def length(option: str, text: str) -> float:
     """Read an option's length in metres; raises `UsageError` if it is not one."""
     from pc2scan.core.quantities import EXAMPLES, quantity
 
@@ -514,7 +515,7 @@ class ReverseGroup(Group):
             distances=Channel.distances in self.channels,
             stamps=Channel.stamps in self.channels,
             viewpoint=Channel.viewpoint in self.channels,
-            range_cutoff=-1.0 if self.range_cutoff is None else _length("--range-cutoff", self.range_cutoff),
+            range_cutoff=-1.0 if self.range_cutoff is None else length("--range-cutoff", self.range_cutoff),
         )
 
 

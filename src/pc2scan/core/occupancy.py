@@ -14,7 +14,7 @@ Sources of the rules:
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -30,6 +30,9 @@ if TYPE_CHECKING:
     from .rigid import Rigid
 
 __all__ = ["FREE", "OCCUPIED", "UNSEEN", "Beams", "Occupancy", "OccupancyGrid", "beams_of", "placed_beams"]
+
+#: Columns and rows from the first two numbers to the others (exclusive).
+_Bounds: TypeAlias = tuple[int, int, int, int]
 
 #: Values of cells, as nav_msgs/OccupancyGrid has them.
 UNSEEN, FREE, OCCUPIED = -1, 0, 100
@@ -178,6 +181,8 @@ class OccupancyGrid:
         self._cells = np.empty((0, 0), np.int16)
         #: Column and row of the grid's first cell, counted from that at the frame's origin.
         self._first = (0, 0)
+        #: The cells that were drawn, without the room around them.
+        self._needed: _Bounds | None = None
         self._scans = 0
 
     def add(self, origins: NDArray[np.float64], ends: NDArray[np.float64], hits: NDArray[np.bool_]) -> None:
@@ -225,26 +230,25 @@ class OccupancyGrid:
         """Make the grid contain all cells from one column and row to others (exclusive)."""
         height, width = self._cells.shape
         old = (*self._first, self._first[0] + width, self._first[1] + height)
-        if not width:
-            old = (left, below, left, below)
-        low = [min(a, b) for a, b in zip(old[:2], (left, below), strict=True)]
-        high = [max(a, b) for a, b in zip(old[2:], (right, above), strict=True)]
-        if width and (*low, *high) == old:
+        needed = _around(self._needed, (left, below, right, above))
+        if _area(needed) > self._most:
+            raise self._too_large(needed[2] - needed[0], needed[3] - needed[1])
+        self._needed = needed
+        if width and _around(old, needed) == old:
             return
-        if (high[0] - low[0]) * (high[1] - low[1]) > self._most:
-            raise self._too_large(high[0] - low[0], high[1] - low[1])
+        before = old if width else needed
+        now = _around(before, needed)
         # Room for what comes next, on those sides where it grows.
-        exact = (*low, *high)
-        for axis in (0, 1):
-            room = max(_LEAST_GROWTH, (high[axis] - low[axis]) // _GROWTH)
-            low[axis] -= room if low[axis] < old[axis] else 0
-            high[axis] += room if high[axis] > old[axis + 2] else 0
-        if (high[0] - low[0]) * (high[1] - low[1]) > self._most:
-            low, high = list(exact[:2]), list(exact[2:])
-        shape = high[1] - low[1], high[0] - low[0]
-        at = old[1] - low[1], old[0] - low[0]
-        self._cells = _moved(self._cells, shape, at)
-        self._first = (low[0], low[1])
+        across, up = (max(_LEAST_GROWTH, (needed[k + 2] - needed[k]) // _GROWTH) for k in (0, 1))
+        with_room = (
+            now[0] - across * (now[0] < before[0]),
+            now[1] - up * (now[1] < before[1]),
+            now[2] + across * (now[2] > before[2]),
+            now[3] + up * (now[3] > before[3]),
+        )
+        chosen = with_room if _area(with_room) <= self._most else needed
+        self._cells = _moved(self._cells, old, chosen)
+        self._first = chosen[:2]
 
     def _too_large(self, width: int, height: int) -> UsageError:
         size = self.resolution
@@ -276,8 +280,23 @@ class OccupancyGrid:
         return Occupancy(cells, self.resolution, x * self.resolution, y * self.resolution)
 
 
-def _moved(old: NDArray[np.int16], shape: tuple[int, int], at: tuple[int, int]) -> NDArray[np.int16]:
-    """A larger grid with a smaller one in it."""
-    new = np.full(shape, UNKNOWN * 256, np.int16)
-    new[at[0] : at[0] + old.shape[0], at[1] : at[1] + old.shape[1]] = old
-    return new
+def _around(one: _Bounds | None, other: _Bounds) -> _Bounds:
+    """The smallest rectangle around two."""
+    if one is None:
+        return other
+    return min(one[0], other[0]), min(one[1], other[1]), max(one[2], other[2]), max(one[3], other[3])
+
+
+def _area(bounds: _Bounds) -> int:
+    return (bounds[2] - bounds[0]) * (bounds[3] - bounds[1])
+
+
+def _moved(cells: NDArray[np.int16], old: _Bounds, new: _Bounds) -> NDArray[np.int16]:
+    """A grid with other bounds; where it had none of them, nothing was observed."""
+    moved = np.full((new[3] - new[1], new[2] - new[0]), UNKNOWN * 256, np.int16)
+    left, below, right, above = max(old[0], new[0]), max(old[1], new[1]), min(old[2], new[2]), min(old[3], new[3])
+    if left < right and below < above:
+        moved[below - new[1] : above - new[1], left - new[0] : right - new[0]] = cells[
+            below - old[1] : above - old[1], left - old[0] : right - old[0]
+        ]
+    return moved

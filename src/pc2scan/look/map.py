@@ -484,7 +484,7 @@ class _Drawn:
         frames = name_list(sorted(self.buffer.frames))
         raise UsageError(
             f"there is no frame {odom!r} to draw a map in; "
-            + (f"the frames are {frames}" if frames else "the recording has no transforms"),
+            + (f"the frames are {frames}" if self.buffer.frames else "the recording has no transforms"),
             hint=hint,
         )
 
@@ -510,8 +510,8 @@ class _Drawn:
         further = list(notes)
         if self.tilted:
             further.append(
-                f"{_scans_are(self.tilted)} tilted by more than 5 deg against {self.asked.odom_frame}; the map is a view "
-                "from above"
+                f"{_scans_are(self.tilted)} tilted by more than 5 deg against {self.asked.odom_frame}; "
+                "the map is a view from above"
             )
         if self.beams_at_once:
             further.append(

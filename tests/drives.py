@@ -1,0 +1,200 @@
+"""Recordings of a simulated robot that drives through two rooms with a laser scanner, ray-cast without pc2scan."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from builders import SCAN, SECOND, T0, TF, Item, Recording, Stream, header, serialized, typestore
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from numpy.typing import NDArray
+
+__all__ = ["ROOMS", "Pose", "cast", "distance_to_wall", "drive", "drive_recording", "is_inside", "scan_message"]
+
+Wall = tuple[float, float, float, float]
+
+#: Two rooms, 6 m by 5 m and 4 m by 5 m, with a door of 1.2 m between them, and a pillar: x and y of both ends.
+ROOMS: tuple[Wall, ...] = (
+    (-2.02, -2.48, 8.03, -2.48),
+    (8.03, -2.48, 8.03, 2.53),
+    (8.03, 2.53, -2.02, 2.53),
+    (-2.02, 2.53, -2.02, -2.48),
+    (4.01, -2.48, 4.01, -0.61),
+    (4.01, 0.62, 4.01, 2.53),
+    (1.22, 1.02, 1.58, 1.02),
+    (1.58, 1.02, 1.58, 1.38),
+    (1.58, 1.38, 1.22, 1.38),
+    (1.22, 1.38, 1.22, 1.02),
+)
+
+
+class Pose(NamedTuple):
+    """Of the robot's base in the world."""
+
+    x: float
+    y: float
+    heading: float
+
+
+#: Where the scanner is on the robot: x, y, heading.
+MOUNT = Pose(0.2, 0.0, 0.3)
+#: Of the scanner.
+_FROM, _TO = math.radians(-135), math.radians(135)
+
+
+def cast(x: float, y: float, angle: float) -> float:
+    """The distance to the nearest wall, one beam at a time."""
+    ahead, left = math.cos(angle), math.sin(angle)
+    nearest = math.inf
+    for x0, y0, x1, y1 in ROOMS:
+        ex, ey = x1 - x0, y1 - y0
+        across = ahead * ey - left * ex
+        if abs(across) < 1e-12:
+            continue
+        along = ((x0 - x) * ey - (y0 - y) * ex) / across
+        share = ((x0 - x) * left - (y0 - y) * ahead) / across
+        if along > 1e-9 and 0 <= share <= 1:
+            nearest = min(nearest, along)
+    return nearest
+
+
+def distance_to_wall(x: float, y: float) -> float:
+    """How far a place is from the nearest wall."""
+    nearest = math.inf
+    for x0, y0, x1, y1 in ROOMS:
+        ex, ey = x1 - x0, y1 - y0
+        share = min(1.0, max(0.0, ((x - x0) * ex + (y - y0) * ey) / (ex * ex + ey * ey)))
+        nearest = min(nearest, math.hypot(x0 + share * ex - x, y0 + share * ey - y))
+    return nearest
+
+
+def is_inside(x: float, y: float) -> bool:
+    """Whether a place is in one of the rooms, and not in the pillar."""
+    in_pillar = 1.22 < x < 1.58 and 1.02 < y < 1.38
+    return -2.02 < x < 8.03 and -2.48 < y < 2.53 and not in_pillar
+
+
+def drive(seconds: float) -> Pose:
+    """Where the robot is: through the door, with curves."""
+    share = seconds / 8
+    return Pose(-1 + 7 * share, -0.3 * math.sin(2 * math.pi * share) + 0.05, 0.6 * math.sin(5 * math.pi * share))
+
+
+def composed(a: Pose, b: Pose) -> Pose:
+    return Pose(
+        a.x + b.x * math.cos(a.heading) - b.y * math.sin(a.heading),
+        a.y + b.x * math.sin(a.heading) + b.y * math.cos(a.heading),
+        a.heading + b.heading,
+    )
+
+
+def scan_message(
+    ranges: NDArray[np.float32],
+    *,
+    stamp_ns: int,
+    time_increment: float = 0.0,
+    range_max: float = 30.0,
+    frame: str = "laser",
+    angle_min: float = _FROM,
+) -> bytes:
+    """A serialised LaserScan over 270 degrees."""
+    store = typestore(2)
+    message = store.types[SCAN](
+        header=header(store, 2, 0, stamp_ns, frame),
+        angle_min=angle_min,
+        angle_max=_TO,
+        angle_increment=(_TO - _FROM) / max(1, len(ranges) - 1),
+        time_increment=time_increment,
+        scan_time=0.1,
+        range_min=0.1,
+        range_max=range_max,
+        ranges=np.ascontiguousarray(ranges, np.float32),
+        intensities=np.empty(0, np.float32),
+    )
+    return serialized(store, message, SCAN, 2)
+
+
+def transform_message(rows: list[tuple[str, str, int, Pose]]) -> bytes:
+    store = typestore(2)
+    types = store.types
+    stamped = [
+        types["geometry_msgs/msg/TransformStamped"](
+            header(store, 2, 0, stamp_ns, parent),
+            child,
+            types["geometry_msgs/msg/Transform"](
+                types["geometry_msgs/msg/Vector3"](pose.x, pose.y, 0.0),
+                types["geometry_msgs/msg/Quaternion"](0.0, 0.0, math.sin(pose.heading / 2), math.cos(pose.heading / 2)),
+            ),
+        )
+        for parent, child, stamp_ns, pose in rows
+    ]
+    return serialized(store, types[TF](stamped), TF, 2)
+
+
+_SCANS, _MOTION, _MOUNTS = Stream("/scan", SCAN), Stream("/tf", TF), Stream("/tf_static", TF, latched=True)
+
+
+def drive_recording(
+    *,
+    seconds: float = 8.0,
+    rate: float = 10.0,
+    beams: int = 541,
+    time_increment: float = 0.0,
+    said: float | None = None,
+    odom: str = "odom",
+    motion_from: float = 0.0,
+    measure: Callable[[float, float, float], float] = cast,
+) -> Recording:
+    """Record the drive.
+
+    Parameters
+    ----------
+    seconds, rate, beams
+        How long it takes, and the scans: a second, and their beams.
+    time_increment
+        Between beams, in truth; ``said``: in the messages, if that is something else.
+    odom
+        The frame of the odometry.
+    motion_from
+        When the odometry begins to be recorded.
+    measure
+        The range of a beam, from x, y and angle in the world.
+    """
+    items = [Item(_MOUNTS, T0, {2: transform_message([("base_link", "laser", T0, MOUNT)])})]
+    items += sorted(
+        [*_odometry(seconds, odom, motion_from), *_scans(seconds, rate, beams, time_increment, said, measure)],
+        key=lambda item: item.log_time_ns,
+    )
+    return Recording((_SCANS, _MOTION, _MOUNTS), tuple(items))
+
+
+def _odometry(seconds: float, odom: str, begins: float) -> Iterator[Item]:
+    for number in range(round(begins * 50), round(seconds * 50) + 20):
+        stamp_ns = T0 + number * SECOND // 50
+        data = transform_message([(odom, "base_link", stamp_ns, drive(number / 50))])
+        yield Item(_MOTION, stamp_ns, {2: data})
+
+
+def _scans(
+    seconds: float,
+    rate: float,
+    beams: int,
+    time_increment: float,
+    said: float | None,
+    measure: Callable[[float, float, float], float],
+) -> Iterator[Item]:
+    for number in range(round(seconds * rate)):
+        begin = number / rate
+        ranges = np.empty(beams, np.float32)
+        for beam in range(beams):
+            if not beam or time_increment:
+                pose = composed(drive(begin + beam * time_increment), MOUNT)
+            ranges[beam] = measure(pose.x, pose.y, pose.heading + _FROM + beam * (_TO - _FROM) / (beams - 1))
+        stamp_ns = T0 + round(begin * SECOND)
+        data = scan_message(ranges, stamp_ns=stamp_ns, time_increment=time_increment if said is None else said)
+        yield Item(_SCANS, stamp_ns + 1000, {2: data})
