@@ -68,9 +68,11 @@ def jobs_for(source: Path, folder: Path) -> Iterator[Job]:
         ("convert", source, "-o", "DST", "--overwrite", "--strict", *HEIGHTS),
         ("view", source, "-o", "DST.html", "--clouds", "1"),
         ("export", source, "-o", "DST.npz", "--pose-frame", "odom", *HEIGHTS),
+        ("map", source, "-o", "DST.yaml", *HEIGHTS[:2]),
     ]
+    endings = ("", ".mcap", ".bag", ".json", ".html", ".npz", ".yaml", ".pgm", ".png")
     for number, call in enumerate(calls):
-        outputs = tuple(folder / f"{number}{ending}" for ending in ("", ".mcap", ".bag", ".json", ".html", ".npz"))
+        outputs = tuple(folder / f"{number}{ending}" for ending in endings)
         # What is there is replaced.
         if "--overwrite" in call:
             shutil.copytree(FIXTURES / "hall", folder / str(number))

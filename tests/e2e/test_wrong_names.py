@@ -19,6 +19,7 @@ COMMANDS = {
     "check": [],
     "info": [],
     "tf": [],
+    "map": ["--png", "map.png"],
     "repair": [],
     "diff": [HALL],
     "golden": [],

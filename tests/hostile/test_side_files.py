@@ -27,6 +27,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "convert": ("-o", "OUT/scans.mcap"),
     "export": ("-o", "OUT/scans.csv", "--min-height", "-0.3"),
     "diff": ("SRC",),
+    "map": ("-o", "OUT/map.yaml"),
 }
 
 
