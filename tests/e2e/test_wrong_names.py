@@ -14,7 +14,7 @@ from support import ROOT
 
 HALL = ROOT / "fixtures" / "hall.bag"
 
-COMMANDS = {
+COMMANDS: dict[str, list[str | Path]] = {
     "convert": [],
     "check": [],
     "info": [],

@@ -273,8 +273,9 @@ class Stream(ABC, Generic[Item]):
                 yield message
                 del message
             self.damage = source.damage
-            for text in () if source.account is None or self.listener is None else source.account.warnings():
-                self.listener(text)
+            if source.account is not None and self.listener is not None:
+                for text in source.account.warnings():
+                    self.listener(text)
 
     def _taken(self) -> Source:
         """The recording, open; the caller closes it."""
