@@ -3,6 +3,7 @@
 Recordings to recordings, in the words of the command line:
 
 - `convert`: clouds to laser scans, or back; everything else passes through
+- `batch`: every recording of a dataset, in processes; what is done is not done again
 - `repair`: a sound recording from a damaged one
 - `info`, `tf`, `check`: what is in a recording, its frames, and who would accept its scans
 - `diff`, `golden`: what differs between two recordings, and whether conversions still make what they once made
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
     from typing import Any
 
     from . import errors as errors
+    from .api import batch as batch
     from .api import check as check
     from .api import clouds as clouds
     from .api import convert as convert
@@ -49,6 +51,7 @@ if TYPE_CHECKING:
     from .api import scans as scans
     from .api import tf as tf
     from .api import view as view
+    from .batch.summary import BatchReport as BatchReport
     from .compare.result import Difference as Difference
     from .core.counts import PointCounts as PointCounts
     from .core.params import ProjectionParams as ProjectionParams
@@ -78,6 +81,7 @@ if TYPE_CHECKING:
 
 #: Where each public name is defined.
 _HOMES = {
+    "BatchReport": "batch.summary",
     "Check": "inspect.check",
     "Cloud": "streams.clouds",
     "Clouds": "streams.clouds",
@@ -103,12 +107,13 @@ _HOMES = {
     "StaticTransform": "tf.options",
     "UnprojectParams": "core.unproject",
     "Where": "pipeline.stages.where",
+    # Packages that are called like the functions of their names.
+    "batch": "batch",
     "check": "api",
     "clouds": "api",
     "convert": "api",
     "diff": "api",
     "errors": "errors",
-    # Packages that are called like the functions of their names.
     "export": "export",
     "golden": "golden",
     "info": "api",
@@ -121,6 +126,7 @@ _HOMES = {
 }
 
 __all__ = [
+    "BatchReport",
     "Check",
     "Cloud",
     "Clouds",
@@ -146,6 +152,7 @@ __all__ = [
     "StaticTransform",
     "UnprojectParams",
     "Where",
+    "batch",
     "check",
     "clouds",
     "convert",

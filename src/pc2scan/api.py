@@ -21,10 +21,12 @@ from .requests import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable
     from typing import Any
 
     from .arguments import PathText
+    from .batch.run import BatchProgress
+    from .batch.summary import BatchReport
     from .compare.result import Difference
     from .core.params import ProjectionParams
     from .core.unproject import UnprojectParams
@@ -43,7 +45,21 @@ if TYPE_CHECKING:
     from .streams.scans import Scans
     from .tf.options import FrameOptions, StaticTransform
 
-__all__ = ["check", "clouds", "convert", "diff", "export", "golden", "info", "map", "repair", "scans", "tf", "view"]
+__all__ = [
+    "batch",
+    "check",
+    "clouds",
+    "convert",
+    "diff",
+    "export",
+    "golden",
+    "info",
+    "map",
+    "repair",
+    "scans",
+    "tf",
+    "view",
+]
 
 #: Words of the command line, and of ROS, for what an argument is called.
 _SYNONYMS = {
@@ -272,6 +288,95 @@ def convert(
     )
     done.warnings += [f"not a parameter of the projection, ignored: {origin}" for origin in resolved.ignored]
     return done
+
+
+def _batch_words() -> Iterable[str]:
+    """Return the words of conversions that `batch` takes."""
+    from .batch.request import words_known  # noqa: PLC0415
+
+    return words_known()
+
+
+@known_keywords(further=_batch_words, synonyms=_SYNONYMS)
+def batch(
+    sources: PathText | Iterable[PathText],
+    destination: PathText,
+    *,
+    dataset: PathText | None = None,
+    jobs: int = 0,
+    retries: int = 1,
+    force: bool = False,
+    checksum: bool = False,
+    fail_fast: bool = False,
+    dry_run: bool = False,
+    report: PathText | None = None,
+    progress: Callable[[BatchProgress], None] | None = None,
+    **words: Any,
+) -> BatchReport:
+    """Convert every recording of a dataset, each by itself, in processes, as ``pc2scan batch`` does.
+
+    Parameters
+    ----------
+    sources
+        Folders, which are searched; recordings; globs; text files with a path a line. Recordings are found by content.
+    destination
+        The folder for the results, in the tree of the sources, and for ``manifest.jsonl``. A second call does only what
+        is missing, changed or failed.
+    dataset
+        A dataset file: options that differ between recordings. ``words`` override it.
+    jobs
+        Recordings at a time; 0 means as many as there are cores, and memory for. What is written does not depend on it.
+    retries
+        How often a recording is tried again whose process died.
+    force
+        Whether what was converted before is converted again.
+    checksum
+        Whether unchanged recordings are recognised by SHA-256, not by their time of modification.
+    fail_fast
+        Whether the first recording that fails ends the run.
+    dry_run
+        Whether nothing is written; outcomes are forecasts, sizes and times estimates.
+    report
+        A file to write the summary to: ``.json``, ``.csv`` or ``.md``.
+    progress
+        Called now and then with how far it is.
+    **words
+        Every option of `pc2scan.convert` that is not one of a single run, and the parameters of the projection.
+
+    Returns
+    -------
+    BatchReport
+        What became of each recording; ``print`` shows it as a table. A recording that fails is no exception.
+
+    Raises
+    ------
+    UsageError
+        If an option is wrong, for whichever recording; nothing was begun then.
+    OutputError
+        If the folder or its manifest cannot be written.
+
+    Examples
+    --------
+    >>> import pc2scan
+    >>> result = pc2scan.batch("recordings/", "scans/", preset="slam_toolbox")  # doctest: +SKIP
+    >>> result.counts  # doctest: +SKIP
+    {'failed': 2, 'converted': 998}
+    """
+    from .batch.run import BatchOptions, Watch, run_batch  # noqa: PLC0415
+
+    options = BatchOptions(
+        dataset=None if dataset is None else path_of("dataset", dataset),
+        jobs=jobs,
+        retries=retries,
+        checksum=checksum,
+        force=force,
+        fail_fast=fail_fast,
+        dry_run=dry_run,
+        report=None if report is None else path_of("report", report),
+    )
+    watch = Watch() if progress is None else Watch(progress=progress)
+    names = [str(path) for path in paths_in("sources", sources)]
+    return run_batch(names, path_of("destination", destination), words, options, watch=watch)
 
 
 @known_keywords(synonyms=_SYNONYMS)

@@ -56,14 +56,19 @@ ALLOWED = {
     "streams": {"pipeline", "core", "tf", "messages", "bags"},
     "export": {"streams", "pipeline", "core", "tf", "messages", "bags", "files"},
     "look": {"streams", "pipeline", "inspect", "compare", "core", "tf", "messages", "bags", "files"},
+    # `cli.memory`: worker processes are the command's own.
+    "batch": {"requests", "pipeline", "core", "bags", "files", "cli.memory"},
     # `cli.in_process`: golden cases run the command. `cli.command_line`: pages show the one that means the same.
     "requests": {"pipeline", "core", "streams", "tf"},
     "api": {
-        *("requests", "pipeline", "inspect", "compare", "golden", "streams", "export", "look", "core", "tf"),
+        *("batch", "requests", "pipeline", "inspect", "compare", "golden", "streams", "export", "look", "core", "tf"),
         *("cli.in_process", "cli.command_line"),
     },
     # `bags.damage`: results have its data classes. `files.staging`: what is complete when a command is interrupted.
-    "cli": {"pipeline", "inspect", "compare", "golden", "export", "look", "core", "tf", "bags.damage", "files.staging"},
+    "cli": {
+        *("batch", "pipeline", "inspect", "compare", "golden", "export", "look", "core", "tf"),
+        *("bags.damage", "files.staging"),
+    },
     "pytest_plugin": {"api", "cli", "golden"},
 }
 
@@ -88,6 +93,7 @@ THIRD_PARTY = {
     "inspect": {"numpy"},
     "compare": {"numpy"},
     "golden": set(),
+    "batch": set(),
     "streams": {"numpy"},
     "export": {"numpy"},
     "look": {"numpy", "matplotlib"},

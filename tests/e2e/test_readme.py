@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 README = (ROOT / "README.md").read_text("utf-8")
-COMMANDS = ("convert", "export", "view", "plot", "map", "check", "info", "tf", "repair", "diff", "golden")
+COMMANDS = ("convert", "batch", "export", "view", "plot", "map", "check", "info", "tf", "repair", "diff", "golden")
 
 #: Options of other programs that the README names, and pc2scan's own outside its commands.
 ELSEWHERE = {

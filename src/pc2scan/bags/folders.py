@@ -25,13 +25,16 @@ from . import zstd
 from .formats import FORMATS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
     from pathlib import Path
 
     from .reader import Reader
 
 __all__ = [
     "are_named_as_parts",
+    "continues",
+    "groups_of_parts",
+    "is_named_as_recording",
     "natural_order",
     "overlap_warnings",
     "recordings_in",
@@ -66,14 +69,19 @@ def recordings_in(folder: Path) -> list[Path]:
 
     In natural order. Hidden files and folders are ignored.
     """
-    suffixes = tuple(entry.suffix + end for entry in FORMATS.values() if entry.suffix for end in _ENDS)
     found = [
         path
         for path in folder.iterdir()
         if not path.name.startswith(".")
-        and (_holds_recording(path) if path.is_dir() else path.name.lower().endswith(suffixes))
+        and (_holds_recording(path) if path.is_dir() else is_named_as_recording(path.name))
     ]
     return sorted(found, key=natural_order)
+
+
+def is_named_as_recording(name: str) -> bool:
+    """Whether a file has the suffix of a recording."""
+    suffixes = tuple(entry.suffix + end for entry in FORMATS.values() if entry.suffix for end in _ENDS)
+    return name.lower().endswith(suffixes)
 
 
 #: What may follow the suffix of a recording's name.
@@ -113,6 +121,27 @@ def are_named_as_parts(paths: Iterable[Path]) -> bool:
         and len({(path.parent, part.recording, part.suffix) for path, part in zip(files, parts, strict=True)}) == 1
         and len({part.number for part in parts}) == len(parts)
     )
+
+
+def groups_of_parts(paths: Iterable[Path]) -> Iterator[list[Path]]:
+    """Yield the files of a folder that have the names of parts of one recording, in the order of their numbers.
+
+    Whether they are parts, only their content says: see `continues`.
+    """
+    groups: dict[tuple[str, str], dict[int, Path]] = {}
+    for path in paths:
+        part = _part_name(path)
+        if part is not None:
+            groups.setdefault((part.recording, part.suffix), {}).setdefault(part.number, path)
+    yield from ([group[number] for number in sorted(group)] for group in groups.values() if len(group) > 1)
+
+
+def continues(file: Path, reader: Reader, other: Path, other_reader: Reader) -> bool:
+    """Whether a file is the next part of a recording, whose part before it is ``file``."""
+    end_ns, start_ns = reader.summary.end_ns, other_reader.summary.start_ns
+    if end_ns is None or start_ns is None or start_ns - end_ns > _MAX_GAP_NS or not _follows(file, other):
+        return False
+    return not _why_unrelated((file, other), (reader, other_reader))
 
 
 def _part_name(path: Path) -> _PartName | None:

@@ -25,12 +25,13 @@ if TYPE_CHECKING:
 __all__ = ["COMMANDS", "application"]
 
 #: The commands in the order of the help; each is a function in the module of its name.
-COMMANDS = ("convert", "export", "view", "plot", "map", "check", "info", "tf", "repair", "diff", "golden")
+COMMANDS = ("convert", "batch", "export", "view", "plot", "map", "check", "info", "tf", "repair", "diff", "golden")
 
 EPILOG = (
     "Exit status: 0 done, 1 failed and nothing written, 2 wrong usage or a missing file, "
     "3 written but with messages skipped, from a damaged source, or without the report, "
     "4 written but no scan has a return. "
+    "batch: 0 all converted, 3 some with messages skipped, damage or empty scans, 1 any failed. "
     "check, diff and golden: 0 accepted or the same, 1 not, 2 could not be judged."
 )
 

@@ -11,6 +11,11 @@ EXAMPLES: dict[str, tuple[tuple[str, str], ...]] = {
         ("pc2scan convert drive.bag -o drive.mcap --params-file params.yaml", "the file that ran the robot"),
         ("pc2scan convert drive.bag --preset slam_toolbox --target-frame base_link", "scans that SLAM takes"),
     ),
+    "batch": (
+        ("pc2scan batch recordings/ -o scans/ --preset slam_toolbox", "every recording, in processes"),
+        ("pc2scan batch recordings/ -o scans/ --dataset dataset.yaml", "robots that differ"),
+        ("pc2scan batch recordings/ -o scans/ --dry-run", "what would be done, and why"),
+    ),
     "export": (
         ("pc2scan export scans.mcap -o scans.npz --pose-frame odom", "scans with the robot's pose, as NumPy arrays"),
         ("pc2scan export drive.bag -o scans.csv --min-height -0.3", "scans made of its clouds, a row for each"),

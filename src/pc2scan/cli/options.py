@@ -38,6 +38,7 @@ __all__ = [
     "Json",
     "Moments",
     "OutputGroup",
+    "ParameterOptions",
     "ReportGroup",
     "StaticTf",
     "Storage",
@@ -45,6 +46,7 @@ __all__ = [
     "TfTopics",
     "length",
     "ros_arguments",
+    "share",
 ]
 
 Storage = Literal["mcap", "sqlite3"]
@@ -576,7 +578,7 @@ class RunGroup(Group):
     ] = False
 
 
-def _read_share(text: str | None) -> float:
+def share(text: str | None) -> float:
     """Read a share: ``0.05`` or ``5%``."""
     if text is None:
         return 0.0
@@ -677,7 +679,7 @@ class ConversionGroup(Group):
             end=topics.end,
             on_error=running.on_error,
             fail_on=running.fail_on or "",
-            min_used=_read_share(running.min_used),
+            min_used=share(running.min_used),
             ros_distro=ros_distro,
             jobs=running.jobs,
             verify=not running.no_verify,

@@ -72,6 +72,14 @@ OPTIONS = {
     "to": "--to",
     "topics": "--topic",
     "where": "--where",
+    "checksum": "--checksum",
+    "dataset": "--dataset",
+    "fail_fast": "--fail-fast",
+    "force": "--force",
+    "jobs": "--jobs",
+    "retries": "--retries",
+    "param": "--param",
+    "remap": "--remap",
     "write_static_tf": "--write-static-tf",
 }
 

@@ -23,7 +23,9 @@ __all__ = [
     "LEFTOVERS",
     "check_destination",
     "check_place",
+    "clean_up",
     "made_folder",
+    "only_run",
     "prepared",
     "staged",
     "sync_directory",
@@ -163,7 +165,7 @@ def prepared(
     """
     check_place(dst)
     partial = dst.with_name(dst.name + _PARTIAL)
-    with _only_run(dst):
+    with only_run(dst):
         # A partial file that exists now is of a run that died: a running one holds the lock.
         with _cleaning_up(dst):
             _remove(partial)
@@ -309,9 +311,29 @@ def _exists(dst: Path) -> DestinationError:
     return DestinationError("exists already", path=dst, hint="`overwrite=True` replaces it")
 
 
+def clean_up(dst: Path) -> None:
+    """Remove what a killed run left beside a destination, and put back what it had set aside.
+
+    A destination that another run is writing is left alone.
+
+    Raises
+    ------
+    OutputError
+        If something cannot be removed.
+    """
+    if not any(map(os.path.lexists, working_names(dst))):
+        return
+    with suppress(DestinationError), only_run(dst), _cleaning_up(dst):
+        _remove(dst.with_name(dst.name + _PARTIAL))
+        _restore(dst)
+
+
 @contextmanager
-def _only_run(dst: Path) -> Iterator[None]:
-    """Hold the lock of a running run; the kernel releases it when the process ends."""
+def only_run(dst: Path) -> Iterator[int]:
+    """Hold the lock of a running run; yields its descriptor.
+
+    The kernel releases it when the process ends, and the processes that have inherited the descriptor.
+    """
     lock = dst.with_name(dst.name + _LOCK)
     try:
         descriptor = _locked(lock)
@@ -320,7 +342,7 @@ def _only_run(dst: Path) -> Iterator[None]:
     except OSError as err:
         raise OutputError(f"cannot be written: {err.strerror}", path=dst) from err
     try:
-        yield
+        yield descriptor
     finally:
         # Removed before it is released: a run that locks the removed file notices, in _locked.
         # Windows removes only what nobody has open.

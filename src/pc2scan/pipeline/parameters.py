@@ -30,6 +30,7 @@ __all__ = [
     "ALIASES",
     "CALL",
     "PARAMETERS",
+    "RIVALS",
     "SCALAR_PARAMETERS",
     "TOPICS",
     "Direction",
@@ -231,7 +232,7 @@ TOPICS = frozenset({"cloud_in", "scan", "scan_in", "cloud", "point_cloud_topic",
 SCALAR_PARAMETERS = {name for name, parameter in PARAMETERS.items() if parameter.upstreams} | ALIASES.keys()
 
 #: Parameters that say the same in two ways: the stronger setting of either leaves the other one out.
-_RIVALS = {
+RIVALS = {
     "beams": "angle_increment",
     "angle_increment": "beams",
     "no_return": "use_inf",
@@ -367,7 +368,7 @@ def resolve(
         if name not in known:
             raise unknown_parameter(setting.name, setting.origin, direction)
         value = _typed(PARAMETERS[name], setting)
-        rival = winners.get(_RIVALS.get(name, ""))
+        rival = winners.get(RIVALS.get(name, ""))
         if rival is not None:
             if rival.source == setting.source:
                 raise _contradiction(setting, rival)

@@ -110,6 +110,8 @@ class OutputOptions:
         Format of the destination: ``bag``, ``mcap`` or ``rosbag2``; None: as it is named, or the source's.
     dry_run
         Whether nothing is written, the report neither, and only what would be is found out.
+    like_source
+        Whether a named destination has the storage of the source, as one that is named after the source has.
     """
 
     storage: str | None = None
@@ -121,6 +123,7 @@ class OutputOptions:
     folder: Path | None = None
     to: str | None = None
     dry_run: bool = False
+    like_source: bool = False
 
 
 def run(
@@ -260,7 +263,7 @@ def _run(
     converted = [route.connection for route in plan.routes if route.targets]
     summaries = [opened.summary for opened in readers]
     mark = "_repaired" if options.repair else "_scan"
-    is_named = files.destination is not None
+    is_named = files.destination is not None and not output.like_source
     path = files.destination or default_destination(files.sources, summaries, mark, folder=output.folder, to=output.to)
     files.destination = path
     report.destination = str(path)

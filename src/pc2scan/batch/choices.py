@@ -1,0 +1,103 @@
+"""The options of each recording: those of the call over those of the dataset file, checked before anything starts."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from pc2scan.errors import ParameterError, UsageError
+from pc2scan.pipeline.parameters import RIVALS
+
+from .plan import Choice
+from .request import request_of
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from .dataset_file import DatasetFile
+
+__all__ = ["Choices"]
+
+
+class Choices:
+    """Finds the options of recordings.
+
+    Parameters
+    ----------
+    dataset
+        The dataset file.
+    words
+        Options of the call: they beat those of the file.
+    origins
+        Where they come from.
+    """
+
+    def __init__(self, dataset: DatasetFile, words: Mapping[str, Any], origins: Mapping[str, str]) -> None:
+        self._dataset = dataset
+        self._words = words
+        self._origins = origins
+        self._made: dict[tuple[int, ...], Choice] = {}
+
+    def check(self) -> None:
+        """Raise if the options of the call alone, or with the defaults of the file, are wrong."""
+        defaults = tuple(number for number, entry in enumerate(self._dataset.entries) if not entry.patterns)
+        self._choice(defaults)
+
+    def of(self, keys: Iterable[str]) -> dict[str, Choice]:
+        """Return the options of recordings, by key.
+
+        Raises
+        ------
+        UsageError
+            If options are wrong; the message names the line of the dataset file.
+        """
+        return {key: self._choice(self._dataset.matching(key)) for key in keys}
+
+    def warnings(self, keys: Iterable[str]) -> list[str]:
+        """Return what a user should know of the dataset file and of the options."""
+        listed = list(keys)
+        unused = [
+            f"{self._dataset.path}, line {entry.line}: matches no recording: {', '.join(entry.patterns)}"
+            for entry in self._dataset.entries
+            if not any(map(entry.matches, listed))
+        ]
+        notes = [note for choice in self._made.values() if choice.request for note in choice.request.notes]
+        return [*unused, *dict.fromkeys(notes)]
+
+    def _choice(self, numbers: tuple[int, ...]) -> Choice:
+        if numbers not in self._made:
+            words, origins, skip = self._dataset.combined(numbers)
+            for name in self._words:
+                words.pop(RIVALS.get(name, ""), None)
+            words |= self._words
+            origins = {name: origin for name, origin in origins.items() if name not in self._words} | dict(
+                self._origins
+            )
+            if skip:
+                self._made[numbers] = Choice(None)
+            else:
+                try:
+                    request = request_of(words, origins)
+                    self._made[numbers] = Choice(request, request.digest())
+                except UsageError as err:
+                    self._place(err, numbers, origins)
+                    raise
+        return self._made[numbers]
+
+    def _place(self, err: UsageError, numbers: tuple[int, ...], origins: Mapping[str, str]) -> None:
+        """Add where in the dataset file the wrong option is."""
+        if not numbers or any(origin in err.message for origin in origins.values()):
+            return
+        text = f"{err.message} {err.hint or ''}"
+        named = [name for name in origins if f"`{name}`" in text or f"`{name}=" in text]
+        if isinstance(err, ParameterError) and err.name in origins:
+            named.insert(0, err.name)
+        # What is wrong in a text (a transform, a topic) is named by the text.
+        words = self._dataset.combined(numbers)[0]
+        named += [
+            name
+            for name, value in words.items()
+            if any(repr(text) in err.message for text in (value if isinstance(value, tuple) else (value,)))
+        ]
+        entry = self._dataset.entries[numbers[-1]]
+        where = next((origins[name] for name in named if name in origins), f"{self._dataset.path}, line {entry.line}")
+        err.message = f"{err.message} (from {where})"

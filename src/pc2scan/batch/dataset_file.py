@@ -1,0 +1,256 @@
+"""Dataset files: which options each recording of a dataset has."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pc2scan.errors import ParameterError, UsageError
+from pc2scan.files.nearby import missing_hint
+from pc2scan.files.source import opened_bytes
+from pc2scan.names import did_you_mean
+from pc2scan.pipeline.ros_scalars import plain_scalar
+from pc2scan.pipeline.yaml_nodes import compose, is_empty, is_mapping, is_scalar
+
+from .words import WORDS, Word
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+__all__ = ["DatasetFile", "Entry", "load_dataset_file"]
+
+#: A dataset file is some pages of text.
+_MAX_BYTES = 1_000_000
+
+_SECTIONS = ("defaults", "recordings")
+
+_KINDS = {
+    "flag": "true or false",
+    "number": "a number",
+    "value": "a number or a text",
+    "text": "a text",
+    "path": "a path",
+    "texts": "a text or a list of texts",
+    "paths": "a path or a list of paths",
+}
+
+
+@dataclass(frozen=True)
+class Entry:
+    """Options for the recordings that a pattern matches.
+
+    Attributes
+    ----------
+    line
+        Where it begins in the file.
+    patterns
+        Globs; empty for the defaults, which match everything.
+    words
+        Options by name, as `pc2scan.batch.request.request_of` reads them.
+    lines
+        The line of each option.
+    skip
+        Whether the recordings are not converted; None if it does not say.
+    """
+
+    line: int
+    patterns: tuple[str, ...] = ()
+    words: Mapping[str, Any] = field(default_factory=dict)
+    lines: Mapping[str, int] = field(default_factory=dict)
+    skip: bool | None = None
+
+    @cached_property
+    def _expressions(self) -> list[re.Pattern[str]]:
+        return [re.compile(_expression(pattern)) for pattern in self.patterns]
+
+    def matches(self, key: str) -> bool:
+        """Whether it is for a recording of this name in the dataset."""
+        return not self.patterns or any(expression.fullmatch(key) for expression in self._expressions)
+
+
+@dataclass(frozen=True)
+class DatasetFile:
+    """A dataset file that was read: its entries, the defaults first."""
+
+    path: Path | None = None
+    entries: tuple[Entry, ...] = ()
+
+    def matching(self, key: str) -> tuple[int, ...]:
+        """Return the numbers of the entries that are for a recording."""
+        return tuple(number for number, entry in enumerate(self.entries) if entry.matches(key))
+
+    def combined(self, numbers: Sequence[int]) -> tuple[dict[str, Any], dict[str, str], bool]:
+        """Return the options of several entries, where each comes from, and whether the recordings are skipped."""
+        words: dict[str, Any] = {}
+        origins: dict[str, str] = {}
+        skip = False
+        for entry in (self.entries[number] for number in numbers):
+            words |= entry.words
+            origins |= {name: f"{self.path}, line {line}" for name, line in entry.lines.items()}
+            skip = skip if entry.skip is None else entry.skip
+        return words, origins, skip
+
+
+def load_dataset_file(path: Path) -> DatasetFile:
+    """Read a dataset file.
+
+    Raises
+    ------
+    UsageError
+        If it cannot be read, is not YAML, or has something that is not in the schema; the message names the line.
+    """
+    try:
+        with opened_bytes(path) as file:
+            data = file.read(_MAX_BYTES + 1)
+    except OSError as err:
+        hint = missing_hint(path, (".yaml", ".yml")) if isinstance(err, FileNotFoundError) else None
+        raise UsageError(f"the dataset file cannot be read: {err.strerror}", path=path, hint=hint) from err
+    if len(data) > _MAX_BYTES:
+        raise UsageError(f"has more than {_MAX_BYTES:,} bytes, which no dataset file has", path=path)
+    try:
+        text = data.decode("utf-8")
+    except UnicodeDecodeError as err:
+        raise UsageError(f"is not UTF-8: {err.reason}", path=path) from err
+    try:
+        root = compose(text, str(path))
+    except ParameterError as err:
+        raise UsageError(err.message, hint=err.hint) from err
+    return _Reader(path).read(root)
+
+
+class _Reader:
+    """Reads the nodes of a dataset file."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def read(self, root: Any) -> DatasetFile:
+        if root is None or is_empty(root):
+            return DatasetFile(self._path)
+        entries: list[Entry] = []
+        sections = dict(self._pairs(root, "the file", _SECTIONS))
+        if (defaults := sections.get("defaults")) is not None and not is_empty(defaults):
+            entries.append(self._entry(defaults, "defaults"))
+        if (recordings := sections.get("recordings")) is not None and not is_empty(recordings):
+            if recordings.id != "sequence":
+                raise self._error(recordings, "recordings is not a list", "write '- match: PATTERN' for each entry")
+            entries += [self._entry(node, "an entry of recordings") for node in recordings.value]
+        return DatasetFile(self._path, tuple(entries))
+
+    def _entry(self, node: Any, where: str) -> Entry:
+        is_default = where == "defaults"
+        known = (*(() if is_default else ("match", "skip")), *WORDS)
+        words: dict[str, Any] = {}
+        lines: dict[str, int] = {}
+        patterns: tuple[str, ...] = ()
+        skip = None
+        for name, value in self._pairs(node, where, known):
+            if name == "match":
+                patterns = self._texts(value, name)
+            elif name == "skip":
+                skip = self._flag(value, name)
+            else:
+                words[name] = self._value(value, name, WORDS[name])
+                lines[name] = _line(value)
+        if not patterns and not is_default:
+            raise self._error(node, "an entry of recordings has no match", "write 'match: robot1/**' in it")
+        return Entry(_line(node), patterns, words, lines, skip)
+
+    def _pairs(self, node: Any, where: str, known: Sequence[str]) -> Iterator[tuple[str, Any]]:
+        """Yield the names and values of a mapping, whose names must be known, and be there once."""
+        if not is_mapping(node):
+            raise self._error(node, f"{where} is not a mapping of names to values")
+        seen: dict[str, int] = {}
+        for key, value in node.value:
+            name = str(key.value) if is_scalar(key) else "?"
+            if name not in known:
+                near = did_you_mean(name, known)
+                few = f"known: {', '.join(known)}" if len(known) < 5 else None
+                raise self._error(key, f"{name!r} is not known in {where}", near or few)
+            if name in seen:
+                raise self._error(key, f"{name} is there twice; first in line {seen[name]}")
+            seen[name] = _line(key)
+            yield name, value
+
+    def _value(self, node: Any, name: str, word: Word) -> Any:
+        if word.kind == "flag":
+            return self._flag(node, name)
+        if word.kind in ("texts", "paths"):
+            texts = self._texts(node, name)
+            for text in texts:
+                self._check_choice(node, name, text, word)
+            return tuple(map(self._located, texts)) if word.kind == "paths" else texts
+        if not is_scalar(node) or is_empty(node):
+            raise self._unexpected(node, name, word.kind)
+        value = node.value if node.style else plain_scalar(node.value)
+        if word.kind == "number":
+            if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+                raise self._unexpected(node, name, word.kind)
+            return value
+        if word.kind == "value":
+            if isinstance(value, bool):
+                raise self._unexpected(node, name, word.kind)
+            return value
+        text = str(node.value)
+        self._check_choice(node, name, text, word)
+        return self._located(text) if word.kind == "path" else text
+
+    def _flag(self, node: Any, name: str) -> bool:
+        value = plain_scalar(node.value) if is_scalar(node) and not node.style else None
+        if not isinstance(value, bool):
+            raise self._unexpected(node, name, "flag")
+        return value
+
+    def _texts(self, node: Any, name: str) -> tuple[str, ...]:
+        nodes = node.value if node.id == "sequence" else [node]
+        if not nodes or not all(is_scalar(each) and not is_empty(each) for each in nodes):
+            raise self._unexpected(node, name, "texts")
+        return tuple(str(each.value) for each in nodes)
+
+    def _check_choice(self, node: Any, name: str, text: str, word: Word) -> None:
+        if word.choices and text not in word.choices:
+            near = did_you_mean(text, word.choices) or None
+            raise self._error(node, f"{name} is {text!r}, it must be one of {', '.join(word.choices)}", near)
+
+    def _located(self, text: str) -> str:
+        """A path, relative to the file."""
+        return str(self._path.parent / Path(text).expanduser())
+
+    def _unexpected(self, node: Any, name: str, kind: str) -> UsageError:
+        found = {"mapping": "a mapping", "sequence": "a list"}.get(node.id) or repr(str(node.value)[:80])
+        return self._error(node, f"{name} is {found}, it must be {_KINDS[kind]}")
+
+    def _error(self, node: Any, message: str, hint: str | None = None) -> UsageError:
+        return UsageError(f"line {_line(node)}: {message}", path=self._path, hint=hint)
+
+
+def _line(node: Any) -> int:
+    return int(node.start_mark.line) + 1
+
+
+def _expression(pattern: str) -> str:
+    """Translate a glob: ``*`` is anything in one name, ``**`` any number of folders; a folder is all that is in it."""
+    pattern = pattern.removeprefix("./").removesuffix("/")
+    parts = []
+    position = 0
+    for found in re.finditer(r"\*\*/|\*\*|\*|\?|\[[^\]/]+\]", pattern):
+        parts.append(re.escape(pattern[position : found.start()]))
+        match token := found[0]:
+            case "**/":
+                parts.append("(?:.*/)?")
+            case "**":
+                parts.append(".*")
+            case "*":
+                parts.append("[^/]*")
+            case "?":
+                parts.append("[^/]")
+            case _:
+                parts.append("[" + token[1:-1].replace("\\", "\\\\").replace("!", "^", token[1] == "!") + "]")
+        position = found.end()
+    parts.append(re.escape(pattern[position:]))
+    anywhere = "" if "/" in pattern else "(?:.*/)?"
+    return f"{anywhere}{''.join(parts)}(?:/.*)?"

@@ -1,0 +1,272 @@
+"""The manifest of a batch: one line of JSON for each recording that was converted or failed, written as soon as it is.
+
+A line is on the disk before the recording counts as done. Of several lines for one recording the last one counts. A
+last line without its end is of a run that was killed while it wrote it, and is ignored.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from pc2scan.errors import DestinationError, OutputError, UsageError
+from pc2scan.files.staging import sync_directory
+from pc2scan.files.text_output import text_output
+from pc2scan.version import __version__
+
+from .identity import Identity
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+    from pathlib import Path
+    from types import TracebackType
+
+    from typing_extensions import Self
+
+__all__ = ["BEGUN", "MANIFEST", "Manifest", "Record", "forget_begun", "read_begun", "read_manifest", "write_begun"]
+
+#: The files that a batch writes into its folder beside recordings.
+MANIFEST = "manifest.jsonl"
+BEGUN = ".pc2scan-begun.json"
+
+#: What each line of a manifest begins with; another program's file of this name is refused.
+_BEGINNING = '{"pc2scan": "'
+_BEGUN_BEGINNING = b'{"pc2scan begun": '
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Record:
+    """What became of a recording: a line of the manifest.
+
+    Attributes
+    ----------
+    key
+        Its name in the dataset.
+    sources
+        Its paths, absolute.
+    identity, sha256
+        Of the source when it was read; no checksum if none was asked for.
+    container
+        The name of the source's format; empty if it is not a recording.
+    options
+        The digest of the options.
+    version
+        Of pc2scan.
+    outcome
+        ``converted``, ``incomplete`` (messages skipped, or a damaged source), ``empty`` (no scan has a return),
+        ``failed``, or ``died`` (the process that converted it).
+    exit_status
+        What `pc2scan convert` would have ended with.
+    error
+        Why it failed: ``class``, ``message``, ``place``, ``hint``, ``exit_status``; None if it did not.
+    output
+        Where the result is, below the folder of the batch; of one that failed, where an earlier result may be. Empty if
+        nothing was ever written for it.
+    output_identity
+        Of the result; without files if there is none.
+    started
+        When the conversion began, ISO 8601.
+    seconds
+        How long it took.
+    attempts
+        How many processes tried.
+    report
+        The report of the conversion, as ``convert --report`` writes it; None if it failed.
+    """
+
+    key: str
+    sources: tuple[str, ...]
+    identity: Identity
+    sha256: str | None = None
+    container: str = ""
+    options: str
+    version: str = __version__
+    outcome: str
+    exit_status: int
+    error: Mapping[str, Any] | None = None
+    output: str = ""
+    output_identity: Identity = field(default_factory=Identity)
+    started: str = ""
+    seconds: float = 0.0
+    attempts: int = 1
+    report: Mapping[str, Any] | None = None
+
+    @property
+    def is_written(self) -> bool:
+        """Whether there is a result."""
+        return bool(self.output_identity.files)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the line as JSON's types."""
+        return {
+            "pc2scan": self.version,
+            "key": self.key,
+            "outcome": self.outcome,
+            "exit_status": self.exit_status,
+            "source": {
+                "paths": list(self.sources),
+                "container": self.container or None,
+                "bytes": self.identity.size_bytes,
+                "files": self.identity.as_json(),
+                "sha256": self.sha256,
+            },
+            "options": self.options,
+            "output": None
+            if not self.output
+            else {
+                "path": self.output,
+                "bytes": self.output_identity.size_bytes,
+                "files": self.output_identity.as_json(),
+            },
+            "started": self.started,
+            "seconds": round(self.seconds, 3),
+            "attempts": self.attempts,
+            "error": None if self.error is None else dict(self.error),
+            "report": None if self.report is None else dict(self.report),
+        }
+
+    @classmethod
+    def from_dict(cls, line: Mapping[str, Any]) -> Record:
+        """Read what `as_dict` returned."""
+        source, output = line["source"], line["output"] or {}
+        return cls(
+            key=str(line["key"]),
+            sources=tuple(map(str, source["paths"])),
+            identity=Identity.from_json(source["files"]),
+            sha256=source["sha256"],
+            container=source["container"] or "",
+            options=str(line["options"]),
+            version=str(line["pc2scan"]),
+            outcome=str(line["outcome"]),
+            exit_status=int(line["exit_status"]),
+            error=line["error"],
+            output=str(output.get("path", "")),
+            output_identity=Identity.from_json(output.get("files", ())),
+            started=str(line["started"]),
+            seconds=float(line["seconds"]),
+            attempts=int(line["attempts"]),
+            report=line["report"],
+        )
+
+
+def read_manifest(path: Path) -> dict[str, Record]:
+    """Return the last line of each recording, by key; empty if there is no manifest.
+
+    Raises
+    ------
+    DestinationError
+        If the file is not a manifest.
+    UsageError
+        If a line but the last cannot be read; the message names it.
+    """
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        return {}
+    except OSError as err:
+        raise OutputError(f"the manifest cannot be read: {err.strerror}", path=path) from err
+    if data and not data.startswith(_BEGINNING.encode()[: len(data)]):
+        raise DestinationError("is not a manifest of pc2scan batch", path=path, hint="write into another folder")
+    records: dict[str, Record] = {}
+    # Behind the last end of line is what a killed run was writing.
+    for number, line in enumerate(data.split(b"\n")[:-1], start=1):
+        try:
+            record = Record.from_dict(json.loads(line))
+        except (ValueError, LookupError, TypeError, AttributeError) as err:
+            raise UsageError(
+                f"line {number} is not a line of a manifest ({type(err).__name__}: {err})",
+                path=path,
+                hint="remove the line, and the output that it names: that recording is converted again",
+            ) from err
+        records[record.key] = record
+    return records
+
+
+class Manifest:
+    """A manifest that is open for more lines.
+
+    Parameters
+    ----------
+    path
+        The file; it is created if it does not exist.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be written.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        try:
+            is_new = not path.exists()
+            self._file = path.open("ab")
+            if is_new:
+                sync_directory(path.parent)
+            self._drop_torn_line()
+        except OSError as err:
+            raise OutputError(f"the manifest cannot be written: {err.strerror}", path=path) from err
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._file.close()
+
+    def append(self, record: Record) -> None:
+        """Write a line, and wait until it is on the disk.
+
+        Raises
+        ------
+        OutputError
+            If it cannot be written.
+        """
+        line = json.dumps(record.as_dict(), ensure_ascii=True) + "\n"
+        try:
+            self._file.write(line.encode("ascii"))
+            self._file.flush()
+            os.fsync(self._file.fileno())
+        except OSError as err:
+            raise OutputError(f"the manifest cannot be written: {err.strerror}", path=self._path) from err
+
+    def _drop_torn_line(self) -> None:
+        size = self._path.stat().st_size
+        data = self._path.read_bytes()
+        end = data.rfind(b"\n") + 1
+        if end != size:
+            self._file.truncate(end)
+
+
+def write_begun(folder: Path, outputs: Iterable[str]) -> None:
+    """Note what a run is going to write, before it begins: after a killed run, only this says that it is the batch's.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be written.
+    """
+    text = f'{_BEGUN_BEGINNING.decode()}"{__version__}", "outputs": {json.dumps(sorted(outputs))}}}\n'
+    with text_output(folder / BEGUN, beginning=_BEGUN_BEGINNING, overwrite=False) as write:
+        write(text)
+
+
+def read_begun(folder: Path) -> frozenset[str]:
+    """Return what a run that was killed was going to write; empty if none was."""
+    try:
+        noted = json.loads((folder / BEGUN).read_bytes())
+        return frozenset(map(str, noted["outputs"]))
+    except FileNotFoundError:
+        return frozenset()
+    except (OSError, ValueError, LookupError, TypeError) as err:
+        raise DestinationError(
+            "is not what pc2scan batch writes there", path=folder / BEGUN, hint="move it away"
+        ) from err
+
+
+def forget_begun(folder: Path) -> None:
+    """Remove the note: everything in it is in the manifest, or was not begun."""
+    (folder / BEGUN).unlink(missing_ok=True)

@@ -1,0 +1,259 @@
+"""The plan of a batch: what is done with each recording, and why. A pure decision."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pc2scan.bags.destinations import named_after
+from pc2scan.errors import DestinationError
+from pc2scan.files.staging import working_names
+from pc2scan.shown import size
+from pc2scan.version import __version__
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Mapping, Sequence
+
+    from pc2scan.errors import Pc2ScanError
+
+    from .find import Found
+    from .identity import Identity
+    from .manifest import Record
+    from .request import Request
+
+__all__ = ["Choice", "History", "Plan", "Step", "destinations", "make_plan"]
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """The options of a recording; those that are equal are one object.
+
+    Attributes
+    ----------
+    request
+        What is asked for; None if the recording is skipped.
+    digest
+        Of the request.
+    """
+
+    request: Request | None
+    digest: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class History:
+    """What earlier runs have left.
+
+    Attributes
+    ----------
+    records
+        The manifest, by key.
+    begun
+        What a killed run was going to write, below the folder of the batch.
+    """
+
+    records: Mapping[str, Record]
+    begun: frozenset[str] = frozenset()
+
+    @property
+    def owned(self) -> frozenset[str]:
+        """The places whose content was written by a batch."""
+        return self.begun | {record.output for record in self.records.values() if record.output}
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """What is done with one recording.
+
+    Attributes
+    ----------
+    found
+        The recording.
+    action
+        ``convert``; ``keep``: nothing, its result is there; ``refuse``: nothing, it cannot be converted; ``skip``:
+        nothing, it is not wanted.
+    why
+        The reason, for people.
+    choice
+        Its options.
+    output
+        Where the result is, below the folder of the batch; empty for none.
+    replaces
+        Whether what is there may be replaced.
+    record
+        Its last line of the manifest.
+    error
+        Of ``refuse``.
+    """
+
+    found: Found
+    action: str
+    why: str
+    choice: Choice
+    output: str = ""
+    replaces: bool = False
+    record: Record | None = None
+    error: Pc2ScanError | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What is done with every recording, in the order of their keys."""
+
+    steps: tuple[Step, ...]
+    warnings: tuple[str, ...] = ()
+
+    def of(self, action: str) -> list[Step]:
+        """Return the steps with one action."""
+        return [step for step in self.steps if step.action == action]
+
+
+def destinations(found: Sequence[Found], choices: Mapping[str, Choice]) -> dict[str, str]:
+    """Return where the results are, by key: the tree of the sources, with the names that `convert` gives.
+
+    Where two would meet (``drive.bag`` and ``drive.mcap`` with ``--to mcap``), the suffix of each source becomes a
+    part of its name: ``drive_bag_scan.mcap``.
+    """
+    formats = {key: choice.request.output.to for key, choice in choices.items() if choice.request is not None}
+    named = {each.key: _name(each, formats[each.key]) for each in found if each.container and each.key in formats}
+    taken: dict[str, list[str]] = {}
+    for key, name in named.items():
+        taken.setdefault(name.casefold(), []).append(key)
+    by_key = {each.key: each for each in found}
+    for keys in taken.values():
+        if len(keys) > 1:
+            for key in keys:
+                named[key] = _name(by_key[key], formats[key], distinct=True)
+    return named
+
+
+def _name(found: Found, to: str | None, *, distinct: bool = False) -> str:
+    source = Path(found.key)
+    suffix = f"_{source.suffix[1:] or 'folder'}" if distinct else ""
+    return named_after(source, found.container, f"{suffix}_scan", folder=source.parent, to=to).as_posix()
+
+
+def make_plan(
+    found: Sequence[Found],
+    choices: Mapping[str, Choice],
+    history: History,
+    *,
+    out: Path,
+    inputs: Collection[Path] = (),
+    present: Callable[[str], Identity],
+    checksum: Callable[[Found], str] | None = None,
+    force: bool = False,
+) -> Plan:
+    """Decide what is done with each recording.
+
+    Parameters
+    ----------
+    found
+        The recordings.
+    choices
+        Their options, by key.
+    history
+        What earlier runs have left.
+    out
+        The folder of the batch, without links in its path.
+    inputs
+        All that is read, without links in the paths: nothing is written there.
+    present
+        Returns the identity of what is at a place below it; without files if nothing is there.
+    checksum
+        Returns the checksum of a recording; None: their times of modification decide.
+    force
+        Whether everything is converted.
+    """
+    outputs = destinations(found, choices)
+    owners: dict[str, list[str]] = {}
+    for key, output in outputs.items():
+        for name in (Path(output), *working_names(Path(output))):
+            owners.setdefault(name.as_posix().casefold(), []).append(key)
+    owned = history.owned
+    steps = []
+    warnings = []
+    for each in found:
+        choice = choices[each.key]
+        record = history.records.get(each.key)
+        output = outputs.get(each.key, "")
+        step = Step(each, "convert", "", choice, output, replaces=output in owned, record=record)
+        if choice.request is None:
+            steps.append(replace(step, action="skip", why="the dataset file skips it"))
+            continue
+        if each.error is not None:
+            steps.append(replace(step, action="refuse", why=each.error.message, error=each.error))
+            continue
+        others = [key for key in owners[output.casefold()] if key != each.key]
+        if others:
+            error = DestinationError(
+                f"would be made of {each.key} and of {others[0]}",
+                path=out / output,
+                hint="rename one of them, or convert them into two folders",
+            )
+            steps.append(replace(step, action="refuse", why=error.message, error=error))
+            continue
+        place = out / output
+        if read := next((path for path in (place, *working_names(place), *place.parents) if path in inputs), None):
+            error = DestinationError(
+                "is a source", path=read, hint="what is read is never changed; write into another folder"
+            )
+            steps.append(replace(step, action="refuse", why=error.message, error=error))
+            continue
+        there = present(output)
+        replaces = step.replaces or choice.request.output.overwrite
+        if there.files and not replaces:
+            error = DestinationError(
+                "exists already, and was not written by this batch",
+                path=out / output,
+                hint="`overwrite=True` replaces it",
+            )
+            steps.append(replace(step, action="refuse", why="its output exists already", error=error))
+            continue
+        why = "forced" if force else _reason(each, choice, output, history, there, checksum)
+        steps.append(replace(step, action="convert" if why else "keep", why=why or "unchanged", replaces=replaces))
+        if record is not None and record.output and record.output != output and present(record.output).files:
+            warnings.append(f"{record.output} is not written any more: {each.key} becomes {output} now")
+    return Plan(tuple(steps), tuple(warnings))
+
+
+def _reason(
+    found: Found,
+    choice: Choice,
+    output: str,
+    history: History,
+    there: Identity,
+    checksum: Callable[[Found], str] | None,
+) -> str:
+    """Why a recording is converted; empty if there is no reason to."""
+    record = history.records.get(found.key)
+    if record is None:
+        return "interrupted before" if output in history.begun else "new"
+    if record.version != __version__:
+        return f"converted by pc2scan {record.version}"
+    if record.options != choice.digest:
+        return "other options"
+    if changed := _changed(found, record, checksum):
+        return changed
+    if not record.is_written:
+        message = str((record.error or {}).get("message", ""))
+        return f"{record.outcome} before{f': {message}' if message else ''}"
+    if record.output != output:
+        return f"written to {record.output} before"
+    if not there.files:
+        return "its output is missing"
+    if there != record.output_identity:
+        return f"its output was changed: it has {size(there.size_bytes)}, written were " + size(
+            record.output_identity.size_bytes
+        )
+    return ""
+
+
+def _changed(found: Found, record: Record, checksum: Callable[[Found], str] | None) -> str:
+    before, now = record.identity, found.identity
+    if not now.has_sizes_of(before):
+        return f"the source was changed: it has {size(now.size_bytes)}, it had {size(before.size_bytes)}"
+    if checksum is not None and record.sha256 is not None:
+        return "" if checksum(found) == record.sha256 else "the source was changed: another checksum"
+    return "" if now == before else "the source was changed: another time of modification"

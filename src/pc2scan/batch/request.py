@@ -1,0 +1,197 @@
+"""What a conversion is asked to do, read from the words of `pc2scan.convert`, and as a digest."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, is_dataclass, replace
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+from pc2scan.arguments import names_in, path_of
+from pc2scan.errors import UsageError
+from pc2scan.json_types import json_value
+from pc2scan.pipeline.options import ConvertOptions
+from pc2scan.pipeline.param_sources import ResolvedSources, resolve_sources
+from pc2scan.pipeline.parameters import CALL, Setting
+from pc2scan.pipeline.run import OutputOptions
+from pc2scan.requests import channels_of, filters_of, frames_of, parameter_names, resolved_parameters
+
+from .identity import identity_of
+
+__all__ = ["Request", "request_of", "words_known"]
+
+#: Words that are read here; the others are options of the conversion or of the output, as they are.
+_PARAMETERS = ("params", "preset", "params_file", "node", "param", "launch_args", "remap")
+_FRAMES = ("frames", "static_tf", "static_tf_file", "write_static_tf", "tf_from", "tf_topics", "source_frame")
+_FILTERS = ("where", "exclude_box", "exclude_polygon", "min_height_slope", "filters")
+_CHANNELS = ("channels", "range_cutoff")
+_OUTPUT = ("storage", "compression", "profile", "metadata_version", "to", "overwrite")
+_TEXTS = ("topics", "keep", "drop")
+
+#: Options of a conversion that are no words of `pc2scan.convert`, and the number of threads, which `batch` decides.
+_NO_WORDS = {"output_type", "repair", "jobs"}
+
+_CALL = CALL
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """A conversion, asked for and checked; the recording and its destination are not part of it.
+
+    Attributes
+    ----------
+    options, output
+        As `pc2scan.pipeline.run.run` takes them.
+    origins
+        Where each parameter comes from.
+    files
+        The files that were read for it, by option.
+    notes
+        What the user should know of it.
+    """
+
+    options: ConvertOptions
+    output: OutputOptions
+    origins: Mapping[str, str]
+    files: Mapping[str, Path]
+    notes: tuple[str, ...] = ()
+
+    def digest(self) -> str:
+        """Return a digest of all that decides what is written: the same for requests that write the same.
+
+        Recordings that transforms are taken from count with their size and time of modification.
+        """
+        import hashlib  # noqa: PLC0415  # only batches need it
+        import json  # noqa: PLC0415
+
+        options = replace(self.options, jobs=0)
+        output = {
+            name: getattr(self.output, name) for name in ("storage", "compression", "profile", "metadata_version")
+        }
+        others = [identity_of([path]).as_json() for path in options.frames.tf_from]
+        whole = json_value({"options": _canonical(options), "output": output, "tf_from": others})
+        return hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()[:32]
+
+
+def words_known() -> frozenset[str]:
+    """Return all words that `request_of` reads."""
+    plain = {field.name for field in fields(ConvertOptions)} - {"params", "frames", "filters", "channels"} - _NO_WORDS
+    return frozenset({*_PARAMETERS, *_FRAMES, *_FILTERS, *_CHANNELS, *_OUTPUT, *plain, *parameter_names()})
+
+
+def request_of(words: Mapping[str, Any], origins: Mapping[str, str] | None = None) -> Request:
+    """Read the words of `pc2scan.convert`, all of them but those of one run: sources, destination, report, jobs.
+
+    Parameters
+    ----------
+    words
+        Keywords of `pc2scan.convert`, and what only the command line has: ``param``, ``launch_args`` and ``remap``.
+    origins
+        Where words come from, for errors and reports.
+
+    Raises
+    ------
+    UsageError
+        If a word is not known, has a wrong value, or contradicts another one.
+    """
+    if unknown := words.keys() - words_known():
+        raise UsageError(f"`{min(unknown)}` is not an option of a conversion")
+    given = dict(words)
+
+    def take(names: tuple[str, ...]) -> dict[str, Any]:
+        return {name: given.pop(name) for name in names if name in given}
+
+    reverse = given.pop("reverse", False)
+    parameters = take(tuple(parameter_names()))
+    asked = take(_PARAMETERS)
+    resolved = _parameters(asked, parameters, origins or {}, reverse=reverse)
+    framed = take(_FRAMES)
+    frames = frames_of(framed.pop("frames", None), **framed)
+    texts: dict[str, Any] = {name: names_in(name, given.pop(name)) for name in _TEXTS if name in given}
+    remaps = (*resolved.remaps, *names_in("remap", asked.get("remap")))
+    if asked.get("remap") and texts.get("topics"):
+        raise UsageError(
+            "`topics` and `remap` say the same in two ways; give one of them", hint="`topics=/points:=/scan` is both"
+        )
+    if remaps:
+        from pc2scan.pipeline.remaps import remapped  # noqa: PLC0415  # few are given any
+
+        moved = remapped([text for text in remaps if not text.startswith("__")], reverse=resolved.reverse)
+        texts["topics"] = texts.get("topics") or moved.topics
+        if moved.tf_topics and not frames.tf_topics:
+            frames = replace(frames, tf_topics=moved.tf_topics)
+    chosen = take(_FILTERS)
+    filters = filters_of(
+        resolved,
+        chosen.get("where", ()),
+        chosen.get("exclude_box", ()),
+        chosen.get("exclude_polygon", ()),
+        chosen.get("min_height_slope"),
+        chosen.get("filters", ()),
+    )
+    channels = take(_CHANNELS)
+    output = OutputOptions(**take(_OUTPUT), like_source=True)
+    options = ConvertOptions.of(
+        params=resolved.params,
+        reverse=resolved.reverse,
+        channels=channels_of(channels.get("channels"), channels.get("range_cutoff")),
+        filters=filters,
+        frames=frames,
+        **texts,
+        **given,
+    )
+    files = {name: asked.get(name, framed.get(name)) for name in ("params_file", "static_tf_file")}
+    return Request(
+        options,
+        output,
+        resolved.origin,
+        {f"`{name}`": path_of(name, path) for name, path in files.items() if path is not None}
+        | {f"{path.name} (from `params_file`)": path for path in resolved.files},
+        tuple(f"not a parameter of the projection, ignored: {origin}" for origin in resolved.ignored),
+    )
+
+
+def _parameters(
+    asked: Mapping[str, Any], parameters: Mapping[str, Any], origins: Mapping[str, str], *, reverse: bool
+) -> ResolvedSources:
+    """Find the parameters of the projection, and where each comes from."""
+    if asked.get("params") is not None:
+        return resolved_parameters(
+            asked["params"],
+            asked.get("preset"),
+            asked.get("params_file"),
+            asked.get("node"),
+            parameters,
+            reverse=reverse,
+        )
+    file = asked.get("params_file")
+    plain = {name: value.item() if type(value).__module__ == "numpy" else value for name, value in parameters.items()}
+    return resolve_sources(
+        [Setting(name, value, origins.get(name, _CALL)) for name, value in plain.items()],
+        assignments=names_in("param", asked.get("param")),
+        file=None if file is None else path_of("params_file", file),
+        node=asked.get("node"),
+        launch_args=names_in("launch_args", asked.get("launch_args")),
+        preset=asked.get("preset"),
+        reverse=reverse,
+    )
+
+
+def _canonical(value: Any) -> Any:
+    """Return options as JSON's types: equal for equal options, whatever the process."""
+    if is_dataclass(value) and not isinstance(value, type):
+        # What a class computes from its attributes is not shown.
+        shown = {each.name: _canonical(getattr(value, each.name)) for each in fields(value) if each.repr}
+        return {"": type(value).__name__, **shown}
+    if isinstance(value, Enum):
+        return value.value
+    if isinstance(value, Mapping):
+        return {str(key): _canonical(part) for key, part in value.items()}
+    if isinstance(value, tuple | list | set | frozenset):
+        return [_canonical(part) for part in value]
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    return str(value) if isinstance(value, Path) else repr(value)

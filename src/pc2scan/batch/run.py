@@ -1,0 +1,512 @@
+"""One batch from beginning to end: find, plan, convert, and note what became of each recording."""
+
+from __future__ import annotations
+
+import os
+import time
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from pc2scan.errors import DestinationError, OutputError, UsageError
+from pc2scan.files.staging import check_place, clean_up, made_folder, only_run
+from pc2scan.files.text_output import check_text_output, text_output
+from pc2scan.pipeline.scheduler import cores as all_cores
+
+from .choices import Choices
+from .dataset_file import DatasetFile, load_dataset_file
+from .estimate import estimated_seconds
+from .find import find
+from .identity import checksum_of, identity_of
+from .manifest import MANIFEST, Manifest, Record, forget_begun, read_begun, read_manifest, write_begun
+from .plan import History, make_plan
+from .resources import available_bytes, workers_for
+from .summary import BEGINNINGS, BatchReport, Outcome, report_text
+from .work import Job
+from .workers import Began, Died, Ended, Progressed, execute
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+
+    from .find import Found, Known
+    from .identity import Identity
+    from .plan import Choice, Plan, Step
+    from .workers import Event, Executor
+
+__all__ = ["BatchOptions", "BatchProgress", "Watch", "run_batch"]
+
+#: What the lock of the workers is named after.
+_WORKERS = "manifest.jsonl.workers"
+
+#: Seconds that a run waits for the workers of one that was killed.
+_PATIENCE = 15.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BatchOptions:
+    """How a batch runs; none of this decides what is written.
+
+    Attributes
+    ----------
+    dataset
+        The dataset file; None for none.
+    jobs
+        How many recordings are converted at a time; 0: as many as there are cores, and memory for.
+    retries
+        How often a recording is tried again whose process died.
+    checksum
+        Whether sources are compared by SHA-256 instead of their times of modification.
+    force
+        Whether what was converted before is converted again.
+    fail_fast
+        Whether the first recording that fails ends the run.
+    dry_run
+        Whether nothing is written, and only what would be is found out.
+    report
+        A file for the report: ``.json``, ``.csv`` or ``.md``; None for none.
+    """
+
+    dataset: Path | None = None
+    jobs: int = 0
+    retries: int = 1
+    checksum: bool = False
+    force: bool = False
+    fail_fast: bool = False
+    dry_run: bool = False
+    report: Path | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("jobs", "retries"):
+            if getattr(self, name) < 0:
+                raise UsageError(f"`{name}` is {getattr(self, name)}, it must not be negative")
+        if self.report is not None and self.report.suffix.lower() not in BEGINNINGS:
+            raise UsageError(
+                f"`report={self.report}`: a report of a batch is one of {', '.join('NAME' + end for end in BEGINNINGS)}"
+            )
+
+
+class BatchProgress(NamedTuple):
+    """How far a batch is: bytes of sources and recordings, done and in all."""
+
+    bytes_done: int
+    bytes_total: int
+    recordings_done: int
+    recordings_total: int
+
+
+def _nothing(_argument: object) -> None:
+    """Do nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class Watch:
+    """Whom a batch tells what happens: each is called in the thread that called the batch.
+
+    Attributes
+    ----------
+    planned
+        When the plan is made.
+    progress
+        Now and then.
+    done
+        When a recording is done, with the line of the manifest.
+    note
+        With what a user should know at once.
+    """
+
+    planned: Callable[[Plan], None] = _nothing
+    progress: Callable[[BatchProgress], None] = _nothing
+    done: Callable[[Record], None] = _nothing
+    note: Callable[[str], None] = _nothing
+
+
+def run_batch(
+    sources: Sequence[str],
+    out: Path,
+    words: Mapping[str, Any],
+    options: BatchOptions,
+    *,
+    origins: Mapping[str, str] | None = None,
+    executor: Callable[..., Executor] | None = None,
+    watch: Watch | None = None,
+) -> BatchReport:
+    """Convert every recording of a dataset; see `pc2scan.batch`.
+
+    Parameters
+    ----------
+    sources
+        See `pc2scan.batch.find.find`.
+    out
+        The folder that is written into.
+    words
+        Options of the conversions, as `pc2scan.batch.request.request_of` reads them.
+    options
+        How the batch runs.
+    origins
+        Where the words come from.
+    executor
+        Makes the executor of the jobs, from ``workers``, ``retries`` and ``lock``; None: processes on this machine.
+    watch
+        Whom it tells what happens.
+    """
+    began = time.monotonic()
+    watch = watch or Watch()
+    if not sources:
+        raise UsageError("no source given")
+    dataset = DatasetFile() if options.dataset is None else load_dataset_file(options.dataset)
+    choices = Choices(dataset, words, origins or {})
+    choices.check()
+    with ExitStack() as stack:
+        lock = None
+        if options.dry_run:
+            _check_folder(out)
+        else:
+            stack.enter_context(made_folder(out))
+            lock = stack.enter_context(_lock(out))
+        batch = _Batch(sources, Path(os.path.realpath(out)), options, choices, watch)
+        batch.report.destination = out
+        deliver = batch.open_report(stack)
+        batch.plan()
+        watch.planned(batch.made)
+        if not options.dry_run:
+            batch.clean_up()
+        batch.convert(lock, executor or _local)
+        batch.conclude(began)
+        if deliver is not None and options.report is not None:
+            deliver(report_text(batch.report, options.report.suffix.lower()))
+    return batch.report
+
+
+def _local(*, workers: int, retries: int, lock: int | None) -> Executor:
+    def executor(jobs: Sequence[Job]) -> Generator[Event]:
+        return execute(jobs, workers=workers, cores=all_cores(), retries=retries, lock=lock)
+
+    return executor
+
+
+def _check_folder(out: Path) -> None:
+    """Raise what `made_folder` would raise."""
+    if out.is_dir():
+        return
+    if os.path.lexists(out):
+        raise DestinationError("is not a folder", path=out, hint="choose another name")
+    check_place(out)
+
+
+@contextmanager
+def _lock(out: Path) -> Iterator[int]:
+    """Hold the locks of the folder: that of this process, and that which its workers inherit, which is yielded.
+
+    If a run was killed, its workers may take some seconds to end.
+    """
+    deadline = time.monotonic() + _PATIENCE
+    with ExitStack() as stack:
+        try:
+            stack.enter_context(only_run(out / MANIFEST))
+            while True:
+                try:
+                    lock = stack.enter_context(only_run(out / _WORKERS))
+                    break
+                except DestinationError as err:
+                    if "another run" not in err.message or time.monotonic() > deadline:
+                        raise
+                    time.sleep(0.05)
+        except DestinationError as err:
+            if "another run" in err.message:
+                err.message, err.path = "another batch is writing into this folder", out
+            raise
+        yield lock
+
+
+@dataclass(slots=True)
+class _Progress:
+    """Adds up the progress of all conversions."""
+
+    sizes: Mapping[str, int]
+    watch: Watch
+    done: dict[str, int] = field(default_factory=dict)
+    ended: set[str] = field(default_factory=set)
+
+    def at(self, key: str, share: float) -> None:
+        self.done[key] = round(self.sizes[key] * min(1.0, share))
+        total = sum(self.sizes.values())
+        self.watch.progress(BatchProgress(sum(self.done.values()), total, len(self.ended), len(self.sizes)))
+
+    def end(self, key: str) -> None:
+        self.ended.add(key)
+        self.at(key, 1.0)
+
+
+class _Batch:
+    """A batch that runs."""
+
+    def __init__(
+        self, sources: Sequence[str], out: Path, options: BatchOptions, choices: Choices, watch: Watch
+    ) -> None:
+        self._sources = sources
+        self._out = out
+        self._options = options
+        self._choices = choices
+        self._watch = watch
+        records = read_manifest(out / MANIFEST)
+        # What is in the manifest by now was completed.
+        begun = read_begun(out) - {record.output for record in records.values()}
+        self._history = History(records, begun)
+        self._records: dict[str, Record] = {}
+        self.made: Plan
+        self.report = BatchReport(out, dry_run=options.dry_run)
+
+    def open_report(self, stack: ExitStack) -> Callable[[str], None] | None:
+        """Make sure that the report can be written, before anything else is."""
+        path = self._options.report
+        if path is None:
+            return None
+        real = Path(os.path.realpath(path))
+        if real == self._out / MANIFEST or (real.is_relative_to(self._out) and self._is_output(real)):
+            raise DestinationError("the report cannot go there: it is written by the batch", path=path)
+        beginning = BEGINNINGS[path.suffix.lower()]
+        try:
+            if self._options.dry_run:
+                check_text_output(path, beginning=beginning, overwrite=False)
+                return None
+            return stack.enter_context(text_output(path, beginning=beginning, overwrite=False))
+        except (DestinationError, OutputError) as err:
+            err.message = f"the report cannot go there: {err.message}"
+            raise
+
+    def _is_output(self, path: Path) -> bool:
+        return path.relative_to(self._out).as_posix() in self._history.owned
+
+    def plan(self) -> None:
+        """Find the recordings, and decide what is done with each."""
+        found = find(
+            self._sources, self._out, known=_known(self._history), outputs=[self._out / o for o in self._history.owned]
+        )
+        if not found:
+            raise UsageError(f"no recording is in {', '.join(self._sources)}")
+        keys = [each.key for each in found]
+        self.made = make_plan(
+            found,
+            self._choices.of(keys),
+            self._history,
+            out=self._out,
+            inputs={Path(os.path.realpath(path)) for each in found for path in each.paths},
+            present=self._present,
+            checksum=_checksum if self._options.checksum else None,
+            force=self._options.force,
+        )
+        self.report.warnings += [*self._choices.warnings(keys), *self.made.warnings]
+
+    def _present(self, output: str) -> Identity:
+        return identity_of([self._out / output])
+
+    def clean_up(self) -> None:
+        """Remove what killed runs left beside the outputs of this folder."""
+        for output in {*self._history.owned, *(step.output for step in self.made.steps if step.output)}:
+            clean_up(self._out / output)
+
+    def convert(self, lock: int | None, make: Callable[..., Executor]) -> None:
+        """Do what the plan says, and note it."""
+        # The largest first, so that no worker is left with a long one while the others have nothing to do.
+        steps = sorted(self.made.of("convert"), key=lambda step: (-step.found.identity.size_bytes, step.found.key))
+        by_key = {step.found.key: step for step in self.made.steps}
+        jobs = [self._job(step, self._out) for step in steps]
+        wanted = self._options.jobs or workers_for(len(jobs), all_cores(), available_bytes())
+        self.report.workers = min(wanted, len(jobs))
+        executor = make(workers=wanted, retries=self._options.retries, lock=lock)
+        if self._options.dry_run:
+            for step in self.made.of("refuse"):
+                self._note(_refused(step))
+            with TemporaryDirectory(prefix="pc2scan-") as folder:
+                # Nothing is written there either: only the folders of outputs may not exist yet.
+                self._run(executor, [self._job(step, Path(folder), flat=True) for step in steps], by_key, self._note)
+            self.report.estimate_seconds = estimated_seconds(jobs, list(self._history.records.values()), wanted)
+            return
+        with ExitStack() as stack:
+            manifest: Manifest | None = None
+
+            def note(record: Record) -> None:
+                nonlocal manifest
+                if manifest is None:
+                    manifest = stack.enter_context(Manifest(self._out / MANIFEST))
+                manifest.append(record)
+                self._note(record)
+
+            for step in self.made.of("refuse"):
+                record = _refused(step)
+                if step.record is None or not _says_the_same(step.record, record):
+                    note(record)
+                else:
+                    self._note(record)
+            if jobs and not (self._options.fail_fast and self.made.of("refuse")):
+                with self._begun(steps) as begin, self._folders(steps):
+                    self._run(executor, jobs, by_key, note, begin)
+
+    def _note(self, record: Record) -> None:
+        self._records[record.key] = record
+        self._watch.done(record)
+
+    def _run(
+        self,
+        executor: Executor,
+        jobs: Sequence[Job],
+        steps: Mapping[str, Step],
+        note: Callable[[Record], None],
+        begin: Callable[[str, bool], None] = lambda _output, _begins: None,
+    ) -> None:
+        """Do jobs, in whatever order they end."""
+        progress = _Progress({job.key: job.size_bytes for job in jobs}, self._watch)
+        events = executor(jobs)
+        try:
+            for event in events:
+                match event:
+                    case Began(key):
+                        begin(steps[key].output, True)
+                        progress.at(key, 0.0)
+                    case Progressed(key, done, total):
+                        progress.at(key, done / total if total else 0.0)
+                    case Died(key, why):
+                        progress.at(key, 0.0)
+                        self._watch.note(f"{key}: {why}; it is tried again")
+                    case Ended(result):
+                        record = _recorded(steps[result.key], result)
+                        note(record)
+                        begin(steps[result.key].output, False)
+                        progress.end(result.key)
+                        if self._options.fail_fast and record.exit_status in (1, 2):
+                            return
+        finally:
+            # Also where noting fails: no worker goes on.
+            events.close()
+
+    @contextmanager
+    def _begun(self, steps: Sequence[Step]) -> Iterator[Callable[[str, bool], None]]:
+        """Note what is going to be written, as long as it is not in the manifest."""
+        outputs = {step.output for step in steps}
+        earlier = self._history.begun
+        write_begun(self._out, outputs | earlier)
+        running: set[str] = set()
+        ended: set[str] = set()
+
+        def begin(output: str, begins: bool) -> None:
+            (running.add if begins else ended.add)(output)
+
+        try:
+            yield begin
+        finally:
+            # What is not there is nobody's.
+            left = {output for output in (earlier | running) - ended if os.path.lexists(self._out / output)}
+            with suppress(OutputError):
+                if left:
+                    write_begun(self._out, left)
+                else:
+                    forget_begun(self._out)
+
+    @contextmanager
+    def _folders(self, steps: Sequence[Step]) -> Iterator[None]:
+        """Make the folders of the outputs; those that stay empty are removed again."""
+        made: list[Path] = []
+        interrupted = {Path(output).parent for output in self._history.begun}
+        try:
+            for parent in sorted({Path(step.output).parent for step in steps}):
+                for folder in reversed((parent, *parent.parents)):
+                    path = self._out / folder
+                    if path.is_dir():
+                        if folder in interrupted:
+                            made.append(path)
+                        continue
+                    try:
+                        path.mkdir()
+                    except OSError as err:
+                        raise OutputError(f"the folder cannot be made: {err.strerror}", path=path) from err
+                    made.append(path)
+            yield
+        finally:
+            for path in sorted(set(made) - {self._out}, key=lambda path: len(path.parts), reverse=True):
+                with suppress(OSError):
+                    path.rmdir()
+
+    def _job(self, step: Step, folder: Path, *, flat: bool = False) -> Job:
+        assert step.choice.request is not None
+        return Job(
+            key=step.found.key,
+            sources=tuple(os.path.abspath(path) for path in step.found.paths),  # noqa: PTH100  # links keep their names
+            destination=str(folder / (Path(step.output).name if flat else step.output)),
+            request=step.choice.request,
+            size_bytes=step.found.identity.size_bytes,
+            replaces=step.replaces,
+            checksum=self._options.checksum and not self._options.dry_run,
+            dry_run=self._options.dry_run,
+        )
+
+    def conclude(self, began: float) -> None:
+        """Complete the report."""
+        for step in self.made.steps:
+            record = step.record if step.action == "keep" else self._records.get(step.found.key)
+            self.report.outcomes.append(Outcome.of(step, record))
+        self.report.seconds = time.monotonic() - began
+
+
+def _known(history: History) -> Known:
+    """What earlier runs have found, by path and identity."""
+    containers: dict[tuple[str, Any], str] = {}
+    for record in history.records.values():
+        if not record.container:
+            continue
+        containers[record.sources[0], record.identity.files] = record.container
+        if len(record.sources) == len(record.identity.files) > 1:
+            for path, file in zip(record.sources, record.identity.files, strict=True):
+                containers[path, (file,)] = record.container
+    return lambda path, identity: containers.get((str(path), identity.files), "")
+
+
+def _checksum(found: Found) -> str:
+    try:
+        return checksum_of(found.paths)
+    except OSError:
+        # The conversion reports it.
+        return ""
+
+
+def _record(step: Step, **known: Any) -> Record:
+    choice: Choice = step.choice
+    paths = tuple(os.path.abspath(path) for path in step.found.paths)  # noqa: PTH100  # links keep their names
+    return Record(key=step.found.key, sources=paths, container=step.found.container, options=choice.digest, **known)
+
+
+def _refused(step: Step) -> Record:
+    """The line of a recording that cannot be converted."""
+    assert step.error is not None
+    earlier = step.record.output if step.record is not None else ""
+    status = step.error.exit_status
+    return _record(
+        step,
+        identity=step.found.identity,
+        outcome="failed",
+        exit_status=status,
+        error=step.error.as_dict(),
+        output=earlier,
+    )
+
+
+def _recorded(step: Step, result: Any) -> Record:
+    """The line of a recording that was converted, or not."""
+    names = (
+        "identity",
+        "sha256",
+        "outcome",
+        "exit_status",
+        "error",
+        "output_identity",
+        "started",
+        "seconds",
+        "attempts",
+    )
+    return _record(step, **{name: getattr(result, name) for name in names}, output=step.output, report=result.report)
+
+
+def _says_the_same(record: Record, other: Record) -> bool:
+    names = ("outcome", "error", "identity", "options", "version", "output", "sources")
+    return all(getattr(record, name) == getattr(other, name) for name in names)

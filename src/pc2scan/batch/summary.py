@@ -1,0 +1,305 @@
+"""What a batch did: one structure that the tables, the report's files and the exit status all read."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from pc2scan.shown import Shown, Table, count, duration, size
+from pc2scan.version import __version__
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from .manifest import Record
+    from .plan import Step
+
+__all__ = ["BEGINNINGS", "BatchReport", "Outcome", "report_text"]
+
+#: Outcomes from bad to good, which is the order in which recordings are shown.
+_ORDER = ("died", "failed", "not begun", "empty", "incomplete", "converted", "skipped")
+
+#: Outcomes that make the exit status 1, and 3.
+_BAD, _ODD = frozenset({"died", "failed", "not begun"}), frozenset({"empty", "incomplete"})
+
+#: Recordings that are shown as text; the report's file and the manifest have all of them.
+_MAX_SHOWN = 30
+
+#: Columns of the report's table.
+_COLUMNS = (
+    ("recording", "key"),
+    ("output", "output"),
+    ("outcome", "outcome"),
+    ("status", "exit_status"),
+    ("action", "action"),
+    ("scans", "scans"),
+    ("empty", "empty_scans"),
+    ("skipped", "skipped"),
+    ("damaged", "damaged"),
+    ("warnings", "warnings"),
+    ("bytes_read", "bytes_read"),
+    ("bytes_written", "bytes_written"),
+    ("seconds", "seconds"),
+    ("attempts", "attempts"),
+    ("why", "why"),
+    ("error", "error"),
+)
+
+#: What reports begin with, by suffix: such a file may be replaced by another report.
+BEGINNINGS = {
+    ".json": b'{\n  "pc2scan": "',
+    ".csv": (",".join(heading for heading, _ in _COLUMNS)).encode(),
+    ".md": b"# Batch of pc2scan",
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Outcome:
+    """What became of one recording.
+
+    Attributes
+    ----------
+    key
+        Its name in the dataset.
+    action
+        ``convert``, ``keep`` (done by an earlier run), ``refuse`` or ``skip``.
+    why
+        The reason.
+    outcome
+        As that of a `pc2scan.batch.manifest.Record`; or ``skipped``, or ``not begun``, because the run ended before.
+    exit_status
+        What `pc2scan convert` would have ended with.
+    output
+        Where the result is, below the folder of the batch; empty for none.
+    scans, empty_scans
+        Messages that were converted, and how many of them have no return.
+    skipped, damaged, warnings
+        Messages that are missing in the result; damaged places of the source; warnings.
+    bytes_read, bytes_written, seconds, attempts
+        Of the conversion.
+    error
+        Why it failed; empty if it did not.
+    """
+
+    key: str
+    action: str
+    why: str
+    outcome: str
+    exit_status: int = 0
+    output: str = ""
+    scans: int = 0
+    empty_scans: int = 0
+    skipped: int = 0
+    damaged: int = 0
+    warnings: int = 0
+    bytes_read: int = 0
+    bytes_written: int = 0
+    seconds: float = 0.0
+    attempts: int = 0
+    error: str = ""
+
+    @classmethod
+    def of(cls, step: Step, record: Record | None) -> Outcome:
+        """Return the outcome of a step of the plan, with the line of the manifest that it has led to."""
+        if step.action == "skip":
+            return cls(key=step.found.key, action="skip", why=step.why, outcome="skipped")
+        if record is None:
+            return cls(key=step.found.key, action=step.action, why=step.why, outcome="not begun", exit_status=1)
+        report: Mapping[str, Any] = record.report or {}
+        topics = [topic for topic in report.get("topics", ()) if topic["action"] == "converted"]
+        return cls(
+            key=step.found.key,
+            action=step.action,
+            why=step.why,
+            outcome=record.outcome,
+            exit_status=record.exit_status,
+            output=record.output if record.report is not None else "",
+            scans=sum(topic["messages_out"] for topic in topics),
+            empty_scans=sum(topic["empty_scans"] for topic in topics),
+            skipped=report.get("skipped_count", 0),
+            damaged=len(report.get("damage", ())),
+            warnings=len(report.get("warnings", ())),
+            bytes_read=record.identity.size_bytes,
+            bytes_written=report.get("bytes_written", 0),
+            seconds=record.seconds,
+            attempts=record.attempts,
+            error=str((record.error or {}).get("message", "")),
+        )
+
+    @property
+    def rank(self) -> tuple[int, bool, bool]:
+        """The key of an order in which the odd ones come first."""
+        return _ORDER.index(self.outcome), not self.empty_scans, not self.warnings
+
+    @property
+    def remark(self) -> str:
+        """What is special, in some words."""
+        if self.error:
+            return self.error
+        counted = ((self.skipped, "skipped"), (self.damaged, "damaged"), (self.warnings, "warnings"))
+        return ", ".join(f"{number:,} {what}" for number, what in counted if number)
+
+
+@dataclass(slots=True, repr=False)
+class BatchReport(Shown):
+    """What happened in a batch.
+
+    Attributes
+    ----------
+    destination
+        The folder.
+    outcomes
+        One for each recording, in the order of their names.
+    dry_run
+        Whether nothing was written: outcomes are forecasts, and sizes estimates.
+    seconds
+        How long it took.
+    workers
+        How many recordings were converted at a time; 0 if there were none.
+    estimate_seconds
+        Of a dry run: how long the conversions would take on this machine; None if nobody knows.
+    warnings
+        What a user should know though nothing failed.
+    """
+
+    destination: Path
+    outcomes: list[Outcome] = field(default_factory=list)
+    dry_run: bool = False
+    seconds: float = 0.0
+    workers: int = 0
+    estimate_seconds: float | None = None
+    warnings: list[str] = field(default_factory=list)
+
+    @property
+    def exit_status(self) -> int:
+        """0 if every recording is converted; 3 if some are incomplete or empty; 1 if any failed."""
+        found = {outcome.outcome for outcome in self.outcomes}
+        return 1 if found & _BAD else 3 if found & _ODD else 0
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """How many recordings have each outcome, the bad ones first."""
+        counted = Counter(outcome.outcome for outcome in self.outcomes)
+        return {name: counted[name] for name in _ORDER if counted[name]}
+
+    @property
+    def unchanged(self) -> int:
+        """How many recordings had been converted before."""
+        return sum(outcome.action == "keep" for outcome in self.outcomes)
+
+    def __repr__(self) -> str:
+        counts = ", ".join(f"{number:,} {name}" for name, number in self.counts.items())
+        return f"<BatchReport on {str(self.destination)!r}: {counts or 'nothing'}, exit status {self.exit_status}>"
+
+    def tables(self, most: int | None = _MAX_SHOWN) -> Iterator[str | Table]:
+        """Yield the recordings, the odd ones first, and the total."""
+        ordered = sorted(self.outcomes, key=lambda outcome: outcome.rank)
+        listed = ordered[:most]
+        if listed:
+            yield Table(
+                ("recording", "outcome", "scans", "empty", "written", "why", "remark"),
+                [
+                    (
+                        each.key,
+                        each.outcome,
+                        count(each.scans),
+                        count(each.empty_scans),
+                        size(each.bytes_written) if each.bytes_written else "-",
+                        each.why if each.action != "refuse" else "",
+                        each.remark,
+                    )
+                    for each in listed
+                ],
+                left=("recording", "outcome", "why", "remark"),
+            )
+            if more := len(ordered) - len(listed):
+                worst = ordered[len(listed)].outcome
+                yield f"and {more:,} more, {worst} or better (`report` lists all)"
+            yield ""
+        yield from self._total()
+
+    def _total(self) -> Iterator[str]:
+        counts = ", ".join(f"{number:,} {name}" for name, number in self.counts.items())
+        would = "would be: " if self.dry_run else ""
+        yield f"{len(self.outcomes):,} recordings{f': {would}{counts}' if counts else ''}" + (
+            f"; {self.unchanged:,} unchanged since an earlier run" if self.unchanged else ""
+        )
+        done = [each for each in self.outcomes if each.action == "convert"]
+        read, written = sum(each.bytes_read for each in done), sum(each.bytes_written for each in done)
+        scans, empty = sum(each.scans for each in self.outcomes), sum(each.empty_scans for each in self.outcomes)
+        if self.dry_run:
+            if done:
+                took = "unknown" if self.estimate_seconds is None else f"about {duration(self.estimate_seconds)}"
+                yield f"{len(done):,} to convert: {size(read)}; written would be about {size(written)}; time: {took}"
+            return
+        yield f"{scans:,} scans, {empty:,} of them without a return"
+        if done:
+            yield (
+                f"{self.destination}: {len(done):,} converted now, {size(written)} from {size(read)} in "
+                f"{duration(self.seconds)}, {self.workers} at a time"
+            )
+        else:
+            yield f"{self.destination}: nothing to do ({duration(self.seconds)})"
+
+    def _shown(self) -> Iterator[str | Table]:
+        if self.dry_run:
+            yield "dry run, nothing is written"
+            yield ""
+        yield from self.tables()
+        yield f"exit status {self.exit_status}"
+        yield from (f"warning: {warning}" for warning in self.warnings)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the report as JSON's types."""
+        return {
+            "pc2scan": __version__,
+            "exit_status": self.exit_status,
+            "destination": str(self.destination),
+            "dry_run": self.dry_run,
+            "counts": self.counts,
+            "unchanged": self.unchanged,
+            "workers": self.workers,
+            "seconds": round(self.seconds, 3),
+            "estimate_seconds": self.estimate_seconds,
+            "warnings": self.warnings,
+            "recordings": [
+                {heading: getattr(each, name) for heading, name in _COLUMNS}
+                for each in sorted(self.outcomes, key=lambda outcome: outcome.rank)
+            ],
+        }
+
+
+def report_text(report: BatchReport, suffix: str) -> str:
+    """Return a report as the text of a file with this suffix: a key of `BEGINNINGS`."""
+    if suffix == ".json":
+        import json  # noqa: PLC0415  # only where it is asked for
+
+        return json.dumps(report.as_dict(), indent=2) + "\n"
+    rows = [[str(cell) for cell in line.values()] for line in report.as_dict()["recordings"]]
+    headings = [heading for heading, _ in _COLUMNS]
+    if suffix == ".csv":
+        import csv  # noqa: PLC0415
+        import io  # noqa: PLC0415
+
+        text = io.StringIO()
+        csv.writer(text, lineterminator="\n").writerows([headings, *rows])
+        return text.getvalue()
+    return "\n".join(_markdown(report, headings, rows)) + "\n"
+
+
+def _markdown(report: BatchReport, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> Iterator[str]:
+    yield f"{BEGINNINGS['.md'].decode()} {__version__}"
+    yield ""
+    yield from (f"{line}\n" for part in report.tables(0) if isinstance(line := part, str) and line)
+    yield f"| {' | '.join(headings)} |"
+    yield f"|{'---|' * len(headings)}"
+    for row in rows:
+        yield f"| {' | '.join(_cell(cell) for cell in row)} |"
+
+
+def _cell(text: str) -> str:
+    # Names come from recordings and folders: nothing of them is markup.
+    escaped = "".join(f"\\{c}" if c in "\\`*_{}[]<>#|~" else c for c in text)
+    return "".join(c if c.isprintable() else " " for c in escaped)

@@ -1,0 +1,146 @@
+"""The words of a dataset file: the options of a conversion, what each may be, and as a JSON schema."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from pc2scan.bags.destinations import TO
+from pc2scan.core.presets import PRESETS
+from pc2scan.pipeline.parameters import PARAMETERS
+
+__all__ = ["WORDS", "Word", "schema"]
+
+
+@dataclass(frozen=True, slots=True)
+class Word:
+    """An option in a dataset file.
+
+    Attributes
+    ----------
+    kind
+        ``flag``, ``number``, ``text``, ``texts`` (one or a list), ``path`` or ``paths``; ``value`` is a number or text.
+    what
+        What it means.
+    choices
+        What it may be; empty for anything.
+    """
+
+    kind: str
+    what: str
+    choices: tuple[str, ...] = ()
+
+
+def _parameter_words() -> dict[str, Word]:
+    kinds = {"bool": "flag", "str": "text"}
+    return {
+        name: Word(
+            kinds.get(parameter.kind, "value"),
+            parameter.help.replace("`", "") + (f" Unit: {parameter.unit}." if parameter.unit else ""),
+            parameter.words if parameter.kind == "str" else (),
+        )
+        for name, parameter in PARAMETERS.items()
+    }
+
+
+#: Every option of a conversion that a dataset file may have.
+WORDS: dict[str, Word] = {
+    "topics": Word("texts", "Topics to convert, and the topics of their scans: /points:=/scan."),
+    "keep": Word("texts", "Of all topics that are not converted, write only these (names or globs)."),
+    "drop": Word("texts", "Do not write these topics (names or globs)."),
+    "keep_clouds": Word("flag", "Write the converted clouds too."),
+    "only_scans": Word("flag", "Write only the scans."),
+    "start": Word("value", "Start time: seconds from the beginning, @seconds since 1970, or a date and time."),
+    "end": Word("value", "End time (exclusive), in the form of start."),
+    "params_file": Word("path", "A ROS parameter file or an XML launch file. Relative to the dataset file."),
+    "launch_args": Word("texts", "Arguments of the launch file: name:=value."),
+    "node": Word("text", "Whose section of the parameter file, or which node of the launch file."),
+    "param": Word("texts", "Parameters in ROS's notation: name:=value."),
+    "remap": Word("texts", "ROS's remappings: cloud_in:=/points."),
+    "preset": Word("text", "Parameters for a consumer of the scans.", tuple(PRESETS)),
+    "where": Word("texts", "Use only points whose fields fulfil this: ring in (3, 4, 5)."),
+    "exclude_box": Word("texts", "Reject points in a box: frame x0 x1 y0 y1 z0 z1."),
+    "exclude_polygon": Word("texts", "Reject points above, below and in a polygon: frame x0 y0 x1 y1 x2 y2 ..."),
+    "min_height_slope": Word("number", "Reject points below min_height + this * range."),
+    "static_tf": Word("texts", "Add transforms: parent child x y z roll pitch yaw."),
+    "static_tf_file": Word("path", "A YAML list of such transforms. Relative to the dataset file."),
+    "write_static_tf": Word("flag", "Write the added transforms to /tf_static."),
+    "tf_from": Word("paths", "Read transforms from these recordings too. Relative to the dataset file."),
+    "tf_topics": Word("texts", "Topics of the transforms, if not /tf and /tf_static."),
+    "source_frame": Word("text", "Frame of the messages to convert, if their own frame_id is wrong or empty."),
+    "deskew": Word("flag", "Transform each point of a cloud by the pose at its own time, through fixed_frame."),
+    "fixed_frame": Word("text", "A frame that does not move, such as odom."),
+    "point_time": Word("text", "Field with the times of points, and its unit: t:ns."),
+    "stamp": Word("text", "The time of a deskewed scan.", ("header", "start", "middle", "end")),
+    "reverse": Word("flag", "Convert LaserScan to PointCloud2."),
+    "channels": Word("texts", "Further fields of the clouds that reverse makes.", ("distances", "stamps", "viewpoint")),
+    "range_cutoff": Word("number", "Of reverse: keep only returns nearer than this, metres."),
+    "on_error": Word("text", "For messages that cannot be converted.", ("skip", "fail")),
+    "fail_on": Word("text", "Fail if a scan has no return, or for any warning.", ("empty", "warning")),
+    "min_used": Word("number", "Fail if less than this share of a topic's points, 0 to 1, is in its scans."),
+    "verify": Word("flag", "Compare the CRCs of MCAP files."),
+    "strict": Word("flag", "Refuse damaged recordings."),
+    "to": Word("text", "Format of the output. Default: the source's.", tuple(TO)),
+    "storage": Word("text", "Storage of a rosbag2 directory.", ("mcap", "sqlite3")),
+    "compression": Word("text", "Compression of the output.", ("none", "lz4", "zstd", "bz2")),
+    "profile": Word("text", "ROS version of an .mcap file.", ("ros1", "ros2")),
+    "metadata_version": Word("number", "Version of a rosbag2 directory's metadata.yaml, 8 or 9."),
+    "ros_distro": Word("text", "ROS distribution with the message definitions that a recording lacks."),
+    **_parameter_words(),
+}
+
+_TYPES: dict[str, Any] = {
+    "flag": {"type": "boolean"},
+    "number": {"type": "number"},
+    "value": {"type": ["number", "string"]},
+    "text": {"type": "string"},
+    "path": {"type": "string"},
+}
+
+
+def _type_of(word: Word) -> dict[str, Any]:
+    if word.kind in ("texts", "paths"):
+        item = {"type": "string"} | ({"enum": list(word.choices)} if word.choices else {})
+        kind: dict[str, Any] = {"anyOf": [item, {"type": "array", "items": item}]}
+    else:
+        kind = _TYPES[word.kind] | ({"enum": list(word.choices)} if word.choices else {})
+    return {"description": word.what, **kind}
+
+
+def schema() -> dict[str, Any]:
+    """Return the JSON schema of dataset files."""
+    options = {name: _type_of(word) for name, word in WORDS.items()}
+    texts = {"anyOf": [{"type": "string"}, {"type": "array", "items": {"type": "string"}, "minItems": 1}]}
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "Dataset file of pc2scan batch",
+        "type": "object",
+        "additionalProperties": False,
+        "properties": {
+            "defaults": {
+                "description": "Options for all recordings.",
+                "type": ["object", "null"],
+                "additionalProperties": False,
+                "properties": options,
+            },
+            "recordings": {
+                "description": "Options for some recordings. All entries that match count; a later one overrides an "
+                "earlier one, and all of them the defaults.",
+                "type": ["array", "null"],
+                "items": {
+                    "type": "object",
+                    "required": ["match"],
+                    "additionalProperties": False,
+                    "properties": {
+                        "match": {
+                            "description": "Globs of recordings, relative to the folder that is searched. Without a "
+                            "slash, a name in any folder; ** is any number of folders.",
+                            **texts,
+                        },
+                        "skip": {"description": "Do not convert these recordings.", "type": "boolean"},
+                        **options,
+                    },
+                },
+            },
+        },
+    }

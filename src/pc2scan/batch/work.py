@@ -1,0 +1,166 @@
+"""Converts one recording of a batch, in whatever process: a job becomes a result, and errors are part of it."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pc2scan.errors import Pc2ScanError, RecordingError
+from pc2scan.pipeline.run import run
+
+from .identity import Identity, checksum_of, identity_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from .request import Request
+
+__all__ = ["Job", "Result", "convert_one", "died", "outcome_of"]
+
+#: Outcomes by the exit status of `pc2scan convert`.
+_OUTCOMES = {0: "converted", 3: "incomplete", 4: "empty"}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Job:
+    """A recording to be converted: all that another process needs to know.
+
+    Attributes
+    ----------
+    key
+        Its name in the dataset.
+    sources, destination
+        Absolute paths.
+    request
+        What is asked for.
+    size_bytes
+        Of the sources.
+    replaces
+        Whether what is at the destination may be replaced.
+    threads
+        How many threads convert.
+    checksum
+        Whether the result has the checksum of the sources.
+    dry_run
+        Whether nothing is written, and the result is a forecast.
+    """
+
+    key: str
+    sources: tuple[str, ...]
+    destination: str
+    request: Request
+    size_bytes: int = 0
+    replaces: bool = False
+    threads: int = 1
+    checksum: bool = False
+    dry_run: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Result:
+    """What became of a job: the attributes of a `pc2scan.batch.manifest.Record` that only the conversion knows."""
+
+    key: str
+    outcome: str
+    exit_status: int
+    identity: Identity = Identity()
+    sha256: str | None = None
+    output_identity: Identity = Identity()
+    started: str = ""
+    seconds: float = 0.0
+    attempts: int = 1
+    report: dict[str, Any] | None = None
+    error: dict[str, Any] | None = None
+
+
+def outcome_of(exit_status: int) -> str:
+    """Return the outcome of a conversion that ended with this status."""
+    return _OUTCOMES.get(exit_status, "failed")
+
+
+def convert_one(job: Job, progress: Callable[[int, int, int], None] | None = None) -> Result:
+    """Convert a recording; whatever goes wrong with it is in the result.
+
+    Parameters
+    ----------
+    progress
+        See `pc2scan.convert`.
+    """
+    began = time.monotonic()
+    started = datetime.now(timezone.utc).isoformat(timespec="milliseconds")
+    sources = [Path(path) for path in job.sources]
+    destination = Path(job.destination)
+    identity = identity_of(sources)
+    sha256 = None
+    report = error = None
+    try:
+        if job.checksum:
+            sha256 = _checksum(sources)
+        options = replace(job.request.options, jobs=job.threads)
+        output = replace(job.request.output, overwrite=job.replaces, dry_run=job.dry_run)
+        done = run(
+            sources,
+            destination,
+            options,
+            output,
+            origins=job.request.origins,
+            also_read=job.request.files,
+            progress=progress,
+        )
+        report, status = done.as_dict(), done.exit_status
+    except Pc2ScanError as err:
+        error, status = err.as_dict(), err.exit_status
+    except Exception as err:  # noqa: BLE001  # one recording must not end the others; the manifest has the traceback
+        error, status = _unexpected(err), 1
+    return Result(
+        key=job.key,
+        outcome=outcome_of(status),
+        exit_status=status,
+        identity=identity,
+        sha256=sha256,
+        output_identity=Identity() if error or job.dry_run else identity_of([destination]),
+        started=started,
+        seconds=time.monotonic() - began,
+        report=report,
+        error=error,
+    )
+
+
+def died(job: Job, why: str, *, attempts: int, seconds: float) -> Result:
+    """Return the result of a job whose process died."""
+    error = {"class": "ProcessDied", "message": why, "place": None, "hint": None, "exit_status": 1}
+    started = datetime.now(timezone.utc).isoformat(timespec="milliseconds")
+    identity = identity_of(map(Path, job.sources))
+    return Result(
+        key=job.key,
+        outcome="died",
+        exit_status=1,
+        identity=identity,
+        started=started,
+        seconds=seconds,
+        attempts=attempts,
+        error=error,
+    )
+
+
+def _checksum(sources: list[Path]) -> str:
+    try:
+        return checksum_of(sources)
+    except OSError as err:
+        raise RecordingError(f"cannot be read: {err.strerror}", path=sources[0]) from err
+
+
+def _unexpected(err: Exception) -> dict[str, Any]:
+    import traceback  # noqa: PLC0415  # a bug, or memory that is not there
+
+    return {
+        "class": type(err).__name__,
+        "message": f"{type(err).__name__}: {err}" if str(err) else type(err).__name__,
+        "place": None,
+        "hint": None,
+        "exit_status": 1,
+        "traceback": "".join(traceback.format_exception(err)),
+    }

@@ -1,0 +1,109 @@
+"""A worker process of a batch: converts one recording after the other until its standard input ends.
+
+It is a new interpreter that imports nothing of the parent's program, so that a script without
+``if __name__ == "__main__"``, and a notebook, can start it. Its input ends when the parent closes it, or dies: then the
+conversion is interrupted, removes what it has written, and the process ends.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+import time
+from queue import SimpleQueue
+from typing import TYPE_CHECKING, Any
+
+from pc2scan.cli.memory import keep_freed_memory
+from pc2scan.version import __version__
+
+from .frames import receive, send
+from .work import convert_one
+
+if TYPE_CHECKING:
+    from types import FrameType
+    from typing import BinaryIO
+
+__all__ = ["main"]
+
+#: Seconds between two messages about progress.
+_PROGRESS_SECONDS = 0.1
+
+#: Seconds until a process ends that cannot be interrupted.
+_PATIENCE = 10.0
+
+
+class _Ending:
+    """Ends this process when its parent is gone."""
+
+    def __init__(self) -> None:
+        self.begun = False
+        # Ctrl-C reaches every process of the terminal; the parent decides what it means.
+        signal.signal(signal.SIGINT, self._interrupted)
+
+    def begin(self) -> None:
+        """Interrupt the conversion; called by the thread that reads."""
+        self.begun = True
+        watch = threading.Timer(_PATIENCE, os._exit, (1,))
+        watch.daemon = True
+        watch.start()
+        if hasattr(signal, "pthread_kill"):
+            signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+
+    def _interrupted(self, _number: int, _frame: FrameType | None) -> None:
+        if self.begun:
+            raise KeyboardInterrupt
+
+
+def _read(stream: BinaryIO, jobs: SimpleQueue[Any], ending: _Ending) -> None:
+    try:
+        while True:
+            jobs.put(receive(stream))
+    except (EOFError, OSError):
+        jobs.put(None)
+        ending.begin()
+    except Exception as err:  # noqa: BLE001  # a class that this process cannot import
+        jobs.put(err)
+
+
+class _Progress:
+    """Tells the parent how far a conversion is, now and then."""
+
+    def __init__(self, stream: BinaryIO, key: str) -> None:
+        self._stream = stream
+        self._key = key
+        self._last = 0.0
+
+    def __call__(self, done: int, total: int, _messages: int) -> None:
+        now = time.monotonic()
+        if now - self._last >= _PROGRESS_SECONDS:
+            self._last = now
+            send(self._stream, ("progress", self._key, done, total))
+
+
+def _serve(jobs: SimpleQueue[Any], answers: BinaryIO) -> None:
+    send(answers, ("ready", __version__))
+    while (job := jobs.get()) is not None:
+        if isinstance(job, Exception):
+            send(answers, ("unreadable", f"{type(job).__name__}: {job}"))
+            return
+        send(answers, ("result", convert_one(job, _Progress(answers, job.key))))
+
+
+def main() -> None:
+    """Serve the parent."""
+    ending = _Ending()
+    # Answers have a descriptor of their own: whatever a library prints goes to standard error.
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)
+    jobs: SimpleQueue[Any] = SimpleQueue()
+    try:
+        threading.Thread(target=_read, args=(sys.stdin.buffer, jobs, ending), daemon=True).start()
+        keep_freed_memory()
+        _serve(jobs, answers)
+    except (KeyboardInterrupt, BrokenPipeError):
+        # The parent has ended, or does not want the result.
+        pass
+    # What threads still do is of no use to anybody, and everything that was written is removed or complete.
+    os._exit(0)

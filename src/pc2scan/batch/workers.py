@@ -1,0 +1,277 @@
+"""Worker processes on this machine: jobs go in, events come out, in whatever order.
+
+An executor is a function from jobs to events, such as `execute`. It does nothing with them.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections import deque
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from queue import SimpleQueue
+from threading import Thread
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+
+from pc2scan.errors import OutputError, Pc2ScanError
+from pc2scan.files.staging import clean_up
+from pc2scan.version import __version__
+
+from .frames import receive, send
+from .work import Job, Result, died
+
+if TYPE_CHECKING:
+    from collections.abc import Generator, Sequence
+    from typing import BinaryIO
+
+__all__ = ["Began", "Died", "Ended", "Event", "Executor", "Progressed", "execute"]
+
+#: Seconds that an interrupted worker has to remove what it has written.
+_PATIENCE = 12.0
+
+#: What a worker runs.
+_PROGRAM = f"import json, sys; sys.path[:] = json.loads(sys.argv[1]); from {__package__}.worker import main; main()"
+
+#: So many workers may die before they begin.
+_MAX_STILLBORN = 3
+
+#: Characters of a dead worker's standard error that are reported.
+_SAID = 2_000
+
+
+class Began(NamedTuple):
+    """A conversion begins."""
+
+    key: str
+
+
+class Progressed(NamedTuple):
+    """Bytes of a recording that were read, and bytes in all."""
+
+    key: str
+    done: int
+    total: int
+
+
+class Died(NamedTuple):
+    """The process that converted a recording died, and another one tries again."""
+
+    key: str
+    why: str
+
+
+class Ended(NamedTuple):
+    """A job is done."""
+
+    result: Result
+
+
+Event = Began | Progressed | Died | Ended
+
+
+class Executor(Protocol):
+    """Does jobs, and yields what happens; closing it interrupts them, and leaves no half results."""
+
+    def __call__(self, jobs: Sequence[Job]) -> Generator[Event]:
+        """Do the jobs."""
+        ...
+
+
+@dataclass(slots=True)
+class _Worker:
+    """A worker process, and the job that it has."""
+
+    process: subprocess.Popen[bytes]
+    said: Any
+    job: Job | None = None
+    began: float = 0.0
+    ready: bool = False
+
+    def give(self, job: Job) -> None:
+        """Send a job; a process that is dead is found to be so by its reader."""
+        self.job, self.began = job, time.monotonic()
+        with suppress(OSError):
+            send(_pipe(self.process.stdin), job)
+
+    def ended(self) -> str:
+        """Wait for the end of a process that has closed its pipe; return how it ended, for people."""
+        code = self.process.wait()
+        self.said.seek(0, os.SEEK_END)
+        self.said.seek(max(0, self.said.tell() - _SAID))
+        said = self.said.read().decode("utf-8", "replace").strip()
+        self.close()
+        how = f"ended with status {code}"
+        if code < 0:
+            name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
+            how = f"was killed by {name}" + (", perhaps because memory ran out" if name == "SIGKILL" else "")
+        return f"the process that converted it {how}{f': {said.splitlines()[-1]}' if said else ''}"
+
+    def close(self) -> None:
+        """Release its pipes."""
+        for stream in (self.process.stdin, self.process.stdout, self.said):
+            with suppress(OSError):
+                _pipe(stream).close()
+
+
+@dataclass(slots=True)
+class _Pool:
+    """The workers, and what they send."""
+
+    lock: int | None
+    stillborn: int = 0
+    workers: list[_Worker] = field(default_factory=list)
+    inbox: SimpleQueue[tuple[_Worker, Any]] = field(default_factory=SimpleQueue)
+
+    def add(self) -> _Worker:
+        said = tempfile.TemporaryFile()  # noqa: SIM115  # closed with the worker
+        # What can be imported here can be imported there.
+        paths = json.dumps([path or os.getcwd() for path in sys.path])  # noqa: PTH109
+        try:
+            process = subprocess.Popen(  # noqa: S603  # this interpreter, and text of our own
+                [sys.executable, "-c", _PROGRAM, paths],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=said,
+                env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+                # The lock of the batch is held until the last worker has ended, however the parent does.
+                pass_fds=() if self.lock is None or os.name == "nt" else (self.lock,),
+            )
+        except OSError as err:
+            said.close()
+            raise OutputError(f"no worker process can be started: {err.strerror}") from err
+        worker = _Worker(process, said)
+        self.workers.append(worker)
+        Thread(target=self._read, args=(worker,), daemon=True).start()
+        return worker
+
+    def _read(self, worker: _Worker) -> None:
+        stream = _pipe(worker.process.stdout)
+        try:
+            while True:
+                self.inbox.put((worker, receive(stream)))
+        except (EOFError, OSError, ValueError):
+            self.inbox.put((worker, None))
+
+    def close(self) -> None:
+        """Interrupt and end all workers; what they were writing is removed."""
+        for worker in self.workers:
+            with suppress(OSError):
+                _pipe(worker.process.stdin).close()
+        deadline = time.monotonic() + _PATIENCE
+        for worker in self.workers:
+            try:
+                worker.process.wait(max(0.1, deadline - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                worker.process.kill()
+                worker.process.wait()
+            worker.close()
+            if worker.job is not None:
+                with suppress(Pc2ScanError):
+                    clean_up(Path(worker.job.destination))
+
+
+def execute(
+    jobs: Sequence[Job], *, workers: int, cores: int, retries: int = 1, lock: int | None = None
+) -> Generator[Event]:
+    """Do jobs in worker processes.
+
+    Parameters
+    ----------
+    jobs
+        In the order in which they begin.
+    workers
+        How many processes.
+    cores
+        How many threads all of them may have. The last recordings get those of workers that have nothing left to do.
+    retries
+        How often a recording is tried again whose worker died; at the end, by a single thread.
+    lock
+        The descriptor of the lock that workers inherit.
+
+    Yields
+    ------
+    Event
+        `Ended` once for every job.
+    """
+    pending: deque[Job] = deque(jobs)
+    attempts: dict[str, int] = {}
+    pool = _Pool(lock)
+    idle: deque[_Worker] = deque()
+    try:
+        for _ in range(min(workers, len(pending))):
+            idle.append(pool.add())
+        while pending or any(worker.job for worker in pool.workers):
+            while pending and idle:
+                job = pending.popleft()
+                tried = attempts[job.key] = attempts.get(job.key, 0) + 1
+                busy = sum(worker.job is not None for worker in pool.workers)
+                threads = 1 if tried > 1 else max(1, cores // min(workers, busy + len(pending) + 1))
+                worker = idle.popleft()
+                worker.give(replace(job, threads=threads))
+                yield Began(job.key)
+            worker, message = pool.inbox.get()
+            if message is None:
+                pool.workers.remove(worker)
+                if worker in idle:
+                    idle.remove(worker)
+                yield from _after_death(worker, pool, pending, attempts, retries)
+                if pending and len(pool.workers) < workers:
+                    idle.append(pool.add())
+                continue
+            match message:
+                case ("ready", str(version)):
+                    worker.ready = True
+                    if version != __version__:
+                        raise Pc2ScanError(f"a worker process has pc2scan {version}, this is {__version__}")
+                case ("progress", key, done, total):
+                    yield Progressed(key, done, total)
+                case ("result", result):
+                    worker.job = None
+                    idle.append(worker)
+                    yield Ended(replace(result, attempts=attempts[result.key]))
+                case ("unreadable", why):
+                    raise Pc2ScanError(
+                        f"the options cannot be sent to another process: {why}",
+                        hint="a filter of your own must be a class of a module that can be imported",
+                    )
+    finally:
+        pool.close()
+
+
+def _after_death(
+    worker: _Worker, pool: _Pool, pending: deque[Job], attempts: dict[str, int], retries: int
+) -> Generator[Event]:
+    """Try again what a dead worker was converting, or give it up."""
+    why = worker.ended()
+    job = worker.job
+    if not worker.ready:
+        pool.stillborn += 1
+        if pool.stillborn > _MAX_STILLBORN:
+            raise Pc2ScanError(f"no worker process can be started: {why}")
+        if job is not None:
+            attempts[job.key] -= 1
+            pending.appendleft(job)
+        return
+    if job is None:
+        return
+    with suppress(Pc2ScanError):
+        clean_up(Path(job.destination))
+    if attempts[job.key] <= retries:
+        pending.append(job)
+        yield Died(job.key, why)
+    else:
+        seconds = time.monotonic() - worker.began
+        yield Ended(died(job, why, attempts=attempts[job.key], seconds=seconds))
+
+
+def _pipe(stream: Any) -> BinaryIO:
+    assert stream is not None
+    pipe: BinaryIO = stream
+    return pipe

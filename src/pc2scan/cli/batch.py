@@ -1,0 +1,261 @@
+"""``pc2scan batch``.
+
+No ``from __future__ import annotations`` here: see `pc2scan.cli.groups.Group`.
+"""
+
+import sys
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from inspect import Parameter
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from .groups import Group
+from .options import ConversionGroup, OutputGroup
+from .render import count, message, printable, show_parts, size, warn
+from .words import typed_words
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
+    from pc2scan.batch.manifest import Record
+    from pc2scan.batch.plan import Plan
+    from pc2scan.batch.run import BatchProgress
+    from pc2scan.batch.summary import BatchReport
+
+__all__ = ["batch"]
+
+_BATCH = "Batch"
+
+
+class BatchGroup(Group):
+    """Options of the batch itself."""
+
+    dataset: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Options that differ between recordings, by patterns, as YAML. Options typed here override it.",
+            rich_help_panel=_BATCH,
+        ),
+    ] = None
+    workers: Annotated[
+        int,
+        typer.Option(
+            "--jobs",
+            "-j",
+            min=0,
+            metavar="N",
+            help="Recordings at a time, each in a process of its own; what is written does not depend on it.  "
+            "[default: number of cores, as memory allows]",
+            show_default=False,
+            rich_help_panel=_BATCH,
+        ),
+    ] = 0
+    retries: Annotated[
+        int,
+        typer.Option(
+            min=0,
+            metavar="N",
+            help="How often a recording is tried again whose process died, for instance of too little memory.",
+            rich_help_panel=_BATCH,
+        ),
+    ] = 1
+    force: Annotated[
+        bool, typer.Option("--force", help="Convert also what earlier runs have converted.", rich_help_panel=_BATCH)
+    ] = False
+    checksum: Annotated[
+        bool,
+        typer.Option(
+            "--checksum",
+            help="Recognise unchanged recordings by SHA-256, not by their time of modification. Reads every byte.",
+            rich_help_panel=_BATCH,
+        ),
+    ] = False
+    fail_fast: Annotated[
+        bool, typer.Option("--fail-fast", help="End at the first recording that fails.", rich_help_panel=_BATCH)
+    ] = False
+    report: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Write the summary of all recordings: *.json, *.csv or *.md.",
+            rich_help_panel=_BATCH,
+        ),
+    ] = None
+    quiet: Annotated[
+        bool, typer.Option("--quiet", "-q", help="Show warnings and errors only.", rich_help_panel=_BATCH)
+    ] = False
+    verbose: Annotated[
+        bool, typer.Option("--verbose", "-v", help="List every recording in the summary.", rich_help_panel=_BATCH)
+    ] = False
+
+
+class _Without(Group):
+    """A group without some of its options: those keep their defaults."""
+
+    whole: type[Group]
+    left_out: Mapping[str, Any]
+
+    @classmethod
+    def parameters(cls) -> Iterable[Parameter]:
+        """Return the options that are left."""
+        return [each for each in cls.whole.parameters() if each.name not in cls.left_out]
+
+    @classmethod
+    def gathered(cls, values: Mapping[str, Any]) -> "Self":
+        """Make the whole group."""
+        return cls.whole.gathered({**values, **cls.left_out})  # type: ignore[return-value]
+
+
+class _Conversion(_Without):
+    """The options of a conversion, but for the number of its threads."""
+
+    whole = ConversionGroup
+    left_out = {"jobs": 0}  # noqa: RUF012
+
+
+class _Output(_Without):
+    """The options of the destination; each recording is converted by itself anyway."""
+
+    whole = OutputGroup
+    left_out = {"each": False}  # noqa: RUF012
+
+
+def batch(
+    sources: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="SRC...",
+            help="Folders, which are searched; recordings; globs in quotes; text files with a path a line.",
+        ),
+    ],
+    destination: Annotated[
+        Path,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="OUT",
+            help="Folder for the results, in the tree of the sources, and for manifest.jsonl.",
+        ),
+    ],
+    *,
+    running: BatchGroup,
+    conversion: _Conversion,
+    output: _Output,
+) -> None:
+    """Convert every recording of a dataset, each by itself, in several processes.
+
+    A recording that fails does not keep the others from being converted. A second run does only what is missing,
+    changed or failed; OUT/manifest.jsonl says what became of each recording. After an interruption, run it again.
+    """
+    from pc2scan.batch.run import BatchOptions, Watch, run_batch
+
+    words, origins = typed_words(conversion, output)
+    dry_run = bool(words.pop("dry_run", False))
+    options = BatchOptions(
+        dataset=running.dataset,
+        jobs=running.workers,
+        retries=running.retries,
+        checksum=running.checksum,
+        force=running.force,
+        fail_fast=running.fail_fast,
+        dry_run=dry_run,
+        report=running.report,
+    )
+    with _progress_bar(enabled=not running.quiet) as progress:
+        watch = Watch(
+            planned=lambda plan: _show_plan(plan, quiet=running.quiet),
+            progress=progress,
+            done=lambda record: _show_record(record, quiet=running.quiet, dry_run=dry_run),
+            note=warn,
+        )
+        report = run_batch(sources, destination, words, options, origins=origins, watch=watch)
+    _show_report(report, quiet=running.quiet, verbose=running.verbose)
+    raise typer.Exit(report.exit_status)
+
+
+def _show_plan(plan: "Plan", *, quiet: bool) -> None:
+    """Say what is going to be done, in a line."""
+    if quiet:
+        return
+    convert, keep, skip = plan.of("convert"), plan.of("keep"), plan.of("skip")
+    reasons: dict[str, int] = {}
+    for step in convert:
+        why = step.why.partition(":")[0]
+        reasons[why] = reasons.get(why, 0) + 1
+    told = ", ".join(f"{number:,} {why}" for why, number in reasons.items())
+    parts = [
+        f"{len(plan.steps):,} recordings",
+        f"{len(convert):,} to convert ({size(sum(step.found.identity.size_bytes for step in convert))}"
+        + (f"; {told})" if told else ")"),
+        *([f"{len(keep):,} unchanged"] if keep else []),
+        *([f"{len(skip):,} left out by the dataset file"] if skip else []),
+    ]
+    typer.echo(printable(": ".join((parts[0], ", ".join(parts[1:])))), err=True)
+
+
+def _show_record(record: "Record", *, quiet: bool, dry_run: bool) -> None:
+    """A line for a recording that is done."""
+    if record.error is not None:
+        hint = f" (hint: {record.error['hint']})" if record.error.get("hint") else ""
+        typer.echo(message(f"{record.outcome}: {record.key}: {record.error['message']}{hint}"), err=True)
+        return
+    if quiet:
+        return
+    report = record.report or {}
+    topics = [topic for topic in report.get("topics", ()) if topic["action"] == "converted"]
+    scans, empty = (sum(topic[name] for topic in topics) for name in ("messages_out", "empty_scans"))
+    facts = [
+        f"{scans:,} scans",
+        *([f"{empty:,} empty"] if empty else []),
+        *([f"{count(report['skipped_count'])} skipped"] if report.get("skipped_count") else []),
+        *([f"damaged: {report['damage'][0]['what']}"] if report.get("damage") else []),
+        *([f"{len(report['warnings'])} warnings"] if report.get("warnings") else []),
+        f"{record.seconds:.1f} s",
+    ]
+    would = "would be " if dry_run else ""
+    typer.echo(message(f"{would}{record.outcome}: {record.key} -> {record.output} ({', '.join(facts)})"), err=True)
+
+
+def _show_report(report: "BatchReport", *, quiet: bool, verbose: bool) -> None:
+    for warning in report.warnings:
+        warn(warning)
+    if not quiet:
+        if report.dry_run:
+            typer.echo("dry run, nothing is written")
+        show_parts(report.tables(None) if verbose else report.tables())
+
+
+@contextmanager
+def _progress_bar(*, enabled: bool) -> "Iterator[Any]":
+    """Show bytes and recordings done, and the time left; yields the function to report to."""
+    if not enabled or not sys.stderr.isatty():
+        yield lambda _progress: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn, TransferSpeedColumn
+
+    with Progress(
+        BarColumn(),
+        DownloadColumn(),
+        TextColumn("{task.fields[done]:,} of {task.fields[all]:,} recordings"),
+        TransferSpeedColumn(),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+        transient=True,
+    ) as bar:
+        task = bar.add_task("batch", total=None, done=0, all=0)
+
+        def update(progress: "BatchProgress") -> None:
+            bar.update(
+                task,
+                completed=progress.bytes_done,
+                total=progress.bytes_total,
+                done=progress.recordings_done,
+                all=progress.recordings_total,
+            )
+
+        yield update
