@@ -76,6 +76,10 @@ _SYNONYMS = {
 }
 
 
+#: The defaults of what is about robots that move.
+_AT_REST = {"deskew": False, "fixed_frame": "", "point_time": "", "stamp": "header", "level": False, "imu": ""}
+
+
 @known_keywords(further=parameter_names, synonyms=_SYNONYMS)
 def convert(
     sources: PathText | Iterable[PathText],
@@ -109,6 +113,8 @@ def convert(
     fixed_frame: str = "",
     point_time: str = "",
     stamp: str = "header",
+    level: bool = False,
+    imu: str = "",
     channels: str | Iterable[str] | UnprojectParams | None = None,
     range_cutoff: float | None = None,
     on_error: str = "skip",
@@ -177,6 +183,9 @@ def convert(
         Whether each point (with ``reverse`` each beam) is transformed by the pose at its own time. Of clouds: through a
         frame that does not move, such as ``odom``; the field with the times of points, and its unit, as ``t:ns``; which
         time the scan has: ``header``, ``start``, ``middle`` or ``end``.
+    level, imu
+        Whether scans are made in a frame without the roll and pitch of the target frame: by ``fixed_frame``, whose z is
+        up, or by an IMU, ``/imu/data`` (``/imu/data:imu_link`` if its messages have another frame or none).
     channels, range_cutoff
         Further fields of the clouds that ``reverse`` makes (``distances``, ``stamps``, ``viewpoint``), or all of them
         as `UnprojectParams`; only returns nearer than ``range_cutoff`` are kept, metres.
@@ -247,6 +256,8 @@ def convert(
         fixed_frame=fixed_frame,
         point_time=point_time,
         stamp=stamp,
+        level=level,
+        imu=imu,
         filters=filters_of(resolved, where, exclude_box, exclude_polygon, min_height_slope, filters),
         frames=frames_of(frames, static_tf, static_tf_file, write_static_tf, tf_from, tf_topics, source_frame),
         topics=names_in("topics", topics) or resolved.topics,
@@ -1056,6 +1067,12 @@ def scans(
     exclude_polygon: str | Iterable[str] = (),
     min_height_slope: float | None = None,
     filters: Iterable[Filter] = (),
+    deskew: bool = False,
+    fixed_frame: str = "",
+    point_time: str = "",
+    stamp: str = "header",
+    level: bool = False,
+    imu: str = "",
     on_error: str = "skip",
     verify: bool = True,
     strict: bool = False,
@@ -1080,6 +1097,8 @@ def scans(
     static_tf, static_tf_file, tf_from, tf_topics, source_frame, frames
         As for `pc2scan.convert`; for clouds with a ``target_frame``.
     where, exclude_box, exclude_polygon, min_height_slope, filters
+        As for `pc2scan.convert`.
+    deskew, fixed_frame, point_time, stamp, level, imu
         As for `pc2scan.convert`.
     on_error
         ``skip``: messages that cannot be used are counted and listed, and a warning says so. ``fail``: the first one is
@@ -1114,6 +1133,14 @@ def scans(
     names = names_in("topic", topic)
     framing = (static_tf, static_tf_file, False, tf_from, tf_topics, source_frame)
     filtering = (where, exclude_box, exclude_polygon, min_height_slope, filters)
+    moving: dict[str, Any] = {
+        "deskew": deskew,
+        "fixed_frame": fixed_frame,
+        "point_time": point_time,
+        "stamp": stamp,
+        "level": level,
+        "imu": imu,
+    }
     conversion, origins = None, None
     if parameters or params is not None or preset is not None or params_file is not None:
         resolved = resolved_parameters(params, preset, params_file, node, parameters)
@@ -1124,6 +1151,7 @@ def scans(
             params=resolved.params,
             frames=frames_of(frames, *framing),
             filters=filters_of(resolved, *filtering),
+            **moving,
             topics=names or resolved.topics,
             only_scans=True,
             start=start,
@@ -1131,9 +1159,9 @@ def scans(
             verify=verify,
             strict=strict,
         )
-    elif frames is not None or node is not None or any(framing) or any(filtering):
+    elif frames is not None or node is not None or any(framing) or any(filtering) or moving != _AT_REST:
         raise UsageError(
-            "transforms, filters and `node` count only where clouds are converted",
+            "transforms, filters, `node`, `deskew` and `level` count only where clouds are converted",
             hint="give parameters: `preset`, `params_file`, or any of them by name, `target_frame=base_link`",
         )
     selection = selection_of(source, names, start, end, on_error, verify=verify, strict=strict)

@@ -42,7 +42,10 @@ def _option_words(options: ConvertOptions) -> Iterator[str]:
         yield "--write-static-tf"
     if options.deskew:
         yield "--deskew"
-    for name, value in (("--fixed-frame", options.fixed_frame), ("--point-time", options.point_time)):
+    if options.level:
+        yield "--level"
+    named = {"--fixed-frame": options.fixed_frame, "--point-time": options.point_time, "--imu": options.imu}
+    for name, value in named.items():
         if value:
             yield from (name, value)
     if options.stamp != "header":

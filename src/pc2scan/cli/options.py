@@ -446,7 +446,7 @@ class MovingGroup(Group):
         str,
         typer.Option(
             metavar="FRAME",
-            help="A frame that does not move, such as odom.",
+            help="A frame that does not move, such as odom; for --level its z is up.",
             show_default=False,
             rich_help_panel=_MOVING,
         ),
@@ -468,6 +468,26 @@ class MovingGroup(Group):
             rich_help_panel=_MOVING,
         ),
     ] = "header"
+    level: Annotated[
+        bool,
+        typer.Option(
+            "--level",
+            help="Make scans in a frame without the roll and pitch of the target frame, by --fixed-frame or --imu. "
+            "It is named like that with _stabilized behind; its transforms are written to /tf.",
+            rich_help_panel=_MOVING,
+        ),
+    ] = False
+    imu: Annotated[
+        str,
+        typer.Option(
+            metavar="TOPIC[:FRAME]",
+            autocompletion=completion.topics("/Imu"),
+            help="sensor_msgs/Imu topic by which --level knows which way is up; and the IMU's frame, if its frame_id "
+            "is wrong or empty.",
+            show_default=False,
+            rich_help_panel=_MOVING,
+        ),
+    ] = ""
 
 
 class Channel(TextEnum):
@@ -668,6 +688,8 @@ class ConversionGroup(Group):
             fixed_frame=self.moving.fixed_frame,
             point_time=self.moving.point_time,
             stamp=self.moving.stamp,
+            level=self.moving.level,
+            imu=self.moving.imu,
             filters=tuple(self.points.filters(resolved.params.min_height)),
             frames=frames,
             topics=names,

@@ -115,8 +115,9 @@ def take_shots(
             topics.setdefault(route.connection.topic, []).append(route.connection)
     frames = _frames(buffer, options)
     params, notes = options.params, list[str]()
-    if options.deskew:
-        notes.append("Clouds are shown as recorded; only a conversion deskews them.")
+    if options.deskew or options.level:
+        how = " and ".join(["deskews them"] * options.deskew + ["makes scans level"] * options.level)
+        notes.append(f"Clouds are shown as recorded; only a conversion {how}.")
     if params.beams == "auto":
         params, note = _at_measured_resolution(reader, topics, options, frames)
         notes.append(note)

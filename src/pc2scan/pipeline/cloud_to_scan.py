@@ -142,8 +142,9 @@ class CloudToScan(Conversion):
         )
         empty = scan.ranges.tobytes() == beams.no_returns
         sample = None if firsts is None or firsts.full else firsts.sample(placed.whole, placed.place)
-        moving = placed.moving
-        return Result(message, scan.counts, empty, None if moving is None else moving.motion, sample)
+        motion = None if placed.moving is None else placed.moving.motion
+        level = None if placed.place.level is None else placed.place.level.at(stamp_ns)
+        return Result(message, scan.counts, empty, motion, sample, level)
 
     def _projected(self, placed: Placed, project: Projector) -> ProjectedScan:
         """Project; the loops over points transform them on the way where that is still to be done."""

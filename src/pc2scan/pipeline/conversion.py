@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from pc2scan.core.counts import PointCounts
     from pc2scan.messages.outputs import OutputType
     from pc2scan.model import Buffer
+    from pc2scan.tf.placing import LevelTransform
 
     from .first_clouds import Sample
     from .stages.deskew import Motion
@@ -31,7 +32,7 @@ class Result:
     """What the stages make of one message: the new message as arrays, which the output's type encodes.
 
     ``empty`` is whether it has no return, or no point; ``motion`` is how far the sensor moved, if it was deskewed.
-    ``sample`` is for `FirstClouds`, while it wants any.
+    ``sample`` is for `FirstClouds`, while it wants any. ``level`` is the transform of its frame, if that is made level.
     """
 
     message: Any
@@ -39,6 +40,7 @@ class Result:
     empty: bool
     motion: Motion | None = None
     sample: Sample | None = None
+    level: LevelTransform | None = None
 
 
 @dataclass(slots=True, eq=False)
@@ -50,6 +52,7 @@ class Converted:
     empty: bool
     motion: Motion | None = None
     sample: Sample | None = None
+    level: LevelTransform | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,4 +210,5 @@ def _in_turn(steps: Sequence[Step], value: Any) -> Any:
 
 
 def _encoded(encode: Callable[[Any, str], bytes], target: str, result: Result) -> Converted:
-    return Converted(encode(result.message, target), result.counts, result.empty, result.motion, result.sample)
+    data = encode(result.message, target)
+    return Converted(data, result.counts, result.empty, result.motion, result.sample, result.level)

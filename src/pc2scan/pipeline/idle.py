@@ -64,7 +64,9 @@ def doubts(options: ConvertOptions) -> list[str]:
 def _frames(options: ConvertOptions, spec: ScanSpec, given: set[str]) -> list[str]:
     params, frames = spec.params, options.frames
     found = []
-    if params.target_frame or any(isinstance(each.frame, str) for each in spec.filters):
+    if spec.level and spec.imu and spec.fixed_frame and not spec.deskew:
+        found.append("`fixed_frame` has no effect: `imu` makes scans level")
+    if spec.needs_transforms:
         source = frames.source_frame.removeprefix("/")
         if source and source == params.target_frame.removeprefix("/"):
             found.append(f"`source_frame` and `target_frame` are both {source}: nothing is transformed")

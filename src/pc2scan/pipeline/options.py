@@ -267,6 +267,8 @@ class ConvertOptions:
     fixed_frame: str = ""
     point_time: str = ""
     stamp: str = "header"
+    level: bool = False
+    imu: str = ""
     filters: tuple[Filter, ...] = ()
     output_type: str = ""
     frames: FrameOptions = FrameOptions()
@@ -343,6 +345,8 @@ class ConvertOptions:
                 fixed_frame=self.fixed_frame,
                 point_time=self.point_time,
                 stamp=self.stamp,
+                level=self.level,
+                imu=self.imu,
                 filters=self.filters,
                 output_type=self.output_type,
             ),

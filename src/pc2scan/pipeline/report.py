@@ -38,7 +38,7 @@ MAX_LISTED = 100
 _MAX_SHOWN = 5
 
 #: Attributes of a topic's entry that JSON has in another form, or not.
-_NOT_AS_THEY_ARE = {"points", "motions", "spec"}
+_NOT_AS_THEY_ARE = {"points", "motions", "tilts", "spec"}
 
 #: Topics that are listed in the warning of skipped ones.
 _MAX_WARNED = 5
@@ -49,6 +49,11 @@ _NOTABLE_SHARE = 0.25
 
 #: Seconds between two transforms that deskewing should not bridge in silence: odometry has ten a second and more.
 _NOTABLE_GAP = 0.25
+
+#: Degrees from which a robot has rather a wrong mount than a tilt, and below which it has none; and scans that tell it.
+_NOTABLE_TILT = 45.0
+_NO_TILT = 1e-4
+_SEVERAL = 10
 
 #: A change of the increment, as a share of it, that is more than a rounding.
 _NOTABLE_STEP = 1e-5
@@ -138,6 +143,8 @@ class TopicReport:
     motions
         Of deskewed clouds: how far the sensor was from its pose at the scan's time, at most, metres and radians, and
         the longest time that transforms were interpolated over, seconds.
+    tilts
+        Of level scans: between the z axis of the target frame and up, radians.
     clouds_kept
         Whether the converted clouds were written too.
     lost
@@ -159,6 +166,7 @@ class TopicReport:
     points: PointCounts = field(default_factory=PointCounts)
     empty_scans: int = 0
     motions: list[tuple[float, float, float]] = field(default_factory=list)
+    tilts: list[float] = field(default_factory=list)
     clouds_kept: bool = False
     lost: bool = False
     advice: str = ""
@@ -178,6 +186,18 @@ class TopicReport:
             "largest_deg": math.degrees(max(radians)),
             "median_deg": math.degrees(median_low(radians)),
             "longest_gap_s": max(gaps),
+        }
+
+    @property
+    def tilt(self) -> dict[str, float] | None:
+        """The largest and the median of the tilts, degrees; None if nothing was made level."""
+        if not self.tilts:
+            return None
+        from statistics import median_low  # noqa: PLC0415  # only where scans are level
+
+        return {
+            "largest_deg": math.degrees(max(self.tilts)),
+            "median_deg": math.degrees(median_low(self.tilts)),
         }
 
     def skip(self, count: int) -> None:
@@ -313,6 +333,31 @@ class Report(Shown):
                         f"to {motion['longest_gap_s']:.3g} s; deskewing assumes that the robot moved evenly meanwhile"
                     )
 
+            if tilt := topic.tilt:
+                self._tell_tilt(topic, tilt)
+
+    def _tell_tilt(self, topic: TopicReport, tilt: Mapping[str, float]) -> None:
+        """Note how far the target frame was from level, and warn of what cannot be."""
+        spec = topic.spec
+        frame = (spec.params.target_frame if spec else "") or self.source_frame or "the clouds' frame"
+        by = (spec.imu or spec.fixed_frame) if spec else ""
+        largest, median = tilt["largest_deg"], tilt["median_deg"]
+        if median > _NOTABLE_TILT:
+            self.warnings.append(
+                f"{topic.target}: by {by}, {frame} is tilted by {median:.0f} degrees (median). If it is not mounted "
+                "so, the mount of the IMU is wrong (`static_tf`), or z of `fixed_frame` is not up"
+            )
+        elif largest < _NO_TILT and len(topic.tilts) >= _SEVERAL:
+            self.warnings.append(
+                f"{topic.target}: by {by}, {frame} is never tilted, so `level` has no effect. Odometry of wheels knows "
+                "no roll and pitch; an IMU does: `imu=TOPIC`"
+            )
+        else:
+            self.notes.append(
+                f"{topic.target}: level by {by}; {frame} was tilted by up to {largest:.3g} degrees "
+                f"(median {median:.3g})"
+            )
+
     @property
     def rejections(self) -> dict[str, Rejection]:
         """Why points may be rejected, by the name of the count."""
@@ -420,6 +465,7 @@ class Report(Shown):
                 {
                     **{f.name: getattr(topic, f.name) for f in fields(topic) if f.name not in _NOT_AS_THEY_ARE},
                     "motion": topic.motion,
+                    "tilt": topic.tilt,
                     "points": topic.points.as_dict(),
                 }
                 for topic in self.topics

@@ -53,7 +53,7 @@ from .first_clouds import FirstClouds
 from .idle import doubts, refuse_unusable
 from .parameters import from_preset, preset_of
 from .plan import make_plan
-from .report import BEGINNING, Failure, Report
+from .report import BEGINNING, Failure, Report, TopicReport
 from .routes import (
     OpenRoute,
     bind,
@@ -77,6 +77,7 @@ if TYPE_CHECKING:
     from pc2scan.tf.buffer import TransformBuffer
 
     from .conversion import Conversion, Measured
+    from .levelling import LevelFrames
     from .options import ConvertOptions
     from .plan import Plan
     from .scan_spec import ScanSpec
@@ -280,7 +281,11 @@ def _run(
         conversions, _ = prepared(reader, plan, options, span, stack, report)
         from .forecast import forecast  # noqa: PLC0415  # dry runs only
 
+        levels = _level_frames(reader, plan, target, options, Declarations(), report)
         forecast(reader, plan, target, conversions, options, span.start_ns, span.stop_ns, report)
+        if levels is not None:
+            made = (each.messages_out for each in report.topics if each.spec is not None and each.spec.level)
+            levels.report.messages_out = max(made, default=0)
         return
     if output.folder is not None:
         stack.enter_context(made_folder(output.folder))
@@ -299,8 +304,11 @@ def _run(
             declared = Declarations()
             routes = open_routes(plan.routes, conversions, target, same_kind, options, declared, report)
             added = declared.add(static_connection(target)) if options.frames.write_static else None
+            levels = _level_frames(reader, plan, target, options, declared, report)
             handles = declared.declare(writer, one_a_topic=target.format.one_a_topic)
             bind(routes.values(), handles)
+            if levels is not None:
+                levels.handle = handles[levels.handle]
             routes = count_skipped(routes, reader, span.start_ns, span.stop_ns)
             if not options.only_scans:
                 carry_extras(reader, target, writer, report)
@@ -312,7 +320,7 @@ def _run(
             if pool is not None:
                 writer.compress_ahead(pool)
             rule = chunk_rule(routes, target, writer) if copying else None
-            stream(reader, routes, options, span, rule, pool, writer, report, progress)
+            stream(reader, routes, options, span, rule, pool, writer, report, progress, levels)
             firsts.finish()
             for spec in conversions:
                 if spec.made_type == LASERSCAN:
@@ -461,12 +469,18 @@ def prepared(
         report.warnings += warnings
         if firsts is not None:
             firsts.buffer = buffer
+    ups = None
+    if buffer is not None and any(spec.level for spec in plan.specs):
+        from .levelling import Ups  # noqa: PLC0415  # only where scans are level
+
+        ups = Ups([reader, *others], buffer, report)
     conversions: dict[ScanSpec, Conversion] = {}
     for spec in plan.specs:
         frames = Frames(source_frame=asked.source_frame)
         if spec.needs_transforms:
             tolerance_ns = round(spec.params.transform_tolerance * 1e9)
-            frames = Frames(spec.params.target_frame, asked.source_frame, buffer, tolerance_ns)
+            up = ups.of(spec, tolerance_ns) if ups is not None and spec.level else None
+            frames = Frames(spec.params.target_frame, asked.source_frame, buffer, tolerance_ns, up)
         if spec.reverse:
             from .scan_to_cloud import ScanToCloud  # noqa: PLC0415  # each direction loads its own arithmetic
 
@@ -475,6 +489,20 @@ def prepared(
             timings = _measured(reader, plan, spec, frames, span, report) if spec.needs_measuring else None
             conversions[spec] = _to_scans(spec, frames, timings, firsts)
     return conversions, others
+
+
+def _level_frames(
+    reader: Reader, plan: Plan, target: Destination, options: ConvertOptions, declared: Declarations, report: Report
+) -> LevelFrames | None:
+    """What writes the transforms of level frames, declared; None where no scan is level."""
+    if not any(spec.level for spec in plan.specs):
+        return None
+    from .levelling import LevelFrames, tf_connection  # noqa: PLC0415  # only where scans are level
+
+    connection = tf_connection(reader, options.frames, target)
+    entry = TopicReport(connection.topic, connection.ros_type, connection.topic, "added", "from `level`")
+    report.topics.append(entry)
+    return LevelFrames(declared.add(connection), target.serialization, entry)
 
 
 def _to_scans(

@@ -70,13 +70,18 @@ class ScanSpec:
     deskew
         Transform each point of a cloud, with ``reverse`` each beam of a scan, by the pose at its own time.
     fixed_frame
-        With ``deskew`` of clouds: a frame that does not move, through which points are placed.
+        A frame that does not move: with ``deskew`` of clouds points are placed through it, with ``level`` its z is up.
     point_time
         With ``deskew`` of clouds: where the times of points are, as ``FIELD`` or ``FIELD:UNIT``. Empty: in the first
         field that is usual.
     stamp
         With ``deskew`` of clouds: the scan's time: that of the cloud's ``header``, or the ``start``, ``middle`` or
         ``end`` of its points' times.
+    level
+        Make scans of clouds in a frame without roll and pitch, by ``fixed_frame`` or by ``imu``.
+    imu
+        With ``level``: the IMU that knows which way is up, as ``TOPIC`` or ``TOPIC:FRAME``. Empty: ``fixed_frame`` is
+        used.
     filters
         What selects points of clouds before they are projected, in order.
     output_type
@@ -94,6 +99,8 @@ class ScanSpec:
     fixed_frame: str = ""
     point_time: str = ""
     stamp: str = "header"
+    level: bool = False
+    imu: str = ""
     filters: tuple[Filter, ...] = ()
     output_type: str = ""
 
@@ -101,6 +108,7 @@ class ScanSpec:
         if not self.reverse and self.channels is not None:
             raise UsageError("`channels` and `range_cutoff` go with `reverse`")
         self._check_stages()
+        self._check_levelling()
         self._check_deskewing()
 
     def _check_stages(self) -> None:
@@ -120,8 +128,10 @@ class ScanSpec:
                 "`deskew` needs a `target_frame` that does not move with the sensor",
                 hint="such as `target_frame=odom`",
             )
-        if (self.reverse or not self.deskew) and (self.fixed_frame or self.point_time or self.stamp != "header"):
-            raise UsageError("`fixed_frame`, `point_time` and `stamp` go with `deskew` of clouds")
+        if (self.reverse or not self.deskew) and (self.point_time or self.stamp != "header"):
+            raise UsageError("`point_time` and `stamp` go with `deskew` of clouds")
+        if self.fixed_frame and (self.reverse or not (self.deskew or self.level)):
+            raise UsageError("`fixed_frame` goes with `deskew` or `level` of clouds")
         if self.reverse or not self.deskew:
             return
         from .stages.deskew import STAMPS, PointTime  # noqa: PLC0415  # only where points move
@@ -140,6 +150,21 @@ class ScanSpec:
                 hint="leave `time_increment` out",
             )
 
+    def _check_levelling(self) -> None:
+        if self.level and self.reverse:
+            raise UsageError("`level` makes scans level; `reverse` makes clouds")
+        if self.imu and not self.level:
+            raise UsageError("`imu` goes with `level`")
+        if self.level and not (self.fixed_frame or self.imu):
+            raise UsageError(
+                "`level` needs to know which way is up",
+                hint="give a frame that does not move, whose z is up: `fixed_frame=odom`; or an IMU: `imu=/imu/data`",
+            )
+        if self.imu:
+            from pc2scan.tf.imu_reading import ImuRequest  # noqa: PLC0415  # only where scans are level
+
+            ImuRequest.parse(self.imu)
+
     @property
     def rejections(self) -> tuple[Rejection, ...]:
         """Why points may be rejected, other than by the projection itself."""
@@ -154,7 +179,7 @@ class ScanSpec:
     def needs_transforms(self) -> bool:
         """Whether messages, or what filters see of them, are transformed."""
         in_others = any(isinstance(each.frame, str) for each in self.filters)
-        return bool(self.params.target_frame or self.fixed_frame or in_others)
+        return bool(self.params.target_frame or self.fixed_frame or self.level or in_others)
 
     @property
     def needs_measuring(self) -> bool:

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from pc2scan.threads import Threads
 
     from .conversion import Converted
+    from .levelling import LevelFrames
     from .options import ConvertOptions
     from .report import TopicReport
     from .routes import OpenRoute, Output
@@ -81,8 +82,9 @@ def stream(
     writer: Writer,
     report: Report,
     progress: Progress | None,
+    levels: LevelFrames | None = None,
 ) -> None:
-    """Read, work on several threads, and write in the order of reading."""
+    """Read, work on several threads, and write in the order of reading; ``levels`` writes the frames of level scans."""
     total = reader.summary.size_bytes
     outcomes = _outcomes(reader, routes, options, span, rule, pool)
     steps = 0
@@ -93,7 +95,7 @@ def stream(
             if isinstance(outcome, StoredChunk):
                 _write_chunk(outcome, routes, writer)
             else:
-                _write(outcome, writer, report, options.on_error)
+                _write(outcome, writer, report, options.on_error, levels)
                 if unconnected.is_possible and outcome.route.convert is not None:
                     unconnected.note(outcome.route.connection, outcome.failure)
             if progress is not None:
@@ -166,7 +168,7 @@ def _write_chunk(chunk: StoredChunk, routes: Mapping[int, OpenRoute], writer: Wr
         entry.messages_out += len(entries)
 
 
-def _write(outcome: _Outcome, writer: Writer, report: Report, on_error: str) -> None:
+def _write(outcome: _Outcome, writer: Writer, report: Report, on_error: str, levels: LevelFrames | None) -> None:
     """Write what a message became, and account for it."""
     route, log_time_ns, publish_time_ns, sequence, converted, passing, error = outcome
     if not route.writes:
@@ -188,7 +190,7 @@ def _write(outcome: _Outcome, writer: Writer, report: Report, on_error: str) -> 
         failed = error
         if failed is None:
             made = converted[output.place]
-            failed = made if isinstance(made, MessageError) else _write_one(made, output, outcome, writer)
+            failed = made if isinstance(made, MessageError) else _write_one(made, output, outcome, writer, levels)
         _count(output.report, failed)
         if failed is not None and all(failed.message != other.message for other in errors):
             errors.append(failed)
@@ -203,9 +205,14 @@ def _write(outcome: _Outcome, writer: Writer, report: Report, on_error: str) -> 
         report.list_skipped(Skipped(topic, log_time_ns, each.stamp_ns, each.message, each.hint or ""))
 
 
-def _write_one(made: Converted, output: Output, outcome: _Outcome, writer: Writer) -> MessageError | None:
+def _write_one(
+    made: Converted, output: Output, outcome: _Outcome, writer: Writer, levels: LevelFrames | None
+) -> MessageError | None:
     """Write what a message became to one topic, and account for it; return why that cannot be."""
     try:
+        if levels is not None and made.level is not None:
+            # Before the scan, so that whoever replays the recording knows its frame.
+            levels.write(made.level, outcome.log_time_ns, outcome.publish_time_ns, writer)
         writer.write(output.handle, outcome.log_time_ns, made.data, outcome.publish_time_ns, outcome.sequence)
     except UnwritableError as err:
         return err
@@ -214,6 +221,8 @@ def _write_one(made: Converted, output: Output, outcome: _Outcome, writer: Write
     output.report.empty_scans += made.empty
     if made.motion is not None:
         output.report.motions.append(made.motion)
+    if made.level is not None:
+        output.report.tilts.append(made.level.tilt)
     return None
 
 

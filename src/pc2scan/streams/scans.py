@@ -399,6 +399,10 @@ class _Conversion:
                 entry.messages_out += 1
                 entry.points += message.converted.counts
                 entry.empty_scans += message.converted.empty
+                if message.converted.motion is not None:
+                    entry.motions.append(message.converted.motion)
+                if message.converted.level is not None:
+                    entry.tilts.append(message.converted.level.tilt)
 
     def warnings(self) -> Sequence[str]:
         """Return what the user should know; see `Account`."""

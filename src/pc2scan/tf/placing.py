@@ -5,13 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
+from pc2scan.errors import UnconnectedError
+
 if TYPE_CHECKING:
-    from pc2scan.core.rigid import Rigid
+    from pc2scan.core.rigid import Rigid, TransformRow
 
     from .buffer import TransformBuffer
     from .levelling import UpSource
 
-__all__ = ["STABILIZED", "Frames", "Level", "Placement"]
+__all__ = ["STABILIZED", "Frames", "Level", "LevelTransform", "Placement"]
 
 #: What a level frame is called: the name of the frame that it is level with, and this.
 STABILIZED = "_stabilized"
@@ -38,6 +40,18 @@ class Level(NamedTuple):
     def name(self) -> str:
         """The name of the level frame."""
         return self.frame + STABILIZED
+
+    def at(self, stamp_ns: int) -> LevelTransform:
+        """Return it as a transform of a stamp: the level frame is a child of the other one."""
+        row = (self.frame, self.name, stamp_ns, *self.frame_from_level.pose)
+        return LevelTransform(row, self.tilt)
+
+
+class LevelTransform(NamedTuple):
+    """The transform of a level frame as a TFMessage has it, and its tilt, radians; see `Level`."""
+
+    row: TransformRow
+    tilt: float
 
 
 class Placement(NamedTuple):
@@ -100,14 +114,21 @@ class Frames:
         Raises
         ------
         TransformError
-            If it is not known which way is up.
+            If it is not known which way is up, or there is a frame of the level one's name.
         """
         if self.up is None:
             return None
         from pc2scan.core.upright import tilt, upright  # noqa: PLC0415  # only where scans are level
 
         up = self.up(frame, stamp_ns)
-        return Level(frame, upright(up), tilt(up))
+        level = Level(frame, upright(up), tilt(up))
+        if self.buffer is not None and self.buffer.history(level.name) is not None:
+            raise UnconnectedError(
+                f"the recording has a frame {level.name!r} already, which `level` would make",
+                stamp_ns=stamp_ns,
+                hint=f"`target_frame={level.name}` without `level` uses that one",
+            )
+        return level
 
     def transform(self, target: str, frame_id: str, stamp_ns: int) -> Rigid | None:
         """The transform that takes a message of this frame and stamp to another frame; None where it is the same.

@@ -216,6 +216,9 @@ class Deskew:
         source = self._frames.source_frame or points.frame_id
         target = self._frames.target_frame or source
         from_fixed = buffer.lookup(target, self._fixed, reference_ns, tolerance_ns)
+        level = self._frames.level(target, reference_ns)
+        if level is not None:
+            target, from_fixed = level.name, level.frame_from_level.inverse().compose(from_fixed)
         reference = from_fixed.compose(buffer.lookup(self._fixed, source, reference_ns, tolerance_ns))
         step_ns = max(_STEP_NS, (end_ns - begin_ns) // _MOST_NODES)
         stamps_ns, rows, gap_ns = buffer.rows(self._fixed, source, begin_ns, end_ns, step_ns, _step_ns)

@@ -1,0 +1,272 @@
+"""Scans of a robot that pitches and rolls, made level by the real command: by transforms, and by an IMU."""
+
+from __future__ import annotations
+
+import json
+from contextlib import closing
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import pytest
+
+from builders import definition
+from e2e.command import run
+from messages.test_imu import imu_message
+from moving_world import BEGIN_NS, Drive, Lidar, off_the_walls, returns_in_odom, write_world
+from pc2scan.bags.destinations import open_writer, plan_destination
+from pc2scan.bags.opening import open_recording
+from pc2scan.core.rigid import Rigid
+from pc2scan.messages.laserscan import LaserScan, decode_laserscan
+from pc2scan.messages.tfmessage import decode_transforms
+from pc2scan.model import Connection, Definition
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from e2e.command import Finished
+
+#: Three degrees, a little more than once a second.
+TILTING = Drive(speed=0.5, turn=0.0, tilt=float(np.radians(3.0)))
+#: Packets of 10 ms, in which little tilts.
+LIDAR = Lidar(kind="packets", columns=1800)
+#: How the IMU is mounted: upside down, and turned.
+MOUNT = Rigid.from_rpy(np.pi, 0.0, 0.5, (0.1, 0.0, 0.2))
+PARAMETERS = (
+    "--target-frame", "base_link", "--min-height", "0.1", "--max-height", "2", "--angle-increment", "0.2deg",
+    "--geometry", "centered", "--range-max", "30",
+)  # fmt: skip
+
+
+class Made(NamedTuple):
+    """What a conversion made: scans with their log times, and the transforms on /tf with theirs."""
+
+    done: Finished
+    scans: list[tuple[int, LaserScan]]
+    transforms: list[tuple[int, Any]]
+    report: dict[str, Any]
+
+    def off(self, drive: Drive) -> NDArray[np.float64]:
+        """How far returns are from the walls, by a robot that does not tilt."""
+        flat = replace(drive, tilt=0.0)
+        return np.concatenate([off_the_walls(returns_in_odom(scan, flat)) for _, scan in self.scans])
+
+
+def converted(folder: Path, *sources_and_options: Any, output: str = "b.mcap") -> Made:
+    done = run(
+        "convert", *sources_and_options, "-o", folder / output, "--overwrite", "--report", folder / "r.json",
+        *PARAMETERS,
+    )  # fmt: skip
+    report = json.loads((folder / "r.json").read_text()) if (folder / "r.json").exists() else {}
+    scans, transforms = [], []
+    if (folder / output).exists():
+        with closing(open_recording(folder / output)) as reader:
+            for message in reader.messages():
+                serial = message.connection.serialization
+                if message.connection.topic == "/scan":
+                    scans.append((message.log_time_ns, decode_laserscan(message.data, serial)))
+                elif message.connection.topic == "/tf":
+                    transforms += [(message.log_time_ns, row) for row in decode_transforms(message.data, serial)]
+    return Made(done, scans, transforms, report)
+
+
+def write_imu(
+    path: Path, drive: Drive, seconds: float = 2.0, *, orientation: bool = False, clock_ns: int = 0, gap: float = 0.0
+) -> Path:
+    """An IMU at 100 Hz from 20 s before on, with a bias; for ``gap`` seconds in the middle it is silent."""
+    writer = open_writer(plan_destination(path, source_ros_version=2), path, path.name)
+    text = Definition("ros2msg", definition("sensor_msgs/msg/Imu", 2).encode())
+    handle = writer.add_connection(Connection(0, "/imu", "sensor_msgs/msg/Imu", "cdr", text, ""))
+    times = np.arange(-20.0, seconds + 0.4, 0.01)
+    times = times[np.abs(times - seconds / 2) >= gap / 2]
+    ends = [drive.rotations(times + off) for off in (-5e-5, 5e-5)]
+    rates = MOUNT.matrix.T @ (np.einsum("nji,njk->nik", ends[0], ends[1]) - np.eye(3)) @ MOUNT.matrix / 1e-4
+    velocities = [(drive.positions(times + off) - drive.positions(times + off - 1e-3)) / 1e-3 for off in (0, 1e-3)]
+    felt = (velocities[1] - velocities[0]) / 1e-3 + (0.0, 0.0, 9.81)
+    attitudes = drive.rotations(times) @ MOUNT.matrix
+    for place, time in enumerate(times.tolist()):
+        log_time_ns = BEGIN_NS + round(time * 1e9)
+        rate = rates[place]
+        data = imu_message(
+            2,
+            orientation=drive.pose(time).compose(MOUNT).quaternion.tolist() if orientation else (0, 0, 0, 0),
+            first=(0.0, 0.0, 0.0),
+            turning=(rate[2, 1] + 0.02, rate[0, 2] - 0.02, rate[1, 0]),
+            acceleration=attitudes[place].T @ felt[place],
+            stamp_ns=log_time_ns + clock_ns,
+        )
+        writer.write(handle, log_time_ns, data, log_time_ns)
+    writer.finish()
+    return path
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("level")
+    return write_world(folder / "world.mcap", [LIDAR], TILTING)
+
+
+MOUNTED = ("--static-tf", "base_link imu_link " + " ".join(map(repr, MOUNT.pose)))
+
+
+def test_level_by_odometry_and_deskewed_every_return_is_on_its_wall_and_no_floor_appears(
+    tmp_path: Path, world: Path
+) -> None:
+    level = converted(tmp_path, world, "--level", "--deskew", "--fixed-frame", "odom")
+    off = level.off(TILTING)
+    assert len(off) > 20_000
+    assert off.max() < 0.02
+    # As it is, a fifth of all returns are floor.
+    asis = converted(tmp_path, world, "--deskew", "--fixed-frame", "odom")
+    assert {scan.frame_id for _, scan in asis.scans} == {"base_link"}
+    far = asis.off(TILTING)
+    assert np.mean(far > 0.5) > 0.1
+    assert far.max() > 3
+
+
+def test_level_alone_is_exact_to_the_tilt_within_a_cloud(tmp_path: Path, world: Path) -> None:
+    off = converted(tmp_path, world, "--level", "--fixed-frame", "odom").off(TILTING)
+    assert off.max() < 0.02
+
+
+@pytest.mark.parametrize("orientation", [True, False])
+def test_level_by_an_imu_that_is_mounted_upside_down(tmp_path: Path, world: Path, orientation: bool) -> None:
+    imu = write_imu(tmp_path / "imu.mcap", TILTING, orientation=orientation)
+    made = converted(tmp_path, world, imu, "--level", "--imu", "/imu", *MOUNTED)
+    off = made.off(TILTING)
+    assert off.max() < 0.02, (np.percentile(off, 99), off.max())
+    how = "by the orientations of" if orientation else "estimated by gyroscope and accelerometer of"
+    assert any(f"/imu: up is {'known ' if orientation else ''}{how}" in note for note in made.report["notes"])
+
+
+def test_the_scans_are_connected_with_the_target_frame(tmp_path: Path, world: Path) -> None:
+    made = converted(tmp_path, world, "--level", "--fixed-frame", "odom")
+    assert made.done.status == 0, made.done.stderr
+    assert {scan.frame_id for _, scan in made.scans} == {"base_link_stabilized"}
+    level = [(log, row) for log, row in made.transforms if row[1] == "base_link_stabilized"]
+    assert [(log, row[2]) for log, row in level] == [(log, scan.stamp_ns) for log, scan in made.scans]
+    flat = replace(TILTING, tilt=0.0)
+    for _, (parent, _, stamp_ns, *pose) in level:
+        assert parent == "base_link"
+        time = (stamp_ns - BEGIN_NS) / 1e9
+        placed = TILTING.pose(time).compose(Rigid.from_pose(tuple(pose)))
+        np.testing.assert_allclose(placed.matrix, flat.pose(time).matrix, atol=1e-4)
+        np.testing.assert_allclose(placed.translation, flat.pose(time).translation, atol=1e-9)
+    (entry,) = (topic for topic in made.report["topics"] if topic["action"] == "added")
+    assert (entry["topic"], entry["messages_out"]) == ("/tf", len(made.scans))
+    (entry,) = (topic for topic in made.report["topics"] if topic["action"] == "converted")
+    assert entry["tilt"]["largest_deg"] == pytest.approx(3.0, abs=0.1)
+    assert any("level by odom; base_link was tilted by up to 3 degrees" in note for note in made.report["notes"])
+    # Whoever reads the transforms finds the scans; nobody has to know of the level frame.
+    back = run("convert", tmp_path / "b.mcap", "-o", tmp_path / "c.mcap", "--reverse", "--target-frame", "odom")
+    assert back.status == 0, back.stderr
+
+
+@pytest.mark.parametrize("output", ["b.bag", "b.mcap", "folder"])
+def test_every_container(tmp_path: Path, world: Path, output: str) -> None:
+    made = converted(tmp_path, world, "--level", "--fixed-frame", "odom", output=output)
+    logs = [log for log, row in made.transforms if row[1] == "base_link_stabilized"]
+    assert logs == [log for log, _ in made.scans]
+    assert sum(row[1] == "base_link" for _, row in made.transforms) == 290
+    with closing(open_recording(tmp_path / output)) as reader:
+        times = [message.log_time_ns for message in reader.messages()]
+    assert times == sorted(times)
+
+
+def test_the_number_of_jobs_does_not_matter(tmp_path: Path, world: Path) -> None:
+    imu = write_imu(tmp_path / "imu.mcap", TILTING)
+    found = []
+    for jobs in ("1", "2", "8"):
+        converted(tmp_path, world, imu, "--level", "--imu", "/imu", *MOUNTED, "--jobs", jobs)
+        found.append((tmp_path / "b.mcap").read_bytes())
+    assert found[0] == found[1] == found[2]
+
+
+def test_a_cut_changes_nothing_in_what_is_left(tmp_path: Path, world: Path) -> None:
+    imu = write_imu(tmp_path / "imu.mcap", TILTING)
+    options = ("--level", "--imu", "/imu", *MOUNTED)
+    whole = {log: scan.ranges.tobytes() for log, scan in converted(tmp_path, world, imu, *options).scans}
+    cut = converted(tmp_path, world, imu, *options, "--start", "20.5", "--end", "21").scans
+    assert 10 < len(cut) < len(whole)
+    assert all(whole[log] == scan.ranges.tobytes() for log, scan in cut)
+
+
+def test_filters_see_the_level_frame(tmp_path: Path, world: Path) -> None:
+    options = ("--level", "--deskew", "--fixed-frame", "odom")
+    plain = converted(tmp_path, world, *options).report["topics"]
+    sloped = converted(tmp_path, world, *options, "--min-height-slope", "0").report["topics"]
+    counts = [next(t["points"] for t in topics if t["action"] == "converted") for topics in (plain, sloped)]
+    # The limit of the filter is min_height: what it rejects is what the projection would.
+    assert counts[0]["used"] == counts[1]["used"]
+    assert counts[1]["min_height_slope"] > 1000
+
+
+@pytest.mark.parametrize(
+    ("options", "message", "hint"),
+    [
+        (("--level",), "--level needs to know which way is up", "--fixed-frame odom; or an IMU: --imu /imu/data"),
+        (("--imu", "/imu"), "--imu goes with --level", ""),
+        (("--level", "--imu", "/imu:"), "it must be a topic, or a topic and a frame", "--imu /imu/data:imu_link"),
+        (("--level", "--imu", "/imu"), "no topic /imu in the recording", "Imu topics: none"),
+        (("--level", "--imu", "/points"), "topic /points is sensor_msgs/msg/PointCloud2", "Imu topics: none"),
+        (("--level", "--fixed-frame", "map"), "no transform has the target frame 'map'", "--static-tf"),
+    ],
+)
+def test_what_cannot_be_says_what_to_type(
+    tmp_path: Path, world: Path, options: tuple[str, ...], message: str, hint: str
+) -> None:
+    done = converted(tmp_path, world, *options).done
+    assert done.status in (1, 2)
+    assert message in done.stderr
+    assert hint in done.stderr
+
+
+def test_an_imu_whose_mount_is_not_known(tmp_path: Path, world: Path) -> None:
+    imu = write_imu(tmp_path / "imu.mcap", TILTING)
+    done = converted(tmp_path, world, imu, "--level", "--imu", "/imu").done
+    assert done.status != 0
+    assert "nothing can be converted: the IMU of /imu: no transform has the source frame 'imu_link'" in done.stderr
+    assert "--static-tf 'base_link imu_link 0 0 0 ROLL PITCH YAW'" in done.stderr
+    # With its mount wrong, the robot seems to drive on its head.
+    wrong = ("--static-tf", "base_link imu_link 0 0 0 0 0 0")
+    done = converted(tmp_path, world, imu, "--level", "--imu", "/imu", *wrong).done
+    assert "base_link is tilted by 17" in done.stderr
+    assert "--static-tf" in done.stderr
+
+
+def test_an_imu_with_a_gap_and_one_of_another_clock(tmp_path: Path, world: Path) -> None:
+    imu = write_imu(tmp_path / "imu.mcap", TILTING, gap=0.5)
+    made = converted(tmp_path, world, imu, "--level", "--imu", "/imu", *MOUNTED)
+    assert made.done.status == 3
+    (entry,) = (topic for topic in made.report["topics"] if topic["action"] == "converted")
+    assert entry["skipped"] == pytest.approx(50, abs=2)
+    assert "which way is up is not known at" in made.report["skipped"][0]["reason"]
+    assert made.off(TILTING).max() < 0.05
+    imu = write_imu(tmp_path / "other.mcap", TILTING, clock_ns=-BEGIN_NS + 10_000_000_000)
+    done = converted(tmp_path, world, imu, "--level", "--imu", "/imu", *MOUNTED).done
+    assert done.status == 1
+    assert "of another clock" in done.stderr
+
+
+def test_odometry_that_knows_no_tilt_and_a_frame_of_the_same_name(tmp_path: Path) -> None:
+    flat = write_world(tmp_path / "flat.mcap", [replace(LIDAR, columns=200)], replace(TILTING, tilt=0.0), seconds=0.5)
+    done = converted(tmp_path, flat, "--level", "--fixed-frame", "odom").done
+    assert "base_link is never tilted, so --level has no effect" in done.stderr
+    again = converted(tmp_path, tmp_path / "b.mcap", "--level", "--fixed-frame", "odom", output="c.mcap").done
+    assert again.status != 0
+
+
+def test_a_dry_run_tells_of_the_transforms(tmp_path: Path, world: Path) -> None:
+    done = run(
+        "convert", world, "-o", tmp_path / "b.mcap", "-n", "--level", "--fixed-frame", "odom", *PARAMETERS,
+    )  # fmt: skip
+    assert done.status == 0, done.stderr
+    assert "from --level" in done.stdout
+
+
+def test_clouds_are_not_made_level(tmp_path: Path, world: Path) -> None:
+    done = run("convert", world, "-o", tmp_path / "b.mcap", "--reverse", "--level", "--fixed-frame", "odom")
+    assert done.status == 2
+    assert "--level makes scans level; --reverse makes clouds" in done.stderr
