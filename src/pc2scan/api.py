@@ -17,11 +17,12 @@ from .requests import (
     moments_of,
     parameter_names,
     resolved_parameters,
+    scans_of,
     selection_of,
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Sequence
     from typing import Any
 
     from .arguments import PathText
@@ -89,6 +90,7 @@ def convert(
     preset: str | None = None,
     params_file: PathText | None = None,
     node: str | None = None,
+    scans: PathText | Mapping[str, Any] | Sequence[Any] | None = None,
     topics: str | Iterable[str] = (),
     keep: str | Iterable[str] = (),
     drop: str | Iterable[str] = (),
@@ -151,6 +153,10 @@ def convert(
         A consumer of the scans: what suits it.
     params_file, node
         A ROS parameter file, and the node whose section of it counts. Beats ``preset``.
+    scans
+        Several outputs, each with sources, parameters and choices of its own: a YAML or JSON file, or what such a file
+        has: ``{"/scan": {"min_height": 0.1}, "/low": {"max_height": 0.1}}``. Parameters by name beat all outputs'; the
+        other arguments that an output has cannot be given too.
     topics
         What to convert, as ``/points`` or ``/points:=/scan``. Default: every PointCloud2 topic.
     keep, drop
@@ -247,8 +253,24 @@ def convert(
     """
     from .pipeline.run import OutputOptions, run  # noqa: PLC0415
 
+    several = None
+    if scans is not None:
+        own: dict[str, object] = {
+            "params": params,
+            "preset": preset,
+            "params_file": params_file,
+            "node": node,
+            "topics": topics,
+        }
+        own |= {"where": where, "exclude_box": exclude_box, "exclude_polygon": exclude_polygon, "deskew": deskew}
+        own |= {"min_height_slope": min_height_slope, "filters": filters, "fixed_frame": fixed_frame}
+        own |= {"point_time": point_time, "stamp": stamp != "header", "reverse": reverse, "channels": channels}
+        own["range_cutoff"] = range_cutoff
+        several = scans_of(scans, parameters, own)
+        parameters = {}
     resolved = resolved_parameters(params, preset, params_file, node, parameters, reverse=reverse)
     options = ConvertOptions.of(
+        scans=several.specs if several is not None else (),
         params=resolved.params,
         reverse=resolved.reverse,
         channels=channels_of(channels, range_cutoff),
@@ -288,16 +310,20 @@ def convert(
         report=None if report is None else path_of("report", report),
     )
     files = {"`params_file`": params_file, "`static_tf_file`": static_tf_file}
+    also_read = {name: path_of(name.strip("`"), file) for name, file in files.items() if file is not None}
+    if several is not None:
+        also_read |= {f"{file.name} (from `scans`)": file for file in several.files}
     done = run(
         paths_in("sources", sources),
         path,
         options,
         output,
         origins=resolved.origin,
-        also_read={name: path_of(name.strip("`"), file) for name, file in files.items() if file is not None},
+        also_read=also_read,
         progress=progress,
     )
-    done.warnings += [f"not a parameter of the projection, ignored: {origin}" for origin in resolved.ignored]
+    left = resolved.ignored if several is None else several.ignored
+    done.warnings += [f"not a parameter of the projection, ignored: {origin}" for origin in left]
     return done
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, replace
 from typing import TYPE_CHECKING, cast
 
@@ -14,7 +14,6 @@ from .pipeline.options import ConvertOptions, TimeBound, destination_and_folder
 from .tf.options import FrameOptions, StaticTransform
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
     from pathlib import Path
     from typing import Any
 
@@ -22,6 +21,7 @@ if TYPE_CHECKING:
     from .core.unproject import UnprojectParams
     from .pipeline.options import Time
     from .pipeline.param_sources import ResolvedSources
+    from .pipeline.scans_file import ScansFile
     from .pipeline.stages.filters import Filter
     from .streams.stream import Selection
 
@@ -34,6 +34,7 @@ __all__ = [
     "parameter_names",
     "params_from_file",
     "resolved_parameters",
+    "scans_of",
     "selection_of",
 ]
 
@@ -72,6 +73,28 @@ def resolved_parameters(
     refuse_degrees(angles | dict(parameters), dict.fromkeys(PARAMETERS, CALL))
     origins = {name: CALL if getattr(params, name) != row.default else "default" for name, row in PARAMETERS.items()}
     return ResolvedSources(replace(params, **parameters), origins | dict.fromkeys(parameters, CALL), reverse)
+
+
+def scans_of(
+    scans: PathText | Mapping[str, Any] | Sequence[Any], parameters: Mapping[str, Any], others: Mapping[str, object]
+) -> ScansFile:
+    """Read several outputs.
+
+    Parameters
+    ----------
+    parameters
+        Of the projection; they beat those of the outputs.
+    others
+        What cannot be given too, by name.
+    """
+    from .pipeline.parameters import CALL, Setting  # noqa: PLC0415
+    from .pipeline.scans_file import load_scans, refuse_beside  # noqa: PLC0415
+
+    refuse_beside(others)
+    settings = [Setting(name, _plain(value), CALL) for name, value in parameters.items()]
+    if isinstance(scans, Mapping) or (isinstance(scans, Sequence) and not isinstance(scans, str)):
+        return load_scans(scans, settings)
+    return load_scans(path_of("scans", scans), settings)
 
 
 def params_from_file(path: PathText, node: str | None, changes: Mapping[str, Any]) -> ProjectionParams:

@@ -8,6 +8,7 @@ from pc2scan.errors import TopicError
 from pc2scan.model import Connection
 from pc2scan.pipeline.options import ConvertOptions, TopicRequest
 from pc2scan.pipeline.plan import Plan, make_plan
+from pc2scan.pipeline.scan_spec import ScanSpec
 
 CLOUD, IMU, SCAN = "sensor_msgs/PointCloud2", "sensor_msgs/msg/Imu", "sensor_msgs/LaserScan"
 
@@ -139,3 +140,13 @@ def test_a_cloud_that_ros_did_not_serialise_is_not_converted() -> None:
     connections = [Connection(1, "/points", "sensor_msgs/msg/PointCloud2", "json")]
     with pytest.raises(TopicError, match="in json"):
         make_plan(connections, ConvertOptions())
+
+
+def test_an_output_without_sources_has_the_only_topic() -> None:
+    spec = ScanSpec(name="/low", place="scans.yaml, line 3")
+    options = ConvertOptions(scans=(spec, ScanSpec(name="/high", topics=(TopicRequest("/a", "/high"),))))
+    (route,) = make_plan([Connection(1, "/a", CLOUD, "ros1")], options).routes
+    assert [(task.spec.name, task.targets) for task in route.tasks] == [("/low", ("/low",)), ("/high", ("/high",))]
+    two = [Connection(i, topic, CLOUD, "ros1") for i, topic in enumerate(("/a", "/b"))]
+    with pytest.raises(TopicError, match=r"scans.yaml, line 3, /low: it has no `sources`, and the recording has sev"):
+        make_plan(two, options)

@@ -246,6 +246,16 @@ def length(option: str, text: str) -> float:
 class ProjectionGroup(Group):
     """Options with parameters of the projection."""
 
+    scans: Annotated[
+        Path | None,
+        typer.Option(
+            "--scans",
+            metavar="FILE",
+            help="A YAML file with several outputs, each with sources, parameters and choices of its own. Parameters "
+            "on the command line beat those of all outputs.",
+            rich_help_panel=_TOPICS,
+        ),
+    ] = None
     params_file: Annotated[
         Path | None,
         typer.Option(
@@ -637,14 +647,16 @@ class ConversionGroup(Group):
     reverse: ReverseGroup
     running: RunGroup
 
-    #: What a launch file names; found with the options.
-    files = tuple[Path, ...]()
+    #: What other files name, by option; found with the options.
+    files = tuple[tuple[str, Path], ...]()
 
     def options(self, *, ros_distro: str = "") -> "tuple[ConvertOptions, Mapping[str, str]]":
         """Return the library's options, and the origin of each parameter.
 
         Other entries of a parameter file are reported on standard error.
         """
+        if self.projection.scans is not None:
+            return self._several(self.projection.scans, ros_distro), {}
         from pc2scan.pipeline.param_sources import resolve_sources
 
         asked = self.projection
@@ -657,15 +669,14 @@ class ConversionGroup(Group):
             preset=asked.preset,
             reverse=self.reverse.reverse,
         )
-        self.files = resolved.files
+        self.files = tuple(("--params-file", path) for path in resolved.files)
         for origin in resolved.ignored:
             warn(f"not a parameter of the projection, ignored: {origin}")
 
         from pc2scan.pipeline.options import ConvertOptions
 
-        topics, running = self.topics, self.running
         frames = self.frames.options()
-        names = topics.topics
+        names = self.topics.topics
         if asked.remap and names:
             raise UsageError(
                 "--topic and --remap say the same in two ways; give one of them", hint="--topic /points:=/scan is both"
@@ -693,26 +704,56 @@ class ConversionGroup(Group):
             filters=tuple(self.points.filters(resolved.params.min_height)),
             frames=frames,
             topics=names,
-            keep=topics.keep,
-            drop=topics.drop,
-            keep_clouds=topics.keep_clouds,
-            only_scans=topics.only_scans,
-            start=topics.start,
-            end=topics.end,
-            on_error=running.on_error,
-            fail_on=running.fail_on or "",
-            min_used=share(running.min_used),
-            ros_distro=ros_distro,
-            jobs=running.jobs,
-            verify=not running.no_verify,
-            strict=running.strict,
+            **self._common(ros_distro),
         )
         return options, resolved.origin
+
+    def _common(self, ros_distro: str) -> dict[str, Any]:
+        """What is the same for all outputs."""
+        topics, running = self.topics, self.running
+        return {
+            "keep": topics.keep,
+            "drop": topics.drop,
+            "keep_clouds": topics.keep_clouds,
+            "only_scans": topics.only_scans,
+            "start": topics.start,
+            "end": topics.end,
+            "on_error": running.on_error,
+            "fail_on": running.fail_on or "",
+            "min_used": share(running.min_used),
+            "ros_distro": ros_distro,
+            "jobs": running.jobs,
+            "verify": not running.no_verify,
+            "strict": running.strict,
+        }
+
+    def _several(self, file: Path, ros_distro: str) -> "ConvertOptions":
+        """Return the options of several outputs."""
+        from pc2scan.pipeline.options import ConvertOptions
+        from pc2scan.pipeline.param_assignment import parse_param
+        from pc2scan.pipeline.scans_file import load_scans, refuse_beside
+
+        asked, points, moving, reverse = self.projection, self.points, self.moving, self.reverse
+        others: dict[str, object] = {"topics": self.topics.topics, "remap": asked.remap, "preset": asked.preset}
+        others |= {"params_file": asked.params_file, "node": asked.node, "launch_args": asked.launch_args}
+        others |= {"where": points.where, "exclude_box": points.exclude_box, "exclude_polygon": points.exclude_polygon}
+        others |= {"min_height_slope": points.min_height_slope, "deskew": moving.deskew}
+        others |= {"fixed_frame": moving.fixed_frame, "point_time": moving.point_time}
+        others |= {"stamp": moving.stamp != "header", "reverse": reverse.reverse, "channels": reverse.channels}
+        others |= {"range_cutoff": reverse.range_cutoff}
+        refuse_beside(others)
+        settings = [*asked.given.settings, *(parse_param(text) for text in reversed(asked.param))]
+        found = load_scans(file, settings)
+        self.files = tuple(("--scans", path) for path in found.files)
+        for origin in found.ignored:
+            warn(f"not a parameter of the projection, ignored: {origin}")
+        return ConvertOptions.of(scans=found.specs, frames=self.frames.options(), **self._common(ros_distro))
 
     def read_files(self) -> dict[str, Path]:
         """Return the files that were read for the options, by option, without recordings."""
         named = {"--params-file": self.projection.params_file, "--static-tf-file": self.frames.static_tf_file}
-        further = {f"{path.name} (from --params-file)": path for path in self.files}
+        named["--scans"] = self.projection.scans
+        further = {f"{path.name} (from {option})": path for option, path in self.files}
         return {option: path for option, path in named.items() if path is not None} | further
 
 

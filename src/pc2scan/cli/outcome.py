@@ -17,9 +17,13 @@ if TYPE_CHECKING:
 
     from pc2scan.pipeline.each import Each, Outcome
     from pc2scan.pipeline.report import Report, Skipped
+    from pc2scan.pipeline.scan_spec import ScanSpec
 
 __all__ = ["conclude", "show", "show_each", "show_next", "show_outcome"]
 
+
+#: The frame of scans without a target frame.
+_OWN = "each message's own"
 
 #: What users call containers.
 _CONTAINERS = {"rosbag1": "ROS 1 bag", "rosbag2": "rosbag2 directory", "mcap": "MCAP file"}
@@ -30,21 +34,23 @@ def show(report: Report, *, verbose: bool = False) -> None:
     if report.dry_run:
         typer.echo(printable(f"dry run, nothing is written: {', '.join(report.sources)}"))
         typer.echo()
-    names = [
-        name for name in PARAMETERS if verbose or (report.dry_run and report.origins.get(name, "default") != "default")
-    ]
-    if names:
-        table(
-            ("parameter", "value", "from"),
-            [(name, in_words(getattr(report.params, name)), report.origins.get(name, "default")) for name in names],
-            left=("parameter", "from"),
-        )
-        typer.echo()
+    for spec in report.scans:
+        names = [name for name in PARAMETERS if verbose or (report.dry_run and _origin(spec, name) != "default")]
+        if spec.name and names:
+            typer.echo(printable(f"{spec.name}:"))
+        if names:
+            table(
+                ("parameter", "value", "from"),
+                [(name, in_words(getattr(spec.params, name)), _origin(spec, name)) for name in names],
+                left=("parameter", "from"),
+            )
+            typer.echo()
     show_parts(report.tables())
     written, read = size(report.bytes_written), size(report.bytes_read)
     if report.dry_run:
-        frame = f"{report.params.target_frame!r}" if report.params.target_frame else "each message's own"
-        typer.echo(printable(f"frame: {frame}; points: those of the first messages"))
+        frames = [repr(spec.params.target_frame) if spec.params.target_frame else _OWN for spec in report.scans]
+        named = ", ".join(dict.fromkeys(frames))
+        typer.echo(printable(f"frame{'s' * (',' in named)}: {named}; points: those of the first messages"))
         typer.echo(printable(f"{report.destination}: {_CONTAINERS[report.container]}, about {written} from {read}"))
     else:
         typer.echo(printable(f"{report.destination}: {written} from {read} in {duration(report.seconds)}"))
@@ -53,6 +59,10 @@ def show(report: Report, *, verbose: bool = False) -> None:
         converts = any(topic.action == "converted" for topic in report.topics)
         hint = ": --profile ros2 for ros2 tools" if converts and report.ros_version == 1 else ""
         typer.echo(f"MCAP, ROS {report.ros_version} profile{hint}")
+
+
+def _origin(spec: ScanSpec, name: str) -> str:
+    return spec.origins.get(name, "default")
 
 
 def show_next(report: Report) -> None:

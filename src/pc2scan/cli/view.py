@@ -50,6 +50,9 @@ def view(
     A recording without clouds is shown by its scans.
     """
     options, _ = conversion.options()
+    if options.scans[1:]:
+        warn(f"only the first of {len(options.scans)} outputs is shown: {options.scans[0].name}")
+    options = options.first
 
     from pc2scan.look.view import view as write
     from pc2scan.pipeline.options import TimeBound

@@ -358,5 +358,5 @@ class ConvertOptions:
         spec = self.specs[0]
         if not self.scans:
             return self
-        own = {each.name: getattr(spec, each.name) for each in fields(spec) if each.name != "name"}
+        own = {each.name: getattr(spec, each.name) for each in fields(spec) if each.name not in {"name", "place"}}
         return replace(self, scans=(), **own)

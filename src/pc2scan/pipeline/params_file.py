@@ -114,7 +114,7 @@ def load_params_file(path: Path, *, node: str | None = None, arguments: Mapping[
             f"{path}: is a Python program, which is not executed",
             hint="give the parameter file that it names; of a running node `ros2 param dump` writes one",
         )
-    text = _read_text(path)
+    text = read_text(path)
     if is_launch_xml(text):
         return _from_launch(text, path, node, arguments or {})
     if arguments:
@@ -152,7 +152,7 @@ def _from_launch(text: str, path: Path, node: str | None, arguments: Mapping[str
         place = f"{path}, line {param.line}"
         if param.kind == "file":
             file = Path(param.value)
-            inner = _read_text(file)
+            inner = read_text(file)
             if is_launch_xml(inner):
                 raise ParameterError(f"{file}: is a launch file, where parameters are expected (from {place})")
             files.append(file)
@@ -212,7 +212,7 @@ def _as_bool(name: str, value: object) -> object:
     return value
 
 
-def _read_text(path: Path) -> str:
+def read_text(path: Path) -> str:
     try:
         with opened_bytes(path) as file:
             data = file.read(MAX_FILE_BYTES + 1)

@@ -79,7 +79,7 @@ def make_plan(connections: Sequence[Connection], options: ConvertOptions) -> Pla
         is already in the source.
     """
     specs = () if options.repair else options.specs
-    targets = {spec: _targets(connections, spec, options.drop) for spec in specs}
+    targets = {spec: _placed_targets(connections, spec, options.drop) for spec in specs}
     routes = []
     for connection in connections:
         topic, kind = connection.topic, _kind(connection)
@@ -93,6 +93,18 @@ def make_plan(connections: Sequence[Connection], options: ConvertOptions) -> Pla
     _refuse_collisions(routes)
     converted = {topic for found in targets.values() for topic in found}
     return Plan(tuple(routes), specs, tuple(_idle_patterns(connections, options, converted)))
+
+
+def _placed_targets(
+    connections: Sequence[Connection], spec: ScanSpec, drop: Sequence[str]
+) -> dict[str, tuple[str, ...]]:
+    """The same as `_targets`; an error says which output it is about."""
+    try:
+        return _targets(connections, spec, drop)
+    except TopicError as err:
+        if spec.place:
+            err.message = f"{spec.place}, {spec.name}: {err.message}"
+        raise
 
 
 def _targets(connections: Sequence[Connection], spec: ScanSpec, drop: Sequence[str]) -> dict[str, tuple[str, ...]]:
@@ -111,6 +123,14 @@ def _targets(connections: Sequence[Connection], spec: ScanSpec, drop: Sequence[s
         if not requests:
             raise TopicError(_nothing_to_convert(types, candidates, convertible), hint=_other_direction(types, spec))
     single = len(requests) == 1
+    if spec.name and not spec.topics:
+        if not single:
+            raise TopicError(
+                f"it has no `sources`, and the recording has several {short_types(convertible)} topics: "
+                f"{name_list(candidates)}",
+                hint=f"write sources: {candidates[0]}",
+            )
+        return dict.fromkeys(requests, (spec.name,))
     name = spec.output.name
 
     def named(topic: str, target: str | None) -> str:
@@ -154,7 +174,7 @@ def _refuse_collisions(routes: Sequence[Route]) -> None:
                 hint=f"give one of them another topic: `topics={topic}:={target}_2`",
             )
         if spec is not own:
-            raise TopicError(f"{spec.name} and {own.name} would both become {target}")
+            raise TopicError(f"{spec.name} ({spec.place}) and {own.name} ({own.place}) would both become {target}")
     for target, (source, spec) in origin.items():
         if target in passing:
             taken = passing | origin.keys()

@@ -461,9 +461,11 @@ class Report(Shown):
             "container": self.container or None,
             "ros_version": self.ros_version or None,
             **_spec_as_dict(self.scans[0]),
+            "scans": [{"name": spec.name, **_spec_as_dict(spec)} for spec in self.scans if spec.name],
             "topics": [
                 {
                     **{f.name: getattr(topic, f.name) for f in fields(topic) if f.name not in _NOT_AS_THEY_ARE},
+                    "scan": topic.spec.name if topic.spec else "",
                     "motion": topic.motion,
                     "tilt": topic.tilt,
                     "points": topic.points.as_dict(),

@@ -58,7 +58,10 @@ class ScanSpec:
         What to convert and where to; empty means every topic of `source_types`. Messages that go to several topics are
         converted once.
     name
-        What errors and the report call it; empty where there is only one.
+        What errors and the report call it, and without ``topics`` where the only topic goes that can be converted.
+        Empty where the command line describes the output.
+    place
+        Where it is described, for errors.
     origins
         Where each parameter's value came from, by name; ``default`` if from nowhere.
     params
@@ -91,6 +94,7 @@ class ScanSpec:
 
     topics: tuple[TopicRequest, ...] = ()
     name: str = ""
+    place: str = ""
     origins: Mapping[str, str] = field(default_factory=dict)
     params: ProjectionParams = ProjectionParams()
     reverse: bool = False

@@ -1,0 +1,351 @@
+"""Several outputs of one conversion, as a file (``scans.yaml``) or Python's dicts and lists describe them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+
+from pc2scan.errors import ParameterError, UsageError
+from pc2scan.names import did_you_mean
+
+from .param_sources import resolve_sources
+from .parameters import ALIASES, PARAMETERS, Setting, names_of, shown
+from .scan_spec import ScanSpec, TopicRequest
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+__all__ = ["CHOICES", "Choice", "ScansFile", "load_scans", "refuse_beside"]
+
+#: Deeper nesting than any such file has.
+_MAX_DEPTH = 20
+
+
+class Choice(NamedTuple):
+    """What an output may have besides the parameters of the projection.
+
+    ``kind`` is ``text``, ``texts`` (one or a list), ``flag`` or ``number``; ``words`` are the only texts that are
+    possible; ``help`` is for the JSON schema.
+    """
+
+    kind: Literal["text", "texts", "flag", "number"]
+    help: str
+    words: tuple[str, ...] = ()
+
+
+#: By key. Those that are attributes of `ScanSpec` are taken over; `_filters` and `_spec` read the others.
+CHOICES: Mapping[str, Choice] = {
+    "sources": Choice("texts", "Topic, or topics, that become this output. Default: the only topic with clouds."),
+    "preset": Choice("text", "A consumer of the scans: parameters that suit it."),
+    "params_file": Choice("text", "A ROS parameter file, relative to this file. It beats the preset."),
+    "node": Choice("text", "Whose section of the parameter file is taken."),
+    "where": Choice("texts", "Use only points whose fields fulfil this: ring in (3, 4) and intensity > 10."),
+    "exclude_box": Choice("texts", "Reject points in a box: frame x0 x1 y0 y1 z0 z1."),
+    "exclude_polygon": Choice("texts", "Reject points in a polygon: frame x0 y0 x1 y1 x2 y2 ..."),
+    "min_height_slope": Choice("number", "Reject points below min_height + this * range."),
+    "deskew": Choice("flag", "Transform each point by the pose at its own time, through fixed_frame."),
+    "fixed_frame": Choice("text", "A frame that does not move, such as odom."),
+    "point_time": Choice("text", "Field with the times of points, and its unit: t or t:ns."),
+    "stamp": Choice("text", "The time of a deskewed scan.", ("header", "start", "middle", "end")),
+}
+
+_TOP = ("defaults", "scans")
+
+
+@dataclass(frozen=True, slots=True)
+class ScansFile:
+    """What `load_scans` read.
+
+    Attributes
+    ----------
+    specs
+        The outputs, in their order.
+    files
+        All files that were read.
+    ignored
+        Where parameter files have something that is no parameter of the projection.
+    """
+
+    specs: tuple[ScanSpec, ...]
+    files: tuple[Path, ...] = ()
+    ignored: tuple[str, ...] = ()
+
+
+class _Entry(NamedTuple):
+    """A value: a dict or a list of further ones, or a scalar; and where it is, for people."""
+
+    value: Any
+    place: str
+
+
+def load_scans(asked: Path | Mapping[str, Any] | Sequence[Any], overriding: Sequence[Setting] = ()) -> ScansFile:
+    """Read and check outputs.
+
+    Parameters
+    ----------
+    asked
+        A YAML or JSON file, or what such a file has: a mapping with ``scans`` and perhaps ``defaults``. ``scans`` is a
+        mapping from topics to what they have, or a list of mappings with a ``topic`` each. Of a mapping or a list that
+        has not these keys, the outputs themselves.
+    overriding
+        Parameters that count for all outputs, and beat what is written there; the strongest first.
+
+    Returns
+    -------
+    ScansFile
+        Everything is checked that can be without the recording.
+
+    Raises
+    ------
+    UsageError
+        With the place, if something is not as it must be.
+    """
+    if isinstance(asked, Path):
+        root, base = _read(asked), asked.parent
+    else:
+        root, base = _of_python(asked, "scans", 0), Path()
+        if isinstance(root.value, list) or (isinstance(root.value, dict) and not root.value.keys() & set(_TOP)):
+            root = _Entry({"scans": root}, root.place)
+    if not isinstance(root.value, dict):
+        raise UsageError(f"{root.place}: expected scans, got {_found(root)}", hint=_EXAMPLE)
+    for key, entry in root.value.items():
+        if key not in _TOP:
+            raise UsageError(f"{entry.place}: unknown key {key!r}", hint=did_you_mean(key, _TOP) or _EXAMPLE)
+    defaults = root.value.get("defaults", _Entry({}, root.place))
+    if not isinstance(defaults.value, dict):
+        raise UsageError(f"{defaults.place}: `defaults` must be a mapping, got {_found(defaults)}", hint=_EXAMPLE)
+    files = [asked] if isinstance(asked, Path) else []
+    ignored: list[str] = []
+    specs: list[ScanSpec] = []
+    for topic, entry in _outputs(root):
+        made, read, left = _spec(topic, entry, defaults, overriding, base)
+        specs.append(made)
+        files += (file for file in read if file not in files)
+        ignored += (origin for origin in left if origin not in ignored)
+    return ScansFile(tuple(specs), tuple(files), tuple(ignored))
+
+
+_EXAMPLE = "write scans: {/scan: {min_height: 0.1}, /scan_low: {max_height: 0.1}}"
+
+
+def _read(path: Path) -> _Entry:
+    from .params_file import read_text  # noqa: PLC0415  # only where a file is given
+    from .yaml_nodes import compose  # noqa: PLC0415
+
+    text = read_text(path)
+    root = compose(text, str(path))
+    if root is None:
+        raise UsageError(f"{path}: the file is empty", hint=_EXAMPLE)
+    return _Reader(path, len(text)).entry(root, "", 0)
+
+
+class _Reader:
+    """Turns the nodes of a file into entries; there are at most as many as the file has characters."""
+
+    def __init__(self, path: Path, most: int) -> None:
+        self._path = path
+        self._left = most + 1
+
+    def entry(self, node: Any, name: str, depth: int, line: int = 1) -> _Entry:
+        """Read a node; its place is ``line``, the one of its key."""
+        from .yaml_nodes import is_empty, is_mapping, is_scalar, scalar_value  # noqa: PLC0415  # loaded by now
+
+        place = f"{self._path}, line {line}"
+        self._left -= 1
+        if self._left < 0:
+            raise UsageError(f"{self._path}: its aliases multiply to more values than the file has characters")
+        if depth > _MAX_DEPTH:
+            raise UsageError(f"{place}: nested more than {_MAX_DEPTH} levels deep")
+        if is_empty(node):
+            return _Entry({} if depth < 3 else None, place)
+        if is_scalar(node):
+            return _Entry(scalar_value(node, name, place, ros1=False), place)
+        if not is_mapping(node):
+            items = [self.entry(each, name, depth + 1, each.start_mark.line + 1) for each in node.value]
+            return _Entry(items, place)
+        found: dict[str, _Entry] = {}
+        for key, value in node.value:
+            at = key.start_mark.line + 1
+            if not is_scalar(key):
+                raise UsageError(f"{self._path}, line {at}: a key must be plain text")
+            text = str(key.value)
+            if text in found:
+                raise UsageError(f"{self._path}, line {at}: {text!r} is there twice, first in {found[text].place}")
+            found[text] = self.entry(value, text, depth + 1, at)
+        return _Entry(found, place)
+
+
+def _of_python(value: Any, place: str, depth: int) -> _Entry:
+    if depth > _MAX_DEPTH:
+        raise UsageError(f"{place}: nested more than {_MAX_DEPTH} levels deep")
+    if isinstance(value, Mapping):
+        for key in value:
+            if not isinstance(key, str):
+                raise TypeError(f"{place} has the key {key!r}, it must be text")
+        return _Entry({key: _of_python(each, f"{place}[{key!r}]", depth + 1) for key, each in value.items()}, place)
+    if isinstance(value, Sequence) and not isinstance(value, str | bytes):
+        return _Entry([_of_python(each, f"{place}[{n}]", depth + 1) for n, each in enumerate(value)], place)
+    plain = value.item() if hasattr(value, "item") and getattr(value, "ndim", None) == 0 else value
+    return _Entry(plain, place)
+
+
+def _outputs(root: _Entry) -> Iterator[tuple[str, _Entry]]:
+    """Each output's topic, and what it has."""
+    scans = root.value.get("scans")
+    if scans is None or not isinstance(scans.value, dict | list) or not scans.value:
+        found = "there are none" if scans is None or scans.value in ({}, [], None) else f"got {_found(scans)}"
+        raise UsageError(f"{(scans or root).place}: expected outputs under `scans`, {found}", hint=_EXAMPLE)
+    seen: dict[str, str] = {}
+    for topic, entry in _named(scans):
+        if not isinstance(entry.value, dict):
+            raise UsageError(f"{entry.place}: {topic} must be a mapping, got {_found(entry)}", hint=_EXAMPLE)
+        full = topic if topic.startswith(("/", "~")) else f"/{topic}"
+        if not topic.strip() or any(character.isspace() for character in topic) or ":=" in topic:
+            raise UsageError(f"{entry.place}: {topic!r} is not a topic", hint=_EXAMPLE)
+        if full in seen:
+            raise UsageError(f"{entry.place}: {full} is there twice, first in {seen[full]}")
+        seen[full] = entry.place
+        yield full, entry
+
+
+def _named(scans: _Entry) -> Iterator[tuple[str, _Entry]]:
+    if isinstance(scans.value, dict):
+        yield from scans.value.items()
+        return
+    for entry in scans.value:
+        topic = entry.value.get("topic") if isinstance(entry.value, dict) else None
+        if topic is None or not isinstance(topic.value, str):
+            raise UsageError(f"{entry.place}: an output in a list needs a `topic`", hint="write - topic: /scan")
+        yield topic.value, _Entry({key: each for key, each in entry.value.items() if key != "topic"}, entry.place)
+
+
+def _spec(
+    topic: str, entry: _Entry, defaults: _Entry, overriding: Sequence[Setting], base: Path
+) -> tuple[ScanSpec, Iterable[Path], Iterable[str]]:
+    """One output: key by key what it has itself, or else what the defaults have."""
+    settings = list(overriding)
+    chosen: dict[str, _Entry] = {}
+    for each, source in ((entry, "output"), (defaults, "defaults")):
+        for key, found in each.value.items():
+            name = ALIASES.get(key, key)
+            if name in PARAMETERS:
+                settings.append(Setting(name, _scalar(found, key), f"{found.place}, {key}", source))
+            elif key in CHOICES:
+                chosen.setdefault(key, found)
+            else:
+                known = (*names_of("pointcloud_to_laserscan"), *CHOICES)
+                near = did_you_mean(key, known)
+                raise UsageError(
+                    f"{found.place}: unknown key {key!r}",
+                    hint=near or f"an output has {', '.join(CHOICES)}, and the parameters of pointcloud_to_laserscan",
+                )
+    values = {key: _chosen(key, found) for key, found in chosen.items()}
+    with _placed(entry, topic, chosen):
+        file = Path(base, values["params_file"]) if "params_file" in values else None
+        resolved = resolve_sources(settings, file=file, node=values.get("node"), preset=values.get("preset"))
+        if resolved.reverse:
+            raise UsageError(f"{file} is for laserscan_to_pointcloud, scans are made of clouds")
+        sources = values.get("sources", [request.partition(":=")[0] for request in resolved.topics])
+        spec = ScanSpec(
+            name=topic,
+            place=entry.place,
+            topics=tuple(TopicRequest(_topic(source), topic) for source in sources),
+            origins=resolved.origin,
+            params=resolved.params,
+            filters=tuple(_filters(values, resolved.params.min_height)),
+            **{name: value for name, value in values.items() if name in ScanSpec.__dataclass_fields__},
+        )
+    return spec, (() if file is None else (file, *resolved.files)), resolved.ignored
+
+
+def _filters(values: Mapping[str, Any], min_height: float) -> Iterable[Any]:
+    names = ("where", "exclude_box", "exclude_polygon")
+    slope = values.get("min_height_slope")
+    if slope is None and not any(name in values for name in names):
+        return ()
+    from .stages.texts import filters_from  # noqa: PLC0415  # only where something is selected
+
+    where, box, polygon = (values.get(name, ()) for name in names)
+    return filters_from(where, box, polygon, slope, min_height)
+
+
+def _topic(source: str) -> str:
+    if ":=" in source or not source:
+        raise UsageError(f"`sources` has {source!r}, which is not a topic", hint="an output's topic is its key")
+    return source
+
+
+@contextmanager
+def _placed(entry: _Entry, topic: str, chosen: Mapping[str, _Entry]) -> Iterator[None]:
+    """Say in errors which output they are about, and where it is."""
+    try:
+        yield
+    except UsageError as err:
+        # Whoever is blamed by name has a line of its own.
+        named = next((found for key, found in chosen.items() if f"`{key}`" in err.message), entry)
+        if not err.message.startswith(named.place):
+            err.message = f"{named.place}, {topic}: {err.message}"
+        raise
+
+
+def _scalar(entry: _Entry, key: str) -> Any:
+    if isinstance(entry.value, dict | list):
+        raise ParameterError(f"{entry.place}: {key} must be a single value, got {_found(entry)}", name=key)
+    return entry.value
+
+
+def _chosen(key: str, entry: _Entry) -> Any:
+    """The value of a choice, of its kind."""
+    kind, _, words = CHOICES[key]
+    value = entry.value
+    if kind == "texts":
+        each = value if isinstance(value, list) else [entry]
+        if each and all(isinstance(one.value, str) for one in each):
+            return [one.value for one in each]
+        expected = "text, or a list of texts"
+    elif kind == "flag":
+        if isinstance(value, bool):
+            return value
+        expected = "true or false"
+    elif kind == "number":
+        if isinstance(value, int | float) and not isinstance(value, bool):
+            return float(value)
+        expected = "a number"
+    else:
+        if isinstance(value, str) and (value in words or not words):
+            return value
+        expected = f"one of {', '.join(words)}" if words else "text"
+    near = did_you_mean(value, words) if isinstance(value, str) else ""
+    raise UsageError(f"{entry.place}: {key} must be {expected}, got {_found(entry)}", hint=near or None)
+
+
+def _found(entry: _Entry) -> str:
+    return "a mapping" if isinstance(entry.value, dict) else shown(entry.value)
+
+
+def refuse_beside(others: Mapping[str, object]) -> None:
+    """Raise if something is asked for beside ``scans`` that only the file may have.
+
+    Parameters
+    ----------
+    others
+        Such arguments by Python's names; None, False and what is empty are not given.
+
+    Raises
+    ------
+    UsageError
+        If one is given.
+    """
+    given = [
+        f"`{name}`"
+        for name, value in others.items()
+        if value is not None and value is not False and not (isinstance(value, str | list | tuple) and not value)
+    ]
+    if given:
+        raise UsageError(
+            f"{', '.join(given)} cannot be given beside `scans`, which has it for each output",
+            hint="write it under `defaults` there, to have it for all; only parameters of the projection may be given",
+        )

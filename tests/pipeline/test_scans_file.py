@@ -1,0 +1,246 @@
+"""Files with several outputs: what is read, and what is refused, with its place."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from pc2scan.core.presets import PRESETS
+from pc2scan.errors import UsageError
+from pc2scan.pipeline import scans_schema
+from pc2scan.pipeline.parameters import PARAMETERS, Setting
+from pc2scan.pipeline.scan_spec import TopicRequest
+from pc2scan.pipeline.scans_file import CHOICES, load_scans, refuse_beside
+from pc2scan.pipeline.stages.height_slope import MinHeightSlope
+from pc2scan.pipeline.stages.where import Where
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "scans.yaml"
+    path.write_text(text)
+    return path
+
+
+FILE = """\
+defaults:
+  sources: /points
+  target_frame: base_link
+  preset: slam_toolbox
+  min_height: 10cm
+  where: intensity > 1
+scans:
+  /scan:
+  scan_low:
+    sources: [/front, /rear]
+    min_height: -0.1
+    max_height: 0.1
+    where: [ring < 3, x > 0]
+    min_height_slope: 0.05
+    range_max: 30
+  /moved:
+    deskew: true
+    fixed_frame: odom
+    stamp: middle
+    angle_min: -pi/2
+    angle_increment: 1deg
+"""
+
+
+def test_outputs_have_what_they_say_and_else_the_defaults(tmp_path: Path) -> None:
+    path = written(tmp_path, FILE)
+    found = load_scans(path)
+    scan, low, moved = found.specs
+    assert found.files == (path,)
+    assert [each.name for each in found.specs] == ["/scan", "/scan_low", "/moved"]
+    assert scan.topics == (TopicRequest("/points", "/scan"),)
+    assert low.topics == (TopicRequest("/front", "/scan_low"), TopicRequest("/rear", "/scan_low"))
+    assert (scan.params.min_height, low.params.min_height, low.params.max_height) == (0.1, -0.1, 0.1)
+    assert {each.params.target_frame for each in found.specs} == {"base_link"}
+    assert (scan.params.range_max, low.params.range_max) == (PRESETS["slam_toolbox"]["range_max"], 30)
+    assert scan.filters == (Where("intensity > 1"),)
+    assert low.filters == (Where("ring < 3"), Where("x > 0"), MinHeightSlope(-0.1, 0.05))
+    assert (moved.deskew, moved.fixed_frame, moved.stamp) == (True, "odom", "middle")
+    assert (moved.params.angle_min, moved.params.angle_increment) == (-math.pi / 2, math.radians(1))
+    assert low.origins["min_height"] == f"{path}, line 11, min_height"
+    assert scan.origins["min_height"] == f"{path}, line 5, min_height"
+    assert scan.origins["range_max"] == "--preset slam_toolbox"
+    assert scan.place == f"{path}, line 8"
+
+
+def test_parameters_beside_the_file_beat_all_outputs(tmp_path: Path) -> None:
+    settings = [Setting("min_height", -0.5, "--min-height")]
+    found = load_scans(written(tmp_path, FILE), settings)
+    assert {each.params.min_height for each in found.specs} == {-0.5}
+    assert {each.origins["min_height"] for each in found.specs} == {"--min-height"}
+
+
+def test_of_two_ways_to_say_the_same_the_outputs_own_counts() -> None:
+    (spec,) = load_scans({"defaults": {"beams": 720}, "scans": {"/scan": {"angle_increment": 0.01}}}).specs
+    assert (spec.params.beams, spec.params.angle_increment) == (0, 0.01)
+    with pytest.raises(UsageError, match="say the same in two ways"):
+        load_scans({"/scan": {"angle_increment": 0.01, "beams": 720}})
+
+
+def test_python_has_dicts_and_lists() -> None:
+    own = {"min_height": 0.2, "where": ["x > 0"]}
+    forms: list[Any] = [
+        {"/scan": own, "/low": {}},
+        {"scans": {"/scan": own, "/low": {}}, "defaults": {}},
+        [{"topic": "/scan", **own}, {"topic": "low"}],
+        {"scans": [{"topic": "scan", **own}, {"topic": "/low"}]},
+    ]
+    for form in forms:
+        scan, low = load_scans(form).specs
+        assert (scan.name, scan.params.min_height, scan.filters) == ("/scan", 0.2, (Where("x > 0"),))
+        assert (low.name, low.topics, low.filters) == ("/low", (), ())
+
+
+def test_json_and_a_parameter_file_beside_it(tmp_path: Path) -> None:
+    (tmp_path / "robot.yaml").write_text(
+        "front:\n  ros__parameters: {min_height: 0.3, range_max: 9.0}\nrear:\n  ros__parameters: {min_height: 0.4}\n"
+    )
+    path = tmp_path / "scans.json"
+    own = {"params_file": "robot.yaml", "node": "front", "preset": "gmapping", "range_max": 8}
+    path.write_text(json.dumps({"scans": {"/scan": own}}))
+    found = load_scans(path)
+    (spec,) = found.specs
+    assert (spec.params.min_height, spec.params.range_max, spec.params.geometry) == (0.3, 8, "half-open")
+    assert found.files == (path, tmp_path / "robot.yaml")
+
+
+REFUSED = [
+    ("", "the file is empty", None),
+    ("- 1\n", "expected scans, got a list", None),
+    ("scan:\n  /scan: {}\n", "line 1: unknown key 'scan'", "did you mean scans?"),
+    ("defaults: {}\n", "expected outputs under `scans`, there are none", None),
+    ("scans: {}\n", "line 1: expected outputs under `scans`, there are none", None),
+    ("scans: 5\n", "line 1: expected outputs under `scans`, got 5", None),
+    ("scans:\n  /a: {}\n  /b: 7\n", "line 3: /b must be a mapping, got 7", None),
+    ("scans:\n  /a: {}\n  /a: {}\n", "line 3: '/a' is there twice, first in .*line 2", None),
+    ("scans:\n  /a: {}\n  a: {}\n", "line 3: /a is there twice, first in .*line 2", None),
+    ("scans:\n  /a b: {}\n", "line 2: '/a b' is not a topic", None),
+    ("scans:\n- min_height: 0.1\n", "line 2: an output in a list needs a `topic`", None),
+    ("scans:\n  /a:\n    max_heigt: 1\n", "line 3: unknown key 'max_heigt'", "did you mean max_height?"),
+    ("scans:\n  /a:\n    source: /points\n", "line 3: unknown key 'source'", "did you mean sources?"),
+    ("defaults:\n  sorces: /p\nscans: {/a: {}}\n", "line 2: unknown key 'sorces'", "did you mean sources?"),
+    ("defaults: 3\nscans: {/a: {}}\n", "line 1: `defaults` must be a mapping, got 3", None),
+    ("scans:\n  /a:\n    min_height: high\n", r"min_height: expected a number, got 'high' \(from .*line 3", None),
+    ("scans:\n  /a:\n    min_height: [1, 2]\n", "line 3: min_height must be a single value, got a list", None),
+    ("scans:\n  /a:\n    reduce: medan\n", "reduce: expected .*'medan'.*line 3", "did you mean median?"),
+    ("scans:\n  /a:\n    sources: {x: 1}\n", "line 3: sources must be text, or a list of texts, got a mapping", None),
+    ("scans:\n  /a:\n    sources: []\n", "line 3: sources must be text, or a list of texts, got a list", None),
+    (
+        "scans:\n  /a:\n    sources: /points:=/b\n",
+        "line 3, /a: `sources` has '/points:=/b', which",
+        None,
+    ),
+    ("scans:\n  /a:\n    deskew: 1\n", "line 3: deskew must be true or false, got 1", None),
+    ("scans:\n  /a:\n    deskew: true\n", "line 3, /a: `deskew` of clouds needs a frame", None),
+    (
+        "scans:\n  /a:\n    stamp: midle\n",
+        "line 3: stamp must be one of header, start, middle, end",
+        "did you mean middle?",
+    ),
+    ("scans:\n  /a:\n    min_height_slope: x\n", "line 3: min_height_slope must be a number, got 'x'", None),
+    ("scans:\n  /a:\n    where: ring >\n", "line 3, /a: `where`", None),
+    ("scans:\n  /a:\n    preset: slam\n", "line 2, /a: there is no preset 'slam'", None),
+    ("scans:\n  /a:\n    node: front\n", "line 3, /a: `node` chooses a section", None),
+    ("scans:\n  /a:\n    params_file: nowhere.yaml\n", "nowhere.yaml: there is nothing of this name", None),
+    (
+        "scans:\n  /a:\n    min_height: 2\n    max_height: 1\n",
+        "line 2, /a: min_height 2.0 m is above max",
+        None,
+    ),
+    ("scans: {/a: {}\n", "line 2, column 1: not valid YAML", None),
+    ("a: &a [x, x, x, x, x, x, x, x, x]\nb: &b [*a, *a, *a, *a, *a]\nscans: [*b, *b, *b, *b]\n", "its aliases", None),
+    (f"scans: {'[' * 30}{']' * 30}\n", "nested more than 20 levels deep", None),
+]
+
+
+@pytest.mark.parametrize(("text", "message", "hint"), REFUSED)
+def test_what_is_wrong_is_told_with_its_place(text: str, message: str, hint: str | None, tmp_path: Path) -> None:
+    path = written(tmp_path, text)
+    with pytest.raises(UsageError, match=message) as caught:
+        load_scans(path)
+    assert str(tmp_path) in caught.value.message
+    if hint:
+        assert hint in (caught.value.hint or "")
+
+
+def test_a_file_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="there is nothing of this name"):
+        load_scans(tmp_path / "scans.yaml")
+
+
+def test_errors_in_dicts_say_where() -> None:
+    with pytest.raises(UsageError, match=re.escape("scans['/scan']['max_heigt']: unknown key 'max_heigt'")):
+        load_scans({"/scan": {"max_heigt": 1}})
+    with pytest.raises(TypeError, match="has the key 1, it must be text"):
+        load_scans({"/scan": {1: 2}})
+
+
+def test_what_only_the_file_may_have() -> None:
+    refuse_beside({"preset": None, "where": [], "deskew": False, "topics": (), "fixed_frame": ""})
+    with pytest.raises(UsageError, match="`preset`, `where` cannot be given beside `scans`"):
+        refuse_beside({"preset": "gmapping", "where": ["x > 1"], "deskew": False})
+
+
+def test_the_schema_is_the_one_that_is_shipped() -> None:
+    from importlib.resources import files
+
+    shipped = (files("pc2scan") / "pipeline" / "scans.schema.json").read_text()
+    assert shipped == scans_schema.schema_text(), "python -m pc2scan.pipeline.scans_schema > scans.schema.json"
+    properties = json.loads(shipped)["$defs"]["output"]["properties"]
+    assert properties.keys() == CHOICES.keys() | PARAMETERS.keys()
+
+
+def valid(value: Any, rule: dict[str, Any], root: dict[str, Any]) -> bool:
+    """Whether a value fulfils a schema, as far as this one uses JSON Schema."""
+    if "$ref" in rule:
+        rule = root["$defs"][rule["$ref"].rpartition("/")[2]]
+    if "anyOf" in rule:
+        return any(valid(value, each, root) for each in rule["anyOf"])
+    if "enum" in rule:
+        return value in rule["enum"]
+    kinds: dict[str, Any] = {
+        "string": str, "number": (int, float), "integer": int, "object": dict, "array": list, "null": type(None)
+    }  # fmt: skip
+    wanted = [rule["type"]] if isinstance(rule["type"], str) else rule["type"]
+    if isinstance(value, bool) != (wanted == ["boolean"]):
+        return False
+    if not isinstance(value, bool) and not any(isinstance(value, kinds[kind]) for kind in wanted):
+        return False
+    if isinstance(value, dict):
+        known, further = rule.get("properties", {}), rule.get("additionalProperties", True)
+        if set(rule.get("required", ())) - value.keys():
+            return False
+        return all(
+            valid(each, known[key], root) if key in known else further and valid(each, further, root)
+            for key, each in value.items()
+        )
+    return not isinstance(value, list) or all(valid(each, rule["items"], root) for each in value)
+
+
+@pytest.mark.parametrize("name", [*CHOICES, *PARAMETERS])
+def test_the_schema_and_the_code_agree_about_every_key(name: str) -> None:
+    root = scans_schema.schema()
+    tried: list[Any] = [True, 2, 0.5, "middle", "auto", ["x > 1"], {"x": 1}, "median", "centered", "nan", "correct"]
+    for value in tried:
+        try:
+            load_scans({"/scan": {name: value}})
+        except UsageError as err:
+            # What is of the right kind may still be refused: a frame that is missing, a number out of range.
+            kind = r"expected|must be (text|true|a number|one of|a single)"
+            wrong = re.search(kind, err.message) is not None and "`where`" not in err.message
+        else:
+            wrong = False
+        as_text = isinstance(value, str) and name in PARAMETERS and PARAMETERS[name].unit
+        if not as_text:
+            assert valid({"scans": {"/scan": {name: value}}}, root, root) is not wrong, value
