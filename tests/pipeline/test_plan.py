@@ -148,5 +148,5 @@ def test_an_output_without_sources_has_the_only_topic() -> None:
     (route,) = make_plan([Connection(1, "/a", CLOUD, "ros1")], options).routes
     assert [(task.spec.name, task.targets) for task in route.tasks] == [("/low", ("/low",)), ("/high", ("/high",))]
     two = [Connection(i, topic, CLOUD, "ros1") for i, topic in enumerate(("/a", "/b"))]
-    with pytest.raises(TopicError, match=r"scans.yaml, line 3, /low: it has no `sources`, and the recording has sev"):
+    with pytest.raises(TopicError, match=r"scans.yaml, line 3, /low: it has no 'sources', and the recording has sev"):
         make_plan(two, options)

@@ -126,7 +126,7 @@ def _targets(connections: Sequence[Connection], spec: ScanSpec, drop: Sequence[s
     if spec.name and not spec.topics:
         if not single:
             raise TopicError(
-                f"it has no `sources`, and the recording has several {short_types(convertible)} topics: "
+                f"it has no 'sources', and the recording has several {short_types(convertible)} topics: "
                 f"{name_list(candidates)}",
                 hint=f"write sources: {candidates[0]}",
             )

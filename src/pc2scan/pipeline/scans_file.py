@@ -116,7 +116,7 @@ def load_scans(asked: Path | Mapping[str, Any] | Sequence[Any], overriding: Sequ
             raise UsageError(f"{entry.place}: unknown key {key!r}", hint=did_you_mean(key, _TOP) or _EXAMPLE)
     defaults = root.value.get("defaults", _Entry({}, root.place))
     if not isinstance(defaults.value, dict):
-        raise UsageError(f"{defaults.place}: `defaults` must be a mapping, got {_found(defaults)}", hint=_EXAMPLE)
+        raise UsageError(f"{defaults.place}: 'defaults' must be a mapping, got {_found(defaults)}", hint=_EXAMPLE)
     files = [asked] if isinstance(asked, Path) else []
     ignored: list[str] = []
     specs: list[ScanSpec] = []
@@ -197,7 +197,7 @@ def _outputs(root: _Entry) -> Iterator[tuple[str, _Entry]]:
     scans = root.value.get("scans")
     if scans is None or not isinstance(scans.value, dict | list) or not scans.value:
         found = "there are none" if scans is None or scans.value in ({}, [], None) else f"got {_found(scans)}"
-        raise UsageError(f"{(scans or root).place}: expected outputs under `scans`, {found}", hint=_EXAMPLE)
+        raise UsageError(f"{(scans or root).place}: expected outputs under 'scans', {found}", hint=_EXAMPLE)
     seen: dict[str, str] = {}
     for topic, entry in _named(scans):
         if not isinstance(entry.value, dict):
@@ -218,7 +218,7 @@ def _named(scans: _Entry) -> Iterator[tuple[str, _Entry]]:
     for entry in scans.value:
         topic = entry.value.get("topic") if isinstance(entry.value, dict) else None
         if topic is None or not isinstance(topic.value, str):
-            raise UsageError(f"{entry.place}: an output in a list needs a `topic`", hint="write - topic: /scan")
+            raise UsageError(f"{entry.place}: an output in a list needs a 'topic'", hint="write - topic: /scan")
         yield topic.value, _Entry({key: each for key, each in entry.value.items() if key != "topic"}, entry.place)
 
 
@@ -274,7 +274,7 @@ def _filters(values: Mapping[str, Any], min_height: float) -> Iterable[Any]:
 
 def _topic(source: str) -> str:
     if ":=" in source or not source:
-        raise UsageError(f"`sources` has {source!r}, which is not a topic", hint="an output's topic is its key")
+        raise UsageError(f"'sources' has {source!r}, which is not a topic", hint="an output's topic is its key")
     return source
 
 
@@ -285,7 +285,8 @@ def _placed(entry: _Entry, topic: str, chosen: Mapping[str, _Entry]) -> Iterator
         yield
     except UsageError as err:
         # Whoever is blamed by name has a line of its own.
-        named = next((found for key, found in chosen.items() if f"`{key}`" in err.message), entry)
+        told = ((f"`{key}`", f"'{key}'", found) for key, found in chosen.items())
+        named = next((found for *names, found in told if any(name in err.message for name in names)), entry)
         if not err.message.startswith(named.place):
             err.message = f"{named.place}, {topic}: {err.message}"
         raise
@@ -347,5 +348,5 @@ def refuse_beside(others: Mapping[str, object]) -> None:
     if given:
         raise UsageError(
             f"{', '.join(given)} cannot be given beside `scans`, which has it for each output",
-            hint="write it under `defaults` there, to have it for all; only parameters of the projection may be given",
+            hint="write it under 'defaults' there, to have it for all; only parameters of the projection may be given",
         )
