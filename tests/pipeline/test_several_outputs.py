@@ -31,6 +31,7 @@ MOUNT = FrameOptions()
 def spec(target: str, *, filters: Any = (), deskew: dict[str, Any] | None = None, **params: Any) -> ScanSpec:
     return ScanSpec(
         name=target,
+        place="here",
         topics=(TopicRequest("/points", target),),
         params=ProjectionParams(**{"min_height": -0.3, "max_height": 1.0, **params}),
         filters=tuple(filters),
@@ -146,7 +147,7 @@ def test_warnings_and_counts_are_those_of_each_output(tmp_path: Path) -> None:
 
 def test_two_outputs_cannot_have_one_topic(tmp_path: Path) -> None:
     twice = (spec("/scan"), spec("/scan", range_max=5.0))
-    with pytest.raises(TopicError, match="/scan and /scan would both become /scan"):
+    with pytest.raises(TopicError, match=r"/scan \(here\) and /scan \(here\) would both become /scan"):
         converted(tmp_path / "a.mcap", *twice)
 
 
