@@ -265,7 +265,7 @@ def convert(
         own |= {"where": where, "exclude_box": exclude_box, "exclude_polygon": exclude_polygon, "deskew": deskew}
         own |= {"min_height_slope": min_height_slope, "filters": filters, "fixed_frame": fixed_frame}
         own |= {"point_time": point_time, "stamp": stamp != "header", "reverse": reverse, "channels": channels}
-        own["range_cutoff"] = range_cutoff
+        own |= {"range_cutoff": range_cutoff, "level": level, "imu": imu}
         several = scans_of(scans, parameters, own)
         parameters = {}
     resolved = resolved_parameters(params, preset, params_file, node, parameters, reverse=reverse)

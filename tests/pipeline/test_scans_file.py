@@ -13,7 +13,7 @@ from pc2scan.core.presets import PRESETS
 from pc2scan.errors import UsageError
 from pc2scan.pipeline import scans_schema
 from pc2scan.pipeline.parameters import PARAMETERS, Setting
-from pc2scan.pipeline.scan_spec import TopicRequest
+from pc2scan.pipeline.scan_spec import ScanSpec, TopicRequest
 from pc2scan.pipeline.scans_file import CHOICES, load_scans, refuse_beside
 from pc2scan.pipeline.stages.height_slope import MinHeightSlope
 from pc2scan.pipeline.stages.where import Where
@@ -199,6 +199,12 @@ def test_the_schema_is_the_one_that_is_shipped() -> None:
     assert shipped == scans_schema.schema_text(), "python -m pc2scan.pipeline.scans_schema > scans.schema.json"
     properties = json.loads(shipped)["$defs"]["output"]["properties"]
     assert properties.keys() == CHOICES.keys() | PARAMETERS.keys()
+
+
+def test_the_file_has_whatever_an_output_has() -> None:
+    """A choice that `ScanSpec` gets is an entry in the table."""
+    elsewhere = {"name", "place", "topics", "origins", "params", "filters", "reverse", "channels", "output_type"}
+    assert ScanSpec.__dataclass_fields__.keys() - elsewhere <= CHOICES.keys()
 
 
 def valid(value: Any, rule: dict[str, Any], root: dict[str, Any]) -> bool:

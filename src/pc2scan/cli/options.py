@@ -739,6 +739,7 @@ class ConversionGroup(Group):
         others |= {"where": points.where, "exclude_box": points.exclude_box, "exclude_polygon": points.exclude_polygon}
         others |= {"min_height_slope": points.min_height_slope, "deskew": moving.deskew}
         others |= {"fixed_frame": moving.fixed_frame, "point_time": moving.point_time}
+        others |= {"level": moving.level, "imu": moving.imu}
         others |= {"stamp": moving.stamp != "header", "reverse": reverse.reverse, "channels": reverse.channels}
         others |= {"range_cutoff": reverse.range_cutoff}
         refuse_beside(others)

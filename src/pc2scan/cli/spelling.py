@@ -83,7 +83,6 @@ OPTIONS = {
     "jobs": "--jobs",
     "retries": "--retries",
     "param": "--param",
-    "remap": "--remap",
     "write_static_tf": "--write-static-tf",
 }
 

@@ -50,6 +50,8 @@ CHOICES: Mapping[str, Choice] = {
     "fixed_frame": Choice("text", "A frame that does not move, such as odom."),
     "point_time": Choice("text", "Field with the times of points, and its unit: t or t:ns."),
     "stamp": Choice("text", "The time of a deskewed scan.", ("header", "start", "middle", "end")),
+    "level": Choice("flag", "Make scans in a frame without the roll and pitch of the target frame."),
+    "imu": Choice("text", "With level: the IMU that knows which way is up, as TOPIC or TOPIC:FRAME."),
 }
 
 _TOP = ("defaults", "scans")
