@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
 import pytest
 
 from pc2scan.core import kernel, plain
+from pc2scan.core.moving import MovingTransform
+from pc2scan.core.params import ProjectionParams
+from pc2scan.core.rule import rule_of
 
 #: What runs, even while a fixture replaces it.
 COMPILED = kernel.deskew
@@ -26,10 +30,24 @@ def cloud(rng: np.random.Generator, dtype: str, shape: tuple[int, ...]) -> list[
     return [points[name] for name in "xyz"]
 
 
-def rows(rng: np.random.Generator, count: int) -> Any:
-    found = rng.normal(size=(count, 12))
-    found[rng.random(count) < 0.2] = np.nan
+def rows(rng: np.random.Generator, nodes: int) -> Any:
+    """At the nodes and between them."""
+    found = rng.normal(size=(2 * nodes - 1, 12))
+    found[rng.random(2 * nodes - 1) < 0.1] = np.nan
     return found
+
+
+def straight(transforms: Any) -> Any:
+    """Rows at the nodes, with the means of neighbours between them."""
+    found = np.empty((2 * len(transforms) - 1, 12))
+    found[::2], found[1::2] = transforms, (transforms[:-1] + transforms[1:]) / 2
+    return found
+
+
+def same_bits(one: Any, other: Any) -> None:
+    nan = np.isnan(one)
+    np.testing.assert_array_equal(nan, np.isnan(other))
+    np.testing.assert_array_equal(one[~nan].view(np.int32), other[~nan].view(np.int32))
 
 
 @pytest.mark.skipif(not kernel.COMPILED, reason="there was no C compiler")
@@ -54,12 +72,86 @@ def test_the_compiled_loop_does_what_numpy_does(dtype: str, order: str) -> None:
                     else np.concatenate([np.sort(t) for t in np.array_split(times, 3)])
                 )
             outs = np.zeros((2, size, 3), np.float32)
-            one = COMPILED(x, y, z, times, node_times, transforms, outs[0])
-            other = plain.deskew(x, y, z, times, node_times, transforms, outs[1])
-            assert one == other
-            nan = np.isnan(outs)
-            np.testing.assert_array_equal(nan[0], nan[1])
-            np.testing.assert_array_equal(outs[0][~nan[0]].view(np.int32), outs[1][~nan[1]].view(np.int32))
+            motion = MovingTransform(times.reshape(shape), 0.0, 1.0, node_times, transforms)
+            assert COMPILED(x, y, z, motion, outs[0]) == plain.deskew(x, y, z, motion, outs[1])
+            same_bits(outs[0], outs[1])
+
+
+RULES = [
+    rule_of(ProjectionParams(min_height=low, max_height=high, range_min=1.0, angle_min=-2.0, angle_max=2.5))
+    for low, high in ((-100.0, 100.0), (-0.5, 0.5), (-1.0, math.inf))
+]
+
+
+@pytest.mark.skipif(not kernel.COMPILED, reason="there was no C compiler")
+@pytest.mark.parametrize("dtype", ["<f4", ">f4", "<f8", "<i2"])
+@pytest.mark.parametrize("packed", [True, False])
+@pytest.mark.parametrize("times_type", ["<u4", "<f4", "<f8", ">u4", "<i4", "<u8"])
+def test_points_are_projected_where_they_are_at_their_own_times(dtype: str, packed: bool, times_type: str) -> None:
+    rng = np.random.default_rng(int(packed))
+    project, gather = kernel.project, kernel.gather
+    for shape in ((1,), (700,), (3, 257), (2, 1024)):
+        record = np.dtype([("x", dtype), ("y", dtype), ("z", dtype), ("t", times_type), ("pad", "V8")])
+        cloud = np.zeros(shape, record)
+        for name in "xyz":
+            cloud[name] = rng.normal(size=shape) * 5
+            if dtype[1] == "f":
+                cloud[name][rng.random(shape) < 0.05] = np.nan
+        cloud["t"] = np.sort(rng.integers(0, 1_100_000, shape))
+        if times_type[1] == "f":
+            cloud["t"][rng.random(shape) < 0.05] = np.nan
+        x, y, z, times = (cloud[name] if packed else cloud[name].copy() for name in "xyzt")
+        nodes = np.linspace(0.0, 1.0, 40)
+        transforms = straight(rng.normal(size=(40, 12)))
+        transforms[9] = np.nan
+        motion = MovingTransform(times, 1000.0, 1e-6, nodes, transforms)
+        for rule in RULES:
+            ranges = np.zeros((2, 90), np.float32)
+            one = project(x, y, z, rule, motion, ranges[0], math.inf, 9.0)
+            assert one == plain.project(x, y, z, rule, motion, ranges[1], math.inf, 9.0)
+            np.testing.assert_array_equal(ranges[0], ranges[1])
+            assert len(one) == 7
+            outs = [
+                (np.zeros(x.size, np.int32), np.zeros(x.size, np.float32), np.zeros(x.size, np.int64)) for _ in "12"
+            ]
+            assert one == gather(x, y, z, rule, motion, 90, *outs[0])
+            assert one == plain.gather(x, y, z, rule, motion, 90, *outs[1])
+            for own, other in zip(*outs, strict=True):
+                np.testing.assert_array_equal(own, other)
+            # And as if they had been moved first.
+            moved = np.zeros((x.size, 3), np.float32)
+            lost = kernel.deskew(x, y, z, motion, moved)
+            alone = np.zeros(90, np.float32)
+            counts = project(moved[:, 0], moved[:, 1], moved[:, 2], rule, None, alone, math.inf, 9.0)
+            np.testing.assert_array_equal(alone, ranges[0])
+            assert (counts[0] - sum(lost), *counts[1:], *lost) == one
+
+
+@pytest.mark.parametrize("dtype", ["<f4", ">f8", "<i2"])
+def test_the_span_of_values(dtype: str) -> None:
+    rng = np.random.default_rng(3)
+    for shape in ((0,), (1,), (5,), (700,), (3, 257)):
+        for kind in ("<u4", "<f4", "<f8", ">i4"):
+            x, values = rng.normal(size=shape).astype(dtype), (rng.normal(size=shape) * 1000).astype(kind)
+            if dtype[1] == "f":
+                x[rng.random(shape) < 0.2] = np.nan
+            if kind[1] == "f":
+                values[rng.random(shape) < 0.2] = np.nan
+                values[rng.random(shape) < 0.1] = np.inf
+            assert kernel.span(x, values) == plain.span(x, values)
+
+
+def test_a_frame_is_followed_as_numpy_follows_it() -> None:
+    rng = np.random.default_rng(4)
+    for samples in (0, 1, 2, 9):
+        stamps = np.unique(rng.integers(0, 10**9, samples))
+        poses = rng.normal(size=(max(1, samples), 7))
+        poses[:, 3:] /= np.linalg.norm(poses[:, 3:], axis=1)[:, np.newaxis]
+        times = np.concatenate([rng.integers(-(10**8), 11 * 10**8, 300), stamps])
+        both = np.repeat(rng.normal(size=(1, times.size, 12)), 2, axis=0)
+        kernel.follow(times, stamps, poses, both[0])
+        plain.follow(times, stamps, poses, both[1])
+        np.testing.assert_allclose(both[0], both[1], rtol=0, atol=1e-13)
 
 
 @pytest.mark.usefixtures("loops")
@@ -70,8 +162,8 @@ def test_a_transform_is_interpolated_between_its_neighbours() -> None:
     times = np.array([0.0, 0.25, 1.0, 2.0, 3.0, 3.5, 4.0, -0.1, 4.1, np.nan, 0.5])
     x = np.array([5.0] * 10 + [np.nan], np.float32)
     out = np.empty((x.size, 3), np.float32)
-    missing = kernel.deskew(x, np.zeros_like(x), np.ones_like(x), times, node_times, transforms, out)
-    assert missing == 5
+    motion = MovingTransform(times, 0.0, 1.0, node_times, straight(transforms))
+    assert kernel.deskew(x, np.zeros_like(x), np.ones_like(x), motion, out) == (1, 4)
     expected = [5, 5.25, 6, 6, 6, *[np.nan] * 6]
     np.testing.assert_array_equal(out[:, 0], np.array(expected, np.float32))
     np.testing.assert_array_equal(out[:5, 1], np.array([0, 0, 0, 2, 4], np.float32))
@@ -85,22 +177,24 @@ def test_a_part_without_a_transform_does_not_hide_its_ends() -> None:
     node_times = np.array([0.0, 1.0, 2.0, 3.0])
     out = np.empty((5, 3), np.float32)
     zeros = np.zeros(5, np.float32)
-    assert kernel.deskew(zeros, zeros, zeros, np.array([0.9, 1.0, 1.5, 2.0, 2.1]), node_times, transforms, out) == 2
+    motion = MovingTransform(np.array([0.9, 1.0, 1.5, 2.0, 2.1]), 0.0, 1.0, node_times, straight(transforms))
+    assert kernel.deskew(zeros, zeros, zeros, motion, out) == (0, 2)
     np.testing.assert_array_equal(out[:, 0], np.array([np.nan, 7, 7, 7, np.nan], np.float32))
 
 
 @pytest.mark.skipif(not kernel.COMPILED, reason="there was no C compiler")
 def test_arrays_of_other_sizes_are_refused() -> None:
     x = np.zeros(3, np.float32)
-    times, nodes, transforms, out = np.zeros(3), np.arange(2.0), np.zeros((2, 12)), np.zeros((3, 3), np.float32)
-    assert COMPILED(x, x, x, times, nodes, transforms, out) == 0
+    times, nodes, transforms, out = np.zeros(3), np.arange(2.0), np.zeros((3, 12)), np.zeros((3, 3), np.float32)
+    assert COMPILED(x, x, x, MovingTransform(times, 0.0, 1.0, nodes, transforms), out) == (0, 0)
     wrong: list[Any] = [
         (times[:2], nodes, transforms, out),
         (times, nodes[:1], transforms[:1], out),
-        (times, nodes, transforms[:1], out),
+        (times, nodes, transforms[:2], out),
         (times, nodes, transforms, out[:2]),
-        (times.astype(np.float32), nodes, transforms, out),
+        (times, nodes.astype(np.float32), transforms, out),
+        (times.astype(np.float16), nodes, transforms, out),
     ]
-    for others in wrong:
-        with pytest.raises(ValueError, match=r"length or item size|fewer than two"):
-            COMPILED(x, x, x, *others)
+    for values, *others, into in wrong:
+        with pytest.raises(ValueError, match=r"length or item size|fewer than two|coordinates' shape|of a type that"):
+            COMPILED(x, x, x, MovingTransform(values, 0.0, 1.0, *others), into)

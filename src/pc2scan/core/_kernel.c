@@ -10,6 +10,7 @@
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
 
+#include <float.h>
 #include <math.h>
 #include <stdint.h>
 #include <string.h>
@@ -214,6 +215,33 @@ typedef struct {
     int size, swapped;
 } Axis;
 
+/* A part of the time in which a cloud was measured. The transform in it is a polynomial of the time: start + s * (rate +
+   s * bend), with s from 0 to 1; each has twelve numbers, the rows of a rotation, then a translation. */
+typedef struct {
+    /* A time belongs to the first part that ends at it or behind it. */
+    double begin, end, scale;
+    int known;
+    double start[12];
+    float rate[12], bend[12];
+} Part;
+
+/* How a sensor moved while it measured a cloud. */
+typedef struct {
+    Py_buffer times_of, nodes, rows;
+    int held;
+    Axis times;
+    /* Seconds are (value - offset) * unit. */
+    double offset, unit;
+    Part *parts;
+    Py_ssize_t count;
+    /* The part of the latest point. */
+    Py_ssize_t part;
+    /* Points with coordinates that have no time, or no transform at their time. */
+    int64_t untimed, nowhere;
+    /* Points whose z is outside of these may have any x and y. */
+    float lowest, highest;
+} Motion;
+
 static inline double read_double(const char *from) {
     double value;
     memcpy(&value, from, sizeof value);
@@ -222,6 +250,12 @@ static inline double read_double(const char *from) {
 
 static inline float read_float(const char *from) {
     float value;
+    memcpy(&value, from, sizeof value);
+    return value;
+}
+
+static inline uint32_t read_unsigned(const char *from) {
+    uint32_t value;
     memcpy(&value, from, sizeof value);
     return value;
 }
@@ -237,9 +271,11 @@ static double read_any(const char *from, const Axis *axis) {
     uint8_t u8;
     uint16_t u16;
     uint32_t u32;
+    uint64_t u64;
     switch (axis->size) {
         case 1: memcpy(&u8, from, 1); return axis->kind == 'i' ? (int8_t)u8 : u8;
         case 2: memcpy(&u16, from, 2); return axis->kind == 'i' ? (int16_t)u16 : u16;
+        case 8: memcpy(&u64, from, 8); return axis->kind == 'i' ? (double)(int64_t)u64 : (double)u64;
         default: memcpy(&u32, from, 4); return axis->kind == 'i' ? (double)(int32_t)u32 : (double)u32;
     }
 }
@@ -422,6 +458,278 @@ static void load_rows(Scan *scan, const Axis axis[3], Py_ssize_t rows, Py_ssize_
     if (scan->filled) project_block(scan);
 }
 
+/* The part that a time lies in: -1 if it is in none, or NaN. */
+static Py_ssize_t part_at(const Motion *motion, double time) {
+    const Part *parts = motion->parts;
+    Py_ssize_t part = motion->part, last = motion->count - 1;
+    if (!(time >= parts[0].begin && time <= parts[last].end)) return -1;
+    if (!(time > parts[part].begin && time <= parts[part].end)) {
+        if (part < last && time > parts[part].end && time <= parts[part + 1].end) part++;
+        else {
+            Py_ssize_t low = 0, high = last;
+            while (low < high) {
+                Py_ssize_t middle = (low + high) / 2;
+                if (parts[middle].end < time) low = middle + 1;
+                else high = middle;
+            }
+            part = low;
+        }
+    }
+    /* Where transforms begin to be known, their first one is. */
+    if (!parts[part].known && part < last && time == parts[part].end) part++;
+    return part;
+}
+
+enum { PADDED = BLOCK + 8 };
+
+/* Points of a block, and where they are at their own times. */
+typedef struct {
+    float x[PADDED], y[PADDED], z[PADDED], to_x[PADDED], to_y[PADDED], to_z[PADDED];
+    double times[PADDED];
+} Moved;
+
+/* One coordinate of a point: the row from 3 * axis on, and a part of the translation. */
+static inline float move_one(const Part *part, int axis, float x, float y, float z, float s) {
+    const double *start = part->start + 3 * axis;
+    const float *rate = part->rate + 3 * axis, *bend = part->bend + 3 * axis;
+    const float along = rate[0] * x + rate[1] * y + rate[2] * z + part->rate[9 + axis];
+    const float aside = bend[0] * x + bend[1] * y + bend[2] * z + part->bend[9 + axis];
+    const double place = start[0] * x + start[1] * y + start[2] * z + part->start[9 + axis];
+    return (float)(place + s * (along + s * aside));
+}
+
+/* Transform points as long as they are of one part. Returns the first one that is not. */
+static int move_run(const Part *part, Moved *block, int from, int end) {
+    int i = from;
+    for (; i < end && (i == from || (block->times[i] > part->begin && block->times[i] <= part->end)); i++) {
+        const float s = (float)((block->times[i] - part->begin) * part->scale);
+        const float x = block->x[i], y = block->y[i], z = block->z[i];
+        block->to_x[i] = move_one(part, 0, x, y, z, s);
+        block->to_y[i] = move_one(part, 1, x, y, z, s);
+        block->to_z[i] = move_one(part, 2, x, y, z, s);
+    }
+    return i;
+}
+
+#ifdef EIGHT
+#define EIGHT_WIDE __attribute__((target("avx2,popcnt"), always_inline)) static inline
+
+/* A row of twelve numbers times points. */
+EIGHT_WIDE __m256d row_four(const double *row, const double *offset, __m256d x, __m256d y, __m256d z) {
+    __m256d sum = _mm256_mul_pd(_mm256_broadcast_sd(row), x);
+    sum = _mm256_add_pd(sum, _mm256_mul_pd(_mm256_broadcast_sd(row + 1), y));
+    sum = _mm256_add_pd(sum, _mm256_mul_pd(_mm256_broadcast_sd(row + 2), z));
+    return _mm256_add_pd(sum, _mm256_broadcast_sd(offset));
+}
+
+EIGHT_WIDE __m128 upper(__m256 eight) { return _mm256_extractf128_ps(eight, 1); }
+EIGHT_WIDE __m128 lower(__m256 eight) { return _mm256_castps256_ps128(eight); }
+
+/* The same as move_one. */
+EIGHT_WIDE __m256 move_eight(const Part *part, int axis, __m256 x, __m256 y, __m256 z, __m256 s, const __m256d wide[6]) {
+    const __m256 along = turn_eight(x, y, z, part->rate + 3 * axis, part->rate + 9 + axis);
+    const __m256 aside = turn_eight(x, y, z, part->bend + 3 * axis, part->bend + 9 + axis);
+    const __m256 away = _mm256_mul_ps(s, _mm256_add_ps(along, _mm256_mul_ps(s, aside)));
+    const double *row = part->start + 3 * axis, *offset = part->start + 9 + axis;
+    const __m256d low = row_four(row, offset, wide[0], wide[1], wide[2]);
+    const __m256d high = row_four(row, offset, wide[3], wide[4], wide[5]);
+    return _mm256_set_m128(_mm256_cvtpd_ps(_mm256_add_pd(high, _mm256_cvtps_pd(upper(away)))),
+                           _mm256_cvtpd_ps(_mm256_add_pd(low, _mm256_cvtps_pd(lower(away)))));
+}
+
+/* The same as move_run, eight at a time: what is written behind the last one is overwritten later. Where all eight are
+   too high or too low, their x and y are not needed; 0 stands for them. */
+__attribute__((target("avx2,popcnt"))) static int move_run_eight(const Part *part, Moved *block, int from, int end,
+                                                                 float lowest, float highest) {
+    const __m256d begin = _mm256_set1_pd(part->begin), scale = _mm256_set1_pd(part->scale);
+    const __m256d close = _mm256_set1_pd(part->end);
+    const __m256 least = _mm256_set1_ps(lowest), most = _mm256_set1_ps(highest), largest = _mm256_set1_ps(FLT_MAX);
+    const __m256 absolute = _mm256_castsi256_ps(_mm256_set1_epi32(0x7fffffff));
+    for (int i = from; i < end; i += 8) {
+        const __m256d first = _mm256_loadu_pd(block->times + i), second = _mm256_loadu_pd(block->times + i + 4);
+        const __m256d own_first = _mm256_and_pd(_mm256_cmp_pd(first, begin, _CMP_GT_OQ), _mm256_cmp_pd(first, close, _CMP_LE_OQ));
+        const __m256d own_second = _mm256_and_pd(_mm256_cmp_pd(second, begin, _CMP_GT_OQ), _mm256_cmp_pd(second, close, _CMP_LE_OQ));
+        /* Of the very first point the part is known. */
+        const int own = _mm256_movemask_pd(own_first) | _mm256_movemask_pd(own_second) << 4 | (i == from);
+        const __m256 s = _mm256_set_m128(_mm256_cvtpd_ps(_mm256_mul_pd(_mm256_sub_pd(second, begin), scale)),
+                                         _mm256_cvtpd_ps(_mm256_mul_pd(_mm256_sub_pd(first, begin), scale)));
+        const __m256 x = _mm256_loadu_ps(block->x + i), y = _mm256_loadu_ps(block->y + i);
+        const __m256 z = _mm256_loadu_ps(block->z + i);
+        const __m256d wide[6] = {_mm256_cvtps_pd(lower(x)), _mm256_cvtps_pd(lower(y)), _mm256_cvtps_pd(lower(z)),
+                                 _mm256_cvtps_pd(upper(x)), _mm256_cvtps_pd(upper(y)), _mm256_cvtps_pd(upper(z))};
+        const __m256 to_z = move_eight(part, 2, x, y, z, s, wide);
+        _mm256_storeu_ps(block->to_z + i, to_z);
+        const __m256 away = _mm256_or_ps(_mm256_cmp_ps(to_z, least, _CMP_LT_OQ), _mm256_cmp_ps(to_z, most, _CMP_GT_OQ));
+        const __m256 finite = _mm256_cmp_ps(_mm256_and_ps(to_z, absolute), largest, _CMP_LE_OQ);
+        if (_mm256_movemask_ps(_mm256_and_ps(away, finite)) == 255) {
+            _mm256_storeu_ps(block->to_x + i, _mm256_setzero_ps());
+            _mm256_storeu_ps(block->to_y + i, _mm256_setzero_ps());
+        } else {
+            _mm256_storeu_ps(block->to_x + i, move_eight(part, 0, x, y, z, s, wide));
+            _mm256_storeu_ps(block->to_y + i, move_eight(part, 1, x, y, z, s, wide));
+        }
+        if (own != 255) return i + __builtin_ctz(~(unsigned)own) < end ? i + __builtin_ctz(~(unsigned)own) : end;
+    }
+    return end;
+}
+#endif
+
+static void move_block(Motion *motion, Moved *block, const int count) {
+    for (int i = 0; i < count;) {
+        const double time = block->times[i];
+        const Py_ssize_t number = part_at(motion, time);
+        if (number >= 0 && motion->parts[number].known) {
+            const Part *part = &motion->parts[number];
+            motion->part = number;
+#ifdef EIGHT
+            if (eight_at_once) {
+                i = move_run_eight(part, block, i, count, motion->lowest, motion->highest);
+                continue;
+            }
+#endif
+            i = move_run(part, block, i, count);
+            continue;
+        }
+        if (block->x[i] == block->x[i] && block->y[i] == block->y[i] && block->z[i] == block->z[i]) {
+            motion->nowhere += time == time;
+            motion->untimed += time != time;
+        }
+        block->to_x[i] = block->to_y[i] = block->to_z[i] = NAN;
+        i++;
+    }
+}
+
+#ifdef EIGHT
+/* The same as what load_eight begins with. */
+__attribute__((target("avx2"))) static int transpose_eight(const char *from, Py_ssize_t step, int count, float *x,
+                                                           float *y, float *z) {
+    const Py_ssize_t lines = step < 64 ? 64 : step;
+    int taken = 0;
+    for (; taken + 8 < count; taken += 8, from += 8 * step) {
+        __m256 pair[4];
+        for (Py_ssize_t line = 0; line < 8 * step; line += lines) PREFETCH(from + line);
+        for (int i = 0; i < 4; i++) {
+            const char *one = from + i * step, *other = from + (i + 4) * step;
+            pair[i] = _mm256_insertf128_ps(_mm256_castps128_ps256(_mm_loadu_ps((const float *)one)),
+                                           _mm_loadu_ps((const float *)other), 1);
+        }
+        const __m256 xy = _mm256_unpacklo_ps(pair[0], pair[1]), yx = _mm256_unpacklo_ps(pair[2], pair[3]);
+        const __m256 zs = _mm256_unpackhi_ps(pair[0], pair[1]), sz = _mm256_unpackhi_ps(pair[2], pair[3]);
+        _mm256_storeu_ps(x + taken, _mm256_shuffle_ps(xy, yx, 0x44));
+        _mm256_storeu_ps(y + taken, _mm256_shuffle_ps(xy, yx, 0xee));
+        _mm256_storeu_ps(z + taken, _mm256_shuffle_ps(zs, sz, 0x44));
+    }
+    return taken;
+}
+
+/* Append points to a scan's, without those that are NaN or too high or low. */
+__attribute__((target("avx2,popcnt"))) static void append_eight(Scan *scan, const float *x, const float *y,
+                                                                const float *z, int count) {
+    const __m256 lowest = _mm256_set1_ps((float)scan->rule.lowest), highest = _mm256_set1_ps((float)scan->rule.highest);
+    int64_t nans = 0, kept = 0;
+    for (int i = 0; i < count; i += 8) {
+        const int lanes = count - i < 8 ? (1 << (count - i)) - 1 : 255;
+        const __m256 px = _mm256_loadu_ps(x + i), py = _mm256_loadu_ps(y + i), pz = _mm256_loadu_ps(z + i);
+        const __m256 nan = _mm256_or_ps(_mm256_cmp_ps(px, py, _CMP_UNORD_Q), _mm256_cmp_ps(pz, pz, _CMP_UNORD_Q));
+        const __m256 inside = _mm256_and_ps(_mm256_cmp_ps(pz, lowest, _CMP_GE_OQ), _mm256_cmp_ps(pz, highest, _CMP_LE_OQ));
+        const int keep = _mm256_movemask_ps(_mm256_andnot_ps(nan, inside)) & lanes;
+        nans += __builtin_popcount((unsigned)(_mm256_movemask_ps(nan) & lanes));
+        if (!keep) continue;
+        if (scan->filled > BLOCK - 8) project_block(scan);
+        const __m256i to = _mm256_cvtepu8_epi32(_mm_cvtsi64_si128((long long)together[keep]));
+        _mm256_storeu_ps(scan->x + scan->filled, _mm256_permutevar8x32_ps(px, to));
+        _mm256_storeu_ps(scan->y + scan->filled, _mm256_permutevar8x32_ps(py, to));
+        const int more = __builtin_popcount((unsigned)keep);
+        scan->filled += more;
+        kept += more;
+    }
+    scan->nan += nans;
+    scan->height += count - nans - kept;
+}
+#endif
+
+/* The same, with any processor, and with the points' numbers if the scan gathers these. */
+static void append(Scan *scan, const float *x, const float *y, const float *z, int64_t number, int count) {
+#ifdef EIGHT
+    if (eight_at_once && scan->smallest) {
+        append_eight(scan, x, y, z, count);
+        return;
+    }
+#endif
+    while (count > 0) {
+        const int filled = scan->filled, take = count < BLOCK - filled ? count : BLOCK - filled;
+        memcpy(scan->x + filled, x, (size_t)take * sizeof *x);
+        memcpy(scan->y + filled, y, (size_t)take * sizeof *y);
+        memcpy(scan->z + filled, z, (size_t)take * sizeof *z);
+        if (!scan->smallest)
+            for (int i = 0; i < take; i++) scan->number[filled + i] = number + i;
+        drop_by_height(scan, filled, take);
+        if (scan->filled == BLOCK) project_block(scan);
+        x += take, y += take, z += take, number += take, count -= take;
+    }
+}
+
+/* So many values of any type. */
+static void read_values(const Axis *axis, const char *from, int count, double *to) {
+    const Py_ssize_t step = axis->step;
+    if (axis->swapped || (axis->size != 4 && axis->size != 8))
+        for (int i = 0; i < count; i++) to[i] = read_any(from + i * step, axis);
+    else if (axis->kind == 'f' && axis->size == 8)
+        for (int i = 0; i < count; i++) to[i] = read_double(from + i * step);
+    else if (axis->kind == 'f')
+        for (int i = 0; i < count; i++) to[i] = read_float(from + i * step);
+    else if (axis->kind == 'u')
+        for (int i = 0; i < count; i++) to[i] = read_unsigned(from + i * step);
+    else
+        for (int i = 0; i < count; i++) to[i] = read_any(from + i * step, axis);
+}
+
+WIDEST static void to_seconds(double *times, int count, double offset, double unit) {
+    for (int i = 0; i < count; i++) times[i] = (times[i] - offset) * unit;
+}
+
+/* Read points of one row, and move them. */
+static void move_points(Motion *motion, const Axis axis[3], const int common, Py_ssize_t row, Py_ssize_t column, int count,
+                        Moved *block) {
+    const char *from[3];
+    float *to[3] = {block->x, block->y, block->z};
+    for (int k = 0; k < 3; k++) from[k] = axis[k].data + row * axis[k].row_step + column * axis[k].step;
+    int taken = 0;
+#ifdef EIGHT
+    if (eight_at_once && common == FLOATS && from[1] - from[0] == 4 && from[2] - from[0] == 8 && axis[0].step >= 12 &&
+        axis[1].step == axis[0].step && axis[2].step == axis[0].step)
+        taken = transpose_eight(from[0], axis[0].step, count, block->x, block->y, block->z);
+#endif
+    for (int k = 0; k < 3; k++)
+        if (common == FLOATS)
+            for (int i = taken; i < count; i++) to[k][i] = read_float(from[k] + i * axis[k].step);
+        else
+            for (int i = taken; i < count; i++) to[k][i] = (float)read_any(from[k] + i * axis[k].step, &axis[k]);
+    const Axis *field = &motion->times;
+    const double offset = motion->offset, unit = motion->unit;
+    read_values(field, field->data + row * field->row_step + column * field->step, count, block->times);
+    to_seconds(block->times, count, offset, unit);
+    /* Moved as well, up to eight at a time. */
+    for (int i = count; i < count + 8; i++) block->x[i] = block->y[i] = block->z[i] = 0, block->times[i] = 0;
+    move_block(motion, block, count);
+}
+
+static void load_moving(Scan *scan, const Axis axis[3], Py_ssize_t rows, Py_ssize_t columns, Motion *motion) {
+    const int common = in_common(axis);
+    Moved block;
+    motion->lowest = (float)scan->rule.lowest;
+    motion->highest = (float)scan->rule.highest;
+    for (Py_ssize_t row = 0; row < rows; row++)
+        for (Py_ssize_t column = 0; column < columns; column += BLOCK) {
+            const int count = columns - column < BLOCK ? (int)(columns - column) : BLOCK;
+            move_points(motion, axis, common, row, column, count, &block);
+            append(scan, block.to_x, block.to_y, block.to_z, (int64_t)row * columns + column, count);
+        }
+    if (scan->filled) project_block(scan);
+    /* They have no coordinates any more, and were taken for points without. */
+    scan->nan -= motion->untimed + motion->nowhere;
+}
+
 /* A contiguous array of doubles or floats from Python. */
 static int contiguous(PyObject *object, Py_buffer *view, int flags, Py_ssize_t item, Py_ssize_t count) {
     if (PyObject_GetBuffer(object, view, flags | PyBUF_C_CONTIGUOUS) < 0) return -1;
@@ -436,17 +744,26 @@ typedef struct {
     Py_buffer coordinates[3], rule, transform;
     Axis axis[3];
     Py_ssize_t rows, columns;
-    int held, has_transform;
+    int held, has_transform, has_motion;
+    Motion motion;
 } Cloud;
+
+static void release_motion(Motion *motion) {
+    PyMem_Free(motion->parts);
+    if (motion->held > 2) PyBuffer_Release(&motion->rows);
+    if (motion->held > 1) PyBuffer_Release(&motion->nodes);
+    if (motion->held > 0) PyBuffer_Release(&motion->times_of);
+}
 
 static void release(Cloud *cloud) {
     while (cloud->held > 0) PyBuffer_Release(&cloud->coordinates[--cloud->held]);
     if (cloud->rule.obj) PyBuffer_Release(&cloud->rule);
     if (cloud->has_transform) PyBuffer_Release(&cloud->transform);
+    if (cloud->has_motion) release_motion(&cloud->motion);
 }
 
-/* The type of an array's values, from its dtype. */
-static int find_type(PyObject *array, Axis *axis, Py_ssize_t item) {
+/* The type of an array's values, from its dtype; with integers of eight bytes if they may be that wide. */
+static int find_type(PyObject *array, Axis *axis, Py_ssize_t item, int wide) {
     PyObject *dtype = PyObject_GetAttrString(array, "dtype");
     if (!dtype) return -1;
     PyObject *text = PyObject_GetAttrString(dtype, "str");
@@ -457,11 +774,11 @@ static int find_type(PyObject *array, Axis *axis, Py_ssize_t item) {
     if (known) {
         axis->kind = type[1];
         axis->size = type[2] - '0';
-        known = axis->size == item && (axis->kind == 'f' ? item == 4 || item == 8 : item == 1 || item == 2 || item == 4);
+        known = axis->size == item && (axis->kind == 'f' ? item == 4 || item == 8 : item == 1 || item == 2 || item == 4 || wide);
         axis->swapped = type[0] == (PY_BIG_ENDIAN ? '<' : '>');
     }
     Py_DECREF(text);
-    if (type && !known) PyErr_SetString(PyExc_ValueError, "coordinates are of a type that no PointField has");
+    if (type && !known) PyErr_SetString(PyExc_ValueError, "coordinates or times are of a type that no PointField has");
     return known ? 0 : -1;
 }
 
@@ -479,7 +796,7 @@ static int take_coordinates(Cloud *cloud, PyObject *xyz[3]) {
             PyErr_SetString(PyExc_ValueError, "coordinates are not three arrays of one shape");
             goto failed;
         }
-        if (find_type(xyz[cloud->held], axis, view->itemsize) < 0) {
+        if (find_type(xyz[cloud->held], axis, view->itemsize, 0) < 0) {
             PyBuffer_Release(view);
             goto failed;
         }
@@ -495,13 +812,74 @@ failed:
     return -1;
 }
 
+/* A field of each point, besides the coordinates. */
+static int take_field(const Cloud *cloud, PyObject *array, Py_buffer *view, Axis *axis) {
+    const Py_buffer *like = &cloud->coordinates[0];
+    if (PyObject_GetBuffer(array, view, PyBUF_STRIDES) < 0) return -1;
+    int same = view->ndim == like->ndim;
+    for (int i = 0; same && i < view->ndim; i++) same = view->shape[i] == like->shape[i];
+    if (!same) PyErr_SetString(PyExc_ValueError, "times are not of the coordinates' shape");
+    if (!same || find_type(array, axis, view->itemsize, 1) < 0) {
+        PyBuffer_Release(view);
+        return -1;
+    }
+    axis->data = view->buf;
+    axis->step = view->strides[view->ndim - 1];
+    axis->row_step = view->ndim == 2 ? view->strides[0] : 0;
+    return 0;
+}
+
+/* A polynomial through three transforms: at the beginning, in the middle, and at the end of a part. */
+static void fit_part(Part *part, double begin, double end, const double *first) {
+    const double *middle = first + 12, *last = first + 24;
+    part->begin = begin;
+    part->end = end;
+    part->scale = 1.0 / (end - begin);
+    part->known = first[0] == first[0] && middle[0] == middle[0] && last[0] == last[0];
+    for (int k = 0; k < 12; k++) {
+        part->start[k] = first[k];
+        part->rate[k] = (float)((4 * middle[k] - 3 * first[k]) - last[k]);
+        part->bend[k] = (float)(2 * ((first[k] - 2 * middle[k]) + last[k]));
+    }
+}
+
+/* A motion from Python: (times, offset, unit, node_times, rows); see plain.py. */
+static int take_motion(Cloud *cloud, PyObject *tuple) {
+    Motion *motion = &cloud->motion;
+    PyObject *times, *nodes, *rows;
+    if (!PyArg_ParseTuple(tuple, "OddOO", &times, &motion->offset, &motion->unit, &nodes, &rows)) return -1;
+    cloud->has_motion = 1;
+    if (take_field(cloud, times, &motion->times_of, &motion->times) < 0) return -1;
+    motion->held = 1;
+    if (contiguous(nodes, &motion->nodes, PyBUF_SIMPLE, 8, -1) < 0) return -1;
+    motion->held = 2;
+    const Py_ssize_t count = motion->nodes.len / 8 - 1;
+    if (count < 1) {
+        PyErr_SetString(PyExc_ValueError, "there are fewer than two nodes");
+        return -1;
+    }
+    if (contiguous(rows, &motion->rows, PyBUF_SIMPLE, 8, (2 * count + 1) * 12) < 0) return -1;
+    motion->held = 3;
+    motion->parts = PyMem_Malloc((size_t)count * sizeof *motion->parts);
+    if (!motion->parts) {
+        PyErr_NoMemory();
+        return -1;
+    }
+    motion->count = count;
+    const double *ends = motion->nodes.buf, *transforms = motion->rows.buf;
+    for (Py_ssize_t k = 0; k < count; k++) fit_part(&motion->parts[k], ends[k], ends[k + 1], transforms + 24 * k);
+    return 0;
+}
+
 static int take(Cloud *cloud, PyObject *xyz[3], PyObject *rule, PyObject *transform) {
     if (take_coordinates(cloud, xyz) < 0) return -1;
     if (contiguous(rule, &cloud->rule, PyBUF_SIMPLE, 8, sizeof(Rule) / 8) < 0) {
         cloud->rule.obj = NULL;
         goto failed;
     }
-    if (transform != Py_None) {
+    if (PyTuple_Check(transform)) {
+        if (take_motion(cloud, transform) < 0) goto failed;
+    } else if (transform != Py_None) {
         if (contiguous(transform, &cloud->transform, PyBUF_SIMPLE, 4, 12) < 0) goto failed;
         cloud->has_transform = 1;
     }
@@ -524,16 +902,20 @@ static Scan *new_scan(const Cloud *cloud, int32_t beams, size_t doubles) {
     return scan;
 }
 
-static void run(Scan *scan, const Cloud *cloud) {
-    load_rows(scan, cloud->axis, cloud->rows, cloud->columns, cloud->has_transform ? cloud->transform.buf : NULL);
+static void run(Scan *scan, Cloud *cloud) {
+    if (cloud->has_motion) load_moving(scan, cloud->axis, cloud->rows, cloud->columns, &cloud->motion);
+    else load_rows(scan, cloud->axis, cloud->rows, cloud->columns, cloud->has_transform ? cloud->transform.buf : NULL);
 }
 
 /* Let other threads have the interpreter, unless taking turns takes longer than this many points or beams do. */
 static PyThreadState *let_others(Py_ssize_t work) { return work > 16384 ? PyEval_SaveThread() : NULL; }
 
-static PyObject *rejection_counts(const Scan *scan) {
-    return Py_BuildValue("(LLLLL)", (long long)scan->nan, (long long)scan->height, (long long)scan->rejected[TOO_FAR],
-                         (long long)scan->rejected[OUTSIDE], (long long)scan->rejected[PAST_END]);
+static PyObject *rejection_counts(const Scan *scan, const Cloud *cloud) {
+    const long long nan = scan->nan, height = scan->height, range = scan->rejected[TOO_FAR];
+    const long long angle = scan->rejected[OUTSIDE], past_end = scan->rejected[PAST_END];
+    if (!cloud->has_motion) return Py_BuildValue("(LLLLL)", nan, height, range, angle, past_end);
+    const long long untimed = cloud->motion.untimed, nowhere = cloud->motion.nowhere;
+    return Py_BuildValue("(LLLLLLL)", nan, height, range, angle, past_end, untimed, nowhere);
 }
 
 static PyObject *project(PyObject *self, PyObject *args) {
@@ -559,7 +941,7 @@ static PyObject *project(PyObject *self, PyObject *args) {
                 range[i] = root < limit ? root : empty;
             }
             if (state) PyEval_RestoreThread(state);
-            result = rejection_counts(scan);
+            result = rejection_counts(scan, &cloud);
             PyMem_Free(scan);
         }
         PyBuffer_Release(&ranges);
@@ -590,7 +972,7 @@ static PyObject *gather(PyObject *self, PyObject *args) {
         PyThreadState *state = let_others(most);
         run(scan, &cloud);
         if (state) PyEval_RestoreThread(state);
-        result = rejection_counts(scan);
+        result = rejection_counts(scan, &cloud);
         PyMem_Free(scan);
     }
     PyBuffer_Release(&numbers);
@@ -634,142 +1016,244 @@ release_x:
     return result;
 }
 
-/* The parts of a cloud's time between two nodes, and the transforms at these: twelve numbers each. */
-typedef struct {
-    const double *times, *transforms;
-    Py_ssize_t nodes;
-    /* Of each part: by how much its transform changes, and one by its duration. */
-    double *steps, *scales;
-} Motion;
-
-/* The part that a time lies in: the first that does not end before it, or the one behind it if only that is known. */
-static Py_ssize_t part_at(const Motion *motion, double time, Py_ssize_t part) {
-    const double *ends = motion->times + 1;
-    const Py_ssize_t last = motion->nodes - 2;
-    if (part < last && time > ends[part] && time <= ends[part + 1]) part++;
-    else if (!(time > motion->times[part] && time <= ends[part])) {
-        Py_ssize_t low = 0, high = last;
-        while (low < high) {
-            Py_ssize_t middle = (low + high) / 2;
-            if (ends[middle] < time) low = middle + 1;
-            else high = middle;
-        }
-        part = low;
-    }
-    return part;
-}
-
-static int is_known(const Motion *motion, Py_ssize_t part) {
-    const double *from = motion->transforms + 12 * part;
-    return from[0] == from[0] && from[12] == from[12];
-}
-
-/* Transform points of one part: the transform is interpolated linearly. */
-WIDEST static void deskew_run(const float *restrict x, const float *restrict y, const float *restrict z,
-                              const double *restrict times, int count, const Motion *motion, Py_ssize_t part,
-                              float *restrict to_x, float *restrict to_y, float *restrict to_z) {
-    const double begin = motion->times[part], scale = motion->scales[part];
-    const double *restrict from = motion->transforms + 12 * part, *restrict step = motion->steps + 12 * part;
-    for (int i = 0; i < count; i++) {
-        const double ratio = (times[i] - begin) * scale, a = x[i], b = y[i], c = z[i];
-        to_x[i] = (float)((from[0] + ratio * step[0]) * a + (from[1] + ratio * step[1]) * b +
-                          (from[2] + ratio * step[2]) * c + (from[9] + ratio * step[9]));
-        to_y[i] = (float)((from[3] + ratio * step[3]) * a + (from[4] + ratio * step[4]) * b +
-                          (from[5] + ratio * step[5]) * c + (from[10] + ratio * step[10]));
-        to_z[i] = (float)((from[6] + ratio * step[6]) * a + (from[7] + ratio * step[7]) * b +
-                          (from[8] + ratio * step[8]) * c + (from[11] + ratio * step[11]));
-    }
-}
-
-/* Transform a cloud whose points were measured one after the other. Returns how many points have no transform. */
-static int64_t deskew_cloud(const Cloud *cloud, const double *times, const Motion *motion, float *out) {
+/* The coordinates of a cloud's points at their own times. */
+static void deskew_cloud(Cloud *cloud, float *out) {
     const int common = in_common(cloud->axis);
-    const double first = motion->times[0], last = motion->times[motion->nodes - 1];
-    float x[BLOCK], y[BLOCK], z[BLOCK], to_x[BLOCK], to_y[BLOCK], to_z[BLOCK];
-    Py_ssize_t part = 0, place = 0;
-    int64_t missing = 0;
+    Moved block;
+    cloud->motion.lowest = -INFINITY;
+    cloud->motion.highest = INFINITY;
     for (Py_ssize_t row = 0; row < cloud->rows; row++)
-        for (Py_ssize_t column = 0; column < cloud->columns;) {
+        for (Py_ssize_t column = 0; column < cloud->columns; column += BLOCK) {
             const int count = cloud->columns - column < BLOCK ? (int)(cloud->columns - column) : BLOCK;
-            for (int axis = 0; axis < 3; axis++) {
-                const Axis *own = &cloud->axis[axis];
-                const char *from = own->data + row * own->row_step + column * own->step;
-                float *to = axis == 0 ? x : axis == 1 ? y : z;
-                if (common == FLOATS)
-                    for (int i = 0; i < count; i++) to[i] = read_float(from + i * own->step);
-                else
-                    for (int i = 0; i < count; i++) to[i] = (float)read_any(from + i * own->step, own);
-            }
-            for (int i = 0; i < count;) {
-                const double time = times[place + i];
-                int end = i + 1;
-                int known = time >= first && time <= last;
-                if (known) {
-                    part = part_at(motion, time, part);
-                    Py_ssize_t used = part;
-                    if (!is_known(motion, part) && time == motion->times[part + 1] && part < motion->nodes - 2) used++;
-                    const double low = motion->times[part], high = motion->times[part + 1];
-                    if (used == part)
-                        while (end < count && times[place + end] > low && times[place + end] < high) end++;
-                    known = is_known(motion, used);
-                    if (known)
-                        deskew_run(x + i, y + i, z + i, times + place + i, end - i, motion, used, to_x + i, to_y + i,
-                                   to_z + i);
-                }
-                if (!known)
-                    for (int k = i; k < end; k++) {
-                        missing += x[k] == x[k] && y[k] == y[k] && z[k] == z[k];
-                        to_x[k] = to_y[k] = to_z[k] = NAN;
-                    }
-                i = end;
-            }
+            move_points(&cloud->motion, cloud->axis, common, row, column, count, &block);
             for (int i = 0; i < count; i++, out += 3) {
-                out[0] = to_x[i];
-                out[1] = to_y[i];
-                out[2] = to_z[i];
+                out[0] = block.to_x[i];
+                out[1] = block.to_y[i];
+                out[2] = block.to_z[i];
             }
-            column += count;
-            place += count;
         }
-    return missing;
 }
 
 static PyObject *deskew(PyObject *self, PyObject *args) {
     (void)self;
-    PyObject *xyz[3], *times_of, *nodes_of, *transforms_of, *out_of, *result = NULL;
-    double *steps = NULL;
-    if (!PyArg_ParseTuple(args, "OOOOOOO", &xyz[0], &xyz[1], &xyz[2], &times_of, &nodes_of, &transforms_of, &out_of))
-        return NULL;
+    PyObject *xyz[3], *motion, *out_of, *result = NULL;
+    if (!PyArg_ParseTuple(args, "OOOO!O", &xyz[0], &xyz[1], &xyz[2], &PyTuple_Type, &motion, &out_of)) return NULL;
     Cloud cloud;
     if (take_coordinates(&cloud, xyz) < 0) return NULL;
     const Py_ssize_t most = cloud.rows * cloud.columns;
-    Py_buffer times, nodes, transforms, out;
-    if (contiguous(times_of, &times, PyBUF_SIMPLE, 8, most) < 0) goto release_cloud;
-    if (contiguous(nodes_of, &nodes, PyBUF_SIMPLE, 8, -1) < 0) goto release_times;
-    if (contiguous(transforms_of, &transforms, PyBUF_SIMPLE, 8, nodes.len / 8 * 12) < 0) goto release_nodes;
-    if (contiguous(out_of, &out, PyBUF_WRITABLE, 4, 3 * most) < 0) goto release_transforms;
-    if (nodes.len < 16) PyErr_SetString(PyExc_ValueError, "there are fewer than two nodes");
-    else if ((steps = PyMem_Malloc((size_t)(nodes.len / 8 * 13) * sizeof *steps)) == NULL) PyErr_NoMemory();
-    else {
-        const Py_ssize_t parts = nodes.len / 8 - 1;
-        const Motion motion = {nodes.buf, transforms.buf, parts + 1, steps, steps + 12 * parts};
-        for (Py_ssize_t k = 0; k < 12 * parts; k++) steps[k] = motion.transforms[k + 12] - motion.transforms[k];
-        for (Py_ssize_t k = 0; k < parts; k++) motion.scales[k] = 1.0 / (motion.times[k + 1] - motion.times[k]);
+    Py_buffer out;
+    if (take_motion(&cloud, motion) == 0 && contiguous(out_of, &out, PyBUF_WRITABLE, 4, 3 * most) == 0) {
         PyThreadState *state = let_others(most);
-        const int64_t missing = deskew_cloud(&cloud, times.buf, &motion, out.buf);
+        deskew_cloud(&cloud, out.buf);
         if (state) PyEval_RestoreThread(state);
-        result = PyLong_FromLongLong((long long)missing);
-        PyMem_Free(steps);
+        result = Py_BuildValue("(LL)", (long long)cloud.motion.untimed, (long long)cloud.motion.nowhere);
+        PyBuffer_Release(&out);
     }
-    PyBuffer_Release(&out);
-release_transforms:
-    PyBuffer_Release(&transforms);
-release_nodes:
-    PyBuffer_Release(&nodes);
+    release(&cloud);
+    return result;
+}
+
+/* The least and the largest value of a field, of the points whose x is not NaN. */
+typedef struct {
+    double low, high;
+    int64_t measured, unknown;
+} Span;
+
+static void widen(Span *span, const double *values, const float *x, int count) {
+    for (int i = 0; i < count; i++) {
+        if (x[i] != x[i]) continue;
+        span->measured++;
+        if (fabs(values[i]) <= DBL_MAX) {
+            span->low = values[i] < span->low ? values[i] : span->low;
+            span->high = values[i] > span->high ? values[i] : span->high;
+        } else span->unknown++;
+    }
+}
+
+#ifdef EIGHT
+/* The same, four at a time; up to three behind the last one have to be NaN. */
+__attribute__((target("avx2,popcnt"))) static void widen_four(Span *span, const double *values, const float *x, int count) {
+    __m256d low = _mm256_set1_pd(span->low), high = _mm256_set1_pd(span->high);
+    const __m256d largest = _mm256_set1_pd(DBL_MAX), sign = _mm256_set1_pd(-0.0);
+    int measured = 0, known = 0;
+    for (int i = 0; i < count; i += 4) {
+        const __m256d value = _mm256_loadu_pd(values + i), own = _mm256_cvtps_pd(_mm_loadu_ps(x + i));
+        const __m256d there = _mm256_cmp_pd(own, own, _CMP_ORD_Q);
+        const __m256d finite = _mm256_cmp_pd(_mm256_andnot_pd(sign, value), largest, _CMP_LE_OQ);
+        const __m256d taken = _mm256_and_pd(there, finite);
+        measured += __builtin_popcount((unsigned)_mm256_movemask_pd(there));
+        known += __builtin_popcount((unsigned)_mm256_movemask_pd(taken));
+        /* The second one where the first is NaN. */
+        const __m256d one = _mm256_blendv_pd(_mm256_set1_pd(NAN), value, taken);
+        low = _mm256_min_pd(one, low);
+        high = _mm256_max_pd(one, high);
+    }
+    double lows[4], highs[4];
+    _mm256_storeu_pd(lows, low);
+    _mm256_storeu_pd(highs, high);
+    for (int k = 0; k < 4; k++) {
+        span->low = lows[k] < span->low ? lows[k] : span->low;
+        span->high = highs[k] > span->high ? highs[k] : span->high;
+    }
+    span->measured += measured;
+    span->unknown += measured - known;
+}
+#endif
+
+static PyObject *span(PyObject *self, PyObject *args) {
+    (void)self;
+    PyObject *x_of, *values_of;
+    if (!PyArg_ParseTuple(args, "OO", &x_of, &values_of)) return NULL;
+    PyObject *xyz[3] = {x_of, x_of, x_of}, *result = NULL;
+    Cloud cloud;
+    if (take_coordinates(&cloud, xyz) < 0) return NULL;
+    Motion motion = {.unit = 1.0};
+    if (take_field(&cloud, values_of, &motion.times_of, &motion.times) == 0) {
+        Span found = {INFINITY, -INFINITY, 0, 0};
+        PyThreadState *state = let_others(cloud.rows * cloud.columns);
+        const Axis *axis = &cloud.axis[0], *field = &motion.times;
+        const int plain = axis->kind == 'f' && axis->size == 4 && !axis->swapped;
+        float x[PADDED];
+        double values[PADDED];
+        for (Py_ssize_t row = 0; row < cloud.rows; row++)
+            for (Py_ssize_t column = 0; column < cloud.columns; column += BLOCK) {
+                const int count = cloud.columns - column < BLOCK ? (int)(cloud.columns - column) : BLOCK;
+                const char *from = axis->data + row * axis->row_step + column * axis->step;
+                if (plain)
+                    for (int i = 0; i < count; i++, from += axis->step) {
+                        PREFETCH(from);
+                        x[i] = read_float(from);
+                    }
+                else
+                    for (int i = 0; i < count; i++, from += axis->step) x[i] = (float)read_any(from, axis);
+                read_values(field, field->data + row * field->row_step + column * field->step, count, values);
+                for (int i = count; i < count + 8; i++) values[i] = x[i] = NAN;
+#ifdef EIGHT
+                if (eight_at_once) {
+                    widen_four(&found, values, x, count);
+                    continue;
+                }
+#endif
+                widen(&found, values, x, count);
+            }
+        if (state) PyEval_RestoreThread(state);
+        result = Py_BuildValue("(ddLL)", found.low, found.high, (long long)found.measured, (long long)found.unknown);
+        PyBuffer_Release(&motion.times_of);
+    }
+    release(&cloud);
+    return result;
+}
+
+/* A rotation's matrix, in the order of operations of rigid.py's rotation_matrices. */
+static void matrix_of(const double q[4], double m[9]) {
+    const double x = q[0], y = q[1], z = q[2], w = q[3];
+    const double scale = 2.0 / (x * x + y * y + z * z + w * w);
+    const double xs = x * scale, ys = y * scale, zs = z * scale;
+    const double wx = w * xs, wy = w * ys, wz = w * zs, xx = x * xs, xy = x * ys, xz = x * zs;
+    const double yy = y * ys, yz = y * zs, zz = z * zs;
+    const double all[9] = {1.0 - (yy + zz), xy - wz, xz + wy, xy + wz, 1.0 - (xx + zz),
+                           yz - wx,         xz - wy, yz + wx, 1.0 - (xx + yy)};
+    memcpy(m, all, sizeof all);
+}
+
+/* A row of a transform after another one. */
+static void compose(const double m[9], const double t[3], double *row) {
+    double turned[12];
+    for (int i = 0; i < 3; i++) {
+        const double *own = m + 3 * i;
+        for (int k = 0; k < 3; k++) turned[3 * i + k] = own[0] * row[k] + own[1] * row[3 + k] + own[2] * row[6 + k];
+        turned[9 + i] = own[0] * row[9] + own[1] * row[10] + own[2] * row[11] + t[i];
+    }
+    memcpy(row, turned, sizeof turned);
+}
+
+/* Two neighbouring samples of a frame, between which it is interpolated. */
+typedef struct {
+    const double *first, *last;
+    double angle, over, sign;
+} Between;
+
+static void set_between(Between *between, const double *first, const double *last) {
+    const double *q = first + 3, *r = last + 3;
+    const double product = q[0] * r[0] + q[1] * r[1] + q[2] * r[2] + q[3] * r[3];
+    const double one = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3];
+    const double other = r[0] * r[0] + r[1] * r[1] + r[2] * r[2] + r[3] * r[3];
+    const double cosine = fabs(product) / sqrt(one * other);
+    between->first = first;
+    between->last = last;
+    between->angle = acos(cosine < 1 ? cosine : 1);
+    between->over = sin(between->angle);
+    between->sign = product < 0 ? -1 : 1;
+}
+
+static void interpolate(const Between *between, double ratio, double m[9], double t[3]) {
+    const double *first = between->first, *last = between->last, angle = between->angle;
+    double q[4];
+    for (int k = 0; k < 3; k++) t[k] = (1 - ratio) * first[k] + ratio * last[k];
+    if (angle == 0) memcpy(q, first + 3, sizeof q);
+    else {
+        const double from = sin((1 - ratio) * angle) / between->over;
+        const double to = sin(ratio * angle) * between->sign / between->over;
+        for (int k = 0; k < 4; k++) q[k] = from * first[3 + k] + to * last[3 + k];
+    }
+    matrix_of(q, m);
+}
+
+static void follow_link(const int64_t *times, Py_ssize_t count, const int64_t *stamps, const double *poses,
+                        Py_ssize_t samples, double *rows) {
+    Between between = {NULL, NULL, 0, 0, 0};
+    Py_ssize_t older = 0;
+    double m[9], t[3];
+    for (Py_ssize_t i = 0; i < count; i++, rows += 12) {
+        if (times[i] < stamps[0] || times[i] > stamps[samples - 1]) {
+            for (int k = 0; k < 12; k++) rows[k] = NAN;
+            continue;
+        }
+        if (i == 0 || times[i] < stamps[older]) {
+            Py_ssize_t low = 0, high = samples - 1;
+            while (low < high) {
+                Py_ssize_t middle = (low + high + 1) / 2;
+                if (stamps[middle] <= times[i]) low = middle;
+                else high = middle - 1;
+            }
+            older = low;
+        }
+        while (older + 1 < samples && stamps[older + 1] <= times[i]) older++;
+        const Py_ssize_t newer = older + 1 < samples ? older + 1 : older;
+        const double *first = poses + 7 * older, *last = poses + 7 * newer;
+        if (between.first != first || between.last != last) set_between(&between, first, last);
+        const double whole = (double)(stamps[newer] - stamps[older]);
+        interpolate(&between, newer > older ? (double)(times[i] - stamps[older]) / whole : 0, m, t);
+        compose(m, t, rows);
+    }
+}
+
+static PyObject *follow(PyObject *self, PyObject *args) {
+    (void)self;
+    PyObject *times_of, *stamps_of, *poses_of, *rows_of, *result = NULL;
+    if (!PyArg_ParseTuple(args, "OOOO", &times_of, &stamps_of, &poses_of, &rows_of)) return NULL;
+    Py_buffer times, stamps, poses, rows;
+    if (contiguous(times_of, &times, PyBUF_SIMPLE, 8, -1) < 0) return NULL;
+    const Py_ssize_t count = times.len / 8;
+    if (contiguous(stamps_of, &stamps, PyBUF_SIMPLE, 8, -1) < 0) goto release_times;
+    const Py_ssize_t samples = stamps.len / 8;
+    if (contiguous(poses_of, &poses, PyBUF_SIMPLE, 8, 7 * (samples ? samples : 1)) < 0) goto release_stamps;
+    if (contiguous(rows_of, &rows, PyBUF_WRITABLE, 8, 12 * count) < 0) goto release_poses;
+    if (samples) follow_link(times.buf, count, stamps.buf, poses.buf, samples, rows.buf);
+    else {
+        const double *pose = poses.buf;
+        double m[9], *row = rows.buf;
+        matrix_of(pose + 3, m);
+        for (Py_ssize_t i = 0; i < count; i++) compose(m, pose, row + 12 * i);
+    }
+    result = Py_NewRef(Py_None);
+    PyBuffer_Release(&rows);
+release_poses:
+    PyBuffer_Release(&poses);
+release_stamps:
+    PyBuffer_Release(&stamps);
 release_times:
     PyBuffer_Release(&times);
-release_cloud:
-    release(&cloud);
     return result;
 }
 
@@ -861,7 +1345,9 @@ static PyMethodDef methods[] = {
     {"gather", gather, METH_VARARGS,
      "gather(x, y, z, rule, transform, beams, bins, ranges, numbers) -> the same counts; see plain.py"},
     {"deskew", deskew, METH_VARARGS,
-     "deskew(x, y, z, times, node_times, transforms, out) -> points without a transform; see plain.py"},
+     "deskew(x, y, z, motion, out) -> points without a time, and without a transform; see plain.py"},
+    {"span", span, METH_VARARGS, "span(x, values) -> (least, largest, measured, unknown); see plain.py"},
+    {"follow", follow, METH_VARARGS, "follow(times, stamps, poses, rows): one frame's poses; see plain.py"},
     {"trace", trace, METH_VARARGS, "trace(cells, width, mark, rays, hits): rays into a grid; see plain.py"},
     {"angles", angles, METH_VARARGS, "angles(x, y, out, glibc=False): atan2(y, x) of contiguous float32; see plain.py"},
     {NULL, NULL, 0, NULL},

@@ -2,12 +2,14 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from .moving import MovingTransform
+
 def project(
     x: NDArray[Any],
     y: NDArray[Any],
     z: NDArray[Any],
     rule: NDArray[Any],
-    transform: NDArray[Any] | None,
+    transform: NDArray[Any] | MovingTransform | None,
     ranges: NDArray[Any],
     limit: float,
     empty: float,
@@ -18,7 +20,7 @@ def gather(
     y: NDArray[Any],
     z: NDArray[Any],
     rule: NDArray[Any],
-    transform: NDArray[Any] | None,
+    transform: NDArray[Any] | MovingTransform | None,
     beams: int,
     bins: NDArray[Any],
     ranges: NDArray[Any],
@@ -29,11 +31,11 @@ def deskew(
     x: NDArray[Any],
     y: NDArray[Any],
     z: NDArray[Any],
-    times: NDArray[Any],
-    node_times: NDArray[Any],
-    transforms: NDArray[Any],
+    motion: MovingTransform,
     out: NDArray[Any],
     /,
-) -> int: ...
+) -> tuple[int, int]: ...
+def span(x: NDArray[Any], values: NDArray[Any], /) -> tuple[float, float, int, int]: ...
+def follow(times: NDArray[Any], stamps: NDArray[Any], poses: NDArray[Any], rows: NDArray[Any], /) -> None: ...
 def trace(cells: NDArray[Any], width: int, mark: int, rays: NDArray[Any], hits: NDArray[Any], /) -> None: ...
 def angles(x: NDArray[Any], y: NDArray[Any], out: NDArray[Any], glibc: bool = ..., /) -> None: ...

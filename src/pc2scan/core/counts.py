@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from .rule import REJECTIONS
+from .rule import NO_TIME, NO_TRANSFORM, REJECTIONS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 __all__ = ["PointCounts"]
 
 _NONE = {rejection.name: 0 for rejection in REJECTIONS}
+_MOVING = NO_TIME.name, NO_TRANSFORM.name
 
 
 class PointCounts:
@@ -52,11 +53,17 @@ class PointCounts:
 
     @classmethod
     def of_projection(cls, total: int, rejected: tuple[int, ...]) -> PointCounts:
-        """Return the counts of a cloud, given those of the loops over points, in the order of `REJECTIONS`."""
+        """Return the counts of a cloud, given those of the loops over points.
+
+        These are in the order of `REJECTIONS`; for points that were moved, those without a time and those without a
+        transform follow.
+        """
         counts = cls.__new__(cls)
         counts.total = total
         counts.used = total - sum(rejected)
         counts.rejected = dict(zip(_NONE, rejected))  # noqa: B905  # checking the length takes time for every cloud
+        if len(rejected) > len(_NONE):
+            counts.rejected.update(zip(_MOVING, rejected[len(_NONE) :], strict=True))
         return counts
 
     def __getattr__(self, name: str) -> int:

@@ -5,14 +5,14 @@ An installation without a C compiler, from source, does without the compiled one
 
 from __future__ import annotations
 
-__all__ = ["COMPILED", "angles", "deskew", "gather", "project", "trace"]
+__all__ = ["COMPILED", "angles", "deskew", "follow", "gather", "project", "span", "trace"]
 
 try:
-    from ._kernel import angles, deskew, gather, project, trace
+    from ._kernel import angles, deskew, follow, gather, project, span, trace
 
     #: Whether the loops are compiled.
     COMPILED = True
 except ImportError:
-    from .plain import angles, deskew, gather, project, trace
+    from .plain import angles, deskew, follow, gather, project, span, trace
 
     COMPILED = False

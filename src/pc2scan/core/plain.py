@@ -10,14 +10,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from . import fdlibm
+from .moving import MovingTransform
+from .rigid import rotation_matrices
 from .rule import REJECTIONS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
-__all__ = ["angles", "bins_of", "deskew", "gather", "project", "trace", "transformed"]
+__all__ = ["angles", "bins_of", "deskew", "follow", "gather", "project", "span", "trace", "transformed"]
 
 #: Points at a time: few enough for the cache, and enough to make the cost of calling NumPy small.
 BLOCK = 16384
@@ -34,7 +36,7 @@ def project(
     y: NDArray[Any],
     z: NDArray[Any],
     rule: NDArray[np.float64],
-    transform: NDArray[np.float32] | None,
+    transform: NDArray[np.float32] | MovingTransform | None,
     ranges: NDArray[np.float32],
     limit: float,
     empty: float,
@@ -48,7 +50,8 @@ def project(
     rule
         (13,), of `rule_of`.
     transform
-        (4, 3): a transform to apply first, in float32: the rows of the rotation, then the translation.
+        (4, 3): a transform to apply first, in float32: the rows of the rotation, then the translation. A motion: each
+        point is transformed at its own time.
     ranges
         (N,), overwritten: the smallest range of each of N beams, metres.
     limit, empty
@@ -57,10 +60,11 @@ def project(
     Returns
     -------
     tuple of int
-        How many points are rejected for each reason, in the order of `REJECTIONS`.
+        How many points are rejected for each reason, in the order of `REJECTIONS`; with a motion, followed by how many
+        have no time, and how many no transform at their time.
     """
     smallest = np.full(ranges.size, np.inf)
-    rejected = np.zeros(len(REJECTIONS), np.int64)
+    rejected = _nothing(transform)
     with np.errstate(all="ignore"):
         for bins, squares, _ in _returns(x, y, z, rule, transform, ranges.size, rejected):
             np.minimum.at(smallest, bins, squares)
@@ -75,7 +79,7 @@ def gather(
     y: NDArray[Any],
     z: NDArray[Any],
     rule: NDArray[np.float64],
-    transform: NDArray[np.float32] | None,
+    transform: NDArray[np.float32] | MovingTransform | None,
     beams: int,
     bins: NDArray[np.int32],
     ranges: NDArray[np.float32],
@@ -98,7 +102,7 @@ def gather(
     tuple of int
         As `project`; all other points are returns.
     """
-    rejected = np.zeros(len(REJECTIONS), np.int64)
+    rejected = _nothing(transform)
     begin = 0
     with np.errstate(all="ignore"):
         for found, squares, points in _returns(x, y, z, rule, transform, beams, rejected):
@@ -142,17 +146,24 @@ def _returns(
     y: NDArray[Any],
     z: NDArray[Any],
     rule: NDArray[np.float64],
-    transform: NDArray[np.float32] | None,
+    transform: NDArray[np.float32] | MovingTransform | None,
     beams: int,
     rejected: NDArray[np.int64],
 ) -> Iterator[tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.intp]]]:
     """Beams, squared ranges and numbers of the returns, part by part; the others are added to ``rejected``."""
     lowest, highest, least, most = rule[:4].tolist()
+    if isinstance(transform, MovingTransform):
+        transform = transform._replace(times=transform.times.reshape(-1))
     x, y, z = (part.reshape(-1) for part in (x, y, z))
     for start in range(0, x.size, BLOCK):
         px, py, pz = (part[start : start + BLOCK] for part in (x, y, z))
         px, py, pz = (part.astype(np.float32, copy=False) for part in (px, py, pz))
-        if transform is not None:
+        lost = 0
+        if isinstance(transform, MovingTransform):
+            own = transform._replace(times=transform.times[start : start + BLOCK])
+            (px, py, pz), lost, untimed = _moved(px, py, pz, own)
+            rejected[len(REJECTIONS) :] += untimed, lost - untimed
+        elif transform is not None:
             px, py, pz = transformed(px, py, pz, transform)
         known = ~(np.isnan(px) | np.isnan(py) | np.isnan(pz))
         level = np.flatnonzero(known & (pz >= np.float32(lowest)) & (pz <= np.float32(highest)))
@@ -165,9 +176,14 @@ def _returns(
         bins = bins_of(angle, rule, beams)
         past_end, outside = np.count_nonzero(bins == beams), np.count_nonzero(bins == beams + 1)
         nan = px.size - np.count_nonzero(known)
-        rejected += nan, px.size - nan - level.size, level.size - kept.size, outside, past_end
+        rejected[: len(REJECTIONS)] += nan - lost, px.size - nan - level.size, level.size - kept.size, outside, past_end
         found = bins < beams
         yield bins[found], squares[found], kept[found] + start
+
+
+def _nothing(transform: NDArray[np.float32] | MovingTransform | None) -> NDArray[np.int64]:
+    """Counts of rejected points."""
+    return np.zeros(len(REJECTIONS) + (2 if isinstance(transform, MovingTransform) else 0), np.int64)
 
 
 def _counts(rejected: NDArray[np.int64]) -> tuple[int, ...]:
@@ -199,54 +215,155 @@ def deskew(
     x: NDArray[Any],
     y: NDArray[Any],
     z: NDArray[Any],
-    times: NDArray[np.float64],
-    node_times: NDArray[np.float64],
-    transforms: NDArray[np.float64],
+    motion: MovingTransform,
     out: NDArray[np.float32],
-) -> int:
-    """Transform each point by the transform at its own time, in float64.
-
-    Between two nodes the transform is interpolated linearly, rotations too: nodes have to be close to each other.
+) -> tuple[int, int]:
+    """Transform each point by the transform at its own time.
 
     Parameters
     ----------
     x, y, z
         Coordinates in metres, of one shape, (M,) or (H, W), of any of PointField's datatypes.
-    times
-        One for each point, in the order of the points; NaN: not known.
-    node_times
-        (N,), increasing, at least two.
-    transforms
-        (N, 12): the rows of the rotation, then the translation; NaN where there is none.
+    motion
+        How the sensor moved.
     out
         (points, 3), overwritten: the coordinates, NaN for points without a transform.
 
     Returns
     -------
-    int
-        How many points have coordinates, but no transform: outside of the nodes, or beside one that is NaN.
+    (int, int)
+        How many points have coordinates, but no time; and how many have a time, but no transform then: outside of the
+        nodes, or beside a row that is NaN.
+    """
+    untimed = nowhere = 0
+    shape = x.shape
+    columns = [np.ravel(axis) for axis in (x, y, z)]
+    times = np.ravel(np.broadcast_to(motion.times, shape))
+    with np.errstate(all="ignore"):
+        for begin in range(0, out.shape[0], BLOCK):
+            part = slice(begin, begin + BLOCK)
+            px, py, pz = (axis[part].astype(np.float32) for axis in columns)
+            moved, missing, unknown = _moved(px, py, pz, motion._replace(times=times[part]))
+            for axis, values in enumerate(moved):
+                out[part, axis] = values
+            untimed += unknown
+            nowhere += missing - unknown
+    return untimed, nowhere
+
+
+def _moved(
+    x: NDArray[np.float32], y: NDArray[np.float32], z: NDArray[np.float32], motion: MovingTransform
+) -> tuple[list[NDArray[np.float32]], int, int]:
+    """Coordinates at their own times; how many have no transform, and how many of these because they have no time."""
+    nodes, rows = motion.node_times, motion.rows
+    times = (motion.times.astype(np.float64) - motion.offset) * motion.unit
+    last = nodes.size - 2
+    part = np.clip(np.searchsorted(nodes, times, "left") - 1, 0, last)
+    first, middle, final = rows[:-1:2], rows[1::2], rows[2::2]
+    known = ~np.isnan(first[:, 0] + middle[:, 0] + final[:, 0])
+    # At the end of a part without transforms begins one that may have them.
+    behind = ~known[part] & (times == nodes[part + 1]) & (part < last)
+    part[behind] += 1
+    rates = ((4 * middle - 3 * first) - final).astype(np.float32)
+    bends = (2 * ((first - 2 * middle) + final)).astype(np.float32)
+    begin = nodes[part]
+    ratio = ((times - begin) * (1.0 / (nodes[part + 1] - begin))).astype(np.float32)
+    found = known[part] & (times >= nodes[0]) & (times <= nodes[-1])
+    moved = []
+    for axis in range(3):
+        columns = (3 * axis, 3 * axis + 1, 3 * axis + 2, 9 + axis)
+        start, rate, bend = ([table[part, k] for k in columns] for table in (first, rates, bends))
+        away = ratio * (_dot(rate, x, y, z) + ratio * _dot(bend, x, y, z))
+        place = _dot(start, *(values.astype(np.float64) for values in (x, y, z))) + away
+        moved.append(np.where(found, place, np.nan).astype(np.float32))
+    lost = ~found & ~(np.isnan(x) | np.isnan(y) | np.isnan(z))
+    return moved, int(np.count_nonzero(lost)), int(np.count_nonzero(lost & np.isnan(times)))
+
+
+def _dot(row: Sequence[NDArray[Any]], x: NDArray[Any], y: NDArray[Any], z: NDArray[Any]) -> Any:
+    return row[0] * x + row[1] * y + row[2] * z + row[3]
+
+
+def span(x: NDArray[Any], values: NDArray[Any]) -> tuple[float, float, int, int]:
+    """The least and the largest finite value of a field, of the points whose ``x`` is not NaN.
+
+    Parameters
+    ----------
+    x, values
+        Of one shape, (M,) or (H, W), of any of PointField's datatypes.
+
+    Returns
+    -------
+    least, largest : float
+        inf and -inf if there is none.
+    measured : int
+        How many points have an ``x``.
+    unknown : int
+        Those of them whose value is NaN or infinite.
+    """
+    measured = ~np.isnan(x)
+    found = values[measured].astype(np.float64)
+    finite = found[np.isfinite(found)]
+    return (
+        float(finite.min(initial=np.inf)),
+        float(finite.max(initial=-np.inf)),
+        found.size,
+        found.size - finite.size,
+    )
+
+
+def follow(
+    times: NDArray[np.int64], stamps: NDArray[np.int64], poses: NDArray[np.float64], rows: NDArray[np.float64]
+) -> None:
+    """Take transforms to a frame on to its parent.
+
+    The compiled function differs in the last bits of float64.
+
+    Parameters
+    ----------
+    times
+        (N,) nanoseconds.
+    stamps
+        (S,) those of the samples, increasing; (0,): the only pose is valid at any time.
+    poses
+        (S, 7) or (1, 7): ``parent_from_frame``, the translation in metres, then the quaternion x, y, z, w.
+    rows
+        (N, 12), overwritten: the rows of the rotation, then the translation, of ``frame_from_source``, then of
+        ``parent_from_source``; NaN outside of the samples.
     """
     with np.errstate(all="ignore"):
-        source = [np.ravel(axis).astype(np.float32) for axis in (x, y, z)]
-        last = node_times.size - 2
-        part = np.clip(np.searchsorted(node_times, times, "left") - 1, 0, last)
-        known = ~np.isnan(transforms[:-1, 0] + transforms[1:, 0])
-        # At the end of a part without transforms begins one that may have them.
-        behind = ~known[part] & (times == node_times[part + 1]) & (part < last)
-        part[behind] += 1
-        begin = node_times[part]
-        ratio = (times - begin) * (1.0 / (node_times[part + 1] - begin))
-        a, b, c = (axis.astype(np.float64) for axis in source)
-        found = known[part] & (times >= node_times[0]) & (times <= node_times[-1])
-        for axis, offset in zip(range(3), range(9, 12), strict=True):
-            row = []
-            for k in (3 * axis, 3 * axis + 1, 3 * axis + 2, offset):
-                first = transforms[part, k]
-                row.append(first + ratio * (transforms[part + 1, k] - first))
-            out[:, axis] = row[0] * a + row[1] * b + row[2] * c + row[3]
-        out[~found] = np.nan
-        measured = ~(np.isnan(source[0]) | np.isnan(source[1]) | np.isnan(source[2]))
-    return int(np.count_nonzero(~found & measured))
+        rotation, offset = _poses(times, stamps, poses)
+        turned = rotation @ rows[:, :9].reshape(-1, 3, 3)
+        origin = np.einsum("nij,nj->ni", np.broadcast_to(rotation, (times.size, 3, 3)), rows[:, 9:]) + offset
+    rows[:, :9], rows[:, 9:] = turned.reshape(-1, 9), origin
+
+
+def _poses(
+    times: NDArray[np.int64], stamps: NDArray[np.int64], poses: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Rotations (N, 3, 3) and translations (N, 3) at times, or one for all of them."""
+    if not stamps.size:
+        return rotation_matrices(poses[0, 3:])[np.newaxis], poses[:, :3]
+    last = stamps.size - 1
+    older = np.clip(stamps.searchsorted(times, "right") - 1, 0, last)
+    newer = np.minimum(older + 1, last)
+    ratio = np.where(newer > older, (times - stamps[older]) / (stamps[newer] - stamps[older]), 0.0)[:, np.newaxis]
+    offset = (1 - ratio) * poses[older, :3] + ratio * poses[newer, :3]
+    quaternions = _slerp(poses[older, 3:], poses[newer, 3:], ratio)
+    outside = (times < stamps[0]) | (times > stamps[-1])
+    rotation = np.moveaxis(rotation_matrices(quaternions.T), -1, 0)
+    rotation[outside], offset[outside] = np.nan, np.nan
+    return rotation, offset
+
+
+def _slerp(first: NDArray[np.float64], last: NDArray[np.float64], ratio: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rotations between pairs of rotations (N, 4), as `pc2scan.core.rigid.slerp` finds them between one pair."""
+    product = np.einsum("ni,ni->n", first, last)[:, np.newaxis]
+    length = np.sqrt(np.einsum("ni,ni->n", first, first) * np.einsum("ni,ni->n", last, last))[:, np.newaxis]
+    angle = np.arccos(np.minimum(np.abs(product) / length, 1.0))
+    sign = np.where(product < 0, -1.0, 1.0)
+    mixed = (np.sin((1 - ratio) * angle) * first + np.sin(ratio * angle) * sign * last) / np.sin(angle)
+    return np.where(angle == 0, first, mixed)
 
 
 def trace(

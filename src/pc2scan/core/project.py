@@ -32,6 +32,8 @@ from .rule import rule_of
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
+    from .moving import MovingTransform
+
 __all__ = ["ProjectedScan", "Projector", "Transform", "packed", "project"]
 
 #: Rotation (3, 3) and translation (3,), rounded to float32: ``target = rotation @ source + translation``.
@@ -123,6 +125,30 @@ class Projector:
         ValueError
             If the shapes differ, or have not one or two dimensions.
         """
+        return self._projected(x, y, z, None if target_from_source is None else packed(target_from_source), intensities)
+
+    def moving(
+        self,
+        x: NDArray[Any],
+        y: NDArray[Any],
+        z: NDArray[Any],
+        motion: MovingTransform,
+        intensities: NDArray[Any] | None = None,
+    ) -> ProjectedScan:
+        """Project a cloud whose points are transformed at their own times.
+
+        The same as without a motion, but for the transform; the counts have ``no_time`` and ``no_transform``, too.
+        """
+        return self._projected(x, y, z, motion, intensities)
+
+    def _projected(
+        self,
+        x: NDArray[Any],
+        y: NDArray[Any],
+        z: NDArray[Any],
+        transform: NDArray[np.float32] | MovingTransform | None,
+        intensities: NDArray[Any] | None,
+    ) -> ProjectedScan:
         if not (x.shape == y.shape == z.shape and 1 <= x.ndim <= 2):
             raise ValueError(
                 f"x, y and z have the shapes {x.shape}, {y.shape}, {z.shape}, expected one of (M,) or (H, W)"
@@ -133,7 +159,6 @@ class Projector:
         if not usual and not all(array.dtype.str[1:] in _READ_AS_IS for array in (x, y, z)):
             with np.errstate(over="ignore"):
                 x, y, z = (array.astype(np.float32) for array in (x, y, z))
-        transform = None if target_from_source is None else packed(target_from_source)
         params = self.params
         beams = self._beams
         if params.reduce == "min" and params.min_points == 1 and intensities is None:

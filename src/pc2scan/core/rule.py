@@ -35,7 +35,16 @@ if TYPE_CHECKING:
     from .layout import BeamLayout
     from .params import ProjectionParams
 
-__all__ = ["REJECTIONS", "Rejection", "centered_beams", "rule_of", "upstream_beams", "within"]
+__all__ = [
+    "NO_TIME",
+    "NO_TRANSFORM",
+    "REJECTIONS",
+    "Rejection",
+    "centered_beams",
+    "rule_of",
+    "upstream_beams",
+    "within",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +93,10 @@ REJECTIONS = (
     Rejection("angle", _OUTSIDE),
     Rejection("past_end", _OUTSIDE),
 )
+
+#: Further reasons for points that are placed at their own times.
+NO_TIME = Rejection("no_time", "without a time of their own")
+NO_TRANSFORM = Rejection("no_transform", "measured when there was no transform to `fixed_frame`")
 
 
 def rule_of(params: ProjectionParams) -> NDArray[np.float64]:

@@ -18,7 +18,16 @@ if TYPE_CHECKING:
 
     from .layout import BeamLayout
 
-__all__ = ["TIME_FIELDS", "TIME_UNITS", "Sweep", "beam_times", "fit_sweep", "median_interval_ns", "point_times"]
+__all__ = [
+    "TIME_FIELDS",
+    "TIME_UNITS",
+    "Sweep",
+    "beam_times",
+    "fit_sweep",
+    "median_interval_ns",
+    "offset_and_unit",
+    "point_times",
+]
 
 #: Fields of clouds that drivers put a point's time into, the first one that is there counts: Ouster's ``t``, Velodyne's
 #: ``time``, Hesai's, RoboSense's and Livox's ``timestamp``, Autoware's ``time_stamp``, Livox's ``offset_time``.
@@ -82,13 +91,33 @@ def point_times(values: NDArray[Any], stamp_ns: int, unit_name: str = "") -> NDA
         if np.isnan(times).all():
             return times
         low, high = float(np.nanmin(times)), float(np.nanmax(times))
-    unit = 1e-9 if values.dtype.kind in "iu" else next((unit for most, unit in _UNITS if high - low < most), 1e-9)
-    unit = TIME_UNITS.get(unit_name, unit)
-    if abs(low * unit) >= _ABSOLUTE:
-        # Subtracted as whole numbers of the unit first: seconds since 1970 leave a float64 no digits to lose.
-        times -= stamp_ns / round(1e9 * unit)
+    offset, unit = offset_and_unit(low, high, stamp_ns, unit_name, whole=values.dtype.kind in "iu")
+    times -= offset
     times *= unit
     return times
+
+
+def offset_and_unit(low: float, high: float, stamp_ns: int, unit_name: str, *, whole: bool) -> tuple[float, float]:
+    """Tell what the values of a `TIME_FIELDS` mean.
+
+    Parameters
+    ----------
+    low, high
+        Their least and their largest one.
+    stamp_ns, unit_name
+        As for `point_times`.
+    whole
+        Whether they are integers.
+
+    Returns
+    -------
+    (float, float)
+        A point was measured ``(value - offset) * unit`` seconds after the stamp.
+    """
+    unit = 1e-9 if whole else next((unit for most, unit in _UNITS if high - low < most), 1e-9)
+    unit = TIME_UNITS.get(unit_name, unit)
+    # Subtracted as whole numbers of the unit: seconds since 1970 leave a float64 no digits to lose.
+    return (stamp_ns / round(1e9 * unit) if abs(low * unit) >= _ABSOLUTE else 0.0), unit
 
 
 @dataclass(frozen=True, slots=True)

@@ -149,9 +149,12 @@ class CloudToScan(Conversion):
     def _projected(self, placed: Placed, project: Projector) -> ProjectedScan:
         """Project; the loops over points transform them on the way where that is still to be done."""
         points, transform = placed.points, placed.target_from_source
-        rotation_and_translation = None if transform is None else transform.as_float32()
         name = self.params.intensity_field
-        scan = project(*points.xyz(), rotation_and_translation, points.field(name) if name else None)
+        intensities = points.field(name) if name else None
+        if placed.motion is not None:
+            scan = project.moving(*points.xyz(), placed.motion, intensities)
+        else:
+            scan = project(*points.xyz(), None if transform is None else transform.as_float32(), intensities)
         if placed.rejected:
             filtered = PointCounts(sum(placed.rejected.values()), **placed.rejected)
             return dataclasses.replace(scan, counts=scan.counts + filtered)

@@ -140,14 +140,16 @@ class TransformBuffer:
         step_ns
             How far times may be apart, nanoseconds.
         needed_ns
-            The same, given all that was looked up with ``step_ns``; if it is less, more times are looked up.
+            The same, given the times that were looked up with ``step_ns``, and their rows; if it is less, more times
+            are looked up.
 
         Returns
         -------
         stamps_ns : (N,) int64
             Both ends, the times of all samples between them, and times between these.
-        rows : (N, 12) float64
-            ``target_from_source``: the rows of the rotation, then the translation; NaN where there is no transform.
+        rows : (2 N - 1, 12) float64
+            ``target_from_source`` at these times, and in the middle between each and the next one: the rows of the
+            rotation, then the translation; NaN where there is no transform.
         gap_ns : int
             The longest time between two samples that it was interpolated over, nanoseconds.
 
@@ -162,19 +164,19 @@ class TransformBuffer:
         ends = np.array([begin_ns, end_ns])
         if query is None:
             identity = np.array([1.0, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0])
-            return ends, np.broadcast_to(identity, (2, 12)).copy(), 0
+            return ends, np.broadcast_to(identity, (3, 12)).copy(), 0
         key = query.target_number, query.source_number
         if key not in self._chains:
             self._chains[key] = self._timeless_chain(*key)
         # Where frames change parents, those at the beginning count.
         chain = self._chains[key] or self._timed_chain(query, begin_ns)
-        samples = np.union1d(ends, sample_times(chain, begin_ns, end_ns))
+        samples = np.concatenate([ends, *sample_times(chain, begin_ns, end_ns)])
         stamps_ns = _filled(samples, step_ns)
-        found = rows_of(chain, stamps_ns)
-        needed = needed_ns(stamps_ns, found)
+        found = rows_of(chain, _with_middles(stamps_ns))
+        needed = needed_ns(stamps_ns, found[::2])
         if needed < step_ns:
             stamps_ns = _filled(samples, needed)
-            found = rows_of(chain, stamps_ns)
+            found = rows_of(chain, _with_middles(stamps_ns))
         return stamps_ns, found, longest_gap_ns(chain, begin_ns, end_ns)
 
     def latest_common_ns(self, target: str, source: str) -> int:
@@ -312,7 +314,15 @@ class TransformBuffer:
 
 
 def _filled(stamps_ns: NDArray[np.int64], step_ns: int) -> NDArray[np.int64]:
-    """Times, and as many evenly spaced ones between the first and the last that none is farther from the next."""
-    begin_ns, span = stamps_ns[0], int(stamps_ns[-1] - stamps_ns[0])
-    count = -(-span // step_ns)
-    return np.union1d(stamps_ns, begin_ns + np.arange(1, count) * span // count)
+    """Times, of which the first two are the ends, and so many evenly spaced ones that none is farther from the next."""
+    begin_ns, end_ns = stamps_ns[:2].tolist()
+    count = -(-(end_ns - begin_ns) // step_ns)
+    return np.unique(np.concatenate([stamps_ns, begin_ns + np.arange(1, count) * (end_ns - begin_ns) // count]))
+
+
+def _with_middles(stamps_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Times, and the middle between each and the next one."""
+    found = np.empty(2 * stamps_ns.size - 1, np.int64)
+    found[::2] = stamps_ns
+    found[1::2] = stamps_ns[:-1] + (stamps_ns[1:] - stamps_ns[:-1]) // 2
+    return found

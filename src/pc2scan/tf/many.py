@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pc2scan.core.rigid import rotation_matrices
+from pc2scan.core import kernel
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator
 
     from numpy.typing import NDArray
 
@@ -22,14 +22,16 @@ if TYPE_CHECKING:
 __all__ = ["longest_gap_ns", "rows_of", "sample_times"]
 
 
-def sample_times(chain: Chain, begin_ns: int, end_ns: int) -> NDArray[np.int64]:
-    """Return the stamps of all samples between two times, in order: there the motion may change."""
-    found = [np.empty(0, np.int64)]
+#: The stamps of a static link.
+_ALWAYS = np.empty(0, np.int64)
+
+
+def sample_times(chain: Chain, begin_ns: int, end_ns: int) -> Iterator[NDArray[np.int64]]:
+    """Yield each link's stamps of samples between two times: there the motion may change."""
     for link in chain.links:
         if not link.static:
             first, last = link.stamps_ns.searchsorted([begin_ns, end_ns + 1])
-            found.append(link.stamps_ns[first:last])
-    return np.unique(np.concatenate(found))
+            yield link.stamps_ns[first:last]
 
 
 def longest_gap_ns(chain: Chain, begin_ns: int, end_ns: int) -> int:
@@ -52,51 +54,22 @@ def rows_of(chain: Chain, stamps_ns: NDArray[np.int64]) -> NDArray[np.float64]:
     (N, 12) float64
         The rows of the rotation, then the translation; NaN where a frame is not known.
     """
-    source_rotation, source_origin = _up(chain.source_side.links, stamps_ns)
-    target_rotation, target_origin = _up(chain.target_side.links, stamps_ns)
-    back = target_rotation.transpose(0, 2, 1)
-    rotation = back @ source_rotation
-    origin = np.einsum("nij,nj->ni", back, source_origin - target_origin)
-    return np.concatenate([rotation.reshape(-1, 9), origin], axis=1)
+    rows = _up(chain.source_side.links, stamps_ns)
+    if not chain.target_side.links:
+        return rows
+    target = _up(chain.target_side.links, stamps_ns)
+    back = target[:, :9].reshape(-1, 3, 3).transpose(0, 2, 1)
+    origin = np.einsum("nij,nj->ni", back, rows[:, 9:] - target[:, 9:])
+    return np.concatenate([(back @ rows[:, :9].reshape(-1, 3, 3)).reshape(-1, 9), origin], axis=1)
 
 
-def _up(links: Iterable[FrameHistory], stamps_ns: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """From a frame up to the common ancestor: rotations (N, 3, 3) and translations (N, 3)."""
-    rotation = np.broadcast_to(np.eye(3), (stamps_ns.size, 3, 3))
-    origin = np.zeros((stamps_ns.size, 3))
+def _up(links: Iterable[FrameHistory], stamps_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+    """From a frame up to the common ancestor."""
+    rows = np.zeros((stamps_ns.size, 12))
+    rows[:, 0:9:4] = 1.0
     for link in links:
-        own, offset = _poses(link, stamps_ns)
-        rotation = own @ rotation
-        origin = np.einsum("nij,nj->ni", own, origin) + offset
-    return rotation, origin
-
-
-def _poses(link: FrameHistory, stamps_ns: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """A link's own rotations and translations at the stamps, NaN outside of its samples."""
-    if link.static:
-        rotation = rotation_matrices(link.quaternions[-1])
-        return np.broadcast_to(rotation, (stamps_ns.size, 3, 3)), np.broadcast_to(
-            link.translations[-1], (stamps_ns.size, 3)
-        )
-    last = link.stamps_ns.size - 1
-    older = np.clip(link.stamps_ns.searchsorted(stamps_ns, "right") - 1, 0, last)
-    newer = np.minimum(older + 1, last)
-    begin = link.stamps_ns[older]
-    with np.errstate(all="ignore"):
-        ratio = np.where(newer > older, (stamps_ns - begin) / (link.stamps_ns[newer] - begin), 0.0)[:, np.newaxis]
-        offset = (1 - ratio) * link.translations[older] + ratio * link.translations[newer]
-        quaternions = _slerp(link.quaternions[older], link.quaternions[newer], ratio)
-        outside = (stamps_ns < link.first_ns) | (stamps_ns > link.last_ns)
-        rotation = np.moveaxis(rotation_matrices(quaternions.T), -1, 0)
-    rotation[outside], offset[outside] = np.nan, np.nan
-    return rotation, offset
-
-
-def _slerp(first: NDArray[np.float64], last: NDArray[np.float64], ratio: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rotations between pairs of rotations (N, 4), as `pc2scan.core.rigid.slerp` finds them between one pair."""
-    product = np.einsum("ni,ni->n", first, last)[:, np.newaxis]
-    length = np.sqrt(np.einsum("ni,ni->n", first, first) * np.einsum("ni,ni->n", last, last))[:, np.newaxis]
-    angle = np.arccos(np.minimum(np.abs(product) / length, 1.0))
-    sign = np.where(product < 0, -1.0, 1.0)
-    mixed = (np.sin((1 - ratio) * angle) * first + np.sin(ratio * angle) * sign * last) / np.sin(angle)
-    return np.where(angle == 0, first, mixed)
+        if link.static:
+            kernel.follow(stamps_ns, _ALWAYS, link.poses[-1:], rows)
+        else:
+            kernel.follow(stamps_ns, link.stamps_ns, link.poses, rows)
+    return rows

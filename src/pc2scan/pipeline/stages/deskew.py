@@ -8,18 +8,22 @@ at the time of the scan.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from pc2scan.core import kernel
+from pc2scan.core.moving import MovingTransform
 from pc2scan.core.points import TIME, Points
-from pc2scan.core.rule import Rejection
-from pc2scan.core.timing import TIME_FIELDS, TIME_UNITS, point_times
+from pc2scan.core.rule import NO_TIME, NO_TRANSFORM
+from pc2scan.core.timing import TIME_FIELDS, TIME_UNITS, offset_and_unit
 from pc2scan.errors import DecodeError, TransformError, UsageError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import NDArray
 
     from pc2scan.core.rigid import Rigid
@@ -27,9 +31,6 @@ if TYPE_CHECKING:
     from pc2scan.tf.placing import Frames
 
 __all__ = ["NO_TIME", "NO_TRANSFORM", "STAMPS", "Deskew", "Motion", "Moving", "PointTime"]
-
-NO_TIME = Rejection("no_time", "without a time of their own")
-NO_TRANSFORM = Rejection("no_transform", "measured when there was no transform to `fixed_frame`")
 
 #: Which time of a cloud its scan has.
 STAMPS = ("header", "start", "middle", "end")
@@ -39,10 +40,10 @@ _LONGEST = 60.0
 #: Seconds below which the times of all points are the same.
 _SHORTEST = 1e-9
 
-#: Nodes between which transforms are interpolated linearly: at most so far apart, nanoseconds and radians. The rotation
-#: between two of them is off by the square of that angle, divided by 8: at most 1.2 micrometres at 100 m.
-_STEP_NS = 250_000
-_STEP = 3e-4
+#: Nodes between which transforms are interpolated: at most so far apart, nanoseconds and radians. The rotation between
+#: two of them is off by 0.008 times the third power of that angle: at most 0.8 micrometres at 100 m.
+_STEP_NS = 1_000_000
+_STEP = 0.01
 _MOST_NODES = 20_000
 
 
@@ -106,6 +107,30 @@ class Motion(NamedTuple):
     gap: float = 0.0
 
 
+class _Times(Mapping[str, "NDArray[Any]"]):
+    """The field `TIME` of a cloud, on request: the loops over points read times as they are stored."""
+
+    def __init__(self, points: Points, field: str, offset: float, unit: float) -> None:
+        self._points = points
+        self._field = field
+        self._offset = offset
+        self._unit = unit
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        if name != TIME:
+            raise KeyError(name)
+        times = (self._points.field(self._field).astype(np.float64) - self._offset) * self._unit
+        # Some drivers give no time to points that they did not measure.
+        times[~np.isfinite(times) | np.isnan(self._points.field("x"))] = np.nan
+        return times
+
+    def __iter__(self) -> Iterator[str]:
+        return iter((TIME,))
+
+    def __len__(self) -> int:
+        return 1
+
+
 class Moving(NamedTuple):
     """A cloud that was measured while its sensor moved.
 
@@ -115,8 +140,10 @@ class Moving(NamedTuple):
         With their own times as the field `TIME`.
     stamp_ns
         The scan's.
-    node_times, transforms
-        See `pc2scan.core.plain.deskew`; the transforms take points to the target frame at the scan's time.
+    transform
+        Takes the cloud's points to the target frame at the scan's time.
+    time_field
+        The field that has the times.
     frame_id
         The target frame.
     motion
@@ -125,10 +152,14 @@ class Moving(NamedTuple):
 
     points: Points
     stamp_ns: int
-    node_times: NDArray[np.float64]
-    transforms: NDArray[np.float64]
+    transform: MovingTransform
+    time_field: str
     frame_id: str
     motion: Motion
+
+    def transform_of(self, points: Points) -> MovingTransform:
+        """Return the transform of these points, or of some of them."""
+        return self.transform._replace(times=points.field(self.time_field))
 
     def place(self, points: Points) -> tuple[Points, NDArray[np.bool_] | None, dict[str, int]]:
         """Place these points, or some of them.
@@ -143,17 +174,14 @@ class Moving(NamedTuple):
             How many have none because of `NO_TIME` and `NO_TRANSFORM`.
         """
         x, y, z = points.xyz()
-        times = points.fields[TIME]
         out = np.empty((x.size, 3), np.float32)
-        missing = kernel.deskew(x, y, z, np.ravel(times), self.node_times, self.transforms, out)
+        untimed, nowhere = kernel.deskew(x, y, z, self.transform_of(points), out)
         coordinates = out.reshape(*x.shape, 3)
         placed = points.replace({axis: coordinates[..., k] for k, axis in enumerate("xyz")}, self.frame_id)
-        if not missing:
-            return placed, None, {NO_TIME.name: 0, NO_TRANSFORM.name: 0}
-        nowhere = np.isnan(coordinates[..., 0]) & ~(np.isnan(x) | np.isnan(y) | np.isnan(z))
-        untimed = int(np.count_nonzero(nowhere & np.isnan(times)))
-        total = int(np.count_nonzero(nowhere))
-        return placed, ~nowhere, {NO_TIME.name: untimed, NO_TRANSFORM.name: total - untimed}
+        lost = {NO_TIME.name: untimed, NO_TRANSFORM.name: nowhere}
+        if not untimed + nowhere:
+            return placed, None, lost
+        return placed, ~np.isnan(coordinates[..., 0]) | np.isnan(x) | np.isnan(y) | np.isnan(z), lost
 
 
 class Deskew:
@@ -197,10 +225,18 @@ class Deskew:
         TransformError
             If there is no transform at the scan's time, or at none of the points' times.
         """
-        timed = self._timed(points)
-        if timed is None:
+        name = self._point_time.field_of(points)
+        values = points.field(name)
+        low, high, measured, unknown = kernel.span(points.field("x"), values)
+        if not measured:
             return None
-        points, low, high = timed
+        if unknown == measured:
+            message = f"none of its points has a time: {name} is not finite"
+            raise DecodeError(message, stamp_ns=points.stamp_ns, hint="another field may have it: `point_time=FIELD`")
+        whole = values.dtype.kind in "iu"
+        offset, unit = offset_and_unit(low, high, points.stamp_ns, self._point_time.unit, whole=whole)
+        low, high = (low - offset) * unit, (high - offset) * unit
+        self._check(name, low, high, several=measured > 1, stamp_ns=points.stamp_ns)
         stamp_ns = points.stamp_ns
         begin_ns = stamp_ns + math.floor(low * 1e9)
         end_ns = max(stamp_ns + math.ceil(high * 1e9), begin_ns + 1)
@@ -224,35 +260,12 @@ class Deskew:
         stamps_ns, rows, gap_ns = buffer.rows(self._fixed, source, begin_ns, end_ns, step_ns, _step_ns)
         if np.isnan(rows).all():
             _raise_why(buffer, self._fixed, source, begin_ns)
-        rows = _composed(from_fixed, rows)
+        from_source_times = np.zeros(len(rows), np.int64)  # a transform that is valid at any time
+        kernel.follow(from_source_times, from_source_times[:0], np.array([from_fixed.pose]), rows)
         times = (stamps_ns - stamp_ns) / 1e9
-        return Moving(points, reference_ns, times, rows, target, _motion(rows, reference, gap_ns))
-
-    def _timed(self, points: Points) -> tuple[Points, float, float] | None:
-        """The points with their times, and the first and last of these: seconds after the stamp."""
-        name = self._point_time.field_of(points)
-        values, x = points.field(name), points.field("x")
-        with np.errstate(all="ignore"):
-            nowhere = np.isnan(x)
-            if nowhere.any():
-                # Some drivers give no time to points that they did not measure.
-                times = np.full(x.shape, np.nan)
-                times[~nowhere] = point_times(values[~nowhere], points.stamp_ns, self._point_time.unit)
-            else:
-                times = point_times(values, points.stamp_ns, self._point_time.unit).reshape(x.shape)
-        if nowhere.all():
-            return None
-        low, high = float(times.min()), float(times.max())
-        if math.isnan(low):
-            known = times[~np.isnan(times)]
-            if not known.size:
-                message = f"none of its points has a time: {name} is not finite"
-                raise DecodeError(
-                    message, stamp_ns=points.stamp_ns, hint="another field may have it: `point_time=FIELD`"
-                )
-            low, high = float(known.min()), float(known.max())
-        self._check(name, low, high, several=x.size - int(np.count_nonzero(nowhere)) > 1, stamp_ns=points.stamp_ns)
-        return points.replace({TIME: times}, points.frame_id), low, high
+        transform = MovingTransform(values, offset, unit, times, rows)
+        timed = points.replace(_Times(points, name, offset, unit), points.frame_id)
+        return Moving(timed, reference_ns, transform, name, target, _motion(rows, reference, gap_ns))
 
     def _check(self, name: str, low: float, high: float, *, several: bool, stamp_ns: int) -> None:
         """Refuse times that cannot be."""
@@ -287,7 +300,7 @@ def _step_ns(stamps_ns: NDArray[np.int64], rows: NDArray[np.float64]) -> int:
     # A rotation by an angle changes its matrix by the root of 8 times the sine of half of that.
     angle = 2 * math.asin(min(1.0, math.sqrt(largest / 8)))
     if angle <= _STEP:
-        return _STEP_NS
+        return int(stamps_ns[-1] - stamps_ns[0])
     rates = _angles(differences) / np.diff(stamps_ns)
     return max(1, int(_STEP / np.nanmax(rates)), int(stamps_ns[-1] - stamps_ns[0]) // _MOST_NODES)
 
@@ -299,15 +312,9 @@ def _angles(differences: NDArray[np.float64]) -> NDArray[np.float64]:
     return angles
 
 
-def _composed(first: Rigid, rows: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rows (N, 12) of ``first`` after each of ``rows``."""
-    rotation = first.matrix @ rows[:, :9].reshape(-1, 3, 3)
-    origin = rows[:, 9:] @ first.matrix.T + np.asarray(first.translation)
-    return np.concatenate([rotation.reshape(-1, 9), origin], axis=1)
-
-
 def _motion(rows: NDArray[np.float64], reference: Rigid, gap_ns: int) -> Motion:
-    known = rows[~np.isnan(rows[:, 0])]
-    distances = np.sqrt(np.square(known[:, 9:] - np.asarray(reference.translation)).sum(axis=1))
-    angles = _angles(known[:, :9] - reference.matrix.reshape(9))
-    return Motion(float(distances.max(initial=0.0)), float(angles.max(initial=0.0)), gap_ns / 1e9)
+    differences = rows - np.concatenate([reference.matrix.reshape(9), reference.translation])
+    away, turned = (np.einsum("ni,ni->n", part, part) for part in (differences[:, 9:], differences[:, :9]))
+    # fmax ignores NaN.
+    distance, angle = (math.sqrt(float(np.fmax.reduce(squares))) for squares in (away, turned))
+    return Motion(distance, 2 * math.asin(min(1.0, angle / math.sqrt(8))), gap_ns / 1e9)

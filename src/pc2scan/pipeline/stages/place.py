@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from pc2scan.core.moving import MovingTransform
     from pc2scan.core.points import Points
     from pc2scan.core.rigid import Rigid
     from pc2scan.tf.placing import Frames, Placement
@@ -40,6 +41,8 @@ class Placed:
         How many points were rejected so far, by reason.
     whole
         All points, as they were decoded.
+    motion
+        The transform that is still to be applied to ``points``, each at its own time; not ``target_from_source``.
     """
 
     points: Points
@@ -49,6 +52,7 @@ class Placed:
     target_from_source: Rigid | None
     rejected: Mapping[str, int]
     whole: Points
+    motion: MovingTransform | None = None
 
 
 class Place:

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from pc2scan.core.moving import MovingTransform
     from pc2scan.core.points import Points
     from pc2scan.core.rigid import Rigid
     from pc2scan.tf.placing import Frames, Placement
@@ -28,11 +29,15 @@ __all__ = ["Select", "Selected"]
 
 
 class Selected(NamedTuple):
-    """The points that are kept, the transform that is still to be applied, and how many points each filter rejected."""
+    """The points that are kept, the transform that is still to be applied, and how many points each filter rejected.
+
+    ``motion`` is the transform if they are to be placed at their own times.
+    """
 
     points: Points
     target_from_source: Rigid | None
     rejected: dict[str, int]
+    motion: MovingTransform | None = None
 
 
 class _Seen:
@@ -73,8 +78,8 @@ class Select:
 
     def __call__(self, placed: Placed) -> Placed:
         """Select points of a cloud on its way to a scan; see `apply`."""
-        points, transform, rejected = self.apply(placed.points, placed.place, placed.moving)
-        return replace(placed, points=points, target_from_source=transform, rejected=rejected)
+        points, transform, rejected, motion = self.apply(placed.points, placed.place, placed.moving)
+        return replace(placed, points=points, target_from_source=transform, rejected=rejected, motion=motion)
 
     def apply(self, points: Points, place: Placement, moving: Moving | None = None) -> Selected:
         """Select points of a cloud.
@@ -106,17 +111,18 @@ class Select:
             if frame not in seen.by_frame:
                 self._place(seen, frame, place, moving, rejected)
             with np.errstate(all="ignore"):
-                kept = chosen(seen.by_frame[frame])
-            if kept.dtype != np.bool_:
-                raise TypeError(f"the filter {chosen.name} returned {kept.dtype}, expected bool")
-            if count := kept.size - int(np.count_nonzero(kept)):
+                mask = chosen(seen.by_frame[frame])
+            if mask.dtype != np.bool_:
+                raise TypeError(f"the filter {chosen.name} returned {mask.dtype}, expected bool")
+            if count := mask.size - int(np.count_nonzero(mask)):
                 rejected[chosen.name] += count
-                seen.keep(kept)
-        if moving is not None and Frame.TARGET not in seen.by_frame:
-            self._place(seen, Frame.TARGET, place, moving, rejected)
+                seen.keep(mask)
         if Frame.TARGET in seen.by_frame:
             return Selected(seen.by_frame[Frame.TARGET], None, rejected)
-        return Selected(seen.by_frame[Frame.SOURCE], place.target_from_source, rejected)
+        kept = seen.by_frame[Frame.SOURCE]
+        if moving is not None:
+            return Selected(kept, None, rejected, moving.transform_of(kept))
+        return Selected(kept, place.target_from_source, rejected)
 
     def _place(
         self, seen: _Seen, frame: Frame | str, place: Placement, moving: Moving | None, rejected: dict[str, int]
