@@ -40,8 +40,7 @@ LATCHED_QOS = """\
 """
 
 
-@dataclass(frozen=True, slots=True)
-class Definition:
+class Definition(NamedTuple):
     """A message definition, verbatim.
 
     Attributes
@@ -204,8 +203,7 @@ class StoredChunk:
         return min(map(min, self.index.values()))[0], max(map(max, self.index.values()))[0]
 
 
-@dataclass(frozen=True, slots=True)
-class ChunkRule:
+class ChunkRule(NamedTuple):
     """Which chunks can be copied to a destination as a whole.
 
     Attributes
@@ -230,8 +228,7 @@ class ChunkRule:
     last_ns: int | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Attachment:
+class Attachment(NamedTuple):
     """An MCAP attachment: a file in the recording."""
 
     name: str
@@ -241,16 +238,14 @@ class Attachment:
     data: bytes
 
 
-@dataclass(frozen=True, slots=True)
-class Metadata:
+class Metadata(NamedTuple):
     """An MCAP metadata record: named key-value text."""
 
     name: str
     entries: Mapping[str, str]
 
 
-@dataclass(frozen=True, slots=True)
-class Summary:
+class Summary(NamedTuple):
     """A reader's summary of its recording, made without reading the messages.
 
     Attributes

@@ -134,6 +134,6 @@ def test_more_messages_than_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         assert isinstance(unit, Unit)
         assert isinstance(unit.stretch, Stretch)
         assert len(list(in_time_order([unit]))) == 99
-        few = replace(unit, stretch=unit.stretch._replace(length=80))
+        few = unit._replace(stretch=unit.stretch._replace(length=80))
         with pytest.raises(RecordingError, match="more messages than bytes"):
             list(in_time_order([few]))

@@ -273,9 +273,9 @@ def test_summaries_add_up() -> None:
     one = Summary("rosbag2", "mcap", ("none", "zstd"), 10, 4, 100, 200, "ros2")
     other = Summary("rosbag2", "sqlite3", ("lz4",), 5, 2, 50, 150, "")
     assert merged_summary([one, other]) == Summary("rosbag2", "", ("lz4", "none", "zstd"), 15, 6, 50, 200, "")
-    empty = replace(other, message_count=0, start_ns=None, end_ns=None)
+    empty = other._replace(message_count=0, start_ns=None, end_ns=None)
     assert merged_summary([one, empty]).start_ns == 100
     assert merged_summary([empty]).start_ns is None
-    unknown = replace(other, container="mcap", message_count=None, start_ns=None, end_ns=None)
+    unknown = other._replace(container="mcap", message_count=None, start_ns=None, end_ns=None)
     both = merged_summary([one, unknown])
     assert (both.container, both.message_count, both.start_ns, both.end_ns) == ("mixed", None, None, None)

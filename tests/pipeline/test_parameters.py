@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import subprocess
 import sys
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, fields
 from functools import partial
 from typing import Any
 
@@ -192,7 +192,7 @@ def test_of_two_that_say_the_same_the_stronger_one_wins(one: str, other: str) ->
         assert resolved.params == ProjectionParams(**{strong: values[strong]})
         assert resolved.origin[strong] == "here"
         assert resolved.origin[weak] in {"default", "follows from here"}
-        equals = (winner, replace(loser, source="option"))
+        equals = (winner, loser._replace(source="option"))
         err = failure(partial(resolve, equals))
         assert str(err) == (
             f"{strong} and {weak} say the same in two ways; give one of them ({strong} from here; {weak} from there)"

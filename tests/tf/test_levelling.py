@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -56,12 +55,12 @@ def test_points_are_in_the_level_frame_of_the_target_frame(frame: str) -> None:
 
 
 def test_without_a_target_frame_it_is_the_frame_of_the_message() -> None:
-    known = replace(frames(), target_frame="")
+    known = frames()._replace(target_frame="")
     place = known.place("lidar", EPOCH + SECOND)
     assert place.frame_id == "lidar_stabilized"
     assert place.level is not None
     assert place.level.frame == "lidar"
-    assert replace(known, source_frame="base").place("lidar", EPOCH).frame_id == "base_stabilized"
+    assert known._replace(source_frame="base").place("lidar", EPOCH).frame_id == "base_stabilized"
 
 
 def test_up_by_an_imu_is_turned_to_the_frame_and_interpolated() -> None:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.errors import stamp_text
 from pc2scan.shown import size
@@ -26,8 +25,7 @@ MAX_PLACES = 10_000
 MAX_TOPICS = 5
 
 
-@dataclass(frozen=True, slots=True)
-class Damage:
+class Damage(NamedTuple):
     """One damaged place of a source, and the losses there.
 
     Attributes
@@ -84,7 +82,7 @@ class Damage:
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON's types."""
-        return {name: getattr(self, name) for name in self.__slots__} | {"path": str(self.path)}
+        return self._asdict() | {"path": str(self.path)}
 
 
 def count_details(counts: Iterable[tuple[str, int, int]]) -> str:

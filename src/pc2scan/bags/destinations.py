@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.errors import DestinationError
 from pc2scan.files.staging import LEFTOVERS
@@ -50,8 +49,7 @@ _REFUSED_SUFFIXES = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Destination:
+class Destination(NamedTuple):
     """A destination with all its options decided.
 
     Attributes

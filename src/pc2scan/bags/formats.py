@@ -5,9 +5,8 @@ A new container is an entry here and a package with its reader and its writer.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.model import MAX_ROSBAG2_NS
 
@@ -22,8 +21,7 @@ if TYPE_CHECKING:
 __all__ = ["FORMATS", "Format", "ReadOptions", "WriteOptions", "and_list", "chunk_format", "storages"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ReadOptions:
+class ReadOptions(NamedTuple):
     """How a recording is read.
 
     Attributes
@@ -41,8 +39,7 @@ class ReadOptions:
     message_compression: str = "none"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class WriteOptions:
+class WriteOptions(NamedTuple):
     """How a recording is written; see `pc2scan.bags.destinations.Destination`.
 
     ``name`` is the final name of the recording.
@@ -55,8 +52,7 @@ class WriteOptions:
     metadata_version: int = 8
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Format:
+class Format(NamedTuple):
     """A kind of container.
 
     Attributes

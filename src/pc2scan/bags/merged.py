@@ -147,7 +147,7 @@ class MergedReader(Reader):
             own_rule = None
             if rule is not None and self._stands_alone(reader):
                 same = frozenset(own for own, connection in known.items() if own == connection.id)
-                own_rule = replace(rule, connection_ids=rule.connection_ids & same)
+                own_rule = rule._replace(connection_ids=rule.connection_ids & same)
             sources.append(_Source(index, reader, known, (chosen, start_ns, stop_ns, own_rule)))
         return _one_by_one(sources)
 
@@ -215,7 +215,7 @@ class _Source(NamedTuple):
     def units(self) -> Iterator[Unit]:
         """Yield its units, with messages of the merged connections."""
         for unit in self.reader.units(*self.selection):
-            yield replace(unit, place=(self.number, *unit.place), load=_Renaming(unit.load, self.known))
+            yield unit._replace(place=(self.number, *unit.place), load=_Renaming(unit.load, self.known))
 
 
 class _Renaming(NamedTuple):

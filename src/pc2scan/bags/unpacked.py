@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -49,8 +48,7 @@ class UnpackedReader(Reader):
             raise
         summary = self._inner.summary
         self._inner_size = summary.size_bytes
-        self._summary = replace(
-            summary,
+        self._summary = summary._replace(
             compression=zstd.compressions(summary.compression),
             size_bytes=path.stat().st_size,
         )
@@ -78,7 +76,7 @@ class UnpackedReader(Reader):
     @property
     def damage(self) -> tuple[Damage, ...]:
         """The damage: that of the compression first, then that of the recording in it."""
-        return (*self._log.found, *(replace(place, path=self._path) for place in self._inner.damage))
+        return (*self._log.found, *(place._replace(path=self._path) for place in self._inner.damage))
 
     def units(
         self,

@@ -23,7 +23,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
@@ -184,8 +184,7 @@ class Scan:
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Placed:
+class Placed(NamedTuple):
     """What the transforms say of a scan, at its stamp.
 
     Attributes
@@ -213,8 +212,7 @@ class Placed:
 _ANYWHERE = Placed()
 
 
-@dataclass(frozen=True, slots=True)
-class Verdict:
+class Verdict(NamedTuple):
     """What a consumer does with a scan.
 
     Attributes

@@ -22,12 +22,12 @@ lidar that hangs upside down just below a ceiling that of one just above the flo
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
 from .level import LEVEL, cells_of, level_floor, tolerances
+from .percentiles import median, percentiles
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -59,8 +59,7 @@ _TRIPLETS = 250
 _LEAST_SHARE = 0.03
 
 
-@dataclass(frozen=True, slots=True)
-class Plane:
+class Plane(NamedTuple):
     """A flat piece of what a cloud shows.
 
     Attributes
@@ -92,8 +91,7 @@ class Plane:
         return math.acos(max(-1.0, min(1.0, self.up[2])))
 
 
-@dataclass(frozen=True, slots=True)
-class Ground:
+class Ground(NamedTuple):
     """How a frame is mounted, as far as its clouds tell.
 
     Attributes
@@ -164,13 +162,13 @@ def agreed(looks: Sequence[Ground]) -> Ground:
         return Ground("unknown", clouds=0, sampled=len(looks))
     seen = [look for look in same if look.up is not None]
     ceilings = [look.ceiling for look in same if look.ceiling is not None]
-    ceiling = float(np.median(ceilings)) if 2 * len(ceilings) >= len(same) else None
+    ceiling = median(ceilings) if 2 * len(ceilings) >= len(same) else None
     if 2 * len(seen) < len(same):
         return Ground(kind, clouds=len(same), sampled=len(looks))
-    middle = np.median([look.up for look in seen if look.up is not None], axis=0)
+    middle = np.array([median(axis) for axis in zip(*(look.up for look in seen if look.up is not None), strict=True)])
     up = middle / np.linalg.norm(middle)
     heights = [look.height for look in seen if look.height is not None]
-    height = float(np.median(heights))
+    height = median(heights)
     if kind != "level":
         apart = max(math.acos(max(-1.0, min(1.0, float(up @ np.array(look.up))))) for look in seen)
         moved = max(abs(other - height) for other in heights)
@@ -216,7 +214,7 @@ def _level_at_once(cells: _Points) -> Ground | None:
 
 def _ceiling_over(cells: _Points, tolerance: NDArray[np.float64]) -> float | None:
     """The highest level plane, if nothing is above it."""
-    high = float(np.percentile(cells[:, 2], 99))
+    (high,) = percentiles(cells[:, 2], 99)
     if high < 0.3:
         return None
     ceiling = _refined(cells, tolerance, np.abs(cells[:, 2] - high) < 2 * tolerance)
@@ -226,7 +224,9 @@ def _ceiling_over(cells: _Points, tolerance: NDArray[np.float64]) -> float | Non
     at = np.abs(cells @ np.array(ceiling.up) + ceiling.height) < tolerance
     squares = np.floor(cells[:, :2] / 0.3).astype(np.int64) @ np.array([1, 1 << 20])
     under = ~at & (cells[:, 2] > high - 0.8)
-    return ceiling.height if np.isin(squares[at], squares[under]).mean() < 0.4 else None
+    continued = set(squares[under].tolist())
+    share = np.mean([square in continued for square in squares[at].tolist()])
+    return ceiling.height if share < 0.4 else None
 
 
 def planes_of(cells: _Points) -> list[Plane]:
@@ -254,7 +254,7 @@ def _largest(points: _Points, tolerance: NDArray[np.float64]) -> NDArray[np.bool
     corners = points[_triplets(len(points))]
     normals = np.cross(corners[1] - corners[0], corners[2] - corners[0])
     lengths = np.linalg.norm(normals, axis=1)
-    good = lengths > 1e-3 * float(np.median((points * points).sum(axis=1)))
+    good = lengths > 1e-3 * median((points * points).sum(axis=1))
     if not good.any():
         return None
     normals = normals[good] / lengths[good, None]
@@ -305,7 +305,7 @@ def _refined(
         len(members) / len(cells),
         float((cells @ normal - offset < -2.5 * tolerance).mean()),
         2 * math.sqrt(max(float(variances[1]), 0.0)),
-        float(np.percentile(np.linalg.norm(members, axis=1), 10)),
+        percentiles(np.linalg.norm(members, axis=1), 10)[0],
     )
 
 
@@ -320,9 +320,9 @@ class _View:
     def __init__(self, points: _Points) -> None:
         azimuth = np.arctan2(points[:, 1], points[:, 0])
         elevation = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
-        low, high = np.percentile(elevation, [0.5, 99.5])
+        low, high = percentiles(elevation, 0.5, 99.5)
         columns, rows = self._COLUMNS, int(min(18, max(1, round(math.degrees(high - low) / 5))))
-        row = np.floor((elevation - low) / max(float(high - low), 1e-9) * rows).astype(np.intp)
+        row = np.floor((elevation - low) / max(high - low, 1e-9) * rows).astype(np.intp)
         column = np.floor((azimuth + math.pi) / math.tau * columns).astype(np.intp) % columns
         inside = (row >= 0) & (row < rows)
         counts = np.bincount(row[inside] * columns + column[inside], minlength=rows * columns).reshape(rows, columns)

@@ -185,7 +185,7 @@ class CloudInfo:
         """Return JSON's types."""
         found = asdict(self)
         if self.mounting is not None:
-            found["mounting"]["warning"] = self.mounting.warning
+            found["mounting"] = {**json_value(self.mounting), "warning": self.mounting.warning}
         return found
 
 

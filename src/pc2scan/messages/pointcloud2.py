@@ -378,7 +378,7 @@ def encode_pointcloud2(
     return packer.finish()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(slots=True, eq=False)
 class StructuredCloud:
     """A cloud to be written, of one row.
 

@@ -55,8 +55,7 @@ class Converted:
     level: LevelTransform | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Measured:
+class Measured(NamedTuple):
     """What was measured of the clouds of a topic before their conversion.
 
     Attributes

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.bags.destinations import named_after
@@ -135,7 +135,7 @@ def run_each(
                         [outcome.source],
                         None,
                         options,
-                        replace(output, report=None),
+                        output._replace(report=None),
                         origins=origins,
                         also_read=also_read,
                         progress=progress,

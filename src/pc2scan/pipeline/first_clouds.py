@@ -14,6 +14,7 @@ import numpy as np
 from pc2scan.core.counts import PointCounts
 from pc2scan.core.level import cells_of, level_floor, thinned
 from pc2scan.core.params import ProjectionParams
+from pc2scan.core.percentiles import percentiles
 
 from .parameters import from_preset
 
@@ -162,16 +163,21 @@ class TopicClouds:
 
     def _is_fine(self) -> bool:
         """Whether scans have points, heights need no advice, and the first cloud is level, or too small to tell."""
-        points = self._samples[0].points
         if self._is_nearly_empty() or self._needs_heights() or self._mistaken_units():
             return False
-        return len(points) < _FEWEST_POINTS or level_floor(cells_of(points)) is not None
+        return len(self._samples[0].points) < _FEWEST_POINTS or self._is_level()
+
+    def _is_level(self) -> bool:
+        """Whether the first cloud has a level floor."""
+        points = self._samples[0].points
+        return len(points) >= _FEWEST_POINTS and level_floor(cells_of(points)) is not None
 
     def _judge(self) -> None:
         from pc2scan.tf.mounting import mounting  # noqa: PLC0415  # loaded where there is something to say
 
         every, first = self._every, self._samples[0]
-        points = [sample.points for sample in self._samples]
+        # Where the first cloud is level, it settles the mounting, and heights need no more clouds.
+        points = [sample.points for sample in self._samples[: 1 if self._is_level() else None]]
         source = every.report.source_frame or first.frame_id
         judged_in = first.scan_frame if first.scan_frame != source else ""
 
@@ -279,7 +285,7 @@ class TopicClouds:
         if math.log10(value).is_integer() or set(f"{value:g}") == {"9"}:
             return False
         z = np.concatenate([sample.placed[:, 2] for sample in self._samples])
-        return len(z) > 0 and 10 * float(np.abs(np.percentile(z, [1, 99])).max()) < value
+        return len(z) > 0 and 10 * max(map(abs, percentiles(z, 1, 99))) < value
 
 
 def _clouds(count: int) -> str:
@@ -294,5 +300,5 @@ def _number(value: float) -> str:
 
 
 def _percentiles(values: NDArray[np.float64], unit: str) -> str:
-    low, middle, high = np.percentile(values, [5, 50, 95])
+    low, middle, high = percentiles(values, 5, 50, 95)
     return f"{low:.2f} to {high:.2f} {unit} (5 and 95 %; median {middle:.2f})"

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, fields, replace
 from datetime import datetime, timedelta, timezone
 from numbers import Integral, Real
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
 
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import UsageError
@@ -43,8 +43,7 @@ _DATE_AND_TIME = re.compile(r"(\d{4}-\d\d-\d\d[T ][\d:]+?)(?:[.,](\d+))?(Z|[+-]\
 _EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 
 
-@dataclass(frozen=True, slots=True)
-class TimeBound:
+class TimeBound(NamedTuple):
     """One end of a cut.
 
     Attributes

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.errors import UsageError
 
@@ -20,8 +19,7 @@ if TYPE_CHECKING:
 __all__ = ["ResolvedSources", "resolve_sources"]
 
 
-@dataclass(frozen=True, slots=True)
-class ResolvedSources:
+class ResolvedSources(NamedTuple):
     """What `resolve_sources` found.
 
     Attributes

@@ -11,9 +11,9 @@ import math
 import re
 import sys
 from contextlib import suppress
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal, NoReturn, get_args
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, NoReturn, get_args
 
 from pc2scan.core.params import CHOICES, MEASURED, ProjectionParams
 from pc2scan.core.presets import PRESETS
@@ -55,8 +55,7 @@ __all__ = [
 Direction = Literal["pointcloud_to_laserscan", "laserscan_to_pointcloud"]
 
 
-@dataclass(frozen=True, slots=True)
-class Parameter:
+class Parameter(NamedTuple):
     """A parameter of the projection, upstream's or pc2scan's own, as `PARAMETERS` lists it.
 
     Attributes
@@ -99,8 +98,7 @@ class Parameter:
         return f"--no-{self.name.replace('_', '-')}"
 
 
-@dataclass(frozen=True, slots=True)
-class Setting:
+class Setting(NamedTuple):
     """A parameter's value as one source gives it, not yet checked.
 
     Attributes
@@ -122,8 +120,7 @@ class Setting:
     source: str = "option"
 
 
-@dataclass(frozen=True, slots=True)
-class ResolvedParams:
+class ResolvedParams(NamedTuple):
     """The parameters of a run and where each comes from.
 
     Attributes

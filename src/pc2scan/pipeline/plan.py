@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.bags.topics import find_topics, matches, renamed, short_types
 from pc2scan.errors import TopicError, name_list
@@ -23,16 +22,14 @@ if TYPE_CHECKING:
 __all__ = ["Plan", "Route", "Task", "make_plan"]
 
 
-@dataclass(frozen=True, slots=True)
-class Task:
+class Task(NamedTuple):
     """Something to be made of a message, and the topics that it goes to."""
 
     spec: ScanSpec
     targets: tuple[str, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class Route:
+class Route(NamedTuple):
     """Where the messages of one source connection go.
 
     Attributes
@@ -53,8 +50,7 @@ class Route:
         return tuple(target for task in self.tasks for target in task.targets)
 
 
-@dataclass(frozen=True, slots=True)
-class Plan:
+class Plan(NamedTuple):
     """The routes in the order of the source's connections, the outputs, and what is worth a warning."""
 
     routes: tuple[Route, ...]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import asdict, dataclass, field, fields
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.core.counts import PointCounts
 from pc2scan.core.params import ProjectionParams
@@ -90,8 +90,7 @@ class Failure:
         return _json(self.as_dict())
 
 
-@dataclass(frozen=True, slots=True)
-class Skipped:
+class Skipped(NamedTuple):
     """A message that was not converted.
 
     Attributes
@@ -472,7 +471,7 @@ class Report(Shown):
                 }
                 for topic in self.topics
             ],
-            "skipped": [asdict(entry) for entry in self.skipped],
+            "skipped": [entry._asdict() for entry in self.skipped],
             "skipped_count": self.skipped_count,
             "damage": [damage.as_dict() for damage in self.damage],
             "messages_read": self.messages_read,

@@ -6,9 +6,9 @@ import os
 import shlex
 import time
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.bags.damage import RECOVER, Damage, count_details
 from pc2scan.bags.destinations import (
@@ -85,8 +85,7 @@ if TYPE_CHECKING:
 __all__ = ["OutputOptions", "Progress", "prepared", "report_failure", "report_file", "run", "span_of"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class OutputOptions:
+class OutputOptions(NamedTuple):
     """How the destination is written; None means that container's default.
 
     Attributes
@@ -412,7 +411,7 @@ def _target(
     )
     # A recording without any message of ROS is of neither profile.
     if options.repair and ros_version is None and target.format.profiles and output.profile is None:
-        return replace(target, profile=summaries[0].profile)
+        return target._replace(profile=summaries[0].profile)
     return target
 
 

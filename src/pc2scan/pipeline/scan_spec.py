@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.core.counts import PointCounts
 from pc2scan.core.params import ProjectionParams
@@ -26,8 +26,7 @@ if TYPE_CHECKING:
 __all__ = ["ScanSpec", "TopicRequest"]
 
 
-@dataclass(frozen=True, slots=True)
-class TopicRequest:
+class TopicRequest(NamedTuple):
     """A topic to convert, and where to."""
 
     source: str

@@ -8,13 +8,13 @@ from __future__ import annotations
 import math
 import re
 import shlex
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from pc2scan.core.ground import Ground, agreed, look_at
 from pc2scan.core.level import LEVEL
+from pc2scan.core.percentiles import percentiles
 from pc2scan.core.rigid import Rigid
 from pc2scan.errors import TransformError
 
@@ -42,8 +42,7 @@ _IDENTITY = Rigid.identity()
 _WORD = re.compile(r"[^\s,]+")
 
 
-@dataclass(frozen=True, slots=True)
-class Heights:
+class Heights(NamedTuple):
     """Limits of z that suit scans, metres, and what they are made of: where floor and ceiling are (None: not seen)."""
 
     low: float
@@ -52,8 +51,7 @@ class Heights:
     ceiling: float | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Mounting:
+class Mounting(NamedTuple):
     """How the clouds of a topic are mounted.
 
     Attributes
@@ -151,8 +149,7 @@ def mounting(
     return seen.replaced(f"{frame.removeprefix('/')}_level", level, heights_for(seen.ground, samples, level))
 
 
-@dataclass(frozen=True, slots=True)
-class _Seen:
+class _Seen(NamedTuple):
     """What the clouds of a topic show in the frame that they are judged in."""
 
     topic: str
@@ -327,7 +324,7 @@ def heights_for(
     if ground.up is not None and ground.height is not None:
         floor = _along(ground.up, -ground.height, moved)
         ceiling = None if ground.ceiling is None else _along(ground.up, ground.ceiling, moved)
-    fifth, last = (float(value) for value in np.percentile(z, [5, 95]))
+    fifth, last = percentiles(z, 5, 95)
     if floor is None:
         # A planar lidar has one height: its scans want some room around it.
         return Heights(_floored(fifth - 0.02), -_floored(-last - 0.02))
@@ -337,7 +334,7 @@ def heights_for(
         high = min(high, max(ceiling - 0.2, low + 0.1))
     if ((z >= low) & (z <= high)).mean() < 0.001:
         # Nothing stands on the ground, or the sensor looks over it.
-        high = max(high, float(np.percentile(z, 99.5)))
+        high = max(high, *percentiles(z, 99.5))
     return Heights(_floored(low + 0.005), _floored(high + 0.005), floor, ceiling)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.errors import UnconnectedError
@@ -65,8 +64,7 @@ class Placement(NamedTuple):
     level: Level | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Frames:
+class Frames(NamedTuple):
     """The transforms of a conversion.
 
     Attributes

@@ -5,7 +5,6 @@ Checksums do not detect wrong entries: ROS 1 bags have none, and a program may h
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
@@ -20,8 +19,7 @@ __all__ = ["EntryForm", "IndexCheck", "entries_astray"]
 _FEW = 32
 
 
-@dataclass(frozen=True, slots=True)
-class EntryForm:
+class EntryForm(NamedTuple):
     """The layout of a container's index entries, and of the messages that they point to.
 
     An entry begins with the log time, in the same eight bytes as in the message.

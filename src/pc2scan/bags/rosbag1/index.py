@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.bags.chunked.segments import Segment
 from pc2scan.errors import RecordingError
@@ -39,8 +39,7 @@ if TYPE_CHECKING:
 __all__ = ["BagIndex", "ConnectionCheck", "chunk_segment", "contained_span", "read_index"]
 
 
-@dataclass(frozen=True, slots=True)
-class BagIndex:
+class BagIndex(NamedTuple):
     """The connections and chunks of a bag.
 
     ``unlisted`` are the connections with messages that are not in the bag's index.

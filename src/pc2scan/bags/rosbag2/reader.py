@@ -102,8 +102,7 @@ class Rosbag2Reader(MergedReader):
         self._amend(amended, added)
         self._inner = super().summary
         packed = self._info.message_compression == "zstd" or any(zstd.is_zstd(file) for file in files)
-        self._summary = replace(
-            self._inner,
+        self._summary = self._inner._replace(
             container="rosbag2",
             storage=self._info.storage,
             compression=zstd.compressions(self._inner.compression) if packed else self._inner.compression,
@@ -133,7 +132,7 @@ class Rosbag2Reader(MergedReader):
     @property
     def damage(self) -> tuple[Damage, ...]:
         """The damage: that of the directory first, then file by file."""
-        inner = (replace(place, path=self._origins.get(place.path, place.path)) for place in super().damage)
+        inner = (place._replace(path=self._origins.get(place.path, place.path)) for place in super().damage)
         return (*self._log.found, *inner)
 
     def metadata(self) -> Iterator[Metadata]:

@@ -1,0 +1,51 @@
+"""Percentiles and medians of a few thousand values. NumPy's own load `numpy.ma`, a tenth of a short conversion."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+__all__ = ["median", "percentiles"]
+
+
+def percentiles(values: ArrayLike, *percents: float) -> tuple[float, ...]:
+    """Return percentiles, interpolated linearly between the two nearest values.
+
+    Parameters
+    ----------
+    values
+        At least one; none is NaN.
+    percents
+        From 0 to 100.
+
+    Examples
+    --------
+    >>> percentiles([4.0, 1.0, 2.0, 3.0], 0, 50, 90)
+    (1.0, 2.5, 3.7)
+    """
+    ordered: NDArray[Any] = np.sort(values, axis=None)
+    return tuple(_between(ordered, percent / 100 * (len(ordered) - 1)) for percent in percents)
+
+
+def median(values: ArrayLike) -> float:
+    """Return the median of at least one value, none of them NaN.
+
+    >>> median([3.0, 1.0])
+    2.0
+    """
+    ordered: NDArray[Any] = np.sort(values, axis=None)
+    half = len(ordered) // 2
+    return float(ordered[half] + ordered[-1 - half]) / 2
+
+
+def _between(ordered: NDArray[Any], place: float) -> float:
+    below = math.floor(place)
+    low, high = float(ordered[below]), float(ordered[min(below + 1, len(ordered) - 1)])
+    # From the nearer one, as NumPy does it, so that the results are equal.
+    part = place - below
+    return high - (high - low) * (1 - part) if part >= 0.5 else low + (high - low) * part
