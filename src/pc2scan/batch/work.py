@@ -100,7 +100,7 @@ def convert_one(job: Job, progress: Callable[[int, int, int], None] | None = Non
         if job.checksum:
             sha256 = _checksum(sources)
         options = replace(job.request.options, jobs=job.threads)
-        output = replace(job.request.output, overwrite=job.replaces, dry_run=job.dry_run)
+        output = job.request.output._replace(overwrite=job.replaces, dry_run=job.dry_run)
         done = run(
             sources,
             destination,
