@@ -3,6 +3,7 @@
 //
 //   T parent child sec nsec tx ty tz qx qy qz qw static              -> nothing
 //   L target source sec nsec                                         -> sec nsec tx ty tz qx qy qz qw, or ! and the error
+//   F target sec nsec source sec nsec fixed                          -> the same, of the lookup with two times
 //   C target source sec nsec x y z x y z ...                         -> the points as tf2_sensor_msgs transforms them
 //   S target deskew sec nsec seq angle_min angle_increment time_increment range_min range_max r r r ...
 //                                                                    -> seq sec nsec, then the cloud's bytes
@@ -56,6 +57,16 @@ geometry_msgs::TransformStamped look_up(std::istream &from, tf2::BufferCore &buf
     std::string target, source;
     from >> target >> source;
     return buffer.lookupTransform(target, source, stamp(from));
+}
+
+geometry_msgs::TransformStamped look_up_through(std::istream &from, tf2::BufferCore &buffer) {
+    std::string target, source, fixed;
+    from >> target;
+    const ros::Time target_time = stamp(from);
+    from >> source;
+    const ros::Time source_time = stamp(from);
+    from >> fixed;
+    return buffer.lookupTransform(target, target_time, source, source_time, fixed);
 }
 
 void show_transform(const geometry_msgs::TransformStamped &found) {
@@ -120,6 +131,7 @@ int main() {
         }
         try {
             if (command == "L") show_transform(look_up(words, buffer));
+            if (command == "F") show_transform(look_up_through(words, buffer));
             if (command == "C") transform_cloud(words, buffer);
             if (command == "S") project_scan(words, buffer);
         } catch (const std::exception &error) {

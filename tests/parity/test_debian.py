@@ -22,6 +22,7 @@ from pc2scan.messages.laserscan import LaserScan, encode_laserscan
 from pc2scan.messages.pointcloud2 import decode_pointcloud2
 from pc2scan.pipeline.scan_to_cloud import ScanToCloud
 from pc2scan.tf.placing import Frames
+from tf.through import assert_close, found, random_drive, random_throughs
 from tf.trees import EPOCH, SECOND, built, changing_tree, random_pose, random_questions, random_tree, row
 
 if TYPE_CHECKING:
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from tf.through import Through
     from tf.trees import Question, Rows
 
 SOURCE = Path(__file__).with_name("oracle.cpp")
@@ -110,6 +112,34 @@ def test_lookups(make: Callable[[np.random.Generator], tuple[Rows, list[str]]], 
     rows, frames = make(rng)
     questions = random_questions(rng, frames, [entry[2] for entry, _ in rows], 3000)
     assert assert_lookups_agree(oracle, rows, questions) > 200
+
+
+def through_command(question: Through) -> str:
+    target, target_ns, source, source_ns, fixed = question
+    return f"F {target} {time_of(target_ns)} {source} {time_of(source_ns)} {fixed}"
+
+
+def pose_in(answer: str) -> list[float] | None:
+    """The pose of an answer; None if tf2 refuses."""
+    return None if answer.startswith("!") else [float.fromhex(value) for value in answer.split()[2:]]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_lookups_with_two_times(seed: int, oracle: Path) -> None:
+    rng = np.random.default_rng(7000 + seed)
+    rows, frames = random_drive(rng)
+    questions = random_throughs(rng, frames, 10_000)
+    buffer = built(rows)
+    agreed = 0
+    for question, theirs in zip(questions, ask(oracle, rows, [*map(through_command, questions)]), strict=True):
+        pose = pose_in(theirs)
+        if pose is None:
+            with pytest.raises(TransformError):
+                found(buffer, question)
+        else:
+            assert_close(found(buffer, question), np.array(pose), question)
+            agreed += 1
+    assert 8_000 < agreed < 10_000
 
 
 def points_of_all_kinds(rng: np.random.Generator) -> NDArray[np.float32]:

@@ -211,6 +211,22 @@ def rotation_matrices(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
         )
 
 
+def _quaternion(m: Sequence[Sequence[float]]) -> tuple[float, float, float, float]:
+    """The quaternion of a rotation matrix, by its largest component, which is positive."""
+    (m00, m01, m02), (m10, m11, m12), (m20, m21, m22) = m
+    four_squares = (1 + m00 - m11 - m22, 1 - m00 + m11 - m22, 1 - m00 - m11 + m22, 1 + m00 + m11 + m22)
+    largest = max(range(4), key=four_squares.__getitem__)
+    products = (
+        (four_squares[0], m10 + m01, m20 + m02, m21 - m12),
+        (m10 + m01, four_squares[1], m21 + m12, m02 - m20),
+        (m20 + m02, m21 + m12, four_squares[2], m10 - m01),
+        (m21 - m12, m02 - m20, m10 - m01, four_squares[3]),
+    )[largest]
+    scale = 1 / (2 * math.sqrt(four_squares[largest]))
+    x, y, z, w = (product * scale for product in products)
+    return (x, y, z, w)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Rigid:
     """A rigid transform, ``target_from_source``: ``p_target = rotation p_source + translation``.
@@ -287,6 +303,13 @@ class Rigid:
             cr * cp * cy + sr * sp * sy,
         )
         return cls(np.array(quaternion), np.array(translation, dtype=np.float64))
+
+    @classmethod
+    def from_matrix(cls, matrix: NDArray[np.float64], translation: ArrayLike = (0.0, 0.0, 0.0)) -> Rigid:
+        """Take a rotation matrix, (3, 3), and a translation; the quaternion has unit length."""
+        quaternion = _quaternion(matrix.tolist())
+        length = math.sqrt(sum(part * part for part in quaternion))
+        return cls(np.array(quaternion) / length, np.array(translation, dtype=np.float64))
 
     @property
     def rotation(self) -> Rigid:

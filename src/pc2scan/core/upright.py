@@ -58,26 +58,10 @@ def upright(up: Up) -> Rigid:
     else:
         x /= length
         y = np.cross(z, x)
-    return Rigid(np.array(_quaternion(np.column_stack([x, y, z]).tolist())), np.zeros(3))
+    return Rigid.from_matrix(np.column_stack([x, y, z]))
 
 
 def _unit(direction: Sequence[float]) -> Up:
     length = math.hypot(*direction)
     x, y, z = (part / length for part in direction)
     return (x, y, z)
-
-
-def _quaternion(m: Sequence[Sequence[float]]) -> tuple[float, float, float, float]:
-    """The quaternion of a rotation matrix, by its largest component, which is positive."""
-    (m00, m01, m02), (m10, m11, m12), (m20, m21, m22) = m
-    four_squares = (1 + m00 - m11 - m22, 1 - m00 + m11 - m22, 1 - m00 - m11 + m22, 1 + m00 + m11 + m22)
-    largest = max(range(4), key=four_squares.__getitem__)
-    products = (
-        (four_squares[0], m10 + m01, m20 + m02, m21 - m12),
-        (m10 + m01, four_squares[1], m21 + m12, m02 - m20),
-        (m20 + m02, m21 + m12, four_squares[2], m10 - m01),
-        (m21 - m12, m02 - m20, m10 - m01, four_squares[3]),
-    )[largest]
-    scale = 1 / (2 * math.sqrt(four_squares[largest]))
-    x, y, z, w = (product * scale for product in products)
-    return (x, y, z, w)
