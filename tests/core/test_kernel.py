@@ -100,7 +100,7 @@ def test_angles_between_two_float32_are_rounded_to_the_nearer() -> None:
 
 
 def test_where_two_roundings_are_not_one() -> None:
-    """What README and DESIGN say of one point in a billion; should this fail, they are no longer true."""
+    """What the docs say of one point in a billion; should this fail, they are no longer true."""
     x, y = np.array([-8.08657455, 36.3], np.float32), np.array([5.3598547, 0.0], np.float32)
     # The angle is 2.556265473365783883: above the middle of two float32, and rounded to it in float64.
     assert math.atan2(float(y[0]), float(x[0])).hex() == "0x1.4733b50000000p+1"

@@ -1,4 +1,4 @@
-"""The README speaks the truth about the command, the report and the library."""
+"""The README and the pages under docs speak the truth about the command, the report and the library."""
 
 from __future__ import annotations
 
@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 README = (ROOT / "README.md").read_text("utf-8")
+PAGES = {path.stem: path.read_text("utf-8") for path in sorted((ROOT / "docs").glob("*.md"))}
+TEXT = "\n".join([README, *PAGES.values()])
 COMMANDS = ("convert", "batch", "export", "view", "plot", "map", "check", "info", "tf", "repair", "diff", "golden")
 
 #: Options of other programs that the README names, and pc2scan's own outside its commands.
@@ -47,8 +49,8 @@ def options_of(command: str) -> frozenset[str]:
     return frozenset(re.findall(r"(?<![\w-])--[a-z][a-z0-9-]*", help_of(command)))
 
 
-def code_blocks(language: str) -> list[str]:
-    return re.findall(rf"^```{language}\n(.*?)^```$", README, re.MULTILINE | re.DOTALL)
+def code_blocks(language: str, text: str = TEXT) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
 
 
 def commands_in(text: str) -> list[list[str]]:
@@ -65,20 +67,23 @@ def commands_in(text: str) -> list[list[str]]:
 def test_every_option_in_the_readme_exists() -> None:
     known = frozenset().union(*(options_of(command) for command in COMMANDS)) | ELSEWHERE
     # A mention in prose, or in a table, ends at whatever an option cannot contain.
-    mentioned = set(re.findall(r"(?<![\w-])--[a-z][a-z0-9-]*", README))
+    ours = [text for name, text in PAGES.items() if name != "from-ros"]
+    lines = [line for text in (README, *ours) for line in text.splitlines() if "python tests/" not in line]
+    mentioned = set(re.findall(r"(?<![\w-])--[a-z][a-z0-9-]*", "\n".join(lines)))
     assert len(mentioned) > 25
     assert mentioned - known == set()
 
 
 def test_every_command_in_the_readme_takes_the_options_shown() -> None:
     shown = [words for block in code_blocks("sh") for words in commands_in(block)]
-    shown += [words for line in re.findall(r"`(pc2scan [^`\n]+)`", README) for words in commands_in(line)]
+    shown += [words for line in re.findall(r"`(pc2scan [^`\n]+)`", TEXT) for words in commands_in(line)]
     assert len(shown) >= 8
     for words in shown:
         if words[0] in ELSEWHERE:
             continue
         assert words[0] in COMMANDS, words
-        assert {word.split("=")[0] for word in words if word.startswith("--")} <= options_of(words[0]) | {"--help"}
+        known = options_of(words[0]) | {"--help", "--ros-args"}
+        assert {word.split("=")[0] for word in words if word.startswith("--")} <= known
 
 
 def test_every_command_is_in_the_readme() -> None:
@@ -91,13 +96,13 @@ def test_every_command_is_in_the_readme() -> None:
 
 
 def test_every_parameter_is_in_the_readmes_table() -> None:
-    rows = set(re.findall(r"`(\w+)`", "\n".join(re.findall(r"^\| (`.*?) \|", README, re.MULTILINE))))
+    rows = set(re.findall(r"`(\w+)`", "\n".join(re.findall(r"^\| (`.*?) \|", TEXT, re.MULTILINE))))
     assert PARAMETERS.keys() <= rows
     assert all(parameter.option in options_of("convert") for parameter in PARAMETERS.values())
 
 
 def test_every_preset_is_in_the_readme_and_the_help() -> None:
-    section = README[README.index("### Ready for SLAM") : README.index("### The way back")]
+    section = PAGES["slam"]
     help_text = " ".join(help_of("convert").split())
     for consumer in PRESETS:
         assert re.search(rf"\b{consumer}\b", section)
@@ -106,7 +111,7 @@ def test_every_preset_is_in_the_readme_and_the_help() -> None:
 
 def test_the_dataset_recipe_ends_in_scans_that_are_accepted(tmp_path: Path) -> None:
     shutil.copy(ROOT / "fixtures" / "hall.bag", tmp_path / "drive.bag")
-    block = README[README.index("<!-- dataset recipe -->") :].split("```")[1].removeprefix("sh\n")
+    block = PAGES["slam"].partition("<!-- dataset recipe -->")[2].split("```")[1].removeprefix("sh\n")
     commands = commands_in(block)
     assert [words[0] for words in commands] == ["info", "tf", "convert", "check"]
     for words in commands:
@@ -117,7 +122,8 @@ def test_the_dataset_recipe_ends_in_scans_that_are_accepted(tmp_path: Path) -> N
 
 def test_exit_statuses_are_told_alike() -> None:
     help_text = run("--help").stdout
-    table = README[README.index("| status | `convert`") :].split("\n\n")[0]
+    report = PAGES["report"]
+    table = report[report.index("| status | `convert`") :].split("\n\n")[0]
     told = re.findall(r"^\| (\d) \|", table, re.MULTILINE)
     assert told == ["0", "1", "2", "3", "4"]
     for status in told:
@@ -129,7 +135,8 @@ def test_the_report_has_the_keys_of_the_readme(tmp_path: Path) -> None:
     done = run("convert", ROOT / "fixtures" / "hall.bag", "-o", tmp_path / "out.bag", "--report", report)
     assert done.status == 0, done.stderr
     found = json.loads(report.read_text())
-    table = README[README.index("| key | |") :].split("\n\n")[0]
+    text = PAGES["report"]
+    table = text[text.index("| key | |") :].split("\n\n")[0]
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()[2:]]
     # The count of what is listed stands with the list.
     top = set(re.findall(r"all are in `(\w+)`", table))
@@ -152,7 +159,7 @@ def test_the_report_has_the_keys_of_the_readme(tmp_path: Path) -> None:
 
 
 def test_the_example_for_the_library_runs(tmp_path: Path) -> None:
-    (block,) = [block for block in code_blocks("python") if "import pc2scan" in block]
+    (block,) = code_blocks("python", PAGES["python"])
     shutil.copytree(ROOT / "fixtures", tmp_path / "fixtures")
     done = subprocess.run(
         [sys.executable, "-W", "error", "-c", block],
@@ -174,7 +181,7 @@ def test_the_example_for_the_library_runs(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("fixture", ["hall.bag", "hall.mcap", "hall"])
 def test_the_first_command_works_on_every_fixture(fixture: str, tmp_path: Path) -> None:
-    (line,) = [line for line in code_blocks("sh") if "fixtures/hall.bag" in line]
+    (line,) = [line for line in code_blocks("sh", README) if "fixtures/hall.bag" in line]
     (words,) = commands_in(line)
     words[words.index("fixtures/hall.bag")] = str(ROOT / "fixtures" / fixture)
     done = run(*words, cwd=tmp_path)
@@ -184,16 +191,18 @@ def test_the_first_command_works_on_every_fixture(fixture: str, tmp_path: Path) 
 
 
 def test_the_shown_commands_run_on_a_recording(tmp_path: Path) -> None:
-    shutil.copy(ROOT / "fixtures" / "hall.bag", tmp_path / "drive.bag")
-    (tmp_path / "params.yaml").write_text("pointcloud_to_laserscan:\n  ros__parameters:\n    min_height: -0.3\n")
     ran = 0
-    for block in code_blocks("sh"):
+    for number, block in enumerate(code_blocks("sh")):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        shutil.copy(ROOT / "fixtures" / "hall.bag", folder / "drive.bag")
+        (folder / "params.yaml").write_text("pointcloud_to_laserscan:\n  ros__parameters:\n    min_height: -0.3\n")
         for words in commands_in(block):
             if "drive.bag" in words:
-                done = run(*words, cwd=tmp_path)
+                done = run(*words, cwd=folder)
                 assert done.status == 0, (words, done.stderr)
                 ran += 1
-                (tmp_path / "drive_scan.bag").unlink(missing_ok=True)
+                (folder / "drive_scan.bag").unlink(missing_ok=True)
     assert ran >= 6
 
 
@@ -202,8 +211,8 @@ def test_the_recipe_for_ci_works_from_start_to_finish(tmp_path: Path) -> None:
     shutil.copy(ROOT / "fixtures" / "hall.bag", tmp_path / "drive.bag")
     params = "pointcloud_to_laserscan:\n  ros__parameters:\n    min_height: -0.3\n"
     (tmp_path / "params.yaml").write_text(params)
-    block = README.partition("<!-- golden commands -->")[2].split("```")[1].removeprefix("sh\n")
-    (workflow,) = code_blocks("yaml")
+    block = PAGES["golden"].partition("<!-- golden commands -->")[2].split("```")[1].removeprefix("sh\n")
+    (workflow,) = code_blocks("yaml", PAGES["golden"])
     steps = YAML(typ="safe").load(workflow)["jobs"]["golden"]["steps"]
     in_ci = [step["run"] for step in steps if step.get("run", "").startswith("pc2scan")]
     uploaded = [step["with"]["path"] for step in steps if "upload-artifact" in step.get("uses", "")]
@@ -223,7 +232,7 @@ def test_the_recipe_for_ci_works_from_start_to_finish(tmp_path: Path) -> None:
 
 
 def row_of(name: str) -> str:
-    (row,) = [line for line in README.splitlines() if line.startswith(f"| `{name}`")]
+    (row,) = [line for line in TEXT.splitlines() if line.startswith(f"| `{name}`")]
     return row
 
 
@@ -233,15 +242,44 @@ def test_what_is_said_of_diff_and_golden() -> None:
     assert named == IGNORABLE.keys() - {*GEOMETRY} | {"angle_max"}
     assert set(re.findall(r"`(\w+)`", row_of("case.yaml"))) - {"convert", "diff"} == set(KEYS)
     report = json.loads(run("diff", ROOT / "fixtures" / "hall.bag", ROOT / "fixtures" / "hall.mcap", "--json").stdout)
-    told = README[README.index("`--json` prints `same`") :].partition("Exit status")[0]
+    told = PAGES["diff"].partition("`--json` prints")[2].partition("Exit status")[0]
     keys = set(re.findall(r"`(\w+)(?:\[\])?`", told))
     assert keys <= {*report, *report["topics"][0]}
     assert keys > {"same", "exit_status", "topics", "values", "worst"}
 
 
 def test_the_fixtures_for_pytest_are_those_of_the_plugin() -> None:
-    (block,) = [block for block in code_blocks("python") if "def test_" in block]
-    compile(block, "README.md", "exec")
+    (block,) = code_blocks("python", PAGES["golden"])
+    compile(block, "golden.md", "exec")
     asked = re.search(r"def test_\w+\((.*)\)", block)
     assert asked is not None
     assert set(asked[1].split(", ")) == set(pytest_plugin.__all__)
+
+
+def test_the_readme_is_short() -> None:
+    assert len(README.splitlines()) <= 200
+
+
+def test_the_readmes_python_runs(tmp_path: Path) -> None:
+    (block,) = code_blocks("python", README)
+    shutil.copytree(ROOT / "fixtures", tmp_path / "fixtures")
+    command = [sys.executable, "-W", "error", "-c", block]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, env=environment(), check=False)
+    assert done.returncode == 0, done.stderr
+    assert len(done.stdout.splitlines()) == 5
+
+
+@pytest.mark.parametrize("page", ["README", "DESIGN", "SECURITY", "CHANGELOG", *(f"docs/{name}" for name in PAGES)])
+def test_links_lead_somewhere(page: str) -> None:
+    """To files that are there, and to headings of theirs."""
+    path = ROOT / f"{page}.md"
+    for link in re.findall(r"\]\(([^)\s]+)\)", path.read_text("utf-8")):
+        if link.startswith(("https://", "mailto:")):
+            continue
+        file, _, anchor = link.partition("#")
+        target = (path.parent / file).resolve() if file else path
+        assert target.exists(), link
+        if anchor:
+            headings = re.findall(r"^#+ (.*)$", target.read_text("utf-8"), re.MULTILINE)
+            anchors = {re.sub(r"[^a-z0-9 _-]", "", heading.lower()).replace(" ", "-") for heading in headings}
+            assert anchor in anchors, link

@@ -449,7 +449,7 @@ class Report(Shown):
         yield from (f"warning: {warning}" for warning in self.warnings)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the report as JSON's types; the keys are documented in the README."""
+        """Return the report as JSON's types; the keys are documented in docs/report.md."""
         return {
             "pc2scan": __version__,
             "exit_status": self.exit_status,
