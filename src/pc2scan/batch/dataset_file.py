@@ -13,6 +13,7 @@ from pc2scan.errors import ParameterError, UsageError
 from pc2scan.files.nearby import missing_hint
 from pc2scan.files.source import opened_bytes
 from pc2scan.names import did_you_mean
+from pc2scan.pipeline.parameters import RIVALS
 from pc2scan.pipeline.ros_scalars import plain_scalar
 from pc2scan.pipeline.yaml_nodes import compose, is_empty, is_mapping, is_scalar
 
@@ -89,6 +90,9 @@ class DatasetFile:
         origins: dict[str, str] = {}
         skip = False
         for entry in (self.entries[number] for number in numbers):
+            for name in entry.words:
+                # What says the same in another way is overridden, too.
+                words.pop(RIVALS.get(name, ""), None)
             words |= entry.words
             origins |= {name: f"{self.path}, line {line}" for name, line in entry.lines.items()}
             skip = skip if entry.skip is None else entry.skip
@@ -127,6 +131,8 @@ class _Reader:
 
     def __init__(self, path: Path) -> None:
         self._path = path
+        #: The line of the key whose value is read: an empty value is where the next key is.
+        self._key_line = 1
 
     def read(self, root: Any) -> DatasetFile:
         if root is None or is_empty(root):
@@ -173,7 +179,7 @@ class _Reader:
                 raise self._error(key, f"{name!r} is not known in {where}", near or few)
             if name in seen:
                 raise self._error(key, f"{name} is there twice; first in line {seen[name]}")
-            seen[name] = _line(key)
+            seen[name] = self._key_line = _line(key)
             yield name, value
 
     def _value(self, node: Any, name: str, word: Word) -> Any:
@@ -225,7 +231,8 @@ class _Reader:
         return self._error(node, f"{name} is {found}, it must be {_KINDS[kind]}")
 
     def _error(self, node: Any, message: str, hint: str | None = None) -> UsageError:
-        return UsageError(f"line {_line(node)}: {message}", path=self._path, hint=hint)
+        line = self._key_line if is_empty(node) else _line(node)
+        return UsageError(f"line {line}: {message}", path=self._path, hint=hint)
 
 
 def _line(node: Any) -> int:

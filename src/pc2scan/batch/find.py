@@ -228,8 +228,9 @@ def _in_folder(folder: Path, root: Path, search: _Search) -> Iterator[Found]:
                     yield from _judged(path, _key(path, root), search, named=True)
             else:
                 yield from _in_folder(path, root, search)
-        elif entry.is_file() and _is_new(path, search):
-            files += _judged(path, _key(path, root), search, named=is_named_as_recording(entry.name))
+        elif entry.is_file():
+            if _is_new(path, search):
+                files += _judged(path, _key(path, root), search, named=is_named_as_recording(entry.name))
         elif entry.is_symlink() and is_named_as_recording(entry.name):
             # It leads nowhere.
             files += _judged(path, _key(path, root), search, named=True)

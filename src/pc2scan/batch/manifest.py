@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 from dataclasses import dataclass, field
+from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.errors import DestinationError, OutputError, UsageError
@@ -131,6 +132,7 @@ class Record:
     def from_dict(cls, line: Mapping[str, Any]) -> Record:
         """Read what `as_dict` returned."""
         source, output = line["source"], line["output"] or {}
+        _refuse_outside(str(output.get("path", "")))
         return cls(
             key=str(line["key"]),
             sources=tuple(map(str, source["paths"])),
@@ -241,6 +243,13 @@ class Manifest:
             self._file.truncate(end)
 
 
+def _refuse_outside(output: str) -> None:
+    """Raise for a place that is not below the folder: what is there would be taken for the batch's own."""
+    place = PurePosixPath(output)
+    if place.is_absolute() or ".." in place.parts:
+        raise ValueError(f"{output} is not below the folder of the batch")
+
+
 def write_begun(folder: Path, outputs: Iterable[str]) -> None:
     """Note what a run is going to write, before it begins: after a killed run, only this says that it is the batch's.
 
@@ -258,13 +267,16 @@ def read_begun(folder: Path) -> frozenset[str]:
     """Return what a run that was killed was going to write; empty if none was."""
     try:
         noted = json.loads((folder / BEGUN).read_bytes())
-        return frozenset(map(str, noted["outputs"]))
+        outputs = frozenset(map(str, noted["outputs"]))
+        for output in outputs:
+            _refuse_outside(output)
     except FileNotFoundError:
         return frozenset()
     except (OSError, ValueError, LookupError, TypeError) as err:
         raise DestinationError(
             "is not what pc2scan batch writes there", path=folder / BEGUN, hint="move it away"
         ) from err
+    return outputs
 
 
 def forget_begun(folder: Path) -> None:

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
 from enum import Enum
+from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pc2scan.arguments import names_in, path_of
+from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import UsageError
 from pc2scan.json_types import json_value
 from pc2scan.pipeline.options import ConvertOptions
@@ -18,6 +20,11 @@ from pc2scan.pipeline.run import OutputOptions
 from pc2scan.requests import channels_of, filters_of, frames_of, parameter_names, resolved_parameters
 
 from .identity import identity_of
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from pc2scan.pipeline.scans_file import ScansFile
 
 __all__ = ["Request", "request_of", "words_known"]
 
@@ -29,10 +36,29 @@ _CHANNELS = ("channels", "range_cutoff")
 _OUTPUT = ("storage", "compression", "profile", "metadata_version", "to", "overwrite")
 _TEXTS = ("topics", "keep", "drop")
 
-#: Options of a conversion that are no words of `pc2scan.convert`, and the number of threads, which `batch` decides.
-_NO_WORDS = {"output_type", "repair", "jobs"}
+#: What an output has of its own where there are ``scans``; see `pc2scan.pipeline.scans_file.refuse_beside`.
+_BESIDE = (
+    *(
+        "topics",
+        "remap",
+        "preset",
+        "params",
+        "params_file",
+        "node",
+        "launch_args",
+        "reverse",
+        "channels",
+        "range_cutoff",
+    ),
+    *("where", "exclude_box", "exclude_polygon", "min_height_slope", "filters"),
+    *("deskew", "fixed_frame", "point_time", "stamp", "level", "imu"),
+)
 
-_CALL = CALL
+#: Options of a conversion that are no words of `pc2scan.convert`, and the number of threads, which `batch` decides.
+_NO_WORDS = {"output_type", "repair", "jobs", "origins"}
+
+#: Attributes of options that do not decide what is written: where they come from.
+_PLACES = frozenset({"origins", "place"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,8 +128,13 @@ def request_of(words: Mapping[str, Any], origins: Mapping[str, str] | None = Non
     def take(names: tuple[str, ...]) -> dict[str, Any]:
         return {name: given.pop(name) for name in names if name in given}
 
-    reverse = given.pop("reverse", False)
     parameters = take(tuple(parameter_names()))
+    several = None
+    if (scans := given.pop("scans", None)) is not None:
+        beside = {name: words[name] for name in _BESIDE if name in words and words[name] != "header"}
+        several = _several(scans, parameters, names_in("param", given.pop("param", ())), beside, origins or {})
+        parameters = {}
+    reverse = given.pop("reverse", False)
     asked = take(_PARAMETERS)
     resolved = _parameters(asked, parameters, origins or {}, reverse=reverse)
     framed = take(_FRAMES)
@@ -133,6 +164,7 @@ def request_of(words: Mapping[str, Any], origins: Mapping[str, str] | None = Non
     channels = take(_CHANNELS)
     output = OutputOptions(**take(_OUTPUT), like_source=True)
     options = ConvertOptions.of(
+        scans=() if several is None else several.specs,
         params=resolved.params,
         reverse=resolved.reverse,
         channels=channels_of(channels.get("channels"), channels.get("range_cutoff")),
@@ -147,9 +179,35 @@ def request_of(words: Mapping[str, Any], origins: Mapping[str, str] | None = Non
         output,
         resolved.origin,
         {f"`{name}`": path_of(name, path) for name, path in files.items() if path is not None}
-        | {f"{path.name} (from `params_file`)": path for path in resolved.files},
-        tuple(f"not a parameter of the projection, ignored: {origin}" for origin in resolved.ignored),
+        | {f"{path.name} (from `params_file`)": path for path in resolved.files}
+        | {f"{path.name} (from `scans`)": path for path in (several.files if several is not None else ())},
+        tuple(
+            f"not a parameter of the projection, ignored: {origin}"
+            for origin in (resolved.ignored if several is None else several.ignored)
+        ),
     )
+
+
+def _several(
+    scans: Any,
+    parameters: Mapping[str, Any],
+    param: Sequence[str],
+    beside: Mapping[str, object],
+    origins: Mapping[str, str],
+) -> ScansFile:
+    """Read several outputs; parameters that are given beside them count for all."""
+    from pc2scan.pipeline.param_assignment import parse_param  # noqa: PLC0415  # few have several outputs
+    from pc2scan.pipeline.scans_file import load_scans, refuse_beside  # noqa: PLC0415
+
+    refuse_beside(beside)
+    settings = [*_settings(parameters, origins), *(parse_param(text) for text in reversed(param))]
+    is_path = isinstance(scans, str | PathLike)
+    return load_scans(path_of("scans", scans) if is_path else scans, settings)
+
+
+def _settings(parameters: Mapping[str, Any], origins: Mapping[str, str]) -> list[Setting]:
+    plain = {name: value.item() if type(value).__module__ == "numpy" else value for name, value in parameters.items()}
+    return [Setting(name, value, origins.get(name, CALL)) for name, value in plain.items()]
 
 
 def _parameters(
@@ -166,9 +224,8 @@ def _parameters(
             reverse=reverse,
         )
     file = asked.get("params_file")
-    plain = {name: value.item() if type(value).__module__ == "numpy" else value for name, value in parameters.items()}
     return resolve_sources(
-        [Setting(name, value, origins.get(name, _CALL)) for name, value in plain.items()],
+        _settings(parameters, origins),
         assignments=names_in("param", asked.get("param")),
         file=None if file is None else path_of("params_file", file),
         node=asked.get("node"),
@@ -180,9 +237,16 @@ def _parameters(
 
 def _canonical(value: Any) -> Any:
     """Return options as JSON's types: equal for equal options, whatever the process."""
+    if isinstance(value, ProjectionParams):
+        # It decides how much is in flight, not what is written.
+        value = replace(value, queue_size=0)
     if is_dataclass(value) and not isinstance(value, type):
         # What a class computes from its attributes is not shown.
-        shown = {each.name: _canonical(getattr(value, each.name)) for each in fields(value) if each.repr}
+        shown = {
+            each.name: _canonical(getattr(value, each.name))
+            for each in fields(value)
+            if each.repr and each.name not in _PLACES
+        }
         return {"": type(value).__name__, **shown}
     if isinstance(value, Enum):
         return value.value

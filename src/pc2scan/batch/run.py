@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.errors import DestinationError, OutputError, UsageError
-from pc2scan.files.staging import check_place, clean_up, made_folder, only_run
+from pc2scan.files.staging import check_place, clean_up, made_folder, note_written, only_run
 from pc2scan.files.text_output import check_text_output, text_output
 from pc2scan.pipeline.scheduler import cores as all_cores
 
@@ -112,6 +112,8 @@ class Watch:
         Now and then.
     done
         When a recording is done, with the line of the manifest.
+    shown
+        With the report of each conversion as text; None if nobody reads it.
     note
         With what a user should know at once.
     """
@@ -119,6 +121,7 @@ class Watch:
     planned: Callable[[Plan], None] = _nothing
     progress: Callable[[BatchProgress], None] = _nothing
     done: Callable[[Record], None] = _nothing
+    shown: Callable[[str], None] | None = None
     note: Callable[[str], None] = _nothing
 
 
@@ -372,7 +375,11 @@ class _Batch:
                         self._watch.note(f"{key}: {why}; it is tried again")
                     case Ended(result):
                         record = _recorded(steps[result.key], result)
+                        if record.is_written:
+                            note_written(self._out / record.output)
                         note(record)
+                        if result.text and self._watch.shown is not None:
+                            self._watch.shown(result.text)
                         begin(steps[result.key].output, False)
                         progress.end(result.key)
                         if self._options.fail_fast and record.exit_status in (1, 2):
@@ -417,11 +424,10 @@ class _Batch:
                         if folder in interrupted:
                             made.append(path)
                         continue
-                    try:
+                    # Where it cannot be made, the conversions into it say why.
+                    with suppress(OSError):
                         path.mkdir()
-                    except OSError as err:
-                        raise OutputError(f"the folder cannot be made: {err.strerror}", path=path) from err
-                    made.append(path)
+                        made.append(path)
             yield
         finally:
             for path in sorted(set(made) - {self._out}, key=lambda path: len(path.parts), reverse=True):
@@ -439,6 +445,7 @@ class _Batch:
             replaces=step.replaces,
             checksum=self._options.checksum and not self._options.dry_run,
             dry_run=self._options.dry_run,
+            shown=self._watch.shown is not None,
         )
 
     def conclude(self, began: float) -> None:

@@ -46,6 +46,8 @@ class Job:
         Whether the result has the checksum of the sources.
     dry_run
         Whether nothing is written, and the result is a forecast.
+    shown
+        Whether the result has the report as text, too.
     """
 
     key: str
@@ -57,11 +59,15 @@ class Job:
     threads: int = 1
     checksum: bool = False
     dry_run: bool = False
+    shown: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Result:
-    """What became of a job: the attributes of a `pc2scan.batch.manifest.Record` that only the conversion knows."""
+    """What became of a job: the attributes of a `pc2scan.batch.manifest.Record` that only the conversion knows.
+
+    ``text`` is the report for people, if the job asked for it.
+    """
 
     key: str
     outcome: str
@@ -74,6 +80,7 @@ class Result:
     attempts: int = 1
     report: dict[str, Any] | None = None
     error: dict[str, Any] | None = None
+    text: str = ""
 
 
 def outcome_of(exit_status: int) -> str:
@@ -96,6 +103,7 @@ def convert_one(job: Job, progress: Callable[[int, int, int], None] | None = Non
     identity = identity_of(sources)
     sha256 = None
     report = error = None
+    text = ""
     try:
         if job.checksum:
             sha256 = _checksum(sources)
@@ -111,6 +119,7 @@ def convert_one(job: Job, progress: Callable[[int, int, int], None] | None = Non
             progress=progress,
         )
         report, status = done.as_dict(), done.exit_status
+        text = str(done) if job.shown else ""
     except Pc2ScanError as err:
         error, status = err.as_dict(), err.exit_status
     except Exception as err:  # noqa: BLE001  # one recording must not end the others; the manifest has the traceback
@@ -126,6 +135,7 @@ def convert_one(job: Job, progress: Callable[[int, int, int], None] | None = Non
         seconds=time.monotonic() - began,
         report=report,
         error=error,
+        text=text,
     )
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -97,8 +98,12 @@ class _Worker:
     def give(self, job: Job) -> None:
         """Send a job; a process that is dead is found to be so by its reader."""
         self.job, self.began = job, time.monotonic()
-        with suppress(OSError):
+        try:
             send(_pipe(self.process.stdin), job)
+        except OSError:
+            pass
+        except (pickle.PicklingError, AttributeError, TypeError) as err:
+            raise _unsendable(err) from err
 
     def ended(self) -> str:
         """Wait for the end of a process that has closed its pipe; return how it ended, for people."""
@@ -237,10 +242,7 @@ def execute(
                     idle.append(worker)
                     yield Ended(replace(result, attempts=attempts[result.key]))
                 case ("unreadable", why):
-                    raise Pc2ScanError(
-                        f"the options cannot be sent to another process: {why}",
-                        hint="a filter of your own must be a class of a module that can be imported",
-                    )
+                    raise _unsendable(why)
     finally:
         pool.close()
 
@@ -269,6 +271,13 @@ def _after_death(
     else:
         seconds = time.monotonic() - worker.began
         yield Ended(died(job, why, attempts=attempts[job.key], seconds=seconds))
+
+
+def _unsendable(why: object) -> Pc2ScanError:
+    return Pc2ScanError(
+        f"the options cannot be sent to another process: {why}",
+        hint="a filter of your own must be a class of a module that can be imported",
+    )
 
 
 def _pipe(stream: Any) -> BinaryIO:

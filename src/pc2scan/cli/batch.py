@@ -89,7 +89,13 @@ class BatchGroup(Group):
         bool, typer.Option("--quiet", "-q", help="Show warnings and errors only.", rich_help_panel=_BATCH)
     ] = False
     verbose: Annotated[
-        bool, typer.Option("--verbose", "-v", help="List every recording in the summary.", rich_help_panel=_BATCH)
+        bool,
+        typer.Option(
+            "--verbose",
+            "-v",
+            help="Show the tables of each conversion, and every recording in the summary.",
+            rich_help_panel=_BATCH,
+        ),
     ] = False
 
 
@@ -170,9 +176,14 @@ def batch(
             planned=lambda plan: _show_plan(plan, quiet=running.quiet),
             progress=progress,
             done=lambda record: _show_record(record, quiet=running.quiet, dry_run=dry_run),
+            shown=_show_text if running.verbose and not running.quiet else None,
             note=warn,
         )
-        report = run_batch(sources, destination, words, options, origins=origins, watch=watch)
+        try:
+            report = run_batch(sources, destination, words, options, origins=origins, watch=watch)
+        except KeyboardInterrupt:
+            typer.echo("hint: the same command again goes on where this one was interrupted", err=True)
+            raise
     _show_report(report, quiet=running.quiet, verbose=running.verbose)
     raise typer.Exit(report.exit_status)
 
@@ -218,6 +229,12 @@ def _show_record(record: "Record", *, quiet: bool, dry_run: bool) -> None:
     ]
     would = "would be " if dry_run else ""
     typer.echo(message(f"{would}{record.outcome}: {record.key} -> {record.output} ({', '.join(facts)})"), err=True)
+
+
+def _show_text(text: str) -> None:
+    """The tables of a conversion."""
+    for line in text.splitlines():
+        typer.echo(message(line), err=True)
 
 
 def _show_report(report: "BatchReport", *, quiet: bool, verbose: bool) -> None:

@@ -32,7 +32,7 @@ def typed_words(*groups: Group) -> tuple[dict[str, Any], dict[str, str]]:
                 inner, from_inner = typed_words(value)
                 words |= inner
                 origins |= from_inner
-            elif value != _default(group, name, kind):
+            elif value not in _defaults(group, name, kind):
                 words[_NAMES.get(name, name)] = _plain(name, value)
     if words.pop("no_verify", False):
         words["verify"] = False
@@ -40,9 +40,9 @@ def typed_words(*groups: Group) -> tuple[dict[str, Any], dict[str, str]]:
     return words, origins
 
 
-def _default(group: Group, name: str, kind: object) -> Any:
+def _defaults(group: Group, name: str, kind: object) -> tuple[Any, ...]:
     is_list = get_origin(get_args(kind)[0]) is list
-    return getattr(type(group), name, [] if is_list else None)
+    return ([], ()) if is_list else (getattr(type(group), name, None),)
 
 
 def _plain(name: str, value: Any) -> Any:

@@ -25,6 +25,7 @@ __all__ = [
     "check_place",
     "clean_up",
     "made_folder",
+    "note_written",
     "only_run",
     "prepared",
     "staged",
@@ -38,6 +39,9 @@ _PARTIAL = ".pc2scan-partial"
 _OLD = ".pc2scan-old"
 _LOCK = f"{_PARTIAL}.lock"
 
+#: What the names of files begin with that are nobody's business but a run's.
+_PRIVATE = ".pc2scan-"
+
 #: Endings of the files that a killed run leaves beside its destination.
 LEFTOVERS = (_PARTIAL, _OLD)
 
@@ -50,7 +54,13 @@ def written() -> list[Path]:
 
     An interruption may come between a renaming and anything that notes it, so the files themselves are asked.
     """
-    return list(dict.fromkeys(dst for dst, identity in _renamed if identity and _identity(dst) == identity))
+    named = [(dst, identity) for dst, identity in _renamed if not dst.name.startswith(_PRIVATE)]
+    return list(dict.fromkeys(dst for dst, identity in named if identity and _identity(dst) == identity))
+
+
+def note_written(dst: Path) -> None:
+    """Note a destination that another process has written for this one."""
+    _renamed.append((dst, _identity(dst)))
 
 
 def _identity(path: Path) -> tuple[int, int] | None:

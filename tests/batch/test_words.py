@@ -1,0 +1,177 @@
+"""The words of conversions: the same for Python, for the command line and for dataset files."""
+
+from __future__ import annotations
+
+import inspect
+import json
+from typing import TYPE_CHECKING, Any
+
+import pytest
+import typer
+from typer.main import get_command
+
+import pc2scan
+from batch.datasets import HEIGHTS
+from builders import CONTENT, write_rosbag1
+from pc2scan.batch import words as words_module
+from pc2scan.batch.request import request_of, words_known
+from pc2scan.batch.words import WORDS, schema
+from pc2scan.cli.app import application
+from pc2scan.cli.options import ConversionGroup, OutputGroup
+from pc2scan.cli.words import typed_words
+from pc2scan.errors import UsageError
+from support import ROOT
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+#: What `pc2scan.convert` takes for one run.
+OF_ONE_RUN = {"sources", "destination", "report", "dry_run", "jobs", "progress", "parameters"}
+
+#: Objects, which only Python has; and what only decides whether something is replaced.
+NOT_IN_FILES = {"params", "filters", "frames", "overwrite"}
+
+
+def test_every_option_of_convert_is_a_word() -> None:
+    parameters = set(inspect.signature(pc2scan.convert).parameters)
+    assert parameters - OF_ONE_RUN <= words_known()
+    assert words_known() - NOT_IN_FILES == WORDS.keys()
+
+
+def test_the_schema_agrees_with_the_code() -> None:
+    committed = (ROOT / "src" / "pc2scan" / "batch" / "dataset.schema.json").read_text("utf-8")
+    assert json.loads(committed) == schema()
+    assert inspect.getfile(words_module).rpartition("/")[0].endswith("pc2scan/batch")
+
+
+def typed(*arguments: str) -> tuple[dict[str, Any], dict[str, str]]:
+    """The words that a command line of ``convert`` has."""
+    group = get_command(application("convert"))
+    command = group.commands["convert"]  # type: ignore[attr-defined]
+    context = command.make_context("convert", ["drive.bag", *arguments], parent=typer.Context(group))
+    return typed_words(*(kind.gathered(context.params) for kind in (ConversionGroup, OutputGroup)))
+
+
+#: Options as they are typed, and as words.
+TYPED: dict[str, Any] = {
+    "--topic /points:=/a --topic /b": {"topics": ("/points:=/a", "/b")},
+    "--keep /x --drop /y": {"keep": ("/x",), "drop": ("/y",)},
+    "--keep-clouds": {"keep_clouds": True},
+    "--only-scans": {"only_scans": True},
+    "--start 1 --end 2": {"start": "1", "end": "2"},
+    "--min-height 10cm --use-inf": {"min_height": "10cm", "use_inf": True},
+    "--beams 360 --no-return nan": {"beams": 360, "no_return": "nan"},
+    "--param min_height:=0.5": {"param": ("min_height:=0.5",)},
+    "--remap scan:=/front --ros-args": {"remap": ("scan:=/front",)},
+    "--preset gmapping": {"preset": "gmapping"},
+    "--where ring<3 --min-height-slope 0.1": {"where": ("ring<3",), "min_height_slope": 0.1},
+    "--tf-topic /robot/tf --target-frame base_link": {"tf_topics": ("/robot/tf",), "target_frame": "base_link"},
+    "--source-frame lidar": {"source_frame": "lidar"},
+    "--deskew --fixed-frame odom --point-time t:ns --stamp middle": {
+        "deskew": True,
+        "fixed_frame": "odom",
+        "point_time": "t:ns",
+        "stamp": "middle",
+    },
+    "--level --imu /imu/data": {"level": True, "imu": "/imu/data"},
+    "--reverse --channel stamps --range-cutoff 50cm": {"reverse": True, "channels": ("stamps",), "range_cutoff": 0.5},
+    "--on-error fail --fail-on empty --min-used 5%": {"on_error": "fail", "fail_on": "empty", "min_used": 0.05},
+    "--no-verify --strict": {"verify": False, "strict": True},
+    "--storage sqlite3 --compression zstd": {"storage": "sqlite3", "compression": "zstd"},
+    "--to mcap --profile ros2 --ros-distro humble": {"to": "mcap", "profile": "ros2", "ros_distro": "humble"},
+    "--metadata-version 9 --overwrite": {"metadata_version": 9, "overwrite": True},
+    "": {},
+}
+
+
+@pytest.mark.parametrize("text", TYPED)
+def test_typed_options_are_words(text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    words, _ = typed(*text.split())
+    assert words == TYPED[text]
+    # They mean the same to `convert` in Python, where it has them.
+    called: list[Any] = []
+
+    def run(*args: Any, **_: Any) -> _Done:
+        called.append(args)
+        return _Done()
+
+    monkeypatch.setattr("pc2scan.pipeline.run.run", run)
+    if not words.keys() & {"param", "remap"}:
+        pc2scan.convert("drive.bag", tmp_path / "x", **words)
+        request = request_of(words)
+        assert called[0][2] == request.options
+        assert called[0][3].storage == request.output.storage
+
+
+class _Done:
+    warnings: list[str] = []  # noqa: RUF012
+
+
+def test_every_option_of_the_command_becomes_a_word() -> None:
+    names = {parameter.name for group in (ConversionGroup, OutputGroup) for parameter in group.parameters()}
+    renamed = {"tf_topic": "tf_topics", "no_verify": "verify"}
+    words = {renamed.get(name, name) for name in names}
+    assert words - {"ros_args", "jobs", "each", "dry_run"} <= words_known()
+
+
+@pytest.mark.parametrize(
+    ("words", "other", "same"),
+    [
+        ({"min_height": 1}, {"min_height": 1.0}, True),
+        ({"min_height": 1}, {"param": "min_height:=1"}, True),
+        ({"min_height": 1}, {"min_height": "100cm"}, True),
+        ({"min_height": 1}, {}, False),
+        ({"queue_size": 3}, {}, True),
+        ({"overwrite": True}, {}, True),
+        ({"topics": "/a:=/b"}, {"topics": ["/a:=/b"]}, True),
+        ({"where": "ring < 3"}, {"where": "ring < 4"}, False),
+        ({"exclude_box": "a 0 1 0 1 0 1"}, {"exclude_box": "a 0 1 0 1 0 2"}, False),
+        ({"static_tf": "a b 0 0 0 0 0 0"}, {"static_tf": "a b 0 0 0 0 0 0.1"}, False),
+        ({"start": 1}, {"start": "1.0"}, True),
+        ({"to": "mcap", "compression": "none"}, {"to": "mcap"}, False),
+        ({"strict": True}, {}, False),
+    ],
+)
+def test_a_digest_is_of_what_decides_the_output(words: dict[str, Any], other: dict[str, Any], same: bool) -> None:
+    assert (request_of(words).digest() == request_of(other).digest()) == same
+
+
+def test_a_digest_sees_the_files_of_options(tmp_path: Path) -> None:
+    file = tmp_path / "params.yaml"
+    file.write_text("min_height: 1\n")
+    first = request_of({"params_file": file})
+    file.write_text("min_height: 2\n")
+    assert request_of({"params_file": file}).digest() != first.digest()
+    assert first.digest() == request_of({"min_height": 1}).digest()
+    transforms = write_rosbag1(tmp_path / "tf.bag", CONTENT)
+    before = request_of({"tf_from": transforms, "target_frame": "a"}).digest()
+    transforms.write_bytes(transforms.read_bytes() + b"x")
+    assert request_of({"tf_from": transforms, "target_frame": "a"}).digest() != before
+
+
+def test_several_outputs_are_words(tmp_path: Path) -> None:
+    file = tmp_path / "scans.yaml"
+    file.write_text("scans:\n  /low: {min_height: 0.1}\n  /high: {min_height: 1}\n")
+    asked = request_of(
+        {"scans": str(file), "max_height": 3, "param": ("range_min:=0.5",)}, {"max_height": "--max-height"}
+    )
+    low, high = asked.options.scans
+    assert (low.params.min_height, high.params.min_height, high.params.max_height) == (0.1, 1.0, 3.0)
+    assert (low.params.range_min, low.origins["max_height"]) == (0.5, "--max-height")
+    assert f"{file.name} (from `scans`)" in asked.files
+    assert str(typed("--scans", str(file))[0]["scans"]) == str(file)
+    # Another place of the same file makes no difference.
+    (tmp_path / "moved").mkdir()
+    moved = file.rename(tmp_path / "moved" / "scans.yaml")
+    again = request_of({"scans": moved, "max_height": 3, "param": "range_min:=0.5"})
+    assert again.digest() == asked.digest()
+    moved.write_text(moved.read_text().replace("0.1", "0.2"))
+    assert request_of({"scans": moved, "max_height": 3, "range_min": 0.5}).digest() != asked.digest()
+    with pytest.raises(UsageError, match="`preset` cannot be given beside `scans`"):
+        request_of({"scans": moved, "preset": "gmapping"})
+
+
+def test_what_is_no_word_is_refused() -> None:
+    with pytest.raises(UsageError, match="`each` is not an option of a conversion"):
+        request_of({"each": True})
+    assert HEIGHTS
