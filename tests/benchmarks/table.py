@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import shutil
 import statistics
@@ -26,6 +27,8 @@ import zstandard
 import pc2scan
 from benchmarks.clouds import CLOUD_BYTES, FORMS, POINT_BYTES, POINTS, TRIFLE, Form, serialized_clouds, write_recording
 from benchmarks.test_projection import LAYOUTS, cloud, params_of, straightforward
+from builders import write_mcap
+from drives import drive_recording
 from pc2scan.bags.mcap.reader import McapReader
 from pc2scan.bags.rosbag1.reader import Rosbag1Reader
 from pc2scan.cli.memory import keep_freed_memory
@@ -48,10 +51,10 @@ def main() -> None:
     parser.add_argument("--memory", type=float, nargs="*", metavar="GB", help="peak memory too; default: 0.5 2 8")
     parser.add_argument("--folder", type=Path, help="where the recordings are written meanwhile")
     parser.add_argument(
-        "--only", choices=("projection", "conversions", "passing", "start-up", "memory"), help="one table"
+        "--only", choices=("projection", "conversions", "passing", "maps", "start-up", "memory"), help="one table"
     )
     asked = parser.parse_args()
-    wanted = {asked.only} if asked.only else {"projection", "conversions", "passing", "start-up"}
+    wanted = {asked.only} if asked.only else {"projection", "conversions", "passing", "maps", "start-up"}
     keep_freed_memory()
     with TemporaryDirectory(dir=asked.folder) as folder:
         place = Path(folder)
@@ -63,6 +66,8 @@ def main() -> None:
             smaller_clouds(place, int(asked.gb * 0.25e9), asked.repeat)
         if "passing" in wanted:
             passing(place, int(asked.gb * 0.25e9), asked.repeat)
+        if "maps" in wanted:
+            maps(place, asked.repeat)
         if "start-up" in wanted:
             start_up(place, asked.repeat)
         if "memory" in wanted or asked.memory is not None:
@@ -367,6 +372,35 @@ def passed(name: str, source: Path, form: Form, place: Path, repeat: int, count:
     mine, other, *kept = (median(column) for column in zip(*found, strict=True))
     # Of the medians, as the columns beside it: the median of each round's ratio may say the opposite.
     return name, speed(count, mine), speed(count, other), f"{other / mine:.1f}", *(speed(count, each) for each in kept)
+
+
+# --- Maps ---
+
+
+def maps(place: Path, repeat: int) -> None:
+    """How many times faster than the robot maps are drawn, of recordings that are read, too."""
+
+    def rows() -> Iterable[Sequence[str]]:
+        for metres in (4, 8, 16, 24):
+            source = write_mcap(
+                place / f"{metres}.mcap", drive_recording(rate=40.0, beams=1080, measure=around(metres))
+            )
+            for what, increment in (("", None), (", each beam at its own time", 0.02 / 1080)):
+                told = source
+                if increment:
+                    recording = drive_recording(rate=40.0, beams=1080, measure=around(metres), said=increment)
+                    told = write_mcap(place / "timed.mcap", recording)
+                times = [seconds(lambda path=told: pc2scan.map(path)) for _ in range(repeat + 1)][1:]  # type: ignore[misc]
+                yield f"{metres} m{what}", f"{8 / median(times):.0f}"
+            source.unlink()
+
+    title = "Maps** of 40 scans a second of 1,080 beams, cells of 5 cm, reading included, one thread"
+    table(title, ("mean range", "times real time"), rows())
+
+
+def around(metres: float) -> Callable[[float, float, float], float]:
+    """Ranges of all lengths from three quarters to five quarters of a mean."""
+    return lambda _x, _y, angle: metres * (1 + 0.25 * math.sin(7 * angle))
 
 
 # --- Start-up and memory ---

@@ -1266,14 +1266,14 @@ typedef struct {
     int mark;
 } Grid;
 
-/* A cell takes the first change of each scan. */
-INLINED void observe(const Grid *grid, int64_t place, int change) {
+/* A cell takes the first change of each scan. Without branches: whether another beam was here is hard to predict. */
+INLINED void observe(const Grid *grid, int64_t place, const int change) {
     const int cell = grid->cells[place], odds = cell >> 8;
-    if ((cell & 255) == grid->mark) return;
     int value = (odds == UNKNOWN ? 0 : odds) + change;
-    value = value < LOWEST ? LOWEST : value;
-    value = value > HIGHEST ? HIGHEST : value;
-    grid->cells[place] = (int16_t)(value * 256 + grid->mark);
+    if (change < 0) value = value < LOWEST ? LOWEST : value;
+    else value = value > HIGHEST ? HIGHEST : value;
+    const int changed = value * 256 + grid->mark;
+    grid->cells[place] = (int16_t)((cell & 255) == grid->mark ? cell : changed);
 }
 
 /* The cells of a line, by Bresenham's algorithm; the last one only if nothing was hit there. */
@@ -1283,13 +1283,14 @@ static void draw_free(const Grid *grid, int64_t width, const int32_t *ray, int h
     const int64_t along_x = dx < 0 ? -1 : 1, along_y = dy < 0 ? -width : width;
     const int64_t length = across > up ? across : up, other = across > up ? up : across;
     const int64_t step = across > up ? along_x : along_y, aside = across > up ? along_y : along_x;
+    /* Of each step: what is added if the line goes straight on, and if it also goes aside. */
+    const int64_t straight = 2 * other, turned = 2 * other - 2 * length, both = step + aside;
     int64_t place = ray[1] * width + ray[0], error = length;
     for (int64_t left = length + !hit; left > 0; left--) {
         observe(grid, place, MISS);
-        error += 2 * other;
-        const int64_t turns = -(int64_t)(error >= 2 * length);
-        place += step + (aside & turns);
-        error -= 2 * length & turns;
+        const int64_t on = error + straight, off = error + turned;
+        place += off >= 0 ? both : step;
+        error = off >= 0 ? off : on;
     }
 }
 
