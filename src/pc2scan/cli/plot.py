@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from .damage import DAMAGED, show_damage
+from .fonts import fonts_noted_elsewhere
 from .options import ConversionGroup, Moments
 from .render import warn
 
@@ -43,14 +44,15 @@ def plot(
     from pc2scan.look.plot import plot as draw
     from pc2scan.pipeline.options import TimeBound
 
-    drawn = draw(
-        sources,
-        destination,
-        options,
-        frames=frames,
-        at=[TimeBound.parse(time) for time in at],
-        overwrite=overwrite,
-    )
+    with fonts_noted_elsewhere():
+        drawn = draw(
+            sources,
+            destination,
+            options,
+            frames=frames,
+            at=[TimeBound.parse(time) for time in at],
+            overwrite=overwrite,
+        )
     for note in drawn.notes:
         warn(note)
     show_damage(drawn.damage)
