@@ -642,6 +642,8 @@ def map(  # noqa: A001  # as the command is called
     fixed_frame: str = "",
     point_time: str = "",
     stamp: str = "header",
+    level: bool = False,
+    imu: str = "",
     on_error: str = "skip",
     verify: bool = True,
     strict: bool = False,
@@ -674,7 +676,7 @@ def map(  # noqa: A001  # as the command is called
         As for `pc2scan.convert`.
     static_tf, static_tf_file, tf_from, tf_topics, source_frame, frames
         As for `pc2scan.convert`.
-    where, exclude_box, exclude_polygon, min_height_slope, filters, deskew, fixed_frame, point_time, stamp
+    where, exclude_box, exclude_polygon, min_height_slope, filters, deskew, fixed_frame, point_time, stamp, level, imu
         As for `pc2scan.convert`.
     on_error, verify, strict, progress
         As for `pc2scan.convert`.
@@ -712,6 +714,8 @@ def map(  # noqa: A001  # as the command is called
         fixed_frame=fixed_frame,
         point_time=point_time,
         stamp=stamp,
+        level=level,
+        imu=imu,
         topics=names_in("topics", topics) or resolved.topics,
         start=start,
         end=end,

@@ -178,6 +178,19 @@ def test_scans_are_drawn_unless_clouds_are_asked_for(tmp_path: Path) -> None:
         pc2scan.map(both, topics=["/scan", "/points"])
 
 
+def test_level_and_deskewed_clouds_have_their_place(tmp_path: Path) -> None:
+    common: dict[str, Any] = {"min_height": 0.3, "max_height": 2.0, "target_frame": "base_link"}
+    plain = pc2scan.map(HALL, **common)
+    for way in ({"level"}, {"deskew"}, {"level", "deskew"}):
+        asked: dict[str, Any] = dict.fromkeys(way, True)
+        made = pc2scan.map(HALL, fixed_frame="odom", **common, **asked)
+        assert made.scans["/scan"] >= 4
+        assert made.cells.shape == pytest.approx(plain.cells.shape, abs=10)
+        assert np.count_nonzero(made.cells == 0) == pytest.approx(np.count_nonzero(plain.cells == 0), rel=0.2)
+    done = run("map", HALL, "--png", tmp_path / "map.png", "--level", "--fixed-frame", "odom", "--min-height=-0.3")
+    assert done.status == 0, done.stderr
+
+
 def test_scans_without_a_place_are_counted(tmp_path: Path) -> None:
     source = write_mcap(tmp_path / "late.mcap", drive_recording(rate=5.0, beams=91, motion_from=2.0))
     done = run("map", source, "--png", tmp_path / "map.png")

@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 
 HALL = ROOT / "fixtures" / "hall.bag"
 
+DESKEW = ["--at", "0.2", "--deskew", "--fixed-frame", "odom"]
+LEVEL = [*DESKEW, "--level", "--target-frame", "base_link"]
+
 needs_matplotlib = pytest.mark.skipif(find_spec("matplotlib") is None, reason="needs matplotlib")
 
 
@@ -39,7 +42,9 @@ def test_a_figure_is_the_same_every_time(tmp_path: Path, suffix: str, begins: by
 @needs_matplotlib
 def test_what_is_drawn_depends_on_the_parameters(tmp_path: Path) -> None:
     made = []
-    for n, options in enumerate(([], ["--min-height=-0.3"], ["--angle-min=-1"], ["--frames", "2"], ["--at", "0.3"])):
+    for n, options in enumerate(
+        ([], ["--min-height=-0.3"], ["--angle-min=-1"], ["--frames", "2"], ["--at", "0.3"], DESKEW, LEVEL)
+    ):
         assert run("plot", HALL, "-o", tmp_path / f"{n}.png", *options).status == 0
         made.append((tmp_path / f"{n}.png").read_bytes())
     assert len(set(made)) == len(made)

@@ -157,10 +157,12 @@ def test_beams_are_measured_as_in_a_conversion(tmp_path: Path) -> None:
     assert np.float32(params["angle_increment"]) == pytest.approx(scan.angle_increment, rel=1e-6)
 
 
-def test_deskewing_is_named_as_not_shown_and_stays_in_the_command(tmp_path: Path) -> None:
+def test_deskewing_is_shown_and_stays_in_the_command(tmp_path: Path) -> None:
     page = tmp_path / "page.html"
     done = run("view", HALL, "-o", page, "--deskew", "--fixed-frame", "odom", "--target-frame", "base_link")
     assert done.status == 0, done.stderr
     held = description(page)
-    assert "deskews" in held["notes"][0]
+    assert "deskewed" in held["notes"][0]
     assert [*held["command"][-3:]] == ["--deskew", "--fixed-frame", "odom"]
+    run("view", HALL, "-o", page, "--level", "--fixed-frame", "odom", "--target-frame", "base_link")
+    assert "only a conversion makes scans level" in description(page)["notes"][0]

@@ -18,6 +18,7 @@ from pc2scan.arguments import path_of
 from pc2scan.bags.topics import find_topics, matches
 from pc2scan.core.occupancy import FREE, OCCUPIED, Occupancy, OccupancyGrid, beams_of, placed_beams
 from pc2scan.core.params import ProjectionParams
+from pc2scan.core.rigid import Rigid
 from pc2scan.core.unproject import beam_angles, last_beam_ns
 from pc2scan.errors import MessageError, ResultError, TransformError, UsageError, name_list
 from pc2scan.files.limits import MAX_MAP_CELLS
@@ -45,12 +46,12 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.reader import Reader
-    from pc2scan.core.rigid import Rigid
     from pc2scan.pipeline.options import ConvertOptions
     from pc2scan.pipeline.run import Progress
     from pc2scan.shown import Table
     from pc2scan.streams.scans import Scan
     from pc2scan.tf.buffer import TransformBuffer
+    from pc2scan.tf.placing import LevelTransform
 
 __all__ = ["Map", "MapOptions", "Skipped", "map_of", "write_map"]
 
@@ -333,13 +334,18 @@ def map_of(
                 read.error.topic = read.connection.topic
                 drawn.skip(read.connection.topic, read.error)
             for scan in read.items:
-                drawn.add(scan)  # type: ignore[arg-type]
-    return drawn.result([*stream.notes, *notes], tuple(dict.fromkeys((*further, *stream.damage))), converted=converted)
+                level = None if read.converted is None else read.converted.level
+                drawn.add(scan, level)  # type: ignore[arg-type]
+    return drawn.result(
+        list(dict.fromkeys((*stream.notes, *notes))),
+        tuple(dict.fromkeys((*further, *stream.damage))),
+        converted=converted,
+    )
 
 
 def _converts(options: ConvertOptions) -> bool:
     """Whether anything is asked for that makes scans of clouds."""
-    return options.params != ProjectionParams() or bool(options.filters) or options.deskew
+    return options.params != ProjectionParams() or bool(options.filters) or options.deskew or options.level
 
 
 def _topics(reader: Reader, options: ConvertOptions) -> tuple[tuple[TopicRequest, ...], bool]:
@@ -400,12 +406,14 @@ class _Drawn:
     beams_at_once: int = 0
     directions: dict[tuple[int, float, float], NDArray[np.float64]] = field(default_factory=dict)
 
-    def add(self, scan: Scan) -> None:
-        """Draw a scan, or count why not."""
+    def add(self, scan: Scan, level: LevelTransform | None = None) -> None:
+        """Draw a scan, or count why not; ``level`` is the transform of its frame, if that was made level."""
         asked = self.asked
         try:
-            start = self._pose(scan.frame, scan.stamp_ns)
-            end = self._end(scan)
+            start = self._pose(scan.frame if level is None else level.row[0], scan.stamp_ns)
+            if level is not None:
+                start = start.compose(Rigid.from_pose(level.row[3:]))
+            end = self._end(scan) if level is None else None
             directions = self._directions(scan)
         except MessageError as err:
             self._explain(err, scan)

@@ -46,7 +46,7 @@ def opened(sources: Sequence[Path], options: ConvertOptions) -> Iterator[Opened]
     Raises
     ------
     UsageError
-        If there is a target frame, and it is not clear which transforms count.
+        If transforms are needed, and it is not clear which transforms count.
     RecordingError
         If one cannot be read.
     """
@@ -67,7 +67,7 @@ def _transforms(readers: Sequence[Reader], options: ConvertOptions) -> Transform
     try:
         buffer, _ = read_transforms(readers, options.frames)
     except UsageError:
-        if options.params.target_frame:
+        if options.specs[0].needs_transforms:
             raise
         return None
     return buffer

@@ -115,7 +115,9 @@ def plot(
         opened(sources, options) as recording,
     ):
         at_ns = recording.log_times(at)
-        taken = take_shots(recording.reader, recording.buffer, options, count=frames, at_ns=at_ns)
+        taken = take_shots(
+            recording.reader, recording.buffer, options, count=frames, at_ns=at_ns, others=recording.others
+        )
         deliver(_figure(taken, title_of(sources), kind))
         return Plotted(taken.notes, recording.damage)
 

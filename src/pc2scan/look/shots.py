@@ -12,9 +12,12 @@ import numpy as np
 
 from pc2scan.errors import DecodeError, MessageError, RecordingError
 from pc2scan.messages.clouds import CLOUDS
+from pc2scan.pipeline.levelling import Ups
 from pc2scan.pipeline.measure import measure
 from pc2scan.pipeline.plan import make_plan
+from pc2scan.pipeline.report import Report
 from pc2scan.pipeline.scan_spec import ScanSpec
+from pc2scan.pipeline.stages.deskew import Deskew, PointTime
 from pc2scan.pipeline.stages.select import Select
 from pc2scan.tf.placing import Frames
 
@@ -88,6 +91,7 @@ def take_shots(
     *,
     count: int,
     at_ns: Sequence[int],
+    others: Sequence[Reader] | None = None,
 ) -> Shots:
     """Take clouds of each topic that a conversion converts.
 
@@ -103,6 +107,8 @@ def take_shots(
         Clouds of each topic, evenly spread over the recording.
     at_ns
         Log times: of each topic the first cloud at or after each is taken. Empty: ``count`` decides.
+    others
+        Recordings that transforms were taken from, if scans are to be level where the options say so.
 
     Raises
     ------
@@ -113,11 +119,13 @@ def take_shots(
     for route in make_plan(reader.connections, options).routes:
         if route.targets:
             topics.setdefault(route.connection.topic, []).append(route.connection)
-    frames = _frames(buffer, options)
+    frames = _frames(buffer, options, None if others is None else [reader, *others])
     params, notes = options.params, list[str]()
-    if options.deskew or options.level:
-        how = " and ".join(["deskews them"] * options.deskew + ["makes scans level"] * options.level)
-        notes.append(f"Clouds are shown as recorded; only a conversion {how}.")
+    if options.deskew:
+        notes.append("Clouds are deskewed, as if all points had been measured at the scan's time.")
+    if options.level and frames.up is None:
+        notes.append("Clouds are shown as recorded; only a conversion makes scans level.")
+    deskew = _deskew(options, frames._replace(target_frame="", up=None))
     if params.beams == "auto":
         params, note = _at_measured_resolution(reader, topics, options, frames)
         notes.append(note)
@@ -125,7 +133,7 @@ def take_shots(
     failed: list[str] = []
     for message in _messages(reader, topics, options, count, at_ns):
         try:
-            shots.append(_shot(message, options, frames))
+            shots.append(_shot(message, options, frames, deskew))
         except MessageError as err:
             failed.append(f"{message.connection.topic} at {moment(message.log_time_ns)}: {err.message}")
     if not shots:
@@ -136,12 +144,17 @@ def take_shots(
     return Shots(shots, params, notes)
 
 
-def _frames(buffer: TransformBuffer | None, options: ConvertOptions) -> Frames:
-    """Where clouds go."""
+def _frames(buffer: TransformBuffer | None, options: ConvertOptions, levelled: Sequence[Reader] | None) -> Frames:
+    """Where clouds go; into level frames only if there is where to learn which way is up."""
     params, asked = options.params, options.frames
-    if buffer is None or not params.target_frame:
+    spec = options.specs[0]
+    if buffer is None or not spec.needs_transforms:
         return Frames(source_frame=asked.source_frame)
-    return Frames(params.target_frame, asked.source_frame, buffer, round(params.transform_tolerance * 1e9))
+    tolerance_ns = round(params.transform_tolerance * 1e9)
+    up = None
+    if spec.level and levelled is not None:
+        up = Ups(levelled, buffer, Report([], "", (spec,))).of(spec, tolerance_ns)
+    return Frames(params.target_frame, asked.source_frame, buffer, tolerance_ns, up)
 
 
 def _at_measured_resolution(
@@ -176,38 +189,53 @@ def _messages(
                 yield message
 
 
-def _shot(message: RawMessage, options: ConvertOptions, frames: Frames) -> Shot:
+def _deskew(options: ConvertOptions, frames: Frames) -> Deskew | None:
+    """What deskews clouds into the target frame, or without one into their own."""
+    if not options.deskew:
+        return None
+    where = PointTime.parse(options.point_time) if options.point_time else PointTime()
+    return Deskew(frames, options.fixed_frame, where, options.stamp)
+
+
+def _shot(message: RawMessage, options: ConvertOptions, frames: Frames, deskew: Deskew | None) -> Shot:
     connection = message.connection
     points = CLOUDS[connection.ros_type](connection.serialization)(message.data)
-    place = frames.place(points.frame_id, points.stamp_ns)
+    moving = None if deskew is None else deskew(points)
+    stamp_ns, xyz = points.stamp_ns, points.xyz()
+    if moving is not None:
+        stamp_ns, xyz = moving.stamp_ns, moving.place(moving.points)[0].xyz()
+    place = frames.place(points.frame_id, stamp_ns)
     return Shot(
         connection.topic,
-        moment(points.stamp_ns or message.log_time_ns),
-        points.stamp_ns,
+        moment(stamp_ns or message.log_time_ns),
+        stamp_ns,
         options.frames.source_frame or points.frame_id,
         place,
-        _columns(points),
+        _columns(points, xyz),
         _filtered(points, place, options, frames),
     )
 
 
 def _filtered(points: Points, place: Placement, options: ConvertOptions, frames: Frames) -> NDArray[np.uint8] | None:
-    """Which points the filters reject."""
+    """Which points the filters reject, and of deskewed clouds those that have no place."""
     if not options.filters:
         return None
+    deskew = _deskew(options, frames)
+    moving = None if deskew is None else deskew(points)
+    points = points if moving is None else moving.points
     shape = points.xyz()[0].shape
     numbers = np.arange(math.prod(shape)).reshape(shape)
     numbered = replace(points, fields={**points.fields, _NUMBER: numbers})
-    kept = Select(options.filters, frames).apply(numbered, place).points.field(_NUMBER)
+    kept = Select(options.filters, frames).apply(numbered, place, moving).points.field(_NUMBER)
     filtered = np.ones(numbers.size, np.uint8)
     filtered[kept.reshape(-1)] = 0
     return filtered
 
 
-def _columns(points: Points) -> dict[str, NDArray[Any]]:
+def _columns(points: Points, xyz: Sequence[NDArray[Any]]) -> dict[str, NDArray[Any]]:
     """The coordinates as float32, as the projection reads them, and other fields as they are recorded: copies."""
     with np.errstate(over="ignore", invalid="ignore"):
-        columns = {name: axis.reshape(-1).astype("<f4") for name, axis in zip("xyz", points.xyz(), strict=True)}
+        columns = {name: axis.reshape(-1).astype("<f4") for name, axis in zip("xyz", xyz, strict=True)}
     for name in islice((name for name in points.fields if name not in columns), _MOST_FIELDS):
         # A field that cannot be read is not shown; the projection does not need it.
         with suppress(DecodeError):
