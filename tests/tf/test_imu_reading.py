@@ -152,6 +152,28 @@ def test_what_shows_no_up_is_refused(messages: list[dict[str, Any]], message: st
     assert "fixed_frame=odom" in (refused.value.hint or "")
 
 
+@pytest.mark.parametrize("seed", range(20))
+def test_garbage_is_a_direction_or_an_error(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    kinds = [0.0, 1.0, -1.0, 9.81, 1e-320, 1e5, 1e308, -1e308, float("inf"), float("nan")]
+    messages = [
+        {
+            "stamp_ns": int(rng.choice([0, EPOCH + place * 10_000_000, rng.integers(1 << 60)])),
+            "orientation": rng.choice([0.0, 1.0, *kinds], 4).tolist(),
+            "first": (float(rng.choice([0, -1])), 0.0, 0.0),
+            "turning": rng.choice(kinds[: rng.integers(2, 11)], 3).tolist(),
+            "acceleration": rng.choice([9.81, *kinds[: rng.integers(1, 11)]], 3).tolist(),
+        }
+        for place in range(200)
+    ]
+    try:
+        found = read(Recording(*messages))
+    except UsageError:
+        return
+    assert np.isfinite(found.ups).all()
+    assert len(found.ups) == len(found.stamps_ns)
+
+
 def test_stamps_of_0() -> None:
     with pytest.raises(UsageError, match="have no stamps"):
         read(Recording(*of(simulated(1), stamp_ns=0)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -84,6 +85,11 @@ def test_outside_of_the_imu_and_in_its_gaps_nothing_is_known() -> None:
     assert "another clock" in (other.value.hint or "")
     with pytest.raises(TransformError, match="no messages between"):
         up("imu", EPOCH + 500_000_000)
+
+
+def test_between_two_opposite_directions_is_the_older_one() -> None:
+    up = replace(by_imu(), ups=np.array([(0.0, 0.0, 1.0), (0.0, 0.0, -1.0)] * 2))
+    assert up("imu", EPOCH + 50_000_000) == (0, 0, 1)
 
 
 def test_an_imu_of_an_unknown_frame_says_what_to_type() -> None:

@@ -30,6 +30,9 @@ _NEAR = 0.15
 #: Degrees between up by orientation and by the accelerometer, in the median, from which one of them is wrong.
 _DISAGREE = 20.0
 
+#: No IMU measures more, in radians a second, m/s^2, or thousandths of g.
+_LARGEST = 1e5
+
 _NAN = float("nan")
 _UNKNOWN = (_NAN, _NAN, _NAN)
 
@@ -159,9 +162,13 @@ def _read(readers: Sequence[Reader], topic: str) -> _Messages:
             found.frames[imu.frame_id] = None
             found.stamps_ns.append(imu.stamp_ns)
             found.ups.extend(_UNKNOWN if imu.orientation is None else up_in(imu.orientation))
-            found.turning.extend(imu.angular_velocity or _UNKNOWN)
-            found.acceleration.extend(imu.linear_acceleration or _UNKNOWN)
+            found.turning.extend(_possible(imu.angular_velocity))
+            found.acceleration.extend(_possible(imu.linear_acceleration))
     return found
+
+
+def _possible(values: tuple[float, ...] | None) -> tuple[float, ...]:
+    return _UNKNOWN if values is None or max(map(abs, values)) > _LARGEST else values
 
 
 def _only_frame(topic: str, frames: dict[str, None]) -> str:
@@ -203,11 +210,14 @@ def _ups(
             hint="give another topic to `imu`, or level by transforms: `fixed_frame=odom`",
         )
     known = np.flatnonzero(felt)
+    warnings = []
+    if lost := len(ups) - len(known):
+        warnings.append(f"{topic}: {lost:,} of {len(ups):,} messages have no rates or accelerations, and are ignored")
     found = up_by_gravity(stamps_ns[known], turning[known], acceleration[known], gravity)
     unit = " (in units of g)" if gravity < 2 else ""
     why = "its orientation never changes" if never_changes else _why_no_orientation(ups)
     note = f"{topic}: up is estimated by gyroscope and accelerometer{unit} of {len(known):,} messages: {why}"
-    return known, found, [note], []
+    return known, found, [note], warnings
 
 
 def _why_no_orientation(ups: NDArray[np.float64]) -> str:

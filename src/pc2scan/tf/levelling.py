@@ -117,7 +117,8 @@ class UpByImu:
             )
         ratio = (stamp_ns - begin_ns) / max(end_ns - begin_ns, 1) if newer > older else 0.0
         between: NDArray[np.float64] = (1 - ratio) * self.ups[older] + ratio * self.ups[newer]
-        return between
+        # Two opposite directions have none between them.
+        return between if between.any() else self.ups[older]
 
     def _outside(self, stamp_ns: int, outside_ns: int) -> TransformError:
         first, last = (stamp_text(int(self.stamps_ns[place])) for place in (0, -1))
