@@ -270,3 +270,12 @@ def test_clouds_are_not_made_level(tmp_path: Path, world: Path) -> None:
     done = run("convert", world, "-o", tmp_path / "b.mcap", "--reverse", "--level", "--fixed-frame", "odom")
     assert done.status == 2
     assert "--level makes scans level; --reverse makes clouds" in done.stderr
+
+
+def test_info_says_which_imus_make_scans_level(tmp_path: Path, world: Path) -> None:
+    imu = write_imu(tmp_path / "imu.mcap", TILTING)
+    done = run("info", world, imu)
+    assert "/imu: --imu /imu makes scans level\n  frame   'imu_link'\n" in done.stdout
+    assert "up      up is estimated by gyroscope and accelerometer of 1,000 messages" in done.stdout
+    (entry,) = json.loads(run("info", world, imu, "--json").stdout)["imus"]
+    assert (entry["topic"], entry["frame"], entry["usable"]) == ("/imu", "imu_link", True)

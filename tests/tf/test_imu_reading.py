@@ -155,10 +155,10 @@ def test_what_shows_no_up_is_refused(messages: list[dict[str, Any]], message: st
 @pytest.mark.parametrize("seed", range(20))
 def test_garbage_is_a_direction_or_an_error(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    kinds = [0.0, 1.0, -1.0, 9.81, 1e-320, 1e5, 1e308, -1e308, float("inf"), float("nan")]
+    kinds: list[float] = [0.0, 1.0, -1.0, 9.81, 1e-320, 1e5, 1e308, -1e308, float("inf"), float("nan")]
     messages = [
         {
-            "stamp_ns": int(rng.choice([0, EPOCH + place * 10_000_000, rng.integers(1 << 60)])),
+            "stamp_ns": int(rng.choice([0, EPOCH + place * 10_000_000, int(rng.integers(1 << 60))])),
             "orientation": rng.choice([0.0, 1.0, *kinds], 4).tolist(),
             "first": (float(rng.choice([0, -1])), 0.0, 0.0),
             "turning": rng.choice(kinds[: rng.integers(2, 11)], 3).tolist(),

@@ -13,9 +13,10 @@ from pc2scan.bags.merged import as_one
 from pc2scan.bags.opening import open_recordings
 from pc2scan.core.level import thinned
 from pc2scan.core.params import ProjectionParams
-from pc2scan.errors import DecodeError, TransformError
+from pc2scan.errors import DecodeError, TransformError, UsageError
 from pc2scan.json_types import json_value
 from pc2scan.messages.clouds import CLOUDS
+from pc2scan.messages.imu import IMU
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.messages.pointcloud2 import DATATYPES, POINTCLOUD2, decode_pointcloud2
 from pc2scan.shown import Shown, Table, count, listed, size, stamp
@@ -56,6 +57,9 @@ _MAX_POINTS_HELD = 4_000_000
 #: Clouds of a topic that are searched for the ground.
 _MAX_SAMPLES = 10
 
+#: The first messages of an IMU that are looked at.
+_MAX_IMU = 1_000
+
 #: Points that are looked at in all clouds of a topic together; of larger clouds every second, third, ... is.
 _MAX_POINTS = 2_000_000
 
@@ -91,6 +95,35 @@ class TopicInfo:
     rate_hz: float | None
     connections: int
     latched: bool
+
+
+@dataclass(frozen=True, slots=True)
+class ImuInfo:
+    """What the first messages of an IMU tell of it.
+
+    Attributes
+    ----------
+    frame
+        Theirs; empty if they have none, or several.
+    usable
+        Whether scans can be made level by it.
+    text
+        How, or why not.
+    """
+
+    topic: str
+    frame: str
+    usable: bool
+    text: str
+
+    def shown(self) -> Iterator[str]:
+        """Yield the lines about it."""
+        if self.usable:
+            yield f"{self.topic}: `imu={self.topic}` makes scans level"
+            yield f"  frame   {self.frame!r}"
+        else:
+            yield f"{self.topic}: cannot make scans level"
+        yield f"  up      {self.text}"
 
 
 @dataclass(slots=True)
@@ -200,6 +233,8 @@ class Info(Shown):
     topics: tuple[TopicInfo, ...]
     clouds: tuple[CloudInfo, ...] = field(default=())
     scans: tuple[ScanInfo, ...] = field(default=())
+    #: Where there are clouds.
+    imus: tuple[ImuInfo, ...] = field(default=())
     #: What is damaged, as far as it was read. If opening shows any, everything is read, and counted.
     damage: tuple[Damage, ...] = field(default=())
     #: Transforms that cannot be used, and why, where a target frame was asked for.
@@ -247,6 +282,9 @@ class Info(Shown):
         for scans in self.scans:
             yield ""
             yield from scans.shown()
+        for imu in self.imus:
+            yield ""
+            yield from imu.shown()
 
     def _shown(self) -> Iterator[str | Table]:
         yield from self.overview()
@@ -346,6 +384,7 @@ def info(
             tuple(topics),
             clouds,
             scans,
+            tuple(_imu(reader, topic.topic) for topic in topics if clouds and topic.msgtype == IMU and topic.messages),
             tuple(reader.damage),
             tuple(warnings),
         )
@@ -397,6 +436,17 @@ def _topics(
             TopicInfo(topic, msgtype, serialization, messages, rate, len(group), any(c.latching for c in group))
         )
     return topics
+
+
+def _imu(reader: Reader, topic: str) -> ImuInfo:
+    from pc2scan.tf.imu_reading import ImuRequest, read_up  # noqa: PLC0415  # few recordings have one
+
+    try:
+        found = read_up([reader], ImuRequest(topic), _MAX_IMU)
+    except UsageError as err:
+        return ImuInfo(topic, "", usable=False, text=err.message)
+    text = "; ".join((*found.notes, *found.warnings)).replace(f"{topic}: ", "")
+    return ImuInfo(topic, found.frame, usable=True, text=text)
 
 
 def _samples(

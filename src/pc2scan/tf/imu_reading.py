@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from array import array
 from dataclasses import dataclass, field
+from itertools import islice
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -99,13 +100,15 @@ class _Messages:
     why: str = ""
 
 
-def read_up(readers: Sequence[Reader], request: ImuRequest) -> MeasuredUp:
+def read_up(readers: Sequence[Reader], request: ImuRequest, most: int | None = None) -> MeasuredUp:
     """Read an IMU's messages, wherever they are in recordings, and find out which way is up.
 
     Parameters
     ----------
     readers
         The sources first, then the recordings of ``tf_from``.
+    most
+        The first messages of each that are read; None: all.
 
     Raises
     ------
@@ -115,7 +118,7 @@ def read_up(readers: Sequence[Reader], request: ImuRequest) -> MeasuredUp:
         If its messages do not show which way is up.
     """
     topic = _topic(readers, request.topic)
-    messages = _read(readers, topic)
+    messages = _read(readers, topic, most)
     if not messages.stamps_ns:
         why = f": {messages.undecoded} cannot be decoded: {messages.why}" if messages.undecoded else ""
         raise TopicError(f"there are no messages on {topic}{why}", hint="give another topic to `imu`, or `fixed_frame`")
@@ -146,13 +149,13 @@ def _topic(readers: Sequence[Reader], asked: str) -> str:
     return find_topic(asked, types, sorted(topic for topic, kinds in types.items() if IMU in kinds), IMU)
 
 
-def _read(readers: Sequence[Reader], topic: str) -> _Messages:
+def _read(readers: Sequence[Reader], topic: str, most: int | None) -> _Messages:
     found = _Messages()
     for reader in readers:
         connections = [c for c in reader.connections if c.topic == topic and c.ros_type == IMU and c.ros_version]
         if not connections:
             continue
-        for message in reader.messages(connections):
+        for message in islice(reader.messages(connections), most):
             try:
                 imu = decode_imu(message.data, message.connection.serialization)
             except DecodeError as err:
