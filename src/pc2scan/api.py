@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from .arguments import known_keywords, names_in, path_of, paths_in
 from .errors import UsageError
+from .pipeline.combine.asked import Combining
 from .pipeline.options import ConvertOptions
 from .requests import (
     channels_of,
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
     from .inspect.tf import FrameTree
     from .look.map import Map
     from .look.view import Page
+    from .pipeline.combine.asked import Duration
     from .pipeline.options import Time
     from .pipeline.report import Report
     from .pipeline.run import Progress
@@ -117,6 +119,11 @@ def convert(
     stamp: str = "header",
     level: bool = False,
     imu: str = "",
+    lead: str = "",
+    window: Duration | None = None,
+    accumulate: Duration | None = None,
+    every: Duration | None = None,
+    rebin: bool = False,
     channels: str | Iterable[str] | UnprojectParams | None = None,
     range_cutoff: float | None = None,
     on_error: str = "skip",
@@ -192,6 +199,15 @@ def convert(
     level, imu
         Whether scans are made in a frame without the roll and pitch of the target frame: by ``fixed_frame``, whose z is
         up, or by an IMU, ``/imu/data`` (``/imu/data:imu_link`` if its messages have another frame or none).
+    lead, window
+        Of topics that become one scan (``["/front:=/scan", "/rear:=/scan"]``), the one whose stamps the scan has, by
+        default the first; and how far stamps of the others may be from it, by default half the median period. Times
+        are seconds, text with a unit, or a ``timedelta``.
+    accumulate, every
+        A scan has all points of the last so many seconds, or clouds as ``"10clouds"``; and is made once for each so
+        many seconds, instead of for each cloud. ``fixed_frame`` accounts for what the robot moved meanwhile.
+    rebin
+        Whether LaserScan becomes LaserScan: other beams, other frames, several in one.
     channels, range_cutoff
         Further fields of the clouds that ``reverse`` makes (``distances``, ``stamps``, ``viewpoint``), or all of them
         as `UnprojectParams`; only returns nearer than ``range_cutoff`` are kept, metres.
@@ -280,6 +296,7 @@ def convert(
         stamp=stamp,
         level=level,
         imu=imu,
+        combining=Combining.of(lead=lead, window=window, accumulate=accumulate, every=every, rebin=rebin),
         filters=filters_of(resolved, where, exclude_box, exclude_polygon, min_height_slope, filters),
         frames=frames_of(frames, static_tf, static_tf_file, write_static_tf, tf_from, tf_topics, source_frame),
         topics=names_in("topics", topics) or resolved.topics,

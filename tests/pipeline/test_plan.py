@@ -4,8 +4,10 @@ from typing import Any
 
 import pytest
 
+from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import TopicError
 from pc2scan.model import Connection
+from pc2scan.pipeline.combine.asked import Combining
 from pc2scan.pipeline.options import ConvertOptions, TopicRequest
 from pc2scan.pipeline.plan import Plan, make_plan
 from pc2scan.pipeline.scan_spec import ScanSpec
@@ -120,7 +122,7 @@ def test_a_cloud_becomes_every_scan_that_is_asked_for() -> None:
             [],
             ["already has a topic /scan", "`topics=/points:=/points/scan`"],
         ),
-        ({"/a": CLOUD, "/b": CLOUD}, ["/a:=/s", "/b:=/s"], ["both become /s"]),
+        ({"/a": CLOUD, "/b": CLOUD}, ["/a:=/s", "/b:=/s"], ["/a, /b become one scan on /s", "target_frame=base_link"]),
         ({"/a": CLOUD, "/a/scan": SCAN, "/scan": SCAN}, ["/a"], ["`topics=/a:=/scan_2`"]),
     ],
 )
@@ -129,6 +131,45 @@ def test_requests_that_cannot_be_met(topics: dict[str, str], requests: list[str]
         plan(topics, *requests)
     told = f"{caught.value} {caught.value.hint}"
     assert all(word in told for word in words), told
+
+
+def test_topics_that_share_a_target_become_one_scan() -> None:
+    topics = {"/a": CLOUD, "/b": CLOUD, "/c": SCAN, "/d": CLOUD}
+    params = ProjectionParams(target_frame="base_link")
+    made = plan(topics, "/b:=/s", "/a:=/s", "/c:=/s", "/d", "/a:=/alone", params=params)
+    (combination,) = made.combinations
+    assert (combination.sources, combination.target) == (("/b", "/a", "/c"), "/s")
+    tasks = {
+        route.connection.topic: [(task.targets, task.combination) for task in route.tasks] for route in made.routes
+    }
+    assert tasks == {
+        "/a": [(("/alone",), None), (("/s",), combination)],
+        "/b": [(("/s",), combination)],
+        "/c": [(("/s",), combination)],
+        "/d": [(("/d/scan",), None)],
+    }
+    led = plan(topics, "/b:=/s", "/a:=/s", params=params, combining=Combining.of(lead="a"))
+    assert led.combinations[0].sources == ("/a", "/b")
+
+
+def test_a_glob_may_name_the_topics_of_one_scan() -> None:
+    params = ProjectionParams(target_frame="base_link")
+    made = plan({"/l_1": CLOUD, "/l_2": CLOUD, "/imu": IMU}, "/l_*:=/s", params=params)
+    assert [each.sources for each in made.combinations] == [("/l_1", "/l_2")]
+
+
+def test_scans_that_are_rebinned_keep_their_topic_unless_they_are_written_too() -> None:
+    rebin = Combining.of(rebin=True)
+    assert routes(plan({"/scan": SCAN, "/points": CLOUD}, combining=rebin)) == {
+        "/scan": ("/scan", False),
+        "/points": (None, True),
+    }
+    assert routes(plan({"/scan": SCAN}, combining=rebin, keep_clouds=True))["/scan"] == ("/scan_rebinned", True)
+
+
+def test_scans_do_not_become_one_cloud() -> None:
+    with pytest.raises(TopicError, match="both become /c"):
+        plan({"/a": SCAN, "/b": SCAN}, "/a:=/c", "/b:=/c", reverse=True)
 
 
 def test_a_taken_topic_is_free_once_it_is_dropped() -> None:

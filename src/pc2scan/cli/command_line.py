@@ -50,6 +50,17 @@ def _option_words(options: ConvertOptions) -> Iterator[str]:
             yield from (name, value)
     if options.stamp != "header":
         yield from ("--stamp", options.stamp)
+    asked = options.combining
+    times = (("--window", asked.window_ns), ("--accumulate", asked.span_ns), ("--every", asked.every_ns))
+    if asked.lead:
+        yield from ("--lead", asked.lead)
+    for name, nanoseconds in times:
+        if nanoseconds:
+            yield from (name, f"{nanoseconds / 1e9!r}s")
+    if asked.count:
+        yield from ("--accumulate", f"{asked.count}clouds")
+    if asked.rebin:
+        yield "--rebin"
     for name, bound in (("--start", options.start), ("--end", options.end)):
         if bound is not None:
             yield from (name, _time(bound))

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
     from pc2scan.core.unproject import UnprojectParams
+    from pc2scan.pipeline.combine.asked import Combining
     from pc2scan.pipeline.options import ConvertOptions
     from pc2scan.pipeline.run import OutputOptions
     from pc2scan.pipeline.stages.filters import Filter
@@ -456,7 +457,8 @@ class MovingGroup(Group):
         str,
         typer.Option(
             metavar="FRAME",
-            help="A frame that does not move, such as odom; for --level its z is up.",
+            help="A frame that does not move, such as odom: what the robot moved meanwhile is accounted for. For "
+            "--level its z is up.",
             show_default=False,
             rich_help_panel=_MOVING,
         ),
@@ -498,6 +500,61 @@ class MovingGroup(Group):
             rich_help_panel=_MOVING,
         ),
     ] = ""
+
+
+class CombiningGroup(Group):
+    """Scans of several messages, and of scans."""
+
+    lead: Annotated[
+        str,
+        typer.Option(
+            metavar="TOPIC",
+            help="Of topics that become one scan (--topic /a:=/scan --topic /b:=/scan), the one whose stamps it has.  "
+            "[default: the first]",
+            show_default=False,
+            rich_help_panel=_MOVING,
+        ),
+    ] = ""
+    window: Annotated[
+        str | None,
+        typer.Option(
+            metavar="S",
+            help="Stamps of the others may be so far from it.  [default: half the median period]",
+            rich_help_panel=_MOVING,
+        ),
+    ] = None
+    accumulate: Annotated[
+        str | None,
+        typer.Option(
+            metavar="S|Nclouds",
+            help="Put all points of the last S seconds (1, 500ms), or of the last N clouds (10clouds), into each scan.",
+            rich_help_panel=_MOVING,
+        ),
+    ] = None
+    every: Annotated[
+        str | None,
+        typer.Option(
+            metavar="S",
+            help="One scan for each S seconds, instead of one for each cloud.",
+            rich_help_panel=_MOVING,
+        ),
+    ] = None
+    rebin: Annotated[
+        bool,
+        typer.Option(
+            "--rebin",
+            help="Convert LaserScan to LaserScan: other beams, other frames, several in one.",
+            rich_help_panel=_MOVING,
+        ),
+    ] = False
+
+    def asked(self) -> "Combining":
+        """Return what is asked for."""
+        from pc2scan.pipeline.combine.asked import Combining
+
+        return Combining.of(
+            lead=self.lead, window=self.window, accumulate=self.accumulate, every=self.every, rebin=self.rebin
+        )
 
 
 class Channel(TextEnum):
@@ -644,6 +701,7 @@ class ConversionGroup(Group):
     points: PointsGroup
     frames: FramesGroup
     moving: MovingGroup
+    combining: CombiningGroup
     reverse: ReverseGroup
     running: RunGroup
 
@@ -701,6 +759,7 @@ class ConversionGroup(Group):
             stamp=self.moving.stamp,
             level=self.moving.level,
             imu=self.moving.imu,
+            combining=self.combining.asked(),
             filters=tuple(self.points.filters(resolved.params.min_height)),
             frames=frames,
             topics=names,

@@ -17,6 +17,7 @@ _NAMED = re.compile(r"`([a-z_]+)(?:=([^`]*))?`")
 #: Options in messages, as the library and as the command line names them.
 OPTIONS = {
     **{name: parameter.option for name, parameter in PARAMETERS.items()},
+    "accumulate": "--accumulate",
     "all_topics": "--all-topics",
     "base_frame": "--base-frame",
     "channels": "--channel",
@@ -29,6 +30,7 @@ OPTIONS = {
     "dry_run": "--dry-run",
     "each": "--each",
     "end": "--end",
+    "every": "--every",
     "exclude_box": "--exclude-box",
     "exclude_polygon": "--exclude-polygon",
     "fail_on": "--fail-on",
@@ -38,6 +40,7 @@ OPTIONS = {
     "imu": "--imu",
     "keep": "--keep",
     "keep_clouds": "--keep-clouds",
+    "lead": "--lead",
     "launch_args": "--arg",
     "level": "--level",
     "max_range": "--max-range",
@@ -57,6 +60,7 @@ OPTIONS = {
     "point_time": "--point-time",
     "profile": "--profile",
     "range_cutoff": "--range-cutoff",
+    "rebin": "--rebin",
     "report": "--report",
     "resolution": "--resolution",
     "reverse": "--reverse",
@@ -83,6 +87,7 @@ OPTIONS = {
     "jobs": "--jobs",
     "retries": "--retries",
     "param": "--param",
+    "window": "--window",
     "write_static_tf": "--write-static-tf",
 }
 

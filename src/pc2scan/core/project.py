@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -24,17 +24,18 @@ from pc2scan.errors import ParameterError
 
 from . import kernel
 from .counts import PointCounts
+from .moving import MovingTransform
 from .params import ProjectionParams
 from .points import Columns, coordinates_of, values_of
 from .reduce import extremes, means, surfaces, winners
 from .rule import rule_of
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import ArrayLike, NDArray
 
-    from .moving import MovingTransform
-
-__all__ = ["ProjectedScan", "Projector", "Transform", "packed", "project"]
+__all__ = ["Part", "ProjectedScan", "Projector", "Transform", "packed", "project"]
 
 #: Rotation (3, 3) and translation (3,), rounded to float32: ``target = rotation @ source + translation``.
 Transform: TypeAlias = "tuple[NDArray[np.floating[Any]], NDArray[np.floating[Any]]]"
@@ -69,6 +70,27 @@ class ProjectedScan:
     intensities: NDArray[np.float32]
 
 
+class Part(NamedTuple):
+    """Points that are projected together with others: see `Projector.together`.
+
+    Attributes
+    ----------
+    x, y, z, intensities
+        As `Projector` takes them.
+    target_from_source
+        The transform, of each point at its own time or of all.
+    any_height
+        Whether heights do not count, as for the beams of a scan, which has none.
+    """
+
+    x: NDArray[Any]
+    y: NDArray[Any]
+    z: NDArray[Any]
+    target_from_source: Transform | MovingTransform | None = None
+    intensities: NDArray[Any] | None = None
+    any_height: bool = False
+
+
 class Projector:
     """The projection with given parameters. Threads may share one.
 
@@ -78,7 +100,7 @@ class Projector:
         The projection's parameters; ``target_frame`` is the caller's business.
     """
 
-    __slots__ = ("_beams", "_empty", "_limit", "_rule", "params")
+    __slots__ = ("_beams", "_empty", "_limit", "_rule", "_rule_of_any_height", "params")
 
     def __init__(self, params: ProjectionParams) -> None:
         if params.beams == "auto":
@@ -89,10 +111,82 @@ class Projector:
             )
         self.params = params
         self._rule = rule_of(params)
+        self._rule_of_any_height = np.concatenate([[-math.inf, math.inf], self._rule[2:]])
         self._beams = params.length
         self._empty = params.empty_range
         # Upstream's beams begin with what they read without a return, and a return has to be below that.
         self._limit = self._empty if params.no_return in {"", "inf", "range-max-plus"} else math.inf
+
+    def together(self, parts: Sequence[Part]) -> ProjectedScan:
+        """Project the points of several messages to one scan.
+
+        The scan is that of all points in one cloud, each transformed before, in the order of the parts.
+
+        Parameters
+        ----------
+        parts
+            Those without intensities count as 0 where others have some.
+
+        Returns
+        -------
+        ProjectedScan
+            As for one cloud.
+        """
+        params, beams = self.params, self._beams
+        lit = any(part.intensities is not None for part in parts)
+        total = sum(part.x.size for part in parts)
+        if params.reduce == "min" and params.min_points == 1 and not lit:
+            nearest = np.full(beams, np.inf, np.float32)
+            counts = PointCounts()
+            for part in parts:
+                ranges = np.empty(beams, np.float32)
+                arrays, transform = self._checked(part)
+                rejected = kernel.project(*arrays, self._rule_for(part), transform, ranges, self._limit, np.inf)
+                counts += PointCounts.of_projection(part.x.size, rejected)
+                np.minimum(nearest, ranges, out=nearest)
+            nearest[np.isinf(nearest)] = self._empty
+            return ProjectedScan(nearest, counts, _NO_VALUES)
+        counts, begin = PointCounts(), 0
+        bins, returns = np.empty(total, np.int32), np.empty(total, np.float32)
+        values: list[NDArray[Any]] = []
+        for part in parts:
+            count = part.x.size
+            numbers = np.empty(count, np.int64)
+            places = slice(begin, begin + count)
+            arrays, transform = self._checked(part)
+            rejected = kernel.gather(
+                *arrays, self._rule_for(part), transform, beams, bins[places], returns[places], numbers
+            )
+            found = PointCounts.of_projection(count, rejected)
+            counts += found
+            if lit:
+                own = part.intensities
+                values.append(np.zeros(found.used) if own is None else own.reshape(-1)[numbers[: found.used]])
+            # What the next part has follows at once.
+            begin += found.used
+        with np.errstate(all="ignore"):
+            both = np.concatenate(values) if lit else None
+            ranges, shown = self._reduced(bins[:begin], returns[:begin], both)
+        return ProjectedScan(ranges, counts, shown)
+
+    def bins(self, part: Part) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+        """Return the beams that the points of a part fall into, and the numbers of these points, in their order."""
+        count = part.x.size
+        bins, returns, numbers = np.empty(count, np.int32), np.empty(count, np.float32), np.empty(count, np.int64)
+        arrays, transform = self._checked(part)
+        rejected = kernel.gather(*arrays, self._rule_for(part), transform, self._beams, bins, returns, numbers)
+        used = count - sum(rejected)
+        return bins[:used], numbers[:used]
+
+    def _rule_for(self, part: Part) -> NDArray[np.float64]:
+        return self._rule_of_any_height if part.any_height else self._rule
+
+    def _checked(
+        self, part: Part
+    ) -> tuple[tuple[NDArray[Any], NDArray[Any], NDArray[Any]], NDArray[np.float32] | MovingTransform | None]:
+        """The coordinates of a part and its transform, as the loops over points take them."""
+        arrays, transform = _coordinates(part.x, part.y, part.z, part.intensities), part.target_from_source
+        return arrays, transform if transform is None or isinstance(transform, MovingTransform) else packed(transform)
 
     def __call__(
         self,
@@ -149,16 +243,7 @@ class Projector:
         transform: NDArray[np.float32] | MovingTransform | None,
         intensities: NDArray[Any] | None,
     ) -> ProjectedScan:
-        if not (x.shape == y.shape == z.shape and 1 <= x.ndim <= 2):
-            raise ValueError(
-                f"x, y and z have the shapes {x.shape}, {y.shape}, {z.shape}, expected one of (M,) or (H, W)"
-            )
-        if intensities is not None and intensities.shape != x.shape:
-            raise ValueError(f"intensities have the shape {intensities.shape}, expected that of x, {x.shape}")
-        usual = x.dtype == y.dtype == z.dtype == _FLOAT32
-        if not usual and not all(array.dtype.str[1:] in _READ_AS_IS for array in (x, y, z)):
-            with np.errstate(over="ignore"):
-                x, y, z = (array.astype(np.float32) for array in (x, y, z))
+        x, y, z = _coordinates(x, y, z, intensities)
         params = self.params
         beams = self._beams
         if params.reduce == "min" and params.min_points == 1 and intensities is None:
@@ -200,6 +285,21 @@ class Projector:
             if values is not None:
                 lit[seen] = values[winner]
         return found, lit
+
+
+def _coordinates(
+    x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], intensities: NDArray[Any] | None
+) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+    """Coordinates as the loops over points read them."""
+    if not (x.shape == y.shape == z.shape and 1 <= x.ndim <= 2):
+        raise ValueError(f"x, y and z have the shapes {x.shape}, {y.shape}, {z.shape}, expected one of (M,) or (H, W)")
+    if intensities is not None and intensities.shape != x.shape:
+        raise ValueError(f"intensities have the shape {intensities.shape}, expected that of x, {x.shape}")
+    usual = x.dtype == y.dtype == z.dtype == _FLOAT32
+    if not usual and not all(array.dtype.str[1:] in _READ_AS_IS for array in (x, y, z)):
+        with np.errstate(over="ignore"):
+            x, y, z = (array.astype(np.float32) for array in (x, y, z))
+    return x, y, z
 
 
 def packed(transform: Transform) -> NDArray[np.float32]:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from pc2scan.model import Buffer
     from pc2scan.tf.placing import LevelTransform
 
+    from .combine.rebinned import Rebinned
     from .first_clouds import Sample
     from .stages.deskew import Motion
 
@@ -33,6 +34,7 @@ class Result:
 
     ``empty`` is whether it has no return, or no point; ``motion`` is how far the sensor moved, if it was deskewed.
     ``sample`` is for `FirstClouds`, while it wants any. ``level`` is the transform of its frame, if that is made level.
+    ``rebinned`` is how beams of scans became other beams.
     """
 
     message: Any
@@ -41,6 +43,7 @@ class Result:
     motion: Motion | None = None
     sample: Sample | None = None
     level: LevelTransform | None = None
+    rebinned: Rebinned | None = None
 
 
 @dataclass(slots=True, eq=False)
@@ -53,6 +56,12 @@ class Converted:
     motion: Motion | None = None
     sample: Sample | None = None
     level: LevelTransform | None = None
+    rebinned: Rebinned | None = None
+
+    @property
+    def size(self) -> int:
+        """Bytes that it takes."""
+        return len(self.data)
 
 
 class Measured(NamedTuple):
@@ -210,4 +219,4 @@ def _in_turn(steps: Sequence[Step], value: Any) -> Any:
 
 def _encoded(encode: Callable[[Any, str], bytes], target: str, result: Result) -> Converted:
     data = encode(result.message, target)
-    return Converted(data, result.counts, result.empty, result.motion, result.sample, result.level)
+    return Converted(data, result.counts, result.empty, result.motion, result.sample, result.level, result.rebinned)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import closing
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from pc2scan.errors import MessageError
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from .conversion import Conversion, Converted
     from .options import ConvertOptions
-    from .plan import Plan
+    from .plan import Combination, Plan
     from .report import Report
     from .routes import OpenRoute
     from .scan_spec import ScanSpec
@@ -53,7 +53,7 @@ def forecast(
     reader: Reader,
     plan: Plan,
     target: Destination,
-    conversions: Mapping[ScanSpec, Conversion],
+    conversions: Mapping[ScanSpec | Combination, Conversion],
     options: ConvertOptions,
     start_ns: int | None,
     stop_ns: int | None,
@@ -123,6 +123,12 @@ def _converted_sizes(
                 for output in route.outputs:
                     output.report.messages_in += 1
                     result = converted[output.place]
+                    if output.joint is not None and not isinstance(result, MessageError):
+                        if output.handle < 0:
+                            # The scan that it joins is one of another topic.
+                            output.report.messages_out += 1
+                            continue
+                        result = output.joint.alone(cast("Any", result))
                     if not isinstance(result, MessageError):
                         size += _packed(result.data) if is_packed else len(result.data)
                         output.report.messages_out += 1

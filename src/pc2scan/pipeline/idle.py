@@ -56,7 +56,7 @@ def doubts(options: ConvertOptions) -> list[str]:
     for spec in options.specs:
         label = f"{spec.name}: " if spec.name else ""
         given = {name for name, origin in spec.origins.items() if from_option(origin)}
-        doubtful = (*_frames(options, spec, given), *_returns(spec, given), *_angles(spec))
+        doubtful = (*_frames(options, spec, given), *_combining(spec), *_returns(spec, given), *_angles(spec))
         found += (label + each for each in doubtful)
     return found
 
@@ -87,6 +87,21 @@ def _frames(options: ConvertOptions, spec: ScanSpec, given: set[str]) -> list[st
             f"{names} {'have' if idle[1:] else 'has'} no effect without `target_frame`: "
             "every message stays in its own frame"
         )
+    return found
+
+
+def _combining(spec: ScanSpec) -> list[str]:
+    asked = spec.combining
+    found = []
+    if asked.count == 1:
+        found.append("`accumulate=1clouds` has no effect: every scan is made of one cloud")
+    elif asked.accumulates and not spec.fixed_frame:
+        found.append(
+            "`accumulate` and `every` without `fixed_frame` put messages together as if the robot had not moved; "
+            "with odometry: `fixed_frame=odom`"
+        )
+    if spec.fixed_frame and asked.rebin and not (spec.deskew or asked.accumulates or spec.may_share):
+        found.append("`fixed_frame` has no effect: each scan becomes one; `deskew` places each beam at its own time")
     return found
 
 

@@ -15,6 +15,7 @@ from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import UsageError
 from pc2scan.tf.options import FrameOptions
 
+from .combine.asked import Combining
 from .scan_spec import ScanSpec, TopicRequest
 
 if TYPE_CHECKING:
@@ -223,7 +224,8 @@ class ConvertOptions:
     ----------
     scans
         The outputs; empty: only one, as the next attributes describe it.
-    topics, origins, params, reverse, channels, deskew, fixed_frame, point_time, stamp, filters, output_type
+    topics, origins, params, reverse, channels, deskew, fixed_frame, point_time, stamp, combining, filters,
+    output_type
         See `ScanSpec`. They do not count where there are ``scans``.
     frames
         Where transforms come from.
@@ -268,6 +270,7 @@ class ConvertOptions:
     stamp: str = "header"
     level: bool = False
     imu: str = ""
+    combining: Combining = Combining()
     filters: tuple[Filter, ...] = ()
     output_type: str = ""
     frames: FrameOptions = FrameOptions()
@@ -346,6 +349,7 @@ class ConvertOptions:
                 stamp=self.stamp,
                 level=self.level,
                 imu=self.imu,
+                combining=self.combining,
                 filters=self.filters,
                 output_type=self.output_type,
             ),

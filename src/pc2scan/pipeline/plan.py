@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.bags.topics import find_topics, matches, renamed, short_types
+from pc2scan.bags.topics import find_topic, find_topics, matches, renamed, short_types
 from pc2scan.errors import TopicError, name_list
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.names import did_you_mean
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Generator, Mapping, Sequence
     from collections.abc import Set as AbstractSet
 
     from pc2scan.model import Connection
@@ -19,14 +20,44 @@ if TYPE_CHECKING:
     from .options import ConvertOptions
     from .scan_spec import ScanSpec
 
-__all__ = ["Plan", "Route", "Task", "make_plan"]
+__all__ = ["Combination", "Plan", "Route", "Task", "make_plan"]
+
+
+class Combination:
+    """Topics whose messages become one scan together. Two of them are never equal.
+
+    Attributes
+    ----------
+    spec
+        The output.
+    sources
+        The first one leads: the scans have its stamps.
+    target
+        The scans' topic.
+    """
+
+    __slots__ = ("sources", "spec", "target")
+
+    def __init__(self, spec: ScanSpec, sources: tuple[str, ...], target: str) -> None:
+        self.spec = spec
+        self.sources = sources
+        self.target = target
 
 
 class Task(NamedTuple):
-    """Something to be made of a message, and the topics that it goes to."""
+    """Something to be made of a message, and the topics that it goes to.
+
+    ``combination`` is what the message is a part of; None if it becomes a scan by itself.
+    """
 
     spec: ScanSpec
     targets: tuple[str, ...]
+    combination: Combination | None = None
+
+    @property
+    def key(self) -> ScanSpec | Combination:
+        """What messages are converted for."""
+        return self.combination or self.spec
 
 
 class Route(NamedTuple):
@@ -55,6 +86,7 @@ class Plan(NamedTuple):
 
     routes: tuple[Route, ...]
     specs: tuple[ScanSpec, ...] = ()
+    combinations: tuple[Combination, ...] = ()
     warnings: tuple[str, ...] = ()
 
 
@@ -75,12 +107,17 @@ def make_plan(connections: Sequence[Connection], options: ConvertOptions) -> Pla
         is already in the source.
     """
     specs = () if options.repair else options.specs
-    targets = {spec: _placed_targets(connections, spec, options.drop) for spec in specs}
+    targets = {spec: _placed_targets(connections, spec, options) for spec in specs}
+    types = _types_by_topic(connections)
+    combined = {spec: _combinations(spec, found, types, options) for spec, found in targets.items()}
     routes = []
     for connection in connections:
         topic, kind = connection.topic, _kind(connection)
         tasks = tuple(
-            Task(spec, found[topic]) for spec, found in targets.items() if topic in found and kind in spec.source_types
+            task
+            for spec, found in targets.items()
+            if topic in found
+            for task in _tasks(spec, topic, kind, found[topic], combined[spec])
         )
         passes = not options.only_scans and (
             options.keep_clouds if tasks else _chosen(topic, options.keep, options.drop)
@@ -88,34 +125,97 @@ def make_plan(connections: Sequence[Connection], options: ConvertOptions) -> Pla
         routes.append(Route(connection, tasks, passes))
     _refuse_collisions(routes)
     converted = {topic for found in targets.values() for topic in found}
-    return Plan(tuple(routes), specs, tuple(_idle_patterns(connections, options, converted)))
+    everything = tuple(each for found in combined.values() for each in found)
+    return Plan(tuple(routes), specs, everything, tuple(_idle_patterns(connections, options, converted)))
+
+
+def _tasks(
+    spec: ScanSpec, topic: str, kind: str, targets: Sequence[str], combinations: Sequence[Combination]
+) -> list[Task]:
+    """What is made of the messages of a type on a topic."""
+    joined = [each for each in combinations if topic in each.sources]
+    alone = tuple(target for target in targets if all(target != each.target for each in joined))
+    tasks = [Task(spec, alone)] if alone and kind in spec.source_types else []
+    return tasks + [Task(spec, (each.target,), each) for each in joined if kind in spec.named_types]
+
+
+def _combinations(
+    spec: ScanSpec, targets: Mapping[str, Sequence[str]], types: dict[str, set[str]], options: ConvertOptions
+) -> list[Combination]:
+    """The topics whose messages become scans together."""
+    if spec.reverse:
+        return []
+    with _about(spec):
+        return _together(spec, targets, types, options)
+
+
+def _together(
+    spec: ScanSpec, targets: Mapping[str, Sequence[str]], types: dict[str, set[str]], options: ConvertOptions
+) -> list[Combination]:
+    sources: dict[str, list[str]] = {}
+    for topic, names in targets.items():
+        for name in names:
+            sources.setdefault(name, []).append(topic)
+    asked = spec.combining
+    found = []
+    for target, topics in sources.items():
+        if len(topics) == 1 and not (asked.accumulates or asked.rebin):
+            # Only a topic that shares its target may be of another type than clouds.
+            find_topic(topics[0], types, [topic for topic in types if topic in targets], *spec.source_types)
+            continue
+        if len(topics) > 1 and not (spec.params.target_frame or options.frames.source_frame):
+            raise TopicError(
+                f"{name_list(topics)} become one scan on {target}, which needs a frame for the points of all: "
+                "`target_frame`",
+                hint="such as `target_frame=base_link`; with `fixed_frame=odom` what the robot moved between their "
+                "stamps is accounted for",
+            )
+        found.append(Combination(spec, tuple(_led(topics, spec, types)), target))
+    return found
+
+
+def _led(topics: Sequence[str], spec: ScanSpec, types: dict[str, set[str]]) -> list[str]:
+    """The topics of a scan, the leading one first."""
+    if not spec.combining.lead:
+        return list(topics)
+    lead = find_topic(spec.combining.lead, types, list(topics), *spec.named_types)
+    if lead not in topics and len(topics) > 1:
+        raise TopicError(f"`lead` is {lead}, which is none of the topics of the scan: {name_list(topics)}")
+    return sorted(topics, key=lambda topic: topic != lead)
 
 
 def _placed_targets(
-    connections: Sequence[Connection], spec: ScanSpec, drop: Sequence[str]
+    connections: Sequence[Connection], spec: ScanSpec, options: ConvertOptions
 ) -> dict[str, tuple[str, ...]]:
     """The same as `_targets`; an error says which output it is about."""
+    with _about(spec):
+        return _targets(connections, spec, options)
+
+
+@contextmanager
+def _about(spec: ScanSpec) -> Generator[None]:
+    """Say of errors which output they are about."""
     try:
-        return _targets(connections, spec, drop)
+        yield
     except TopicError as err:
         if spec.place:
             err.message = f"{spec.place}, {spec.name}: {err.message}"
         raise
 
 
-def _targets(connections: Sequence[Connection], spec: ScanSpec, drop: Sequence[str]) -> dict[str, tuple[str, ...]]:
+def _targets(connections: Sequence[Connection], spec: ScanSpec, options: ConvertOptions) -> dict[str, tuple[str, ...]]:
     """The topics to convert and the topics that their scans go to."""
     types = _types_by_topic(connections)
-    convertible = spec.source_types
+    convertible = spec.named_types if spec.topics else spec.source_types
     candidates = [topic for topic, kinds in types.items() if not kinds.isdisjoint(convertible)]
     if spec.topics:
         requests: dict[str, list[str | None]] = {}
         for request in spec.topics:
-            for topic in find_topics(request.source, types, candidates, *convertible):
+            for topic in _asked(request.source, types, candidates, spec):
                 target = request.target and renamed(topic, request.source, request.target)
                 requests.setdefault(topic, []).append(target)
     else:
-        requests = {topic: [None] for topic in candidates if not matches(topic, drop)}
+        requests = {topic: [None] for topic in candidates if not matches(topic, options.drop)}
         if not requests:
             raise TopicError(_nothing_to_convert(types, candidates, convertible), hint=_other_direction(types, spec))
     single = len(requests) == 1
@@ -130,12 +230,24 @@ def _targets(connections: Sequence[Connection], spec: ScanSpec, drop: Sequence[s
     name = spec.output.name
 
     def named(topic: str, target: str | None) -> str:
+        if spec.combining.rebin and not target:
+            return f"{topic}_rebinned" if options.keep_clouds else topic
         return target or (f"/{name}" if single else f"{topic.rstrip('/')}/{name}")
 
     # Asked for twice is asked for once.
     return {
         topic: tuple(dict.fromkeys(named(topic, target) for target in targets)) for topic, targets in requests.items()
     }
+
+
+def _asked(name: str, types: dict[str, set[str]], candidates: list[str], spec: ScanSpec) -> list[str]:
+    """The topics that are asked for by a name or a glob."""
+    try:
+        return find_topics(name, types, candidates, *spec.named_types)
+    except TopicError as err:
+        if not spec.reverse and LASERSCAN in types.get(name, ()):
+            err.hint = f"`rebin=True` makes other scans of LaserScan, `reverse=True` makes clouds; {err.hint}"
+        raise
 
 
 def _nothing_to_convert(types: dict[str, set[str]], candidates: list[str], convertible: Sequence[str]) -> str:
@@ -153,25 +265,27 @@ def _other_direction(types: dict[str, set[str]], spec: ScanSpec) -> str | None:
     if spec.reverse and (clouds := [kind for kind in CLOUDS if kind in there]):
         return f"it has {short_types(clouds)} topics; without `reverse` they become scans"
     if not spec.reverse and LASERSCAN in there:
-        return "it has LaserScan topics; `reverse=True` turns those into clouds"
+        return "it has LaserScan topics; `reverse=True` turns those into clouds, `rebin=True` into other scans"
     return None
 
 
 def _refuse_collisions(routes: Sequence[Route]) -> None:
     """No scan may share a topic with another scan or with what passes through."""
     passing = {route.connection.topic for route in routes if route.passes}
-    origin: dict[str, tuple[str, ScanSpec]] = {}
+    origin: dict[str, tuple[str, Task]] = {}
     made = [(route.connection.topic, task) for route in routes for task in route.tasks]
-    for topic, own, target in ((topic, task.spec, target) for topic, task in made for target in task.targets):
-        source, spec = origin.setdefault(target, (topic, own))
-        if source != topic:
+    for topic, own, target in ((topic, task, target) for topic, task in made for target in task.targets):
+        source, task = origin.setdefault(target, (topic, own))
+        if task.spec is not own.spec:
+            one, other = task.spec, own.spec
+            raise TopicError(f"{one.name} ({one.place}) and {other.name} ({other.place}) would both become {target}")
+        if source != topic and task.combination is None:
             raise TopicError(
-                f"{source} and {topic} would both become {target}; several sources are not merged into one scan",
+                f"{source} and {topic} would both become {target}; several scans are not merged into one cloud",
                 hint=f"give one of them another topic: `topics={topic}:={target}_2`",
             )
-        if spec is not own:
-            raise TopicError(f"{spec.name} ({spec.place}) and {own.name} ({own.place}) would both become {target}")
-    for target, (source, spec) in origin.items():
+    for target, (source, task) in origin.items():
+        spec = task.spec
         if target in passing:
             taken = passing | origin.keys()
             beside = f"{source.rstrip('/')}/{target.rsplit('/', 1)[-1]}"

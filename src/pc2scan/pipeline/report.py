@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from pc2scan.bags.damage import Damage
     from pc2scan.errors import Pc2ScanError
 
+    from .combine.matching import SourceCounts
+    from .combine.rebinned import Rebinned
     from .scan_spec import ScanSpec
 
 __all__ = ["BEGINNING", "Failure", "Report", "Skipped", "TopicReport"]
@@ -38,7 +40,7 @@ MAX_LISTED = 100
 _MAX_SHOWN = 5
 
 #: Attributes of a topic's entry that JSON has in another form, or not.
-_NOT_AS_THEY_ARE = {"points", "motions", "tilts", "spec"}
+_NOT_AS_THEY_ARE = {"points", "motions", "tilts", "spec", "joined", "rebinned"}
 
 #: Topics that are listed in the warning of skipped ones.
 _MAX_WARNED = 5
@@ -129,7 +131,8 @@ class TopicReport:
     target
         Where it went: the scan's topic if converted, its own if it passed through, None if it was skipped.
     action
-        ``converted``, ``passed``, ``re-encoded``, ``skipped``, or ``added`` (transforms given by the user).
+        ``converted``, ``joined`` (its messages are in the scans of another topic), ``passed``, ``re-encoded``,
+        ``skipped``, or ``added`` (transforms given by the user).
     note
         Why it was skipped, or another note; empty otherwise.
     messages_in, messages_out, skipped
@@ -144,6 +147,10 @@ class TopicReport:
         the longest time that transforms were interpolated over, seconds.
     tilts
         Of level scans: between the z axis of the target frame and up, radians.
+    joined
+        Of a topic whose messages become scans together with others: what became of them; None for all others.
+    rebinned
+        Of scans made of scans only: how their beams became other beams; None for all others.
     clouds_kept
         Whether the converted clouds were written too.
     lost
@@ -166,6 +173,8 @@ class TopicReport:
     empty_scans: int = 0
     motions: list[tuple[float, float, float]] = field(default_factory=list)
     tilts: list[float] = field(default_factory=list)
+    joined: SourceCounts | None = None
+    rebinned: Rebinned | None = None
     clouds_kept: bool = False
     lost: bool = False
     advice: str = ""
@@ -198,6 +207,11 @@ class TopicReport:
             "largest_deg": math.degrees(max(self.tilts)),
             "median_deg": math.degrees(median_low(self.tilts)),
         }
+
+    def count_rebinned(self, found: Rebinned) -> None:
+        """Add the beams of one more scan."""
+        known = self.rebinned or (0, 0, 0)
+        self.rebinned = type(found)(*(one + other for one, other in zip(known, found, strict=True)))
 
     def skip(self, count: int) -> None:
         """Count messages of a topic that is left out; they are missing unless the user dropped the topic."""
@@ -320,9 +334,12 @@ class Report(Shown):
                 self.warnings.append(f"no message of {topic.topic} {why}")
             elif topic.action == "converted":
                 self.warnings += self._point_warnings(topic)
+            self._say_joined(topic)
             if motion := topic.motion:
+                deskewed = topic.spec is not None and topic.spec.deskew
+                within = "deskewed; within a cloud" if deskewed else "placed through `fixed_frame`; within a scan"
                 self.notes.append(
-                    f"{topic.target}: deskewed; within a cloud the sensor moved by up to {motion['largest_m']:.3g} m "
+                    f"{topic.target}: {within} the sensor moved by up to {motion['largest_m']:.3g} m "
                     f"and {motion['largest_deg']:.3g} degrees (median {motion['median_m']:.3g} m, "
                     f"{motion['median_deg']:.3g} degrees)"
                 )
@@ -356,6 +373,28 @@ class Report(Shown):
                 f"{topic.target}: level by {by}; {frame} was tilted by up to {largest:.3g} degrees "
                 f"(median {median:.3g})"
             )
+
+    def _say_joined(self, topic: TopicReport) -> None:
+        """Say what became of messages that become scans together, and of beams that become others."""
+        counts, scans = topic.joined, topic.target
+        if counts is not None and topic.action == "joined" and counts.messages and not counts.used:
+            self.warnings.append(
+                f"no message of {topic.topic} is in a scan on {scans}: its stamps are never within the window of the "
+                "leading topic's"
+            )
+        elif counts is not None and topic.action == "joined" and counts.scans_without:
+            first, last, number = counts.silence
+            self.warnings.append(
+                f"{counts.scans_without} scans on {scans} have nothing of {topic.topic}; {number} of them in a row, "
+                f"from {stamp_text(first)} to {stamp_text(last)}"
+            )
+        if counts is not None and counts.unmatched:
+            self.notes.append(
+                f"{counts.unmatched} of {counts.messages} messages of {topic.topic} are in no scan on {scans}"
+            )
+        if beams := topic.rebinned:
+            note = f"{scans}: of {beams.beams} beams {beams.shared} share one of the new scans with another"
+            self.notes.append(f"{note}; {beams.between} of the new ones lie between two neighbours, without a return")
 
     @property
     def rejections(self) -> dict[str, Rejection]:
@@ -467,6 +506,8 @@ class Report(Shown):
                     "scan": topic.spec.name if topic.spec else "",
                     "motion": topic.motion,
                     "tilt": topic.tilt,
+                    "joined": None if topic.joined is None else topic.joined.as_dict(),
+                    "rebinned": None if topic.rebinned is None else topic.rebinned._asdict(),
                     "points": topic.points.as_dict(),
                 }
                 for topic in self.topics

@@ -24,10 +24,11 @@ if TYPE_CHECKING:
     from pc2scan.model import Buffer, Definition, Writer
     from pc2scan.tf.options import FrameOptions
 
+    from .combine.joint import Joint
     from .conversion import Conversion, Converted
     from .declarations import Declarations
     from .options import ConvertOptions
-    from .plan import Route
+    from .plan import Combination, Route, Task
     from .report import Report
     from .scan_spec import ScanSpec
 
@@ -50,14 +51,16 @@ _MAX_COMPILED_FIELDS = 20_000
 class Output:
     """A topic of the destination that the converted messages of a route go to.
 
-    ``handle`` is the writer's. ``place`` is that of its messages in what ``convert`` makes. ``sample`` is the first
-    message; all others have its geometry.
+    ``handle`` is the writer's; -1 where another topic leads the scans. ``place`` is that of its messages in what
+    ``convert`` makes. ``sample`` is the first message; all others have its geometry. ``joint`` makes one scan of
+    several messages; None where each is one.
     """
 
     handle: int
     report: TopicReport
     place: int
     sample: bytes = b""
+    joint: Joint | None = None
 
 
 @dataclass(slots=True)
@@ -96,7 +99,7 @@ class OpenRoute:
 
 def open_routes(
     routes: Iterable[Route],
-    conversions: Mapping[ScanSpec, Conversion],
+    conversions: Mapping[ScanSpec | Combination, Conversion],
     target: Destination,
     same_kind: bool,
     options: ConvertOptions,
@@ -111,6 +114,7 @@ def open_routes(
     opened: dict[int, OpenRoute] = {}
     compiled: dict[tuple[str, Definition], int] = {}
     entries: dict[tuple[object, ...], TopicReport] = {}
+    joints: dict[Combination, Joint] = {}
 
     def shared(entry: TopicReport) -> TopicReport:
         """The entry of the report: publishers of one topic share it if the same becomes of their messages."""
@@ -128,19 +132,38 @@ def open_routes(
             made.report = shared(passing or TopicReport(topic, msgtype, None, "skipped"))
             continue
         source, written = connection.serialization, target.serialization
-        chosen = [conversions[task.spec] for task in route.tasks]
+        chosen = [conversions[task.key] for task in route.tasks]
         made.convert = converter(chosen, topic, source, written, msgtype)
         made.shrinks_from = sum(conversion.shrinks_from for conversion in chosen)
         for place, (task, conversion) in enumerate(zip(route.tasks, chosen, strict=True)):
+            joint = _joint(joints, task, conversion, written)
+            leads = task.combination is None or task.combination.sources[0] == topic
             for name in task.targets:
-                handle = declared.add(_converted_connection(connection, name, conversion, target))
+                handle = declared.add(_converted_connection(connection, name, conversion, target)) if leads else -1
                 kept = made.passing_handle >= 0
-                entry = TopicReport(topic, msgtype, name, "converted", clouds_kept=kept, spec=task.spec)
+                action = "converted" if leads else "joined"
+                entry = TopicReport(topic, msgtype, name, action, clouds_kept=kept, spec=task.spec)
                 if passing is not None and passing.lost:
                     entry.note, entry.lost = passing.note, True
-                made.outputs.append(Output(handle, shared(entry), place))
+                made.outputs.append(Output(handle, shared(entry), place, joint=joint))
+                if joint is not None and task.combination is not None:
+                    joint.reports[task.combination.sources.index(topic)] = made.outputs[-1].report
     report.topics += entries.values()
     return opened
+
+
+def _joint(joints: dict[Combination, Joint], task: Task, conversion: Conversion, serialization: str) -> Joint | None:
+    """What makes one scan of several messages: one for all routes of a combination."""
+    if task.combination is None:
+        return None
+    from .combine.conversion import CombineToScan  # noqa: PLC0415  # few scans are made of several messages
+    from .combine.joint import Joint  # noqa: PLC0415
+
+    if not isinstance(conversion, CombineToScan) or conversion.grouper is None:
+        return None
+    if task.combination not in joints:
+        joints[task.combination] = Joint(conversion, serialization)
+    return joints[task.combination]
 
 
 def bind(routes: Iterable[OpenRoute], handles: Sequence[int]) -> None:
@@ -149,7 +172,8 @@ def bind(routes: Iterable[OpenRoute], handles: Sequence[int]) -> None:
         if route.passing_handle >= 0:
             route.passing_handle = handles[route.passing_handle]
         for output in route.outputs:
-            output.handle = handles[output.handle]
+            if output.handle >= 0:
+                output.handle = handles[output.handle]
 
 
 def count_skipped(

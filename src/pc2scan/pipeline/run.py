@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shlex
 import time
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
@@ -68,7 +68,7 @@ from .scheduler import cores
 from .stream import Progress, Span, stream
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
     from pathlib import Path
 
     from pc2scan.bags.destinations import Destination
@@ -79,8 +79,9 @@ if TYPE_CHECKING:
     from .conversion import Conversion, Measured
     from .levelling import LevelFrames
     from .options import ConvertOptions
-    from .plan import Plan
+    from .plan import Combination, Plan
     from .scan_spec import ScanSpec
+    from .stages.deskew import Deskew
 
 __all__ = ["OutputOptions", "Progress", "prepared", "report_failure", "report_file", "run", "span_of"]
 
@@ -321,7 +322,7 @@ def _run(
             rule = chunk_rule(routes, target, writer) if copying else None
             stream(reader, routes, options, span, rule, pool, writer, report, progress, levels)
             firsts.finish()
-            for spec in conversions:
+            for spec in plan.specs:
                 if spec.made_type == LASERSCAN:
                     report.warnings += (each for each in ghosts(spec.params) if each not in report.warnings)
             report.warnings += _refusals(routes.values(), target.serialization)
@@ -454,7 +455,7 @@ def prepared(
     stack: ExitStack,
     report: Report,
     firsts: FirstClouds | None = None,
-) -> tuple[Mapping[ScanSpec, Conversion], Sequence[Reader]]:
+) -> tuple[Mapping[ScanSpec | Combination, Conversion], Sequence[Reader]]:
     """The conversion of each output, with all that has to be known before the first message is converted.
 
     The other recordings that transforms were taken from are returned too.
@@ -473,7 +474,7 @@ def prepared(
         from .levelling import Ups  # noqa: PLC0415  # only where scans are level
 
         ups = Ups([reader, *others], buffer, report)
-    conversions: dict[ScanSpec, Conversion] = {}
+    conversions: dict[ScanSpec | Combination, Conversion] = {}
     for spec in plan.specs:
         frames = Frames(source_frame=asked.source_frame)
         if spec.needs_transforms:
@@ -484,7 +485,11 @@ def prepared(
             from .scan_to_cloud import ScanToCloud  # noqa: PLC0415  # each direction loads its own arithmetic
 
             conversions[spec] = ScanToCloud(spec.channels, frames, deskewed=spec.deskew, output_type=spec.made_type)
-        else:
+            continue
+        combined = [each for each in plan.combinations if each.spec is spec]
+        for combination in combined:
+            conversions[combination] = _combined(reader, plan, combination, frames, span, report, firsts)
+        if not combined or any(task.key is spec for route in plan.routes for task in route.tasks):
             timings = _measured(reader, plan, spec, frames, span, report) if spec.needs_measuring else None
             conversions[spec] = _to_scans(spec, frames, timings, firsts)
     return conversions, others
@@ -504,19 +509,47 @@ def _level_frames(
     return LevelFrames(declared.add(connection), target.serialization, entry)
 
 
+def _deskew(spec: ScanSpec, frames: Frames) -> Deskew | None:
+    if not spec.deskew:
+        return None
+    from .stages.deskew import Deskew, PointTime  # noqa: PLC0415  # only where points move
+
+    where = PointTime.parse(spec.point_time) if spec.point_time else PointTime()
+    return Deskew(frames, spec.fixed_frame, where, spec.stamp)
+
+
 def _to_scans(
     spec: ScanSpec, frames: Frames, timings: Mapping[str, Measured] | None, firsts: FirstClouds | None
 ) -> Conversion:
     from .cloud_to_scan import CloudToScan  # noqa: PLC0415  # each direction loads its own arithmetic
 
-    deskew = None
-    if spec.deskew:
-        from .stages.deskew import Deskew, PointTime  # noqa: PLC0415  # only where points move
-
-        where = PointTime.parse(spec.point_time) if spec.point_time else PointTime()
-        deskew = Deskew(frames, spec.fixed_frame, where, spec.stamp)
     judges = None if firsts is None else partial(firsts.of, spec)
-    return CloudToScan(spec.params, frames, timings, spec.filters, deskew, spec.made_type, judges)
+    return CloudToScan(spec.params, frames, timings, spec.filters, _deskew(spec, frames), spec.made_type, judges)
+
+
+def _combined(
+    reader: Reader,
+    plan: Plan,
+    combination: Combination,
+    frames: Frames,
+    span: Span,
+    report: Report,
+    firsts: FirstClouds | None,
+) -> Conversion:
+    from .combine.conversion import CombineToScan  # noqa: PLC0415  # few scans are made of several messages
+    from .combine.measure import measured  # noqa: PLC0415
+
+    spec = combination.spec
+    sources = [
+        route.connection for route in plan.routes if any(task.combination is combination for task in route.tasks)
+    ]
+    with _about(spec):
+        timing, grouper, notes, warnings = measured(reader, combination, sources, frames, span.start_ns, span.stop_ns)
+    label = f"{spec.name}: " if spec.name else ""
+    report.notes += (label + note for note in notes)
+    report.warnings += (label + warning for warning in warnings)
+    judges = None if firsts is None else partial(firsts.of, spec)
+    return CombineToScan(spec, combination.sources, frames, timing, grouper, _deskew(spec, frames), judges)
 
 
 def _measured(
@@ -524,17 +557,24 @@ def _measured(
 ) -> Mapping[str, Measured]:
     from .measure import measure  # noqa: PLC0415  # only where something is left to be measured
 
-    converted = [route.connection for route in plan.routes if any(task.spec is spec for task in route.tasks)]
-    label = f"{spec.name}: " if spec.name else ""
-    try:
+    converted = [route.connection for route in plan.routes if any(task.key is spec for task in route.tasks)]
+    with _about(spec):
         timings, notes = measure(reader, converted, spec, frames, span.start_ns, span.stop_ns)
-    except ParameterError as err:
-        if origin := spec.origins.get(err.name):
-            err.message += f" (from {origin})"
-        err.message = label + err.message
-        raise
+    label = f"{spec.name}: " if spec.name else ""
     report.notes += (label + note for note in notes)
     return timings
+
+
+@contextmanager
+def _about(spec: ScanSpec) -> Generator[None]:
+    """Say of errors which output they are about, and where the parameter comes from."""
+    try:
+        yield
+    except UsageError as err:
+        if isinstance(err, ParameterError) and (origin := spec.origins.get(err.name)):
+            err.message += f" (from {origin})"
+        err.message = (f"{spec.name}: " if spec.name else "") + err.message
+        raise
 
 
 def _ros_version(connections: Iterable[Connection]) -> int | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from pc2scan.bags.topics import is_glob
 from pc2scan.core.counts import PointCounts
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import UsageError
@@ -12,6 +13,7 @@ from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.messages.outputs import OF_CLOUDS, OF_SCANS
 
+from .combine.asked import Combining
 from .stages.filters import rejection_of
 
 if TYPE_CHECKING:
@@ -84,6 +86,8 @@ class ScanSpec:
     imu
         With ``level``: the IMU that knows which way is up, as ``TOPIC`` or ``TOPIC:FRAME``. Empty: ``fixed_frame`` is
         used.
+    combining
+        Which messages become one scan.
     filters
         What selects points of clouds before they are projected, in order.
     output_type
@@ -104,6 +108,7 @@ class ScanSpec:
     stamp: str = "header"
     level: bool = False
     imu: str = ""
+    combining: Combining = Combining()
     filters: tuple[Filter, ...] = ()
     output_type: str = ""
 
@@ -113,6 +118,7 @@ class ScanSpec:
         self._check_stages()
         self._check_levelling()
         self._check_deskewing()
+        self._check_combining()
 
     def _check_stages(self) -> None:
         if self.reverse and self.filters:
@@ -133,8 +139,11 @@ class ScanSpec:
             )
         if (self.reverse or not self.deskew) and (self.point_time or self.stamp != "header"):
             raise UsageError("`point_time` and `stamp` go with `deskew` of clouds")
-        if self.fixed_frame and (self.reverse or not (self.deskew or self.level)):
-            raise UsageError("`fixed_frame` goes with `deskew` or `level` of clouds")
+        moves = self.deskew or self.level or self.may_combine
+        if self.fixed_frame and (self.reverse or not moves):
+            raise UsageError(
+                "`fixed_frame` goes with `deskew` or `level` of clouds, `accumulate`, and topics that become one scan"
+            )
         if self.reverse or not self.deskew:
             return
         from .stages.deskew import STAMPS, PointTime  # noqa: PLC0415  # only where points move
@@ -168,6 +177,35 @@ class ScanSpec:
 
             ImuRequest.parse(self.imu)
 
+    def _check_combining(self) -> None:
+        asked = self.combining
+        if self.reverse and (asked.accumulates or asked.rebin):
+            raise UsageError("`accumulate`, `every` and `rebin` make scans; `reverse` makes clouds")
+        if (asked.lead or asked.window_ns is not None) and not self.may_share:
+            raise UsageError(
+                "`lead` and `window` go with several topics that become one scan",
+                hint="such as `topics=/front:=/scan` `topics=/rear:=/scan` `target_frame=base_link`",
+            )
+        if asked.window_ns is not None and asked.accumulates:
+            raise UsageError("`window` does not count with `accumulate` and `every`, which take all messages of a time")
+        if self.may_combine and self.params.time_increment != 0:
+            raise UsageError(
+                f"time_increment is {self.params.time_increment}, but a scan of several messages is of one time",
+                hint="leave `time_increment` out",
+            )
+
+    @property
+    def may_share(self) -> bool:
+        """Whether several topics may go to one."""
+        targets = [request.target for request in self.topics if request.target]
+        wild = any(request.target and "*" not in request.target and is_glob(request.source) for request in self.topics)
+        return not self.reverse and (wild or len(set(targets)) < len(targets))
+
+    @property
+    def may_combine(self) -> bool:
+        """Whether a scan may be made of several messages, or of other scans."""
+        return self.may_share or self.combining.accumulates or self.combining.rebin
+
     @property
     def rejections(self) -> tuple[Rejection, ...]:
         """Why points may be rejected, other than by the projection itself."""
@@ -194,7 +232,12 @@ class ScanSpec:
     @property
     def source_types(self) -> tuple[str, ...]:
         """The types that are converted, in ROS 2's spelling."""
-        return (LASERSCAN,) if self.reverse else tuple(CLOUDS)
+        return (LASERSCAN,) if self.reverse or self.combining.rebin else tuple(CLOUDS)
+
+    @property
+    def named_types(self) -> tuple[str, ...]:
+        """The types that are converted if they are asked for by name."""
+        return (*self.source_types, LASERSCAN) if self.may_combine and not self.combining.rebin else self.source_types
 
     @property
     def _outputs(self) -> Mapping[str, OutputType[Any]]:

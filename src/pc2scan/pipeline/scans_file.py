@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 from pc2scan.errors import ParameterError, UsageError
 from pc2scan.names import did_you_mean
 
+from .combine.asked import Combining
 from .param_sources import resolve_sources
 from .parameters import ALIASES, PARAMETERS, Setting, names_of, shown
 from .scan_spec import ScanSpec, TopicRequest
@@ -27,11 +28,11 @@ _MAX_DEPTH = 20
 class Choice(NamedTuple):
     """What an output may have besides the parameters of the projection.
 
-    ``kind`` is ``text``, ``texts`` (one or a list), ``flag`` or ``number``; ``words`` are the only texts that are
+    ``kind`` is ``text``, ``texts`` (one or a list), ``flag``, ``number`` or ``time`` (seconds, or text); ``words`` are the only texts that are
     possible; ``help`` is for the JSON schema.
     """
 
-    kind: Literal["text", "texts", "flag", "number"]
+    kind: Literal["text", "texts", "flag", "number", "time"]
     help: str
     words: tuple[str, ...] = ()
 
@@ -51,10 +52,18 @@ CHOICES: Mapping[str, Choice] = {
     "point_time": Choice("text", "Field with the times of points, and its unit: t or t:ns."),
     "stamp": Choice("text", "The time of a deskewed scan.", ("header", "start", "middle", "end")),
     "level": Choice("flag", "Make scans in a frame without the roll and pitch of the target frame."),
+    "lead": Choice("text", "Of several sources, the one whose stamps the scans have. Default: the first."),
+    "window": Choice("time", "Stamps of the other sources may be so far from it. Default: half the median period."),
+    "accumulate": Choice("time", "All points of the last seconds in each scan; or of the last clouds: 10clouds."),
+    "every": Choice("time", "One scan for each so many seconds, instead of one for each cloud."),
+    "rebin": Choice("flag", "Sources are LaserScans instead of clouds."),
     "imu": Choice("text", "With level: the IMU that knows which way is up, as TOPIC or TOPIC:FRAME."),
 }
 
 _TOP = ("defaults", "scans")
+
+#: The keys of `Combining`.
+_COMBINING = ("lead", "window", "accumulate", "every", "rebin")
 
 
 @dataclass(frozen=True, slots=True)
@@ -257,6 +266,7 @@ def _spec(
             topics=tuple(TopicRequest(_topic(source), topic) for source in sources),
             origins=resolved.origin,
             params=resolved.params,
+            combining=Combining.of(**{name: values[name] for name in _COMBINING if name in values}),
             filters=tuple(_filters(values, resolved.params.min_height)),
             **{name: value for name, value in values.items() if name in ScanSpec.__dataclass_fields__},
         )
@@ -317,6 +327,10 @@ def _chosen(key: str, entry: _Entry) -> Any:
         if isinstance(value, int | float) and not isinstance(value, bool):
             return float(value)
         expected = "a number"
+    elif kind == "time":
+        if isinstance(value, str | int | float) and not isinstance(value, bool):
+            return value
+        expected = "seconds, or text such as 500ms"
     else:
         if isinstance(value, str) and (value in words or not words):
             return value

@@ -23,6 +23,7 @@ _KINDS: dict[str, dict[str, Any]] = {
     "texts": {"anyOf": [_TEXTS, {"type": "array", "items": _TEXTS, "minItems": 1}]},
     "flag": {"type": "boolean"},
     "number": {"type": "number"},
+    "time": {"anyOf": [{"type": "number"}, _TEXTS]},
 }
 
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import closing
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.errors import MessageError, UnwritableError
 from pc2scan.model import StoredChunk, own, owned
 
 from .beforehand import Unconnected
+from .conversion import Converted
 from .report import Report, Skipped
 from .scheduler import Later, schedule
 
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from pc2scan.model import Buffer, ChunkRule, RawMessage, Writer
     from pc2scan.threads import Threads
 
-    from .conversion import Converted
+    from .combine.joint import Arrived, MadeScan
     from .levelling import LevelFrames
     from .options import ConvertOptions
     from .report import TopicReport
@@ -54,7 +55,7 @@ class _Outcome(NamedTuple):
         size = len(self.passing or b"")
         for made in self.converted:
             if not isinstance(made, MessageError):
-                size += len(made.data)
+                size += made.size
         return size
 
     @property
@@ -86,7 +87,12 @@ def stream(
 ) -> None:
     """Read, work on several threads, and write in the order of reading; ``levels`` writes the frames of level scans."""
     total = reader.summary.size_bytes
-    outcomes = _outcomes(reader, routes, options, span, rule, pool)
+    outcomes: Generator[_Outcome | StoredChunk | MadeScan] = _outcomes(reader, routes, options, span, rule, pool)
+    joints = list(dict.fromkeys(o.joint for route in routes.values() for o in route.outputs if o.joint is not None))
+    if joints:
+        from .combine.joint import with_scans  # noqa: PLC0415  # few scans are made of several messages
+
+        outcomes = with_scans(outcomes, _arrivals, joints, pool)
     steps = 0
     unconnected = Unconnected(route.connection for route in routes.values() if route.convert is not None)
     # Closed before the pool is waited for, so that an error gives up what has not begun.
@@ -94,6 +100,8 @@ def stream(
         for outcome in outcomes:
             if isinstance(outcome, StoredChunk):
                 _write_chunk(outcome, routes, writer)
+            elif not isinstance(outcome, _Outcome):
+                _write_scan(outcome, writer, report, options.on_error, levels)
             else:
                 _write(outcome, writer, report, options.on_error, levels)
                 if unconnected.is_possible and outcome.route.convert is not None:
@@ -190,12 +198,15 @@ def _write(outcome: _Outcome, writer: Writer, report: Report, on_error: str, lev
         failed = error
         if failed is None:
             made = converted[output.place]
-            failed = made if isinstance(made, MessageError) else _write_one(made, output, outcome, writer, levels)
-        _count(output.report, failed)
+            if isinstance(made, MessageError):
+                failed = made
+            elif output.joint is None:
+                failed = _write_one(made, output, outcome, writer, levels)
+        _count(output.report, failed, is_written=output.joint is None)
         if failed is not None and all(failed.message != other.message for other in errors):
             errors.append(failed)
     for made in converted:
-        if not isinstance(made, MessageError) and made.sample is not None:
+        if isinstance(made, Converted) and made.sample is not None:
             made.sample.clouds.add(made.sample, made.counts)
     topic = route.connection.topic
     for each in errors:
@@ -203,6 +214,47 @@ def _write(outcome: _Outcome, writer: Writer, report: Report, on_error: str, lev
         if on_error == "fail":
             raise each
         report.list_skipped(Skipped(topic, log_time_ns, each.stamp_ns, each.message, each.hint or ""))
+
+
+def _arrivals(outcome: _Outcome | StoredChunk | MadeScan) -> tuple[int, int, list[Arrived]]:
+    """The log time of an outcome, its bytes, and what it has for scans of several messages."""
+    from .combine.joint import Arrived  # noqa: PLC0415  # few scans are made of several messages
+
+    if isinstance(outcome, StoredChunk):
+        return outcome.span_ns()[1], len(outcome.stored), []
+    assert isinstance(outcome, _Outcome)
+    found = []
+    for output in outcome.route.outputs:
+        if output.joint is not None and outcome.error is None:
+            made: Any = outcome.converted[output.place]
+            if not isinstance(made, MessageError):
+                found.append(Arrived(output.joint, output, made, outcome.sequence))
+    return outcome.log_time_ns, outcome.size, found
+
+
+def _write_scan(scan: MadeScan, writer: Writer, report: Report, on_error: str, levels: LevelFrames | None) -> None:
+    """Write a scan of several messages, and account for it."""
+    output, log_time_ns, stamp_ns, sequence, made = scan
+    error = made if isinstance(made, MessageError) else None
+    if not isinstance(made, MessageError):
+        try:
+            if levels is not None and made.level is not None:
+                levels.write(made.level, log_time_ns, log_time_ns, writer)
+            writer.write(output.handle, log_time_ns, made.data, log_time_ns, sequence)
+        except UnwritableError as err:
+            error = err
+        else:
+            _account(made, output)
+            output.report.messages_out += 1
+            if made.sample is not None:
+                made.sample.clouds.add(made.sample, made.counts)
+    if error is None:
+        return
+    error.topic = output.report.topic
+    if on_error == "fail":
+        raise error
+    output.report.skipped += 1
+    report.list_skipped(Skipped(error.topic, log_time_ns, error.stamp_ns or stamp_ns, error.message, error.hint or ""))
 
 
 def _write_one(
@@ -216,6 +268,12 @@ def _write_one(
         writer.write(output.handle, outcome.log_time_ns, made.data, outcome.publish_time_ns, outcome.sequence)
     except UnwritableError as err:
         return err
+    _account(made, output)
+    return None
+
+
+def _account(made: Converted, output: Output) -> None:
+    """Account for a message that was written."""
     output.sample = output.sample or made.data
     output.report.points += made.counts
     output.report.empty_scans += made.empty
@@ -223,10 +281,11 @@ def _write_one(
         output.report.motions.append(made.motion)
     if made.level is not None:
         output.report.tilts.append(made.level.tilt)
-    return None
+    if made.rebinned is not None:
+        output.report.count_rebinned(made.rebinned)
 
 
-def _count(entry: TopicReport, error: MessageError | None) -> None:
+def _count(entry: TopicReport, error: MessageError | None, *, is_written: bool = True) -> None:
     entry.messages_in += 1
-    entry.messages_out += error is None
+    entry.messages_out += error is None and is_written
     entry.skipped += error is not None

@@ -106,6 +106,30 @@ class Frames(NamedTuple):
             level.name, level_from_target if transform is None else level_from_target.compose(transform), level
         )
 
+    def from_fixed(self, fixed: str, frame_id: str, stamp_ns: int) -> tuple[str, Rigid]:
+        """Return the output's frame and the transform to it from a frame that does not move, at a scan's time.
+
+        Parameters
+        ----------
+        fixed
+            The frame that does not move.
+        frame_id
+            That of a message; it counts where there is no target frame.
+
+        Raises
+        ------
+        TransformError
+            As `place` does.
+        """
+        if self.buffer is None:
+            raise ValueError("a fixed frame needs transforms")
+        target = self.target_frame or self.source_frame or frame_id
+        transform = self.buffer.lookup(target, fixed, stamp_ns, self.tolerance_ns)
+        level = self.level(target, stamp_ns)
+        if level is None:
+            return target, transform
+        return level.name, level.frame_from_level.inverse().compose(transform)
+
     def level(self, frame: str, stamp_ns: int) -> Level | None:
         """Return the level frame of a frame at a stamp; None if messages are not converted in one.
 

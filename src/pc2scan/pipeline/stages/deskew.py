@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.placing import Frames
 
-__all__ = ["NO_TIME", "NO_TRANSFORM", "STAMPS", "Deskew", "Motion", "Moving", "PointTime"]
+__all__ = ["NO_TIME", "NO_TRANSFORM", "STAMPS", "Deskew", "Motion", "Moving", "PointTime", "Track"]
 
 #: Which time of a cloud its scan has.
 STAMPS = ("header", "start", "middle", "end")
@@ -184,6 +184,60 @@ class Moving(NamedTuple):
         return placed, ~np.isnan(coordinates[..., 0]) | np.isnan(x) | np.isnan(y) | np.isnan(z), lost
 
 
+class Track(NamedTuple):
+    """Where the sensor of a cloud was in a frame that does not move, while its points were measured.
+
+    Attributes
+    ----------
+    points
+        With their own times as the field `TIME`.
+    reference_ns
+        The time that a scan of this cloud alone has.
+    time_field, offset, unit, node_times, rows
+        See `Moving` and `MovingTransform`; the rows take points to the fixed frame.
+    gap_ns
+        The longest time that transforms were interpolated over.
+    """
+
+    points: Points
+    reference_ns: int
+    time_field: str
+    offset: float
+    unit: float
+    node_times: NDArray[np.float64]
+    rows: NDArray[np.float64]
+    gap_ns: int
+
+    def seen_from(
+        self,
+        target_from_fixed: Rigid,
+        reference: Rigid,
+        frame_id: str,
+        stamp_ns: int,
+        rows: NDArray[np.float64] | None = None,
+    ) -> Moving:
+        """Return the motion as seen from a frame at a scan's time.
+
+        Parameters
+        ----------
+        target_from_fixed
+            That frame, at the scan's time.
+        reference
+            target_from_sensor; how far the sensor moved is its distance from this.
+        frame_id, stamp_ns
+            The frame's name, and the scan's time.
+        rows
+            What is overwritten with the result: ``self.rows`` if nobody needs them any more; None: a copy.
+        """
+        rows = self.rows.copy() if rows is None else rows
+        any_time = np.zeros(len(rows), np.int64)
+        kernel.follow(any_time, any_time[:0], np.array([target_from_fixed.pose]), rows)
+        values = self.points.field(self.time_field)
+        transform = MovingTransform(values, self.offset, self.unit, self.node_times, rows)
+        motion = _motion(rows, reference, self.gap_ns)
+        return Moving(self.points, stamp_ns, transform, self.time_field, frame_id, motion)
+
+
 class Deskew:
     """Finds out where the points of clouds are at their own times. Two that do it alike are equal.
 
@@ -225,7 +279,30 @@ class Deskew:
         TransformError
             If there is no transform at the scan's time, or at none of the points' times.
         """
-        name = self._point_time.field_of(points)
+        track = self.track(points)
+        if track is None:
+            return None
+        buffer, tolerance_ns, reference_ns = self._known(), self._frames.tolerance_ns, track.reference_ns
+        source = self._frames.source_frame or points.frame_id
+        target, from_fixed = self._frames.from_fixed(self._fixed, points.frame_id, reference_ns)
+        reference = from_fixed.compose(buffer.lookup(self._fixed, source, reference_ns, tolerance_ns))
+        # Nobody else has the rows.
+        return track.seen_from(from_fixed, reference, target, reference_ns, track.rows)
+
+    def track(self, points: Points) -> Track | None:
+        """Look up where a cloud's sensor was in the fixed frame; None for a cloud without a point.
+
+        Points that have the field `TIME` were measured at these times: beams of a scan, which may all have the same.
+
+        Raises
+        ------
+        DecodeError
+            If its points have no times, or these cannot be.
+        TransformError
+            If there is no transform at any of the points' times.
+        """
+        given = TIME in points.fields
+        name = TIME if given else self._point_time.field_of(points)
         values = points.field(name)
         low, high, measured, unknown = kernel.span(points.field("x"), values)
         if not measured:
@@ -234,9 +311,12 @@ class Deskew:
             message = f"none of its points has a time: {name} is not finite"
             raise DecodeError(message, stamp_ns=points.stamp_ns, hint="another field may have it: `point_time=FIELD`")
         whole = values.dtype.kind in "iu"
-        offset, unit = offset_and_unit(low, high, points.stamp_ns, self._point_time.unit, whole=whole)
+        offset, unit = 0.0, 1.0
+        if not given:
+            offset, unit = offset_and_unit(low, high, points.stamp_ns, self._point_time.unit, whole=whole)
         low, high = (low - offset) * unit, (high - offset) * unit
-        self._check(name, low, high, several=measured > 1, stamp_ns=points.stamp_ns)
+        label = "time_increment" if given else name
+        self._check(label, low, high, several=measured > 1 and not given, stamp_ns=points.stamp_ns)
         stamp_ns = points.stamp_ns
         begin_ns = stamp_ns + math.floor(low * 1e9)
         end_ns = max(stamp_ns + math.ceil(high * 1e9), begin_ns + 1)
@@ -246,26 +326,20 @@ class Deskew:
             "middle": begin_ns + (end_ns - begin_ns) // 2,
             "end": end_ns,
         }[self._stamp]
-        buffer, tolerance_ns = self._frames.buffer, self._frames.tolerance_ns
-        if buffer is None:
-            raise ValueError("deskewing needs transforms")
+        buffer = self._known()
         source = self._frames.source_frame or points.frame_id
-        target = self._frames.target_frame or source
-        from_fixed = buffer.lookup(target, self._fixed, reference_ns, tolerance_ns)
-        level = self._frames.level(target, reference_ns)
-        if level is not None:
-            target, from_fixed = level.name, level.frame_from_level.inverse().compose(from_fixed)
-        reference = from_fixed.compose(buffer.lookup(self._fixed, source, reference_ns, tolerance_ns))
         step_ns = max(_STEP_NS, (end_ns - begin_ns) // _MOST_NODES)
         stamps_ns, rows, gap_ns = buffer.rows(self._fixed, source, begin_ns, end_ns, step_ns, _step_ns)
         if np.isnan(rows).all():
             _raise_why(buffer, self._fixed, source, begin_ns)
-        from_source_times = np.zeros(len(rows), np.int64)  # a transform that is valid at any time
-        kernel.follow(from_source_times, from_source_times[:0], np.array([from_fixed.pose]), rows)
         times = (stamps_ns - stamp_ns) / 1e9
-        transform = MovingTransform(values, offset, unit, times, rows)
-        timed = points.replace(_Times(points, name, offset, unit), points.frame_id)
-        return Moving(timed, reference_ns, transform, name, target, _motion(rows, reference, gap_ns))
+        timed = points if given else points.replace(_Times(points, name, offset, unit), points.frame_id)
+        return Track(timed, reference_ns, name, offset, unit, times, rows, gap_ns)
+
+    def _known(self) -> TransformBuffer:
+        if self._frames.buffer is None:
+            raise ValueError("deskewing needs transforms")
+        return self._frames.buffer
 
     def _check(self, name: str, low: float, high: float, *, several: bool, stamp_ns: int) -> None:
         """Refuse times that cannot be."""

@@ -1,0 +1,66 @@
+"""The beams of LaserScans as points, each with the time at which it was measured."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from pc2scan.core.layout import float32
+from pc2scan.core.points import TIME, Points
+from pc2scan.core.unproject import unproject
+from pc2scan.errors import DecodeError
+
+if TYPE_CHECKING:
+    from .laserscan import LaserScan
+
+__all__ = ["Beams", "beams_of"]
+
+
+class Beams(NamedTuple):
+    """The returns of a LaserScan.
+
+    Attributes
+    ----------
+    points
+        In the plane z = 0 of the scan's frame, as laser_geometry places them: float32 ``x``, ``y``, ``z``, and
+        ``intensity`` if the scan has intensities; ``index``, the number of the beam, int32; and `TIME`.
+    total
+        Beams of the scan.
+    rejected
+        How many of them are no points, by the projection's reasons: ``nan``, and ``range``: infinite, below
+        ``range_min``, or ``range_max`` and more.
+    """
+
+    points: Points
+    total: int
+    rejected: dict[str, int]
+
+
+def beams_of(scan: LaserScan) -> Beams:
+    """Return the returns of a scan.
+
+    Raises
+    ------
+    DecodeError
+        If its angles are not finite, or it has intensities, but not one for each range.
+    """
+    try:
+        found = unproject(
+            scan.ranges,
+            scan.intensities,
+            angle_min=scan.angle_min,
+            angle_increment=scan.angle_increment,
+            range_min=scan.range_min,
+            range_max=scan.range_max,
+        )
+    except DecodeError as err:
+        err.stamp_ns = scan.stamp_ns
+        raise
+    fields = {name: np.ascontiguousarray(found.points[name]) for name in found.points.dtype.names or ()}
+    with np.errstate(all="ignore"):
+        fields[TIME] = found.beams * np.float64(float32(scan.time_increment))
+    rejected = found.rejected
+    beyond = rejected.infinite + rejected.below_min + rejected.beyond_max
+    points = Points(scan.sequence, scan.stamp_ns, scan.frame_id, fields)
+    return Beams(points, found.beam_count, {"nan": rejected.nan, "range": beyond})

@@ -1,0 +1,1 @@
+"""One scan of several messages: which of them belong together, and the projection of all their points."""

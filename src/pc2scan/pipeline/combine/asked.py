@@ -1,0 +1,108 @@
+"""What is asked for about scans of several messages."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from datetime import timedelta
+from numbers import Real
+from typing import TypeAlias
+
+from pc2scan.core.quantities import EXAMPLES, quantity
+from pc2scan.errors import UsageError
+
+__all__ = ["Combining", "Duration"]
+
+#: Seconds, text with or without a unit, or a timedelta.
+Duration: TypeAlias = "str | float | timedelta"
+
+#: No scan is made of more, seconds and messages.
+_LONGEST = 86_400.0
+_MOST = 100_000
+
+_CLOUDS = re.compile(r"(\d+) ?(?:clouds?|scans?|messages?)")
+
+
+@dataclass(frozen=True, slots=True)
+class Combining:
+    """Which messages become one scan.
+
+    Attributes
+    ----------
+    lead
+        The topic whose stamps the scans have; empty: the first one that is named.
+    window_ns
+        How far stamps of other topics may be from the leading one's; None: half the median period.
+    span_ns, count
+        A scan has all points of so many nanoseconds, or of so many messages of each topic; 0: of one message.
+    every_ns
+        One scan for each interval of so many nanoseconds; 0: one for each message of the leading topic.
+    rebin
+        Whether LaserScans are converted instead of clouds.
+    """
+
+    lead: str = ""
+    window_ns: int | None = None
+    span_ns: int = 0
+    count: int = 0
+    every_ns: int = 0
+    rebin: bool = False
+
+    @classmethod
+    def of(
+        cls,
+        *,
+        lead: str = "",
+        window: Duration | None = None,
+        accumulate: Duration | None = None,
+        every: Duration | None = None,
+        rebin: bool = False,
+    ) -> Combining:
+        """Read what a user writes.
+
+        Parameters
+        ----------
+        accumulate
+            A time, or a number of clouds as ``10clouds``.
+
+        Raises
+        ------
+        UsageError
+            If something cannot be read, or cannot be.
+        """
+        count = span_ns = 0
+        if isinstance(accumulate, str) and (written := _CLOUDS.fullmatch(accumulate.strip())):
+            count = int(written[1])
+            if not 1 <= count <= _MOST:
+                raise UsageError(f"`accumulate` is {accumulate!r}, it must be 1 to {_MOST:,} clouds")
+        elif accumulate is not None:
+            span_ns = _nanoseconds("accumulate", accumulate, "; or a number of clouds (10clouds)")
+        every_ns = 0 if every is None else _nanoseconds("every", every)
+        if every_ns and not count:
+            span_ns = span_ns or every_ns
+        window_ns = None if window is None else _nanoseconds("window", window)
+        return cls(lead, window_ns, span_ns, count, every_ns, rebin)
+
+    @property
+    def accumulates(self) -> bool:
+        """Whether scans are made of several messages of one topic."""
+        return bool(self.span_ns or self.count)
+
+
+def _nanoseconds(name: str, value: Duration, more: str = "") -> int:
+    """Read a time."""
+    seconds: float | None
+    if isinstance(value, str):
+        seconds = quantity(value, "s")
+    elif isinstance(value, timedelta):
+        seconds = value.total_seconds()
+    elif isinstance(value, Real) and not isinstance(value, bool):
+        seconds = float(value)
+    else:
+        seconds = None
+    if seconds is None:
+        raise UsageError(f"`{name}` is {value!r}, which is not a time", hint=EXAMPLES["s"] + more)
+    if not (math.isfinite(seconds) and 1e-9 <= seconds <= _LONGEST):
+        raise UsageError(f"`{name}` is {value!r}, it must be more than 0 and at most {_LONGEST:g} s")
+    return round(seconds * 1e9)

@@ -1,0 +1,356 @@
+"""Scans of several messages: what is done with each message by itself, and with those that belong together.
+
+A message is decoded, filtered and copied on whichever thread has it: what is left are its points, and where its sensor
+was. Which messages belong together is decided in their order. The points of these are then placed, as seen at the
+scan's time, and projected, again on any thread.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from pc2scan.core.counts import PointCounts
+from pc2scan.core.layout import TURN
+from pc2scan.core.params import ProjectionParams
+from pc2scan.core.points import Points
+from pc2scan.core.project import Part, Projector
+from pc2scan.core.rigid import Rigid
+from pc2scan.messages.beams import beams_of
+from pc2scan.messages.clouds import CLOUDS
+from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
+from pc2scan.messages.outputs import OF_CLOUDS
+from pc2scan.messages.pointcloud2 import POINTCLOUD2
+from pc2scan.pipeline.conversion import Conversion, Result
+from pc2scan.pipeline.stages.deskew import Motion
+from pc2scan.pipeline.stages.filters import Frame
+from pc2scan.pipeline.stages.select import Select
+from pc2scan.tf.placing import Placement
+
+from .rebinned import rebinned
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Set as AbstractSet
+
+    from numpy.typing import NDArray
+
+    from pc2scan.core.moving import MovingTransform
+    from pc2scan.model import Buffer
+    from pc2scan.pipeline.conversion import Converted, Measured, Step
+    from pc2scan.pipeline.first_clouds import Sample, TopicClouds
+    from pc2scan.pipeline.scan_spec import ScanSpec
+    from pc2scan.pipeline.stages.deskew import Deskew, Track
+    from pc2scan.tf.placing import Frames, Level
+
+    from .matching import Grouper
+    from .rebinned import Rebinned
+
+__all__ = ["CombineToScan", "Prepared"]
+
+#: Bytes that a message takes besides its arrays.
+_OVERHEAD = 2_000
+
+_DEFAULTS = ProjectionParams()
+
+#: The transform that changes nothing.
+_NOWHERE = Rigid.identity()
+
+
+class Prepared(NamedTuple):
+    """A message on its way to a scan that may have others in it.
+
+    Attributes
+    ----------
+    source
+        The number of its topic.
+    stamp_ns, reference_ns
+        Its stamp, and the time of the scan if it leads.
+    points
+        Those that were not rejected, in the sensor's frame; with `TIME` if ``track`` is there.
+    frame_id
+        The scan's frame, if it leads.
+    mount
+        target_from_source at its stamp; None if both are the same. The target frame is not made level.
+    target_from_fixed, fixed_from_source
+        The former at the scan's time, of a target frame that is made level, if it leads; None without a fixed frame.
+    track
+        Where its sensor was while it was measured; None if it is not deskewed.
+    level
+        The scan's frame, if it leads and that is made level.
+    rejected
+        How many points were rejected so far, by reason.
+    flat
+        Whether it is a LaserScan.
+    sample
+        For `FirstClouds`, while it wants any.
+    size
+        Bytes that it holds.
+    """
+
+    source: int
+    stamp_ns: int
+    reference_ns: int
+    points: Points
+    frame_id: str
+    mount: Rigid | None
+    target_from_fixed: Rigid | None
+    fixed_from_source: Rigid | None
+    track: Track | None
+    level: Level | None
+    rejected: Mapping[str, int]
+    flat: bool
+    sample: Sample | None
+    size: int
+
+
+class CombineToScan(Conversion):
+    """Several messages to one scan.
+
+    Parameters
+    ----------
+    spec
+        What is asked for.
+    topics
+        The sources; the first one leads.
+    frames
+        The recording's transforms.
+    measured
+        What was measured of the leading topic.
+    grouper
+        Makes what decides which messages belong together; None: each message is a scan by itself.
+    deskew
+        What places points at their own times; None: all points of a message are placed at its stamp.
+    first_clouds
+        Returns what judges the first clouds of a topic; None if nobody does.
+    """
+
+    def __init__(
+        self,
+        spec: ScanSpec,
+        topics: Sequence[str],
+        frames: Frames,
+        measured: Measured,
+        grouper: Callable[[], Grouper[Prepared]] | None,
+        deskew: Deskew | None = None,
+        first_clouds: Callable[[str], TopicClouds] | None = None,
+    ) -> None:
+        params = _resolved(spec.params, measured)
+        super().__init__(spec.made_type, OF_CLOUDS[spec.made_type], 0)
+        self.spec = spec
+        self.topics = tuple(topics)
+        self.grouper = grouper
+        self._frames = frames
+        self._measured = measured
+        self._deskew = deskew
+        self._first_clouds = first_clouds
+        self._params = params
+        self._projector = Projector(params)
+        self._no_returns = np.full(params.length, params.empty_range, np.float32).tobytes()
+        with np.errstate(over="ignore"):
+            self._range_max = float(np.float32(params.range_max))
+        late = tuple(each for each in spec.filters if each.frame is Frame.TARGET)
+        early = tuple(each for each in spec.filters if each.frame is not Frame.TARGET)
+        self._early = Select(early, frames) if early else None
+        self._late = Select(late, frames) if late else None
+        self._intensity = params.intensity_field or ("intensity" if spec.combining.rebin else "")
+        self._kept = {"x", "y", "z", self._intensity, *(field for each in late for field in each.fields)}
+        #: The smallest positive number: upstream's default is meant for clouds, and would reject every beam of a scan.
+        self._any_height = params.min_height == _DEFAULTS.min_height
+
+    def decoder(self, source: str, source_type: str) -> Callable[[Buffer], Any]:
+        """Return what decodes clouds or scans; see `Conversion`."""
+        if source_type == LASERSCAN:
+            return lambda data: decode_laserscan(data, source)
+        return CLOUDS[source_type or POINTCLOUD2](source)
+
+    def stages(self, topic: str) -> tuple[Step, ...]:
+        """Return what prepares the messages of a topic; where each is a scan by itself, what projects it too."""
+        firsts = None if self._first_clouds is None else self._first_clouds(topic)
+        number = self.topics.index(topic)
+
+        def prepare(message: Points | LaserScan) -> Prepared:
+            return self._prepared(number, firsts, message)
+
+        return (prepare,) if self.grouper is not None else (prepare, self.alone)
+
+    def encoder(self, target: str) -> Callable[[Any], Any]:
+        """Return what serialises scans; nothing is serialised before messages are put together."""
+        return super().encoder(target) if self.grouper is None else _as_it_is
+
+    def encoded(self, lead: Prepared, members: Sequence[Prepared], target: str) -> Converted:
+        """Make the scan of messages that belong together, and serialise it as ``ros1`` or ``cdr``."""
+        return super().encoder(target)(self.scan(lead, members))
+
+    def alone(self, prepared: Prepared) -> Result:
+        """Make the scan of one message."""
+        return self.scan(prepared, (prepared,))
+
+    def _prepared(self, number: int, firsts: TopicClouds | None, message: Points | LaserScan) -> Prepared:
+        flat = isinstance(message, LaserScan)
+        rejected: dict[str, int] = {}
+        if isinstance(message, LaserScan):
+            points, _, rejected = beams_of(message)
+        else:
+            points = message
+        stamp_ns, frames = points.stamp_ns, self._frames
+        source, frame_id = frames.source_frame or points.frame_id, points.frame_id
+        target = frames.target_frame or source
+        mount = frames.transform(target, frame_id, stamp_ns) if frames.target_frame else None
+        sample = None
+        if not flat and number == 0 and firsts is not None and not firsts.full:
+            sample = firsts.sample(points, frames.place(frame_id, stamp_ns))
+        track = None if self._deskew is None else self._deskew.track(points)
+        reference_ns = stamp_ns if track is None else track.reference_ns
+        points = points if track is None else track.points
+        target_from_fixed = fixed_from_source = level = None
+        fixed = self.spec.fixed_frame
+        if fixed and track is None and frames.buffer is not None:
+            fixed_from_source = frames.buffer.lookup(fixed, source, stamp_ns, frames.tolerance_ns)
+        if number == 0:
+            if fixed:
+                _, target_from_fixed = frames.from_fixed(fixed, frame_id, reference_ns)
+            level = frames.level(target, reference_ns)
+        if self._early is not None:
+            # Filters in the target frame see the points where the scan shows them.
+            selected = self._early.apply(points, Placement("", None))
+            points = selected.points
+            rejected |= selected.rejected
+        if not flat and self._intensity:
+            points.field(self._intensity)
+        kept = self._kept | ({track.time_field} if track is not None else set()) | ({"index"} if flat else set())
+        points = _owned(points, kept)
+        size = _OVERHEAD + sum(values.nbytes for values in points.fields.values())
+        return Prepared(
+            number,
+            stamp_ns,
+            reference_ns,
+            points,
+            target if level is None else level.name,
+            mount,
+            target_from_fixed,
+            fixed_from_source,
+            track,
+            level,
+            rejected,
+            flat,
+            sample,
+            size,
+        )
+
+    def scan(self, lead: Prepared, members: Sequence[Prepared]) -> Result:
+        """Make the scan of messages that belong together.
+
+        Parameters
+        ----------
+        lead
+            Its reference is the scan's time.
+        members
+            In their order.
+
+        Returns
+        -------
+        Result
+            All points that were not rejected are in it, or behind closer ones.
+        """
+        rejected = PointCounts()
+        parts: list[Part] = []
+        motions: list[Motion] = []
+        beams: list[tuple[Part, NDArray[np.int32]]] = []
+        for member in members:
+            points, transform, found, motion = self._placed(lead, member)
+            rejected += PointCounts(sum(found.values()), **found)
+            if motion is not None:
+                motions.append(motion)
+            values = points.field(self._intensity) if self._intensity in points.fields else None
+            by_height = not (member.flat and self._any_height)
+            moved = transform.as_float32() if isinstance(transform, Rigid) else transform
+            parts.append(Part(*points.xyz(), moved, values, any_height=not by_height))
+            if member.flat:
+                beams.append((parts[-1], points.field("index")))
+        scan = self._projector.together(parts)
+        layout = self._params.layout
+        message = LaserScan(
+            lead.points.sequence,
+            lead.reference_ns,
+            lead.frame_id,
+            layout.angle_min,
+            layout.angle_max,
+            layout.angle_increment,
+            self._measured.time_increment,
+            self._measured.scan_time,
+            self._params.range_min,
+            self._range_max,
+            scan.ranges,
+            scan.intensities,
+        )
+        empty = scan.ranges.tobytes() == self._no_returns
+        largest = Motion(*map(max, zip(*motions, strict=True))) if motions else None
+        shared = self._rebinned(beams) if len(beams) == len(members) else None
+        level = None if lead.level is None else lead.level.at(lead.reference_ns)
+        return Result(message, scan.counts + rejected, empty, largest, lead.sample, level, shared)
+
+    def _placed(
+        self, lead: Prepared, member: Prepared
+    ) -> tuple[Points, Rigid | MovingTransform | None, Mapping[str, int], Motion | None]:
+        """The points of a member, the transform that is still to be applied, what was rejected, and the motion."""
+        mount = member.mount
+        if lead.level is not None:
+            level_from_target = lead.level.frame_from_level.inverse()
+            mount = level_from_target if mount is None else level_from_target.compose(mount)
+        transform, moving = mount, None
+        motion: Motion | None = None
+        if lead.target_from_fixed is not None and member.track is not None:
+            track = member.track._replace(points=member.points)
+            moving = track.seen_from(lead.target_from_fixed, mount or _NOWHERE, lead.frame_id, lead.reference_ns)
+            motion = moving.motion
+        elif lead.target_from_fixed is not None and member.fixed_from_source is not None:
+            # At one time the transform is that between the two frames, to the bit.
+            if member.stamp_ns != lead.reference_ns:
+                transform = lead.target_from_fixed.compose(member.fixed_from_source)
+            motion = _moved(transform, mount)
+        if self._late is None:
+            return member.points, transform if moving is None else moving.transform, member.rejected, motion
+        selected = self._late.apply(member.points, Placement(lead.frame_id, transform), moving)
+        rejected = {**member.rejected, **selected.rejected}
+        return selected.points, selected.motion or selected.target_from_source, rejected, motion
+
+    def _rebinned(self, beams: Sequence[tuple[Part, NDArray[np.int32]]]) -> Rebinned:
+        found = []
+        for part, numbers in beams:
+            bins, used = self._projector.bins(part)
+            found.append((bins, numbers[used]))
+        layout = self._params.layout
+        # Upstream's beams know nothing of neighbours at the ends of a circle, but its points do.
+        around = layout.full_circle or layout.angle_max - layout.angle_min > TURN - 2 * layout.angle_increment
+        return rebinned(found, layout.count, full_circle=around)
+
+
+def _as_it_is(prepared: Prepared) -> Prepared:
+    return prepared
+
+
+def _resolved(params: ProjectionParams, measured: Measured) -> ProjectionParams:
+    """The parameters with as many beams as were measured."""
+    if params.beams != "auto":
+        return params
+    step = measured.azimuth_step
+    return params.at_resolution(step) if step else replace(params, beams=0)
+
+
+def _owned(points: Points, names: AbstractSet[str]) -> Points:
+    """The points with copies of some of their fields: what they are views of may be used again."""
+    fields = {name: np.array(points.field(name)).reshape(-1) for name in points.fields if name in names}
+    return Points(points.sequence, points.stamp_ns, points.frame_id, fields)
+
+
+def _moved(transform: Rigid | None, mount: Rigid | None) -> Motion:
+    """How far a sensor was from where it is mounted."""
+    one, other = transform or _NOWHERE, mount or _NOWHERE
+    turned = abs(float(one.quaternion @ other.quaternion))
+    norms = math.sqrt(float(one.quaternion @ one.quaternion) * float(other.quaternion @ other.quaternion))
+    distance = float(np.linalg.norm(one.translation - other.translation))
+    return Motion(distance, 2 * math.acos(min(1.0, turned / norms)) if norms else 0.0)

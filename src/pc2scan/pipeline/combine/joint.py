@@ -1,0 +1,172 @@
+"""Scans of several messages in the stream of a conversion: put together in order, made on any thread, written in order.
+
+A scan has the log time of the message with which it became certain what it is made of: a node would have published it
+then. So the destination is as sorted as it is without such scans.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+
+from pc2scan.errors import MessageError
+from pc2scan.threads import InOrder
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Generator, Iterable
+
+    from pc2scan.pipeline.conversion import Converted
+    from pc2scan.pipeline.report import TopicReport
+    from pc2scan.threads import Threads
+
+    from .conversion import CombineToScan, Prepared
+    from .matching import Entry, Group
+
+__all__ = ["Arrived", "Joint", "MadeScan", "with_scans"]
+
+Outcome = TypeVar("Outcome")
+
+#: So much may wait for each thread to be written.
+_AHEAD_BYTES = 12 << 20
+
+
+class Arrived(NamedTuple):
+    """A message for a scan: prepared, where the scan goes if it leads (the route's output), and its sequence number."""
+
+    joint: Joint
+    output: Any
+    prepared: Prepared
+    sequence: int
+
+
+class MadeScan(NamedTuple):
+    """A scan to be written, or why there is none; ``output`` is that of the message that leads it."""
+
+    output: Any
+    log_time_ns: int
+    stamp_ns: int
+    sequence: int
+    made: Converted | MessageError
+
+
+class Joint:
+    """Topics whose messages become scans together, as they are read.
+
+    Parameters
+    ----------
+    conversion
+        What is done.
+    serialization
+        Of the scans: ``ros1`` or ``cdr``.
+
+    Attributes
+    ----------
+    reports
+        The report's entries of the topics, by number: each has what all publishers of one topic share.
+    """
+
+    def __init__(self, conversion: CombineToScan, serialization: str) -> None:
+        if conversion.grouper is None:
+            raise ValueError("each message is a scan by itself")
+        self.reports: dict[int, TopicReport] = {}
+        self._conversion = conversion
+        self._serialization = serialization
+        self._grouper = conversion.grouper()
+
+    def add(self, arrived: Arrived, log_time_ns: int) -> list[Group[Any]]:
+        """Take a message; return what is complete."""
+        prepared = arrived.prepared
+        return self._grouper.add(prepared.source, prepared.stamp_ns, log_time_ns, prepared.size, arrived)  # type: ignore[arg-type]
+
+    def finish(self) -> list[Group[Any]]:
+        """Return what is left, and fill in the report."""
+        groups: list[Group[Any]] = self._grouper.finish()
+        for number, entry in self.reports.items():
+            entry.joined = self._grouper.counts[number]
+            if number:
+                entry.messages_out = entry.joined.used
+        return groups
+
+    def make(self, group: Group[Arrived], log_time_ns: int) -> MadeScan:
+        """Make a scan; on any thread."""
+        lead: Entry[Arrived] = group.lead
+        output, prepared, sequence = lead.item.output, lead.item.prepared, lead.item.sequence
+        made: Converted | MessageError
+        try:
+            members = [member.item.prepared for member in group.members]
+            made = self._conversion.encoded(prepared, members, self._serialization)
+        except MessageError as err:
+            made = err
+        return MadeScan(output, log_time_ns, prepared.stamp_ns, sequence, made)
+
+    def alone(self, prepared: Prepared) -> Converted:
+        """Make the scan of one message, as if there were no other; for forecasts."""
+        return self._conversion.encoded(prepared, (prepared,), self._serialization)
+
+
+def with_scans(
+    outcomes: Iterable[Outcome],
+    arrivals: Callable[[Outcome], tuple[int, int, Iterable[Arrived]]],
+    joints: Iterable[Joint],
+    threads: Threads | None,
+) -> Generator[Outcome | MadeScan]:
+    """Add the scans of several messages to what becomes of each.
+
+    Parameters
+    ----------
+    outcomes
+        In the order of writing.
+    arrivals
+        Returns the log time and the bytes of an outcome, and what it has for scans.
+    joints
+        All of them.
+    threads
+        What makes the scans, or None for the caller alone. The scans are the same.
+
+    Yields
+    ------
+    Outcome | MadeScan
+        Each scan follows the outcome with which it is complete.
+    """
+    if threads is None:
+        yield from (work() for work, _, _ in _work(outcomes, arrivals, joints))
+        return
+    queue: InOrder[Any] = InOrder(threads, _AHEAD_BYTES, threads.jobs + 1)
+    try:
+        for work, size, is_scan in _work(outcomes, arrivals, joints):
+            while len(queue) and (queue.is_ready() or not queue.has_room(size)):
+                yield queue.take()
+            queue.put(work, size, at_its_turn=not is_scan)
+        while len(queue):
+            yield queue.take()
+    finally:
+        queue.cancel()
+
+
+def _work(
+    outcomes: Iterable[Outcome],
+    arrivals: Callable[[Outcome], tuple[int, int, Iterable[Arrived]]],
+    joints: Iterable[Joint],
+) -> Generator[tuple[Callable[[], Outcome | MadeScan], int, bool]]:
+    """What is to be done in order, the bytes of it, and whether it makes a scan."""
+    latest_ns = 0
+    for outcome in outcomes:
+        log_time_ns, size, found = arrivals(outcome)
+        latest_ns = max(latest_ns, log_time_ns)
+        arrived = list(found)
+        yield partial(_same, outcome), size, False
+        del outcome
+        for each in arrived:
+            for group in each.joint.add(each, log_time_ns):
+                yield partial(each.joint.make, group, log_time_ns), _size(group), True
+    for joint in joints:
+        for group in joint.finish():
+            yield partial(joint.make, group, latest_ns), _size(group), True
+
+
+def _same(outcome: Outcome) -> Outcome:
+    return outcome
+
+
+def _size(group: Group[Arrived]) -> int:
+    return sum(member.size for member in group.members)

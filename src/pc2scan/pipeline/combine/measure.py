@@ -1,0 +1,223 @@
+"""What is found out before messages are put together: how often they come, and whether they have one clock."""
+
+from __future__ import annotations
+
+import math
+import statistics
+from contextlib import closing
+from functools import partial
+from itertools import islice
+from typing import TYPE_CHECKING, NamedTuple
+
+from pc2scan.core.timing import median_interval_ns
+from pc2scan.errors import MessageError, ParameterError, UsageError, name_list
+from pc2scan.messages.clouds import CLOUDS
+from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
+from pc2scan.pipeline.conversion import Measured
+from pc2scan.pipeline.measure import FIRST_CLOUDS, measure
+
+from .matching import Intervals, Nearest, Recent
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from pc2scan.bags.reader import Reader
+    from pc2scan.model import Connection
+    from pc2scan.pipeline.plan import Combination
+    from pc2scan.tf.placing import Frames
+
+    from .conversion import Prepared
+    from .matching import Grouper
+
+__all__ = ["measured"]
+
+#: Half a period, nanoseconds, where there are no two stamps to measure one between.
+_HALF_PERIOD_NS = 50_000_000
+
+#: Stamps that are so far from the log times, compared with those of another topic, are of another clock.
+_OTHER_CLOCK_NS = 500_000_000
+
+#: The fields that the beams of a LaserScan have.
+_BEAM_FIELDS = ("x", "y", "z", "intensity", "index")
+
+
+class _Firsts(NamedTuple):
+    """The first messages of a topic: their stamps, from these to the log times, and the increments of LaserScans."""
+
+    stamps: list[int]
+    delays: list[int]
+    increments: list[float]
+
+    @property
+    def period_ns(self) -> int | None:
+        """The median interval."""
+        return median_interval_ns(self.stamps)
+
+
+def measured(
+    reader: Reader,
+    combination: Combination,
+    connections: Sequence[Connection],
+    frames: Frames,
+    start_ns: int | None,
+    stop_ns: int | None,
+) -> tuple[Measured, Callable[[], Grouper[Prepared]] | None, list[str], list[str]]:
+    """Find out what scans of several messages need.
+
+    Parameters
+    ----------
+    connections
+        Those of the combination.
+    start_ns, stop_ns
+        The cut, by log time; None: no limit.
+
+    Returns
+    -------
+    Measured
+        What the scans have of the leading topic.
+    callable
+        Makes what decides which messages belong together; None: each message is a scan by itself.
+    list of str, list of str
+        Notes and warnings.
+
+    Raises
+    ------
+    ParameterError
+        If a field is missing, or what is ``auto`` cannot be measured.
+    UsageError
+        If the topics have stamps of different clocks.
+    """
+    spec, topics = combination.spec, combination.sources
+    asked, params = spec.combining, spec.params
+    notes: list[str] = []
+    own = {topic: [each for each in connections if each.topic == topic] for topic in topics}
+    clouds = {topic: [each for each in found if each.ros_type != LASERSCAN] for topic, found in own.items()}
+    timing: Mapping[str, Measured] = {}
+    if spec.needs_measuring:
+        others = [each for found in clouds.values() for each in found]
+        timing, notes = measure(reader, others, spec, frames, start_ns, stop_ns)
+        kept = [note for note in notes if note.startswith(f"{topics[0]}: ")]
+        notes = kept
+    flat = [topic for topic in topics if len(clouds[topic]) < len(own[topic])]
+    if flat:
+        _require_fields(flat, combination)
+    wanted = len(topics) > 1 or asked.every_ns or (flat and "auto" in (params.scan_time, params.beams))
+    firsts = {topic: _firsts(reader, found, start_ns, stop_ns) for topic, found in own.items()} if wanted else {}
+    lead = firsts.get(topics[0])
+    found = timing.get(topics[0]) or _of_scans(combination, lead, notes)
+    if asked.every_ns and spec.origins.get("scan_time", "default") == "default":
+        found = Measured(asked.every_ns / 1e9, found.time_increment, 0, found.azimuth_step)
+    warnings: list[str] = []
+    if asked.every_ns:
+        begin_ns = 0
+        if lead is not None and lead.stamps:
+            # The first message is not at the edge of its interval, where a jitter would move others to the next one.
+            begin_ns = min(lead.stamps) - (lead.period_ns or 0) // 2
+        grouper = partial(Intervals, len(topics), asked.every_ns, begin_ns, asked.span_ns, asked.count)
+        return found, grouper, notes, _clocks(firsts, topics, None)
+    if asked.accumulates:
+        return found, partial(Recent, len(topics), asked.span_ns, asked.count), notes, _clocks(firsts, topics, None)
+    if len(topics) == 1:
+        return found, None, notes, warnings
+    windows = _windows(firsts, topics, asked.window_ns)
+    warnings = _clocks(firsts, topics, windows)
+    joined = ", ".join(
+        f"{topic} (within {window / 1e9:.4g} s)" for topic, window in zip(topics[1:], windows[1:], strict=True)
+    )
+    notes.append(f"{combination.target}: has the stamps of {topics[0]}, and the nearest messages of {joined}")
+    return found, partial(Nearest, windows), notes, warnings
+
+
+def _firsts(reader: Reader, connections: Sequence[Connection], start_ns: int | None, stop_ns: int | None) -> _Firsts:
+    """Look at the first messages of a topic."""
+    decoders = {
+        each.id: partial(decode_laserscan, serialization=each.serialization)
+        if each.ros_type == LASERSCAN
+        else CLOUDS[each.ros_type](each.serialization)
+        for each in connections
+    }
+    found = _Firsts([], [], [])
+    with closing(reader.messages(connections, start_ns, stop_ns)) as messages:
+        for message in islice(messages, FIRST_CLOUDS):
+            try:
+                decoded = decoders[message.connection.id](message.data)
+            except MessageError:
+                # What cannot be decoded is reported when its turn to be converted comes.
+                continue
+            found.stamps.append(decoded.stamp_ns)
+            found.delays.append(message.log_time_ns - decoded.stamp_ns)
+            if isinstance(decoded, LaserScan):
+                found.increments.append(abs(decoded.angle_increment))
+    return found
+
+
+def _windows(firsts: Mapping[str, _Firsts], topics: Sequence[str], window_ns: int | None) -> list[int]:
+    """How far the stamps of each topic may be away: half the longer one of its period and the leading one's."""
+    if window_ns is not None:
+        return [window_ns] * len(topics)
+    periods = [firsts[topic].period_ns or 2 * _HALF_PERIOD_NS for topic in topics]
+    return [max(period, periods[0]) // 2 for period in periods]
+
+
+def _clocks(firsts: Mapping[str, _Firsts], topics: Sequence[str], windows: Sequence[int] | None) -> list[str]:
+    """Compare the clocks of the topics: warnings, or an error where no stamps would match."""
+    warnings = []
+    lead = firsts.get(topics[0])
+    for number, topic in enumerate(topics[1:], 1):
+        own = firsts.get(topic)
+        if lead is None or own is None or not lead.stamps or not own.stamps:
+            continue
+        behind_ns = statistics.median_low(own.delays) - statistics.median_low(lead.delays)
+        window_ns = 0 if windows is None else windows[number]
+        if abs(behind_ns) <= max(_OTHER_CLOCK_NS, window_ns):
+            continue
+        how = f"{abs(behind_ns) / 1e9:.4g} s {'behind' if behind_ns > 0 else 'ahead of'}"
+        said = f"the stamps of {topic} are {how} those of {topics[0]}, compared with their log times"
+        apart = max(lead.stamps) + window_ns < min(own.stamps) or max(own.stamps) + window_ns < min(lead.stamps)
+        if apart and windows is not None:
+            raise UsageError(
+                f"{said}: they are of different clocks, and none is within the window of {window_ns / 1e9:.4g} s",
+                hint=f"convert them to scans of their own: `topics={topic}:=/scan_2`; or `window="
+                f"{math.ceil(abs(behind_ns) / 1e8) / 10:g}`, if the robot did not move",
+            )
+        warnings.append(f"{said}: if their clocks differ, a scan has what was measured that far apart")
+    return warnings
+
+
+def _of_scans(combination: Combination, lead: _Firsts | None, notes: list[str]) -> Measured:
+    """What scans have if the leading topic has scans, or no messages."""
+    params, topic = combination.spec.params, combination.sources[0]
+    scan_time, step = params.scan_time, 0.0
+    if scan_time == "auto":
+        period_ns = None if lead is None else lead.period_ns
+        scan_time = (period_ns or 0) / 1e9
+        notes.append(f"{topic}: scan_time is {scan_time:.6g} s, the median interval of its first stamps")
+    if params.beams == "auto":
+        known = [each for each in lead.increments if 0 < each < math.inf] if lead is not None else []
+        if not known:
+            raise ParameterError(
+                f"beams is auto, but no scan on {topic} has an angle_increment",
+                name="beams",
+                hint="give a number of `beams`, or an `angle_increment`",
+            )
+        step = statistics.median_low(known)
+        count = params.at_resolution(step).layout.count
+        notes.append(f"{topic}: beams is {count:,}: the scans have one every {math.degrees(step):.4g} deg")
+    return Measured(scan_time, 0.0, 0, step)
+
+
+def _require_fields(flat: Sequence[str], combination: Combination) -> None:
+    """Refuse fields that the beams of scans do not have."""
+    spec = combination.spec
+    name = spec.params.intensity_field
+    asked = [("intensity_field", f"intensity_field is {name!r}", name)] if name else []
+    asked += [
+        (each.name, f"`{each.name}` needs the field {field!r}", field) for each in spec.filters for field in each.fields
+    ]
+    for option, request, field in asked:
+        if field not in _BEAM_FIELDS:
+            raise ParameterError(
+                f"{request}, which the scans on {name_list(flat)} do not have",
+                name=option,
+                hint="the beams of a LaserScan have intensity, index, x and y",
+            )

@@ -1,0 +1,271 @@
+"""Scans of several messages in the simulated world, by the real command: every return is on the wall that it hit."""
+
+from __future__ import annotations
+
+import json
+from contextlib import closing
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import pytest
+
+from e2e.command import run
+from moving_world import BEGIN_NS, Drive, Lidar, off_the_walls, returns_in_odom, write_world
+from pc2scan.bags.opening import open_recording
+from pc2scan.core.rigid import Rigid
+from pc2scan.messages.laserscan import LaserScan, decode_laserscan
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+DRIVE = Drive()
+STILL = Drive(0.0, 0.0)
+FRONT = Lidar("/front", "front", Rigid.from_rpy(0.0, 0.0, 0.0, (0.4, 0.0, 0.5)))
+REAR = Lidar("/rear", "rear", Rigid.from_rpy(0.0, 0.0, 3.0, (-0.4, 0.1, 0.6)), phase=0.037)
+TOP = Lidar("/top", "top", Rigid.from_rpy(0.0, 0.02, 1.0, (0.0, 0.0, 0.9)), period=0.05, phase=0.011)
+FLAT = Lidar("/flat", "flat", Rigid.from_rpy(0.0, 0.0, -1.2, (0.1, -0.3, 0.4)), kind="flat", phase=0.061, columns=1440)
+
+#: Fine beams, whose middles are where the message says: what is left of an error is not that of the binning.
+FINE = ("--geometry", "centered", "--beams", "2880", "--min-height", "0.1", "--only-scans")
+MOVED = ("--target-frame", "base_link", "--fixed-frame", "odom")
+
+
+class Done(NamedTuple):
+    """What the command said and wrote."""
+
+    stdout: str
+    stderr: str
+    scans: list[LaserScan]
+    log_times: list[int]
+    report: dict[str, Any]
+
+    def topic(self, name: str) -> dict[str, Any]:
+        """The report's entry of a source topic."""
+        (entry,) = (each for each in self.report["topics"] if each["topic"] == name)
+        return dict(entry)
+
+
+def converted(source: Path, *options: str, jobs: str = "2", status: Sequence[int] = (0,)) -> Done:
+    folder = source.parent
+    done = run(
+        "convert", source, "-o", folder / "out.mcap", "--overwrite", "--jobs", jobs, "--report", folder / "r.json",
+        *options,
+    )  # fmt: skip
+    assert done.status in status, done.stderr
+    if done.status:
+        return Done(done.stdout, done.stderr, [], [], {})
+    with closing(open_recording(folder / "out.mcap")) as reader:
+        messages = [m for m in reader.messages() if m.connection.ros_type.endswith("LaserScan")]
+        scans = [decode_laserscan(m.data, m.connection.serialization) for m in messages]
+    return Done(
+        done.stdout, done.stderr, scans, [m.log_time_ns for m in messages], json.loads((folder / "r.json").read_text())
+    )
+
+
+def errors(scans: Sequence[LaserScan], drive: Drive = DRIVE, mount: Rigid | None = None) -> Any:
+    """How far the returns of scans are from the walls, metres."""
+    return np.concatenate([off_the_walls(returns_in_odom(scan, drive, mount)) for scan in scans])
+
+
+def two_topics(*others: str) -> tuple[str, ...]:
+    return tuple(word for topic in ("/front", "/rear", *others) for word in ("--topic", f"{topic}:=/scan"))
+
+
+def test_two_lidars_become_one_scan(tmp_path: Path) -> None:
+    source = write_world(tmp_path / "w.mcap", [FRONT, REAR], seconds=1.5)
+    done = converted(source, *two_topics(), *MOVED, "--deskew", *FINE)
+    assert len(done.scans) == 15
+    assert all(scan.frame_id == "base_link" and scan.time_increment == 0 for scan in done.scans)
+    assert [scan.stamp_ns for scan in done.scans] == [BEGIN_NS + number * 100_000_000 for number in range(15)]
+    assert done.log_times == sorted(done.log_times)
+    right = errors(done.scans)
+    # 1800 directions of each, but for the first scan; grazing beams are off by their width.
+    assert right.size > 15 * 2400
+    assert np.mean(right < 0.02) > 0.995
+    assert np.max(right) < 0.1
+    # Without any of it they are far off.
+    plain = errors(converted(source, *two_topics(), "--target-frame", "base_link", *FINE).scans)
+    assert np.mean(plain < 0.02) < 0.5
+    assert np.percentile(plain, 95) > 0.1
+    rear = done.topic("/rear")
+    assert rear["action"] == "joined"
+    assert rear["joined"]["used"] == rear["messages_out"] == 14
+    assert rear["joined"]["scans_without"] == 1
+    assert done.topic("/front")["messages_out"] == 15
+
+
+def test_three_lidars_of_different_rates_and_a_scanner_become_one_scan(tmp_path: Path) -> None:
+    source = write_world(tmp_path / "w.mcap", [FRONT, REAR, TOP, FLAT], seconds=1.0)
+    done = converted(source, *two_topics("/top", "/flat"), *MOVED, "--deskew", *FINE)
+    assert len(done.scans) == 10
+    right = errors(done.scans)
+    assert np.mean(right < 0.02) > 0.99
+    top = done.topic("/top")["joined"]
+    assert top["unmatched"] > 5
+    assert top["used"] + top["unmatched"] == top["messages"] == 19
+    assert f"{top['unmatched']} of 19 messages of /top are in no scan on /scan" in done.stdout
+    assert done.topic("/flat")["joined"]["used"] == 9
+
+
+def test_another_topic_may_lead(tmp_path: Path) -> None:
+    source = write_world(tmp_path / "w.mcap", [FRONT, REAR], seconds=0.8)
+    done = converted(source, *two_topics(), *MOVED, *FINE, "--lead", "/rear", "--window", "60ms")
+    assert [scan.stamp_ns for scan in done.scans] == [BEGIN_NS + (37 + 100 * n) * 1_000_000 for n in range(7)]
+    assert done.topic("/front")["action"] == "joined"
+    assert done.topic("/front")["joined"]["used"] == 7
+
+
+def test_packets_become_full_turns(tmp_path: Path) -> None:
+    lidar = Lidar(kind="packets", columns=1800, jitter=0.004)
+    source = write_world(tmp_path / "w.mcap", [lidar], seconds=1.0)
+    done = converted(source, *MOVED, "--deskew", *FINE, "--every", "0.1", "--accumulate", "0.1")
+    assert 10 <= len(done.scans) <= 11
+    full = done.scans[1:-1]
+    assert all(np.isfinite(scan.ranges).sum() > 0.6 * len(scan.ranges) for scan in full)
+    assert np.mean(errors(done.scans) < 0.02) > 0.995
+    assert all(scan.scan_time == pytest.approx(0.1) for scan in done.scans)
+    entry = done.topic("/points")
+    assert entry["messages_in"] == 100 == entry["joined"]["used"]
+    assert entry["messages_out"] == len(done.scans)
+    # As they are, packets make scans of a tenth of a turn.
+    single = converted(source, *FINE).scans
+    assert len(single) == 100
+    assert max(np.isfinite(scan.ranges).sum() for scan in single) < 0.15 * len(single[0].ranges)
+
+
+def test_a_pattern_that_does_not_come_back_becomes_dense(tmp_path: Path) -> None:
+    lidar = Lidar(kind="rosette", columns=400)
+    source = write_world(tmp_path / "w.mcap", [lidar], seconds=2.0)
+    options = ("--geometry", "centered", "--beams", "1440", "--min-height", "0.1", "--only-scans", "--deskew")
+    single = converted(source, *MOVED, *options).scans
+    done = converted(source, *MOVED, *options, "--accumulate", "1")
+    assert len(done.scans) == len(single) == 20
+    seen = [[int(np.isfinite(scan.ranges).sum()) for scan in scans[10:]] for scans in (single, done.scans)]
+    assert np.median(seen[1]) > 1.7 * np.median(seen[0])
+    assert np.mean(errors(done.scans) < 0.02) > 0.97
+    # The same without the fixed frame is smeared over what the robot moved in a second.
+    smeared = converted(source, *options[:-1], "--target-frame", "base_link", "--accumulate", "1")
+    assert np.mean(errors(smeared.scans) < 0.02) < 0.6
+    # The last ten clouds are those of the last second.
+    counted = converted(source, *MOVED, *options, "--accumulate", "10clouds")
+    assert [scan.ranges.tobytes() for scan in counted.scans] == [scan.ranges.tobytes() for scan in done.scans]
+
+
+def test_a_scanner_with_a_varying_number_of_beams_gets_a_constant_one(tmp_path: Path) -> None:
+    source = write_world(tmp_path / "w.mcap", [FLAT], seconds=1.5)
+    with closing(open_recording(source)) as reader:
+        before = [decode_laserscan(m.data, "cdr") for m in reader.messages() if m.connection.topic == "/flat"]
+    assert len({len(scan.ranges) for scan in before}) > 1
+    done = converted(
+        source, "--rebin", "--fixed-frame", "odom", "--deskew", "--preset", "slam_toolbox", "--beams", "720"
+    )
+    assert len(done.scans) == len(before) == 14
+    assert {len(scan.ranges) for scan in done.scans} == {720}
+    assert {scan.frame_id for scan in done.scans} == {"flat"}
+    assert [scan.stamp_ns for scan in done.scans] == [scan.stamp_ns for scan in before]
+    # Half as many beams as were measured: in each, the nearest of two.
+    right = errors(done.scans, DRIVE, FLAT.mount)
+    assert np.mean(right < 0.02) > 0.9
+    for scan in done.scans:
+        lit = scan.intensities[np.isfinite(scan.ranges)]
+        assert set(lit.tolist()) == {10.0, 20.0, 30.0, 40.0}
+        assert np.isfinite(scan.ranges).sum() > 600
+    beams = done.topic("/flat")["rebinned"]
+    assert beams["beams"] > 2 * 600 * 14
+    assert beams["shared"] == beams["beams"] - sum(int(np.isfinite(scan.ranges).sum()) for scan in done.scans)
+    assert f"of {beams['beams']} beams {beams['shared']} share one of the new scans" in " ".join(done.stdout.split())
+    assert done.topic("/flat")["target"] == "/flat"
+    assert "refuse" not in done.stderr
+
+
+def test_several_scanners_become_one_scan_in_another_frame(tmp_path: Path) -> None:
+    other = Lidar("/flat2", "flat2", Rigid.from_rpy(0.0, 0.0, 2.0, (-0.3, 0.2, 0.4)), kind="flat", columns=1440)
+    source = write_world(tmp_path / "w.mcap", [FLAT, other], seconds=1.0)
+    options = ("--rebin", "--topic", "/flat:=/scan", "--topic", "/flat2:=/scan", *MOVED, "--deskew", *FINE)
+    done = converted(source, *(word for word in options if word not in ("--min-height", "0.1")))
+    assert len(done.scans) == 9
+    assert np.mean(errors(done.scans) < 0.02) > 0.99
+    assert done.topic("/flat")["points"]["height"] == 0
+
+
+def test_any_number_of_jobs_gives_the_same_bytes(tmp_path: Path) -> None:
+    source = write_world(tmp_path / "w.mcap", [FRONT, REAR, FLAT], seconds=1.0)
+    for options in (
+        (*two_topics("/flat"), *MOVED, "--deskew"),
+        ("--topic", "/front", *MOVED, "--accumulate", "0.3"),
+        ("--topic", "/front:=/s1", "--topic", "/rear:=/s1", *MOVED, "--every", "0.25"),
+        ("--rebin",),
+    ):
+        found = set()
+        for jobs in ("1", "2", "5"):
+            converted(source, *options, jobs=jobs)
+            found.add((tmp_path / "out.mcap").read_bytes())
+        assert len(found) == 1
+
+
+def test_other_clocks_are_an_error_that_says_by_how_much(tmp_path: Path) -> None:
+    ahead = Lidar("/rear", "rear", REAR.mount, clock=42.0)
+    source = write_world(tmp_path / "w.mcap", [FRONT, ahead], seconds=1.0)
+    said = converted(source, *two_topics(), "--target-frame", "base_link", status=(2,)).stderr
+    said = " ".join(said.split())
+    assert "the stamps of /rear are 42 s ahead of those of /front" in said
+    assert "--topic /rear:=/scan_2" in said
+    slightly = Lidar("/rear", "rear", REAR.mount, clock=0.6)
+    source = write_world(tmp_path / "slightly.mcap", [FRONT, slightly], seconds=2.0)
+    said = " ".join(converted(source, *two_topics(), "--target-frame", "base_link").stderr.split())
+    assert "the stamps of /rear are 0.6 s ahead of those of /front" in said
+
+
+def test_a_silent_lidar_is_reported(tmp_path: Path) -> None:
+    front = write_world(tmp_path / "front.mcap", [FRONT], seconds=3.0)
+    rear = write_world(tmp_path / "rear.mcap", [REAR], seconds=1.0)
+    done = run("convert", front, rear, "-o", tmp_path / "o.mcap", *two_topics(), *MOVED, "--min-height", "0.1")
+    assert done.status == 0, done.stderr
+    assert "21 scans on /scan have nothing of /rear; 21 of them in a row" in " ".join(done.stderr.split())
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (two_topics(), "which needs a frame for the points of all: --target-frame"),
+        (("--lead", "/front"), "--lead and --window go with several topics that become one scan"),
+        (("--window", "1"), "--lead and --window go with several topics that become one scan"),
+        (("--accumulate", "soon"), "--accumulate is 'soon', which is not a time"),
+        (("--accumulate", "0clouds"), "it must be 1 to"),
+        (("--every", "-1"), "it must be more than 0"),
+        (("--accumulate", "1", "--time-increment", "auto"), "a scan of several messages is of one time"),
+        ((*two_topics(), "--target-frame", "base_link", "--lead", "/points"), "no topic /points"),
+        (("--rebin", "--reverse"), "make scans; --reverse makes clouds"),
+        (("--rebin", "--topic", "/front"), "topic /front is sensor_msgs/msg/PointCloud2"),
+        (("--fixed-frame", "odom"), "--fixed-frame goes with --deskew or --level of clouds, --accumulate, and topics"),
+        (("--topic", "/flat", "--min-height", "0"), "--rebin"),
+    ],
+)
+def test_what_cannot_be_is_wrong_usage(tmp_path: Path, options: tuple[str, ...], said: str) -> None:
+    source = write_world(tmp_path / "w.mcap", [FRONT, REAR, FLAT], seconds=0.3)
+    done = converted(source, *options, status=(2,))
+    assert said in " ".join(done.stderr.split())
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--accumulate", "1clouds"), "--accumulate 1clouds has no effect"),
+        (("--accumulate", "0.2"), "as if the robot had not moved; with odometry: --fixed-frame odom"),
+        (("--rebin", "--fixed-frame", "odom"), "--fixed-frame has no effect"),
+    ],
+)
+def test_what_has_no_effect_draws_a_warning(tmp_path: Path, options: tuple[str, ...], said: str) -> None:
+    source = write_world(tmp_path / "w.mcap", [FRONT, FLAT], seconds=0.4)
+    done = converted(source, *options, "--min-height=-1")
+    assert said in " ".join(done.stderr.split())
+
+
+def test_a_dry_run_says_what_becomes_of_the_topics(tmp_path: Path) -> None:
+    source = write_world(tmp_path / "w.mcap", [FRONT, REAR], seconds=0.5)
+    done = run("convert", source, "-n", *two_topics(), *MOVED, "--min-height", "0.1")
+    assert done.status == 0, done.stderr
+    lines = [line.split() for line in done.stdout.splitlines()]
+    assert ["/front", "/scan", "5", "5", "-", "converted"] in lines
+    assert ["/rear", "/scan", "4", "4", "-", "joined"] in lines

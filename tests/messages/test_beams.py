@@ -1,0 +1,48 @@
+"""Beams as points: as laser_geometry places them, with their times, and what is no point is counted as what it is."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from pc2scan.core.points import TIME
+from pc2scan.core.unproject import unproject
+from pc2scan.errors import DecodeError
+from pc2scan.messages.beams import beams_of
+from pc2scan.messages.laserscan import LaserScan
+
+RANGES = np.array([1, np.nan, np.inf, 0.05, 9.0, 10.0, -np.inf, 12.0, 3.5], np.float32)
+
+
+def scan(**changes: object) -> LaserScan:
+    made = LaserScan(3, 17, "laser", -1.0, 1.0, 0.25, 0.001, 0.1, 0.1, 10.0, RANGES, np.arange(9, dtype=np.float32))
+    for name, value in changes.items():
+        setattr(made, name, value)
+    return made
+
+
+def test_beams_are_points_at_their_own_times() -> None:
+    points, total, rejected = beams_of(scan())
+    expected = unproject(
+        RANGES, np.arange(9, dtype=np.float32), angle_min=-1.0, angle_increment=0.25, range_min=0.1, range_max=10.0
+    )
+    assert (points.stamp_ns, points.frame_id, total) == (17, "laser", 9)
+    for name in ("x", "y", "z", "intensity", "index"):
+        assert points.field(name).tobytes() == np.ascontiguousarray(expected.points[name]).tobytes()
+    assert points.field("index").tolist() == [0, 4, 8]
+    np.testing.assert_allclose(points.field(TIME), [0, 0.004, 0.008], rtol=1e-7)
+    assert rejected == {"nan": 1, "range": 5}
+    assert total == len(points.field("x")) + sum(rejected.values())
+
+
+def test_a_scan_without_intensities_has_points_without() -> None:
+    points, _, _ = beams_of(scan(intensities=np.empty(0, np.float32)))
+    assert "intensity" not in points.fields
+
+
+def test_a_scan_that_makes_no_sense_is_an_error_with_its_stamp() -> None:
+    with pytest.raises(DecodeError) as caught:
+        beams_of(scan(angle_increment=math.nan))
+    assert caught.value.stamp_ns == 17
