@@ -282,6 +282,7 @@ def convert(
         own |= {"min_height_slope": min_height_slope, "filters": filters, "fixed_frame": fixed_frame}
         own |= {"point_time": point_time, "stamp": stamp != "header", "reverse": reverse, "channels": channels}
         own |= {"range_cutoff": range_cutoff, "level": level, "imu": imu}
+        own |= {"lead": lead, "window": window, "accumulate": accumulate, "every": every, "rebin": rebin}
         several = scans_of(scans, parameters, own)
         parameters = {}
     resolved = resolved_parameters(params, preset, params_file, node, parameters, reverse=reverse)

@@ -12,6 +12,7 @@ import pytest
 from pc2scan.core.presets import PRESETS
 from pc2scan.errors import UsageError
 from pc2scan.pipeline import scans_schema
+from pc2scan.pipeline.combine.asked import Combining
 from pc2scan.pipeline.parameters import PARAMETERS, Setting
 from pc2scan.pipeline.scan_spec import ScanSpec, TopicRequest
 from pc2scan.pipeline.scans_file import CHOICES, load_scans, refuse_beside
@@ -204,6 +205,8 @@ def test_the_schema_is_the_one_that_is_shipped() -> None:
 def test_the_file_has_whatever_an_output_has() -> None:
     """A choice that `ScanSpec` gets is an entry in the table."""
     elsewhere = {"name", "place", "topics", "origins", "params", "filters", "reverse", "channels", "output_type"}
+    elsewhere |= {"combining"}
+    assert Combining.__dataclass_fields__.keys() - {"window_ns", "span_ns", "count", "every_ns"} <= CHOICES.keys()
     assert ScanSpec.__dataclass_fields__.keys() - elsewhere <= CHOICES.keys()
 
 

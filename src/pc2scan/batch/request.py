@@ -13,6 +13,7 @@ from pc2scan.arguments import names_in, path_of
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import UsageError
 from pc2scan.json_types import json_value
+from pc2scan.pipeline.combine.asked import Combining
 from pc2scan.pipeline.options import ConvertOptions
 from pc2scan.pipeline.param_sources import ResolvedSources, resolve_sources
 from pc2scan.pipeline.parameters import CALL, Setting
@@ -32,6 +33,7 @@ __all__ = ["Request", "request_of", "words_known"]
 _PARAMETERS = ("params", "preset", "params_file", "node", "param", "launch_args", "remap")
 _FRAMES = ("frames", "static_tf", "static_tf_file", "write_static_tf", "tf_from", "tf_topics", "source_frame")
 _FILTERS = ("where", "exclude_box", "exclude_polygon", "min_height_slope", "filters")
+_COMBINING = ("lead", "window", "accumulate", "every", "rebin")
 _CHANNELS = ("channels", "range_cutoff")
 _OUTPUT = ("storage", "compression", "profile", "metadata_version", "to", "overwrite")
 _TEXTS = ("topics", "keep", "drop")
@@ -52,10 +54,11 @@ _BESIDE = (
     ),
     *("where", "exclude_box", "exclude_polygon", "min_height_slope", "filters"),
     *("deskew", "fixed_frame", "point_time", "stamp", "level", "imu"),
+    *_COMBINING,
 )
 
 #: Options of a conversion that are no words of `pc2scan.convert`, and the number of threads, which `batch` decides.
-_NO_WORDS = {"output_type", "repair", "jobs", "origins"}
+_NO_WORDS = {"output_type", "repair", "jobs", "origins", "combining"}
 
 #: Attributes of options that do not decide what is written: where they come from.
 _PLACES = frozenset({"origins", "place"})
@@ -103,7 +106,7 @@ class Request:
 def words_known() -> frozenset[str]:
     """Return all words that `request_of` reads."""
     plain = {field.name for field in fields(ConvertOptions)} - {"params", "frames", "filters", "channels"} - _NO_WORDS
-    return frozenset({*_PARAMETERS, *_FRAMES, *_FILTERS, *_CHANNELS, *_OUTPUT, *plain, *parameter_names()})
+    return frozenset({*_PARAMETERS, *_FRAMES, *_FILTERS, *_COMBINING, *_CHANNELS, *_OUTPUT, *plain, *parameter_names()})
 
 
 def request_of(words: Mapping[str, Any], origins: Mapping[str, str] | None = None) -> Request:
@@ -161,6 +164,7 @@ def request_of(words: Mapping[str, Any], origins: Mapping[str, str] | None = Non
         chosen.get("min_height_slope"),
         chosen.get("filters", ()),
     )
+    combining = take(_COMBINING)
     channels = take(_CHANNELS)
     output = OutputOptions(**take(_OUTPUT), like_source=True)
     options = ConvertOptions.of(
@@ -168,6 +172,7 @@ def request_of(words: Mapping[str, Any], origins: Mapping[str, str] | None = Non
         params=resolved.params,
         reverse=resolved.reverse,
         channels=channels_of(channels.get("channels"), channels.get("range_cutoff")),
+        combining=Combining.of(**combining),
         filters=filters,
         frames=frames,
         **texts,

@@ -799,6 +799,9 @@ class ConversionGroup(Group):
         others |= {"min_height_slope": points.min_height_slope, "deskew": moving.deskew}
         others |= {"fixed_frame": moving.fixed_frame, "point_time": moving.point_time}
         others |= {"level": moving.level, "imu": moving.imu}
+        together = self.combining
+        others |= {"lead": together.lead, "window": together.window, "accumulate": together.accumulate}
+        others |= {"every": together.every, "rebin": together.rebin}
         others |= {"stamp": moving.stamp != "header", "reverse": reverse.reverse, "channels": reverse.channels}
         others |= {"range_cutoff": reverse.range_cutoff}
         refuse_beside(others)

@@ -28,8 +28,8 @@ _MAX_DEPTH = 20
 class Choice(NamedTuple):
     """What an output may have besides the parameters of the projection.
 
-    ``kind`` is ``text``, ``texts`` (one or a list), ``flag``, ``number`` or ``time`` (seconds, or text); ``words`` are the only texts that are
-    possible; ``help`` is for the JSON schema.
+    ``kind`` is ``text``, ``texts`` (one or a list), ``flag``, ``number`` or ``time`` (seconds, or text); ``words`` are
+    the only texts that are possible; ``help`` is for the JSON schema.
     """
 
     kind: Literal["text", "texts", "flag", "number", "time"]
@@ -330,7 +330,7 @@ def _chosen(key: str, entry: _Entry) -> Any:
     elif kind == "time":
         if isinstance(value, str | int | float) and not isinstance(value, bool):
             return value
-        expected = "seconds, or text such as 500ms"
+        expected = "a number of seconds, or text such as 500ms"
     else:
         if isinstance(value, str) and (value in words or not words):
             return value
