@@ -144,10 +144,12 @@ def _figure(taken: Shots, title: str, kind: str) -> bytes:
         axes: Any = figure.subplots(2, columns, squeeze=False, height_ratios=inches)
         for column, (shot, points) in enumerate(zip(taken.shots, placed, strict=True)):
             _draw(axes[0, column], axes[1, column], shot, points, taken.params, limits)
-        handles, names = axes[0, 0].get_legend_handles_labels()
+        named = {
+            name: handle for each in axes[0] for handle, name in zip(*each.get_legend_handles_labels(), strict=True)
+        }
         figure.legend(
-            handles,
-            names,
+            list(named.values()),
+            list(named),
             loc="outside lower center",
             ncols=4 if columns > 1 else 2,
             fontsize=8,
@@ -189,6 +191,8 @@ def _draw(
         ("used", used, "used"),
     ):
         some = np.flatnonzero(chosen & known)[::step]
+        if not some.size:
+            continue
         style = {"s": 1.2, "c": _COLOURS[name], "linewidths": 0, "label": label, "rasterized": True}
         above.scatter(x[some], y[some], **style)
         side.scatter(x[some], z[some], **style)
