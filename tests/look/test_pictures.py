@@ -21,7 +21,7 @@ PICTURES = ROOT / "docs" / "pictures"
 def test_pictures_are_made_again(tmp_path: Path) -> None:
     image = pytest.importorskip("PIL.Image")
     pytest.importorskip("matplotlib")
-    script = [sys.executable, PICTURES / "make.py", tmp_path]
+    script: list[str | Path] = [sys.executable, PICTURES / "make.py", tmp_path]
     done = subprocess.run(script, capture_output=True, text=True, check=False, env=environment(), timeout=300)
     assert done.returncode == 0, done.stderr
     made = sorted(path.name for path in tmp_path.iterdir())
