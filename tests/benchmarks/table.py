@@ -31,6 +31,8 @@ from builders import write_mcap
 from drives import drive_recording
 from pc2scan.bags.mcap.reader import McapReader
 from pc2scan.bags.rosbag1.reader import Rosbag1Reader
+from pc2scan.batch.run import BatchOptions, run_batch
+from pc2scan.batch.workers import execute
 from pc2scan.cli.memory import keep_freed_memory
 from pc2scan.core.kernel import COMPILED
 from pc2scan.core.project import Projector
@@ -38,6 +40,8 @@ from pc2scan.messages.pointcloud2 import decode_pointcloud2
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
+
+    from pc2scan.batch.workers import Executor
 
 HEIGHTS = ("--min-height", "-0.5", "--max-height", "1")
 PARAMS = pc2scan.ProjectionParams(min_height=-0.5, max_height=1.0)
@@ -51,10 +55,12 @@ def main() -> None:
     parser.add_argument("--memory", type=float, nargs="*", metavar="GB", help="peak memory too; default: 0.5 2 8")
     parser.add_argument("--folder", type=Path, help="where the recordings are written meanwhile")
     parser.add_argument(
-        "--only", choices=("projection", "conversions", "passing", "maps", "start-up", "memory"), help="one table"
+        "--only",
+        choices=("projection", "conversions", "batch", "passing", "maps", "start-up", "memory"),
+        help="one table",
     )
     asked = parser.parse_args()
-    wanted = {asked.only} if asked.only else {"projection", "conversions", "passing", "maps", "start-up"}
+    wanted = {asked.only} if asked.only else {"projection", "conversions", "batch", "passing", "maps", "start-up"}
     keep_freed_memory()
     with TemporaryDirectory(dir=asked.folder) as folder:
         place = Path(folder)
@@ -64,6 +70,8 @@ def main() -> None:
         if "conversions" in wanted:
             conversions(place, int(asked.gb * 1e9), asked.repeat)
             smaller_clouds(place, int(asked.gb * 0.25e9), asked.repeat)
+        if "batch" in wanted:
+            datasets(place, int(asked.gb * 0.5e9), asked.repeat)
         if "passing" in wanted:
             passing(place, int(asked.gb * 0.25e9), asked.repeat)
         if "maps" in wanted:
@@ -289,6 +297,53 @@ def smaller_clouds(place: Path, size: int, repeat: int) -> None:
         f"Converting** smaller clouds, {size / 1e9:g} GB of them (MCAP, none): clouds a second, and the time as a "
         "multiple of plain reading + projecting",
         ("points", "1 job", "2 jobs", "1 job, a multiple", "2 jobs, a multiple"),
+        rows(),
+    )
+
+
+# --- Datasets ---
+
+
+def batched(sources: Path, out: Path, workers: int, cores: int) -> float:
+    """How long a batch takes, with the start of its processes."""
+    shutil.rmtree(out, ignore_errors=True)
+
+    def executor(*, lock: int | None, **_: object) -> Executor:
+        return lambda jobs: execute(jobs, workers=workers, cores=cores, lock=lock)
+
+    words = {"params": PARAMS, "topics": (POINTS,), "only_scans": True}
+    took = seconds(lambda: run_batch([str(sources)], out, words, BatchOptions(), executor=executor))
+    assert len(list(out.iterdir())) == len(list(sources.iterdir())) + 1
+    return took
+
+
+def datasets(place: Path, size: int, repeat: int) -> None:
+    sources = place / "sources"
+
+    def rows() -> Iterable[Sequence[str]]:
+        for name, count in (("MCAP, zstd", 16), ("MCAP, none", 16), ("ROS 1, lz4", 16), ("MCAP, zstd", 4)):
+            sources.mkdir()
+            first = write_recording(sources, FORMS[name], size // count)
+            for number in range(1, count):
+                shutil.copyfile(first, first.with_name(f"{number}{first.suffix}"))
+            found = rounds(
+                repeat,
+                lambda: batched(sources, place / "out", 1, 1),
+                lambda: batched(sources, place / "out", 1, 2),
+                lambda: batched(sources, place / "out", 2, 2),
+            )
+            clouds = count * max(1, size // count // CLOUD_BYTES)
+            yield (
+                f"{count} x {name}",
+                *(speed(clouds, median(column)) for column in zip(*found, strict=True)),
+                f"{median(row[0] / row[2] for row in found):.2f}",
+            )
+            shutil.rmtree(sources)
+
+    table(
+        f"Batch:** one and two workers, {size / 1e9:g} GB of clouds of 131,072 points of 32 bytes in several "
+        "recordings, from the start of the processes to the last line of the manifest",
+        ("recordings", "1 worker, 1 thread", "1 worker, 2 threads", "2 workers", "2 workers, times as fast as 1"),
         rows(),
     )
 
