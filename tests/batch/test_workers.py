@@ -113,7 +113,7 @@ def test_frames() -> None:
 def test_how_many_at_a_time() -> None:
     assert workers_for(1000, 8, 64_000_000_000) == 8
     assert workers_for(3, 8, 64_000_000_000) == 3
-    assert workers_for(1000, 8, 1_700_000_000) == 3
+    assert workers_for(1000, 8, 1_000_000_000) == 3
     assert workers_for(1000, 8, 10) == 1
     assert workers_for(1000, 8, None) == 8
     assert workers_for(0, 8, None) == 1

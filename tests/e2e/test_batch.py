@@ -6,6 +6,7 @@ import csv
 import json
 import os
 import random
+import re
 import shutil
 import signal
 import subprocess
@@ -21,6 +22,7 @@ import pc2scan
 from batch.datasets import HEIGHTS, contents, make_dataset
 from builders import CONTENT, write_mcap, write_rosbag1, write_rosbag2
 from e2e.command import COMMAND, environment, run
+from e2e.test_screen import shown
 from pc2scan.cli.app import application
 
 if TYPE_CHECKING:
@@ -253,6 +255,7 @@ def test_an_interruption_leaves_nothing_half(running: tuple[subprocess.Popen[byt
     _, stderr = process.communicate(timeout=30)
     assert process.returncode == 128 + number
     assert b"Traceback" not in stderr
+    assert (b"nothing was written" in stderr, b"the same command again" in stderr) == (True, number == signal.SIGINT)
     assert_ended(workers)
     assert not out.exists()
 
@@ -413,3 +416,26 @@ def test_from_python(drives: Path, tmp_path: Path) -> None:
     assert "3 converted" in str(report)
     with pytest.raises(TypeError, match="did you mean 'min_height'"):
         pc2scan.batch(drives, tmp_path / "out", min_hight=-2)
+
+
+# --- What is shown ---
+
+
+def test_a_terminal_has_a_bar_and_a_pipe_only_the_lines(drives: Path, tmp_path: Path) -> None:
+    (drives / "bad.bag").write_bytes(b"")
+    done = run("batch", drives, "-o", tmp_path / "piped", *HEIGHTS)
+    first, *lines = done.stderr.splitlines()
+    assert re.fullmatch(r"4 recordings: 3 to convert \(\d+\.\d kB; 3 new\)", first)
+    assert sorted(line.split(" (")[0] for line in lines) == [
+        "converted: a.bag -> a_scan.bag",
+        "converted: b.mcap -> b_scan.mcap",
+        "converted: robot1/a.bag -> robot1/a_scan.bag",
+        "failed: bad.bag: is empty",
+    ]
+    on_terminal = shown("batch", drives, "-o", tmp_path / "terminal", *HEIGHTS, columns=120)
+    assert "of 3 recordings" in on_terminal
+    assert "converted: a.bag -> a_scan.bag" in on_terminal
+    quiet = run("batch", drives, "-o", tmp_path / "piped", *HEIGHTS, "--quiet")
+    assert (quiet.stdout, quiet.stderr.splitlines()) == ("", ["failed: bad.bag: is empty"])
+    loud = run("batch", drives, "-o", tmp_path / "piped", *HEIGHTS, "--verbose", "--force")
+    assert len(re.findall(r"/points +/scan", loud.stderr)) == 3

@@ -7,8 +7,8 @@ from pathlib import Path
 
 __all__ = ["available_bytes", "workers_for"]
 
-#: A conversion of large clouds takes so much at most, with one thread.
-_WORKER_BYTES = 500_000_000
+#: A conversion with one thread takes less, unless chunks or clouds are very large.
+_WORKER_BYTES = 300_000_000
 
 
 def workers_for(count: int, cores: int, available: int | None) -> int:
