@@ -112,6 +112,7 @@ def convert(
     exclude_polygon: str | Iterable[str] = (),
     min_height_slope: float | None = None,
     filters: Iterable[Filter] = (),
+    keep_used: str = "",
     reverse: bool = False,
     deskew: bool = False,
     fixed_frame: str = "",
@@ -190,6 +191,8 @@ def convert(
         a limit that grows with range.
     filters
         Further filters, as objects.
+    keep_used
+        A topic for the points that the scans' beams read: PointCloud2 with all their fields, and the beam's number.
     reverse
         Whether LaserScan becomes PointCloud2.
     deskew, fixed_frame, point_time, stamp
@@ -281,7 +284,7 @@ def convert(
         own |= {"where": where, "exclude_box": exclude_box, "exclude_polygon": exclude_polygon, "deskew": deskew}
         own |= {"min_height_slope": min_height_slope, "filters": filters, "fixed_frame": fixed_frame}
         own |= {"point_time": point_time, "stamp": stamp != "header", "reverse": reverse, "channels": channels}
-        own |= {"range_cutoff": range_cutoff, "level": level, "imu": imu}
+        own |= {"range_cutoff": range_cutoff, "keep_used": keep_used, "level": level, "imu": imu}
         own |= {"lead": lead, "window": window, "accumulate": accumulate, "every": every, "rebin": rebin}
         several = scans_of(scans, parameters, own)
         parameters = {}
@@ -298,6 +301,7 @@ def convert(
         level=level,
         imu=imu,
         combining=Combining.of(lead=lead, window=window, accumulate=accumulate, every=every, rebin=rebin),
+        keep_used=keep_used,
         filters=filters_of(resolved, where, exclude_box, exclude_polygon, min_height_slope, filters),
         frames=frames_of(frames, static_tf, static_tf_file, write_static_tf, tf_from, tf_topics, source_frame),
         topics=names_in("topics", topics) or resolved.topics,

@@ -42,6 +42,8 @@ def _option_words(options: ConvertOptions) -> Iterator[str]:
         yield "--write-static-tf"
     if options.deskew:
         yield "--deskew"
+    if options.keep_used:
+        yield from ("--keep-used", options.keep_used)
     if options.level:
         yield "--level"
     named = {"--fixed-frame": options.fixed_frame, "--point-time": options.point_time, "--imu": options.imu}

@@ -327,6 +327,17 @@ class ProjectionGroup(Group):
 class PointsGroup(Group):
     """Which points of the clouds are used; in the order of what they return."""
 
+    keep_used: Annotated[
+        str,
+        typer.Option(
+            "--keep-used",
+            metavar="TOPIC",
+            help="Write the points that the scan's beams read to this topic too: PointCloud2 with all their fields, "
+            "and the beam's number.",
+            show_default=False,
+            rich_help_panel=_POINTS,
+        ),
+    ] = ""
     where: Annotated[
         list[str],
         typer.Option(
@@ -761,6 +772,7 @@ class ConversionGroup(Group):
             imu=self.moving.imu,
             combining=self.combining.asked(),
             filters=tuple(self.points.filters(resolved.params.min_height)),
+            keep_used=self.points.keep_used,
             frames=frames,
             topics=names,
             **self._common(ros_distro),
@@ -798,6 +810,7 @@ class ConversionGroup(Group):
         others |= {"where": points.where, "exclude_box": points.exclude_box, "exclude_polygon": points.exclude_polygon}
         others |= {"min_height_slope": points.min_height_slope, "deskew": moving.deskew}
         others |= {"fixed_frame": moving.fixed_frame, "point_time": moving.point_time}
+        others |= {"keep_used": points.keep_used}
         others |= {"level": moving.level, "imu": moving.imu}
         together = self.combining
         others |= {"lead": together.lead, "window": together.window, "accumulate": together.accumulate}

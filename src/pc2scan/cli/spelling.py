@@ -41,6 +41,7 @@ OPTIONS = {
     "keep": "--keep",
     "keep_clouds": "--keep-clouds",
     "lead": "--lead",
+    "keep_used": "--keep-used",
     "launch_args": "--arg",
     "level": "--level",
     "max_range": "--max-range",

@@ -13,7 +13,7 @@ from pc2scan.errors import DecodeError
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-__all__ = ["TIME", "Columns", "Points", "coordinates_of", "values_of"]
+__all__ = ["NUMBER", "TIME", "Columns", "Points", "coordinates_of", "values_of"]
 
 
 class Columns(Protocol):
@@ -31,6 +31,9 @@ _AXES = ("x", "y", "z")
 #: The field that stages add: when each point was measured, float64 seconds after the stamp, NaN where that is not
 #: known. No message has it.
 TIME = "<time>"
+
+#: The name of the field with the places of points in their cloud, where it is asked for.
+NUMBER = "<number>"
 
 
 # Not frozen, though nobody changes one: a frozen one takes three times as long to make.

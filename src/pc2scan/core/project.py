@@ -27,7 +27,7 @@ from .counts import PointCounts
 from .moving import MovingTransform
 from .params import ProjectionParams
 from .points import Columns, coordinates_of, values_of
-from .reduce import extremes, means, surfaces, winners
+from .reduce import extremes, means, read, surfaces, winners
 from .rule import rule_of
 
 if TYPE_CHECKING:
@@ -257,6 +257,37 @@ class Projector:
         with np.errstate(all="ignore"):
             ranges, lit = self._reduced(bins[: counts.used], returns[: counts.used], values)
         return ProjectedScan(ranges, counts, lit)
+
+    def read(
+        self,
+        x: NDArray[Any],
+        y: NDArray[Any],
+        z: NDArray[Any],
+        transform: Transform | MovingTransform | None = None,
+    ) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+        """Which points the beams read; projected without all others, a cloud gives the same scan, to the bit.
+
+        Parameters
+        ----------
+        x, y, z
+            As for `__call__`.
+        transform
+            As for `__call__`, or as for `moving`.
+
+        Returns
+        -------
+        (K,) int64, (K,) int32
+            The numbers of points, increasing, and the beam of each. See `pc2scan.core.reduce.read`.
+        """
+        x, y, z = _coordinates(x, y, z, None)
+        rows = transform if transform is None or isinstance(transform, MovingTransform) else packed(transform)
+        bins, returns, numbers = np.empty(x.size, np.int32), np.empty(x.size, np.float32), np.empty(x.size, np.int64)
+        rejected = kernel.gather(x, y, z, self._rule, rows, self._beams, bins, returns, numbers)
+        count = x.size - sum(rejected)
+        bins, returns, numbers = bins[:count], returns[:count], numbers[:count]
+        with np.errstate(all="ignore"):
+            chosen = read(bins, returns, self._beams, self.params)
+        return numbers[chosen], bins[chosen]
 
     def _reduced(
         self, bins: NDArray[np.int32], returns: NDArray[np.float32], values: NDArray[Any] | None

@@ -13,7 +13,9 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["extremes", "means", "surfaces", "winners"]
+    from .params import ProjectionParams
+
+__all__ = ["extremes", "means", "read", "surfaces", "winners"]
 
 
 def extremes(
@@ -100,9 +102,7 @@ def surfaces(
     error of the sensor, the median is the middle of both; and what is behind the surface does not count, so that
     nothing appears between a near thing and a far one.
     """
-    limits = extremes(beams, ranges, count).astype(np.float64)
-    seen = limits < np.inf
-    limits[seen] += depth + slope * limits[seen]
+    limits = _limits(beams, ranges, count, depth, slope)
     near = np.flatnonzero(ranges <= limits[beams])
     own = beams[near]
     order = near[np.lexsort((ranges[near], own))]
@@ -113,7 +113,52 @@ def surfaces(
     return found
 
 
+def _limits(
+    beams: NDArray[Any], ranges: NDArray[np.float32], count: int, depth: float, slope: float
+) -> NDArray[np.float64]:
+    """How far the closest surface of each beam goes, metres; inf for a beam without returns."""
+    limits = extremes(beams, ranges, count).astype(np.float64)
+    seen = limits < np.inf
+    limits[seen] += depth + slope * limits[seen]
+    return limits
+
+
 def means(beams: NDArray[Any], values: NDArray[Any], counts: NDArray[np.intp]) -> NDArray[np.float64]:
     """The mean of each beam's values, (N,) float64, summed in the order of the cloud; 0 for a beam without any."""
     sums = np.bincount(beams, weights=values, minlength=counts.size)
     return np.divide(sums, counts, out=np.zeros(counts.size), where=counts > 0)
+
+
+def read(beams: NDArray[Any], ranges: NDArray[np.float32], count: int, params: ProjectionParams) -> NDArray[np.intp]:
+    """Which returns are all that the beams need: from these alone they read the same.
+
+    Parameters
+    ----------
+    beams, ranges, count
+        As for `extremes`.
+    params
+        The projection's parameters.
+
+    Returns
+    -------
+    (K,) intp, increasing
+        The return itself with ``reduce`` ``min`` and ``max``; the closest ones up to it with ``kth``; those of the
+        surface with ``surface``; all returns of the beam with ``mean`` and ``median``, and with ``min_points``, which
+        counts them. None of a beam that reads nothing.
+    """
+    how = params.reduce
+    counts = np.bincount(beams, minlength=count)
+    seen = counts >= max(params.min_points, params.kth, 1)
+    if params.min_points > max(params.kth, 1) or how in {"mean", "median"}:
+        return np.flatnonzero(seen[beams])
+    if how == "kth":
+        order = np.lexsort((ranges, beams))
+        begins = np.cumsum(counts) - counts
+        places = np.arange(beams.size) - begins[beams[order]]
+        return np.sort(order[(places < params.kth) & seen[beams[order]]])
+    if how == "surface":
+        limits = _limits(
+            beams, ranges, count, params.surface_depth, params.surface_slope * params.layout.angle_increment
+        )
+        return np.flatnonzero(ranges <= limits[beams])
+    return np.sort(winners(beams, ranges, counts, how)[seen])

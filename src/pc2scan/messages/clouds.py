@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from .pointcloud2 import PointCloud2
 
-__all__ = ["CLOUDS", "Decode"]
+__all__ = ["CLOUDS", "Decode", "message_of"]
 
 #: From the bytes of a message to its points. Threads may share one. Raises a `DecodeError`.
 Decode: TypeAlias = Callable[[Buffer], Points]
@@ -45,6 +45,12 @@ class _Fields(Mapping[str, "NDArray[Any]"]):
 
     def __len__(self) -> int:
         return len({field.name for field in self._cloud.fields})
+
+
+def message_of(points: Points) -> PointCloud2 | None:
+    """Return the PointCloud2 whose points these are, all of them; None for other types."""
+    fields = points.fields
+    return fields._cloud if isinstance(fields, _Fields) else None  # noqa: SLF001  # of this module
 
 
 def _pointcloud2(serialization: str) -> Decode:

@@ -352,8 +352,9 @@ def encode_pointcloud2(
     data: Buffer,
     height: int = 1,
     is_dense: bool = False,
+    is_bigendian: bool = False,
 ) -> bytes:
-    """Serialise a little-endian cloud whose rows follow each other without a gap.
+    """Serialise a cloud whose rows follow each other without a gap.
 
     Parameters
     ----------
@@ -371,7 +372,7 @@ def encode_pointcloud2(
         packer.write("I", part.offset)
         packer.write("B", part.datatype)
         packer.write("I", part.count)
-    packer.write("B", 0)
+    packer.write("B", is_bigendian)
     packer.write("III", point_step, width * point_step, len(data))
     packer.raw(data)
     packer.write("B", is_dense)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pc2scan.core.counts import PointCounts
+from pc2scan.core.points import NUMBER
 from pc2scan.core.project import Projector
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from pc2scan.core.params import ProjectionParams
     from pc2scan.core.points import Points
     from pc2scan.core.project import ProjectedScan
+    from pc2scan.messages.used_points import UsedPoints
     from pc2scan.model import Buffer
     from pc2scan.tf.placing import Frames
 
@@ -74,6 +76,8 @@ class CloudToScan(Conversion):
         What the scans are encoded as: a key of `OF_CLOUDS`.
     first_clouds
         Returns what judges the first clouds of a topic; None if nobody does.
+    keeps_used
+        Whether results have the points that beams read.
     """
 
     def __init__(
@@ -85,6 +89,8 @@ class CloudToScan(Conversion):
         deskew: Deskew | None = None,
         output_type: str = LASERSCAN,
         first_clouds: Callable[[str], TopicClouds] | None = None,
+        *,
+        keeps_used: bool = False,
     ) -> None:
         self._timings = timings or {}
         # A scan repeats the cloud's header; what else it has besides ranges and intensities takes less.
@@ -105,7 +111,8 @@ class CloudToScan(Conversion):
         if filters or deskew is not None:
             from .stages.select import Select  # noqa: PLC0415  # only where something is selected
 
-            self._select = Select(filters, frames)
+            self._select = Select(filters, frames, numbered=keeps_used)
+        self._keeps_used = keeps_used
         self._beams = _Beams(params) if params.beams != "auto" else None
 
     def decoder(self, source: str, source_type: str) -> Callable[[Buffer], Points]:
@@ -144,7 +151,19 @@ class CloudToScan(Conversion):
         sample = None if firsts is None or firsts.full else firsts.sample(placed.whole, placed.place)
         motion = None if placed.moving is None else placed.moving.motion
         level = None if placed.place.level is None else placed.place.level.at(stamp_ns)
-        return Result(message, scan.counts, empty, motion, sample, level)
+        used = self._used(placed, beams.project) if self._keeps_used else None
+        return Result(message, scan.counts, empty, motion, sample, level, used=used)
+
+    def _used(self, placed: Placed, project: Projector) -> UsedPoints:
+        """The points that the beams read, of all that were decoded."""
+        from pc2scan.messages.used_points import UsedPoints  # noqa: PLC0415  # only where they are kept
+
+        points, transform = placed.points, placed.target_from_source
+        moved = None if transform is None else transform.as_float32()
+        numbers, beams = project.read(*points.xyz(), moved if placed.motion is None else placed.motion)
+        if self._select is not None:
+            numbers = points.field(NUMBER).reshape(-1)[numbers]
+        return UsedPoints(placed.whole, numbers, beams)
 
     def _projected(self, placed: Placed, project: Projector) -> ProjectedScan:
         """Project; the loops over points transform them on the way where that is still to be done."""

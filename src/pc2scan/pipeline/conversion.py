@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
     from pc2scan.core.counts import PointCounts
     from pc2scan.messages.outputs import OutputType
+    from pc2scan.messages.used_points import UsedPoints
     from pc2scan.model import Buffer
     from pc2scan.tf.placing import LevelTransform
 
@@ -35,6 +36,7 @@ class Result:
     ``empty`` is whether it has no return, or no point; ``motion`` is how far the sensor moved, if it was deskewed.
     ``sample`` is for `FirstClouds`, while it wants any. ``level`` is the transform of its frame, if that is made level.
     ``rebinned`` is how beams of scans became other beams.
+    ``used`` are the points that beams read, if they are kept.
     """
 
     message: Any
@@ -44,6 +46,7 @@ class Result:
     sample: Sample | None = None
     level: LevelTransform | None = None
     rebinned: Rebinned | None = None
+    used: UsedPoints | None = None
 
 
 @dataclass(slots=True, eq=False)
@@ -57,11 +60,12 @@ class Converted:
     sample: Sample | None = None
     level: LevelTransform | None = None
     rebinned: Rebinned | None = None
+    used: bytes | None = None
 
     @property
     def size(self) -> int:
         """Bytes that it takes."""
-        return len(self.data)
+        return len(self.data) + len(self.used or b"")
 
 
 class Measured(NamedTuple):
@@ -219,4 +223,7 @@ def _in_turn(steps: Sequence[Step], value: Any) -> Any:
 
 def _encoded(encode: Callable[[Any, str], bytes], target: str, result: Result) -> Converted:
     data = encode(result.message, target)
-    return Converted(data, result.counts, result.empty, result.motion, result.sample, result.level, result.rebinned)
+    used = None if result.used is None else result.used.encode(target)
+    return Converted(
+        data, result.counts, result.empty, result.motion, result.sample, result.level, result.rebinned, used
+    )

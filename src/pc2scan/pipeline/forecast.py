@@ -130,8 +130,10 @@ def _converted_sizes(
                             continue
                         result = output.joint.alone(cast("Any", result))
                     if not isinstance(result, MessageError):
-                        size += _packed(result.data) if is_packed else len(result.data)
+                        data = (result.used or b"") if output.used else result.data
+                        size += _packed(data) if is_packed else len(data)
                         output.report.messages_out += 1
+                    if not isinstance(result, MessageError) and not output.used:
                         output.report.points += result.counts
                         output.report.empty_scans += result.empty
                 failed = all(isinstance(result, MessageError) for result in converted)

@@ -225,7 +225,7 @@ class ConvertOptions:
     scans
         The outputs; empty: only one, as the next attributes describe it.
     topics, origins, params, reverse, channels, deskew, fixed_frame, point_time, stamp, combining, filters,
-    output_type
+    keep_used, output_type
         See `ScanSpec`. They do not count where there are ``scans``.
     frames
         Where transforms come from.
@@ -272,6 +272,7 @@ class ConvertOptions:
     imu: str = ""
     combining: Combining = Combining()
     filters: tuple[Filter, ...] = ()
+    keep_used: str = ""
     output_type: str = ""
     frames: FrameOptions = FrameOptions()
     keep_clouds: bool = False
@@ -351,6 +352,7 @@ class ConvertOptions:
                 imu=self.imu,
                 combining=self.combining,
                 filters=self.filters,
+                keep_used=self.keep_used,
                 output_type=self.output_type,
             ),
         )

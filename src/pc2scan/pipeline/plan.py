@@ -269,12 +269,33 @@ def _other_direction(types: dict[str, set[str]], spec: ScanSpec) -> str | None:
     return None
 
 
+def _refuse_used(task: Task, routes: Sequence[Route]) -> None:
+    """Refuse to keep points where that cannot be."""
+    topic = task.spec.keep_used
+    if not topic:
+        return
+    if task.combination is not None:
+        raise TopicError(
+            f"`keep_used={topic}` keeps points of single clouds, but {', '.join(task.targets)} is made of several",
+            hint="leave `keep_used` out, or convert the clouds one by one",
+        )
+    if any(topic in route.targets for route in routes):
+        raise TopicError(f"{topic} is the topic of a scan, `keep_used` needs one of its own")
+
+
 def _refuse_collisions(routes: Sequence[Route]) -> None:
     """No scan may share a topic with another scan or with what passes through."""
     passing = {route.connection.topic for route in routes if route.passes}
     origin: dict[str, tuple[str, Task]] = {}
-    made = [(route.connection.topic, task) for route in routes for task in route.tasks]
-    for topic, own, target in ((topic, task, target) for topic, task in made for target in task.targets):
+    made = [
+        (route.connection.topic, task, target)
+        for route in routes
+        for task in route.tasks
+        for target in (*task.targets, *filter(None, (task.spec.keep_used,)))
+    ]
+    for _, task, _ in made:
+        _refuse_used(task, routes)
+    for topic, own, target in made:
         source, task = origin.setdefault(target, (topic, own))
         if task.spec is not own.spec:
             one, other = task.spec, own.spec

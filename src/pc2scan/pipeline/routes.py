@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from pc2scan.bags.formats import FORMATS
 from pc2scan.errors import MessageError, RecordingError
 from pc2scan.messages.definitions import definition
+from pc2scan.messages.pointcloud2 import POINTCLOUD2
 from pc2scan.messages.tfmessage import encode_transforms
 from pc2scan.model import LATCHED_QOS, NEW_ID, ChunkRule, Connection
 from pc2scan.tf.reading import is_static
@@ -52,13 +53,14 @@ class Output:
     """A topic of the destination that the converted messages of a route go to.
 
     ``handle`` is the writer's; -1 where another topic leads the scans. ``place`` is that of its messages in what
-    ``convert`` makes. ``sample`` is the first message; all others have its geometry. ``joint`` makes one scan of
-    several messages; None where each is one.
+    ``convert`` makes. ``used`` is whether these are the points that beams read. ``sample`` is the first message; all
+    others have its geometry. ``joint`` makes one scan of several messages; None where each is one.
     """
 
     handle: int
     report: TopicReport
     place: int
+    used: bool = False
     sample: bytes = b""
     joint: Joint | None = None
 
@@ -148,6 +150,11 @@ def open_routes(
                 made.outputs.append(Output(handle, shared(entry), place, joint=joint))
                 if joint is not None and task.combination is not None:
                     joint.reports[task.combination.sources.index(topic)] = made.outputs[-1].report
+            if name := task.spec.keep_used:
+                handle = declared.add(_published_as(connection, name, POINTCLOUD2, definition, target))
+                note = f"the points that the beams of {', '.join(task.targets)} read"
+                entry = TopicReport(topic, msgtype, name, "added", note)
+                made.outputs.append(Output(handle, shared(entry), place, used=True))
     report.topics += entries.values()
     return opened
 
@@ -262,12 +269,23 @@ def _holding_any() -> str:
 
 def _converted_connection(source: Connection, topic: str, conversion: Conversion, target: Destination) -> Connection:
     """The connection of converted messages: published as their source was."""
-    text, digest = conversion.output.define(conversion.output_type, target.ros_version)
+    return _published_as(source, topic, conversion.output_type, conversion.output.define, target)
+
+
+def _published_as(
+    source: Connection,
+    topic: str,
+    msgtype: str,
+    define: Callable[[str, int], tuple[Definition, str]],
+    target: Destination,
+) -> Connection:
+    """A connection of the destination that is published as a source's is."""
+    text, digest = define(msgtype, target.ros_version)
     same = source.ros_version == target.ros_version
     return Connection(
         id=NEW_ID,
         topic=topic,
-        msgtype=conversion.output_type,
+        msgtype=msgtype,
         serialization=target.serialization,
         definition=text,
         digest=digest,

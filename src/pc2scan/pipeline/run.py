@@ -524,7 +524,10 @@ def _to_scans(
     from .cloud_to_scan import CloudToScan  # noqa: PLC0415  # each direction loads its own arithmetic
 
     judges = None if firsts is None else partial(firsts.of, spec)
-    return CloudToScan(spec.params, frames, timings, spec.filters, _deskew(spec, frames), spec.made_type, judges)
+    deskew, keeps_used = _deskew(spec, frames), bool(spec.keep_used)
+    return CloudToScan(
+        spec.params, frames, timings, spec.filters, deskew, spec.made_type, judges, keeps_used=keeps_used
+    )
 
 
 def _combined(

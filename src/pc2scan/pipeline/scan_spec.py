@@ -90,6 +90,8 @@ class ScanSpec:
         Which messages become one scan.
     filters
         What selects points of clouds before they are projected, in order.
+    keep_used
+        A topic for the points of clouds that the scan's beams read; empty: none.
     output_type
         What messages become: a type in the tables of `pc2scan.messages.outputs`. Empty: the first one there,
         LaserScan (PointCloud2 with ``reverse``).
@@ -110,6 +112,7 @@ class ScanSpec:
     imu: str = ""
     combining: Combining = Combining()
     filters: tuple[Filter, ...] = ()
+    keep_used: str = ""
     output_type: str = ""
 
     def __post_init__(self) -> None:
@@ -121,6 +124,8 @@ class ScanSpec:
         self._check_combining()
 
     def _check_stages(self) -> None:
+        if self.reverse and self.keep_used:
+            raise UsageError("`keep_used` keeps points of clouds; `reverse` converts scans")
         if self.reverse and self.filters:
             raise UsageError("filters select points of clouds; `reverse` converts scans")
         taken = PointCounts().as_dict()

@@ -57,6 +57,7 @@ CHOICES: Mapping[str, Choice] = {
     "accumulate": Choice("time", "All points of the last seconds in each scan; or of the last clouds: 10clouds."),
     "every": Choice("time", "One scan for each so many seconds, instead of one for each cloud."),
     "rebin": Choice("flag", "Sources are LaserScans instead of clouds."),
+    "keep_used": Choice("text", "Topic for the points that the scan's beams read, with the beam's number."),
     "imu": Choice("text", "With level: the IMU that knows which way is up, as TOPIC or TOPIC:FRAME."),
 }
 

@@ -262,6 +262,10 @@ def _write_one(
 ) -> MessageError | None:
     """Write what a message became to one topic, and account for it; return why that cannot be."""
     try:
+        if output.used:
+            if made.used is not None:
+                writer.write(output.handle, outcome.log_time_ns, made.used, outcome.publish_time_ns, outcome.sequence)
+            return None
         if levels is not None and made.level is not None:
             # Before the scan, so that whoever replays the recording knows its frame.
             levels.write(made.level, outcome.log_time_ns, outcome.publish_time_ns, writer)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from pc2scan.core.points import NUMBER
 from pc2scan.core.project import packed
 
 from .filters import Frame
@@ -60,25 +62,32 @@ class Select:
         In their order.
     frames
         The recording's transforms.
+    numbered
+        Whether points get the field `NUMBER`.
     """
 
-    __slots__ = ("_filters", "_frames")
+    __slots__ = ("_filters", "_frames", "_numbered")
 
-    def __init__(self, filters: Sequence[Filter], frames: Frames) -> None:
+    def __init__(self, filters: Sequence[Filter], frames: Frames, *, numbered: bool = False) -> None:
         self._filters = tuple(filters)
         self._frames = frames
+        self._numbered = numbered
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Select):
             return NotImplemented
-        return self._filters == other._filters and self._frames == other._frames
+        return (self._filters, self._frames, self._numbered) == (other._filters, other._frames, other._numbered)
 
     def __hash__(self) -> int:
         return hash(tuple(chosen.name for chosen in self._filters))
 
     def __call__(self, placed: Placed) -> Placed:
         """Select points of a cloud on its way to a scan; see `apply`."""
-        points, transform, rejected, motion = self.apply(placed.points, placed.place, placed.moving)
+        points = placed.points
+        if self._numbered:
+            shape = points.xyz()[0].shape
+            points = points.replace({NUMBER: np.arange(math.prod(shape)).reshape(shape)}, points.frame_id)
+        points, transform, rejected, motion = self.apply(points, placed.place, placed.moving)
         return replace(placed, points=points, target_from_source=transform, rejected=rejected, motion=motion)
 
     def apply(self, points: Points, place: Placement, moving: Moving | None = None) -> Selected:

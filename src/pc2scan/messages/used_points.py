@@ -1,0 +1,108 @@
+"""Some points of a cloud with the numbers of the beams that read them, as PointCloud2."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .clouds import message_of
+from .pointcloud2 import PointField, StructuredCloud, encode_pointcloud2, encode_structured
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from numpy.typing import NDArray
+
+    from pc2scan.core.points import Points
+
+    from .pointcloud2 import PointCloud2
+
+__all__ = ["BEAM", "UsedPoints"]
+
+#: The field with the number of the beam; with ``scan_`` in front where the cloud has such a field.
+BEAM = "beam"
+
+_UINT32 = 6
+
+
+@dataclass(frozen=True, slots=True)
+class UsedPoints:
+    """The points of a cloud that the beams of a scan read.
+
+    Attributes
+    ----------
+    cloud
+        All points, as they were decoded.
+    numbers
+        (K,) which of them, in the order of the cloud.
+    beams
+        (K,) the beam of each.
+    """
+
+    cloud: Points
+    numbers: NDArray[np.int64]
+    beams: NDArray[np.int32]
+
+    def encode(self, serialization: str) -> bytes:
+        """Serialise them as PointCloud2: with the cloud's header, the bytes of its points as they are, and the beam.
+
+        Points of other types than PointCloud2 have those of their fields that have one value a point.
+
+        Parameters
+        ----------
+        serialization
+            ``ros1`` or ``cdr``.
+        """
+        message = message_of(self.cloud)
+        if message is None:
+            return self._of_fields(serialization)
+        step = message.point_step
+        points = np.empty((self.numbers.size, step + 4), np.uint8)
+        points[:, :step] = _bytes_of(message)[np.divmod(self.numbers, max(message.width, 1))]
+        beams = self.beams.astype(">u4" if message.is_bigendian else "<u4")
+        points[:, step:] = beams.view(np.uint8).reshape(-1, 4)
+        return encode_pointcloud2(
+            serialization=serialization,
+            sequence=message.sequence,
+            stamp_ns=message.stamp_ns,
+            frame_id=message.frame_id,
+            fields=[*message.fields, PointField(_free(field.name for field in message.fields), step, _UINT32)],
+            point_step=step + 4,
+            data=points.tobytes(),
+            is_dense=message.is_dense,
+            is_bigendian=message.is_bigendian,
+        )
+
+    def _of_fields(self, serialization: str) -> bytes:
+        cloud = self.cloud
+        columns: dict[str, NDArray[Any]] = {
+            name: np.asarray(values).reshape(-1)[self.numbers] for name, values in cloud.fields.items()
+        }
+        columns[_free(columns)] = self.beams.astype(np.uint32)
+        points = np.empty(
+            self.numbers.size, [(name, values.dtype.newbyteorder("<")) for name, values in columns.items()]
+        )
+        for name, values in columns.items():
+            points[name] = values
+        return encode_structured(StructuredCloud(cloud.sequence, cloud.stamp_ns, cloud.frame_id, points), serialization)
+
+
+def _bytes_of(message: PointCloud2) -> NDArray[np.uint8]:
+    """The bytes of each point, (height, width, point_step)."""
+    shape = (message.height, message.width, message.point_step)
+    data: Any = message.data
+    needed = (shape[0] - 1) * message.row_step + shape[1] * message.point_step
+    if len(data) < needed:
+        # Behind its last field a point may be cut off.
+        data = bytes(data) + bytes(needed - len(data))
+    return np.ndarray(shape, np.uint8, data, 0, (message.row_step, message.point_step, 1))
+
+
+def _free(names: Iterable[str]) -> str:
+    """The name of the new field."""
+    taken, name = set(names), BEAM
+    while name in taken:
+        name = f"scan_{name}"
+    return name

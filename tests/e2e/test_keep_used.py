@@ -1,0 +1,208 @@
+"""``--keep-used``: the points that beams read, as they were recorded, with the beam's number."""
+
+from __future__ import annotations
+
+import math
+from contextlib import closing
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import pc2scan
+from pc2scan.bags.mcap.writer import McapWriter
+from pc2scan.bags.opening import open_recording
+from pc2scan.cli.app import application
+from pc2scan.core.points import Points
+from pc2scan.errors import TopicError, UsageError
+from pc2scan.messages.clouds import CLOUDS
+from pc2scan.messages.definitions import definition
+from pc2scan.messages.laserscan import decode_laserscan
+from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointCloud2, PointField, decode_pointcloud2, encode_pointcloud2
+from pc2scan.model import Connection, Definition
+from support import ROOT
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+HALL = ROOT / "fixtures" / "hall.mcap"
+T0 = 1_700_000_000_000_000_000
+
+
+def messages(path: Path, topic: str) -> list[Any]:
+    with closing(open_recording(path)) as reader:
+        found = [message for message in reader.messages() if message.connection.topic == topic]
+        return [(message.log_time_ns, message.connection.serialization, bytes(message.data)) for message in found]
+
+
+def clouds(path: Path, topic: str) -> list[PointCloud2]:
+    return [decode_pointcloud2(data, serialization) for _, serialization, data in messages(path, topic)]
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"target_frame": "base_link", "where": "ring > 3", "exclude_box": "base_link 0 2 -9 9 -1 3"},
+        {"preset": "slam_toolbox", "reduce": "surface", "angle_increment": 0.02},
+        {"reduce": "median", "intensity_field": "intensity", "min_points": 2},
+        {"reduce": "kth", "kth": 2, "angle_increment": 0.03},
+    ],
+    ids=str,
+)
+@pytest.mark.parametrize("source", ["hall.bag", "hall.mcap", "hall"])
+def test_the_kept_points_give_the_same_scans(source: str, options: dict[str, Any], tmp_path: Path) -> None:
+    """And only they are left, with their own fields."""
+    recording, options = HALL.with_name(source), {"min_height": -0.4, "max_height": 1.0, **options}
+    kept, again = tmp_path / "kept.mcap", tmp_path / "again.mcap"
+    pc2scan.convert(recording, kept, keep_used="/used", keep_clouds=True, jobs=1, **options)
+    # In the same places: what is fixed to the recording's frames stays so.
+    pc2scan.convert(kept, again, topics="/used:=/scan2", **options)
+    scans = messages(kept, "/scan")
+    assert scans
+    assert messages(again, "/scan2") == scans
+    for cloud, used, (_, serialization, data) in zip(
+        clouds(kept, "/points"), clouds(kept, "/used"), scans, strict=True
+    ):
+        assert (used.stamp_ns, used.frame_id) == (cloud.stamp_ns, cloud.frame_id)
+        assert [field.name for field in used.fields] == [*(field.name for field in cloud.fields), "beam"]
+        read = set(np.flatnonzero(np.isfinite(decode_laserscan(data, serialization).ranges)).tolist())
+        assert set(used.field("beam").reshape(-1).tolist()) == read
+        rows = {bytes(row) for row in np.frombuffer(cloud.data, np.uint8).reshape(-1, cloud.point_step)}
+        own = np.frombuffer(used.data, np.uint8).reshape(-1, used.point_step)
+        assert all(bytes(row[: cloud.point_step]) in rows for row in own)
+
+
+@pytest.mark.parametrize("jobs", [1, 4])
+def test_the_number_of_jobs_does_not_matter(jobs: int, tmp_path: Path) -> None:
+    paths = [tmp_path / "one.mcap", tmp_path / "more.mcap"]
+    for path, threads in zip(paths, (1, jobs), strict=True):
+        pc2scan.convert(HALL, path, keep_used="/used", min_height=-0.4, jobs=threads)
+    assert paths[0].read_bytes() == paths[1].read_bytes()
+
+
+def test_deskewed_points_are_kept_as_they_were_recorded(tmp_path: Path) -> None:
+    kept = tmp_path / "kept.mcap"
+    report = pc2scan.convert(
+        HALL,
+        kept,
+        keep_used="/used",
+        keep_clouds=True,
+        deskew=True,
+        fixed_frame="odom",
+        min_height=-0.4,
+        where="ring > 1",
+    )
+    assert report.exit_status in {0, 3}
+    found = {cloud.stamp_ns: cloud for cloud in clouds(kept, "/points")}
+    kept_clouds = clouds(kept, "/used")
+    assert kept_clouds
+    for used in kept_clouds:
+        cloud = found[used.stamp_ns]
+        assert used.frame_id == cloud.frame_id
+        rows = {bytes(row) for row in np.frombuffer(cloud.data, np.uint8).reshape(-1, cloud.point_step)}
+        own = np.frombuffer(used.data, np.uint8).reshape(-1, used.point_step)
+        assert len(own)
+        assert all(bytes(row[: cloud.point_step]) in rows for row in own)
+
+
+def recorded(path: Path, data: bytes, msgtype: str = POINTCLOUD2) -> Path:
+    writer = McapWriter(path, "none")
+    text = definition(POINTCLOUD2, 2)[0] if msgtype == POINTCLOUD2 else Definition("ros2msg", b"# toy\n")
+    qos = "- durability: 1\n"
+    handle = writer.add_connection(Connection(0, "/points", msgtype, "cdr", text, latching=True, qos=qos))
+    writer.write(handle, T0, data, T0)
+    writer.finish()
+    return path
+
+
+def test_padding_byte_order_and_rows_stay(tmp_path: Path) -> None:
+    """A big-endian cloud with gaps, of which a field is called beam already, one has three elements."""
+    step = 29
+    kind = np.dtype(
+        {
+            "names": ["y", "x", "beam", "z", "normal"],
+            "formats": [">f4", ">f4", ">u2", ">f4", (">f4", 3)],
+            "offsets": [1, 5, 9, 12, 16],
+            "itemsize": step,
+        }
+    )
+    points = np.frombuffer(np.random.default_rng(1).bytes(6 * step), kind).copy()
+    points["x"], points["y"], points["z"] = [1, 2, -3, 4, math.nan, 1], [0.01, 0.01, 1, 0.02, 0, -3], 0.5
+    codes = {"y": (7, 1), "x": (7, 1), "beam": (4, 1), "z": (7, 1), "normal": (7, 3)}
+    fields = [PointField(name, kind.fields[name][1], *codes[name]) for name in kind.names]  # type: ignore[index,union-attr]
+    data = encode_pointcloud2(
+        serialization="cdr", sequence=0, stamp_ns=T0, frame_id="lidar", fields=fields, point_step=step,
+        data=points.tobytes(), height=2, is_bigendian=True, is_dense=True,
+    )  # fmt: skip
+    kept = tmp_path / "kept.mcap"
+    pc2scan.convert(recorded(tmp_path / "a.mcap", data), kept, keep_used="/used")
+    (used,) = clouds(kept, "/used")
+    assert (used.is_bigendian, used.is_dense, used.height, used.width, used.point_step) == (True, True, 1, 3, step + 4)
+    assert used.fields == (*fields, PointField("scan_beam", step, 6))
+    rows = np.frombuffer(used.data, np.uint8).reshape(3, -1)
+    assert rows[:, :step].tobytes() == points[[0, 2, 5]].tobytes()
+    assert used.field("scan_beam").reshape(-1).tolist() == [180, 341, 108]
+    with closing(open_recording(kept)) as reader:
+        connections = {connection.topic: connection for connection in reader.connections}
+    assert connections["/used"].qos == connections["/scan"].qos
+    assert connections["/used"].latching is connections["/scan"].latching is True
+
+
+def test_other_types_of_clouds_keep_their_fields(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    columns = {"x": np.array([1.0, 2.0, -1.0]), "y": np.array([0.01, 0.01, 2.0]), "z": np.full(3, 0.5)}
+    columns["ring"] = np.array([4, 5, 6], ">u2")
+    monkeypatch.setitem(CLOUDS, "toy_msgs/msg/Cloud", lambda _: lambda _: Points(0, T0, "toy", columns))
+    source = recorded(tmp_path / "a.mcap", b"1234", "toy_msgs/msg/Cloud")
+    pc2scan.convert(source, tmp_path / "b.mcap", keep_used="/used")
+    (used,) = clouds(tmp_path / "b.mcap", "/used")
+    assert (used.frame_id, used.stamp_ns) == ("toy", T0)
+    assert {name: used.field(name).reshape(-1).tolist() for name in ("ring", "x", "beam")} == {
+        "ring": [4, 6],
+        "x": [1.0, -1.0],
+        "beam": [180, 296],
+    }
+
+
+def test_the_report_counts_the_topic(tmp_path: Path) -> None:
+    words = ["convert", str(HALL), "-o", str(tmp_path / "a.mcap"), "--keep-used", "/used", "--min-height", "-0.4"]
+    done = CliRunner().invoke(application(), words)
+    assert done.exit_code == 0, done.output
+    assert "added: the points that the beams of /scan read" in done.output
+    dry = CliRunner().invoke(application(), [*words, "-n", "--overwrite"])
+    assert "added: the points that the beams of /scan read" in dry.output
+
+
+def test_each_output_has_its_own(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    scans: dict[str, Any] = {
+        "/scan": {"min_height": -0.4, "keep_used": "/u1"},
+        "/low": {"max_height": 0.2, "keep_used": "/u2"},
+    }
+    pc2scan.convert(HALL, path, scans=scans)
+    for target, own in scans.items():
+        alone = tmp_path / "alone.mcap"
+        pc2scan.convert(HALL, alone, topics=f"/points:={target}", overwrite=True, **own)
+        for topic in (target, str(own["keep_used"])):
+            assert messages(path, topic) == messages(alone, topic)
+
+
+def test_a_topic_of_its_own(tmp_path: Path) -> None:
+    for topic in ("/scan", "/tf"):
+        with pytest.raises(TopicError, match=topic):
+            pc2scan.convert(HALL, tmp_path / "a.mcap", keep_used=topic)
+    with pytest.raises(TopicError, match=r"/b .*and /a .*would both become /u|/a .*and /b .*would both become /u"):
+        pc2scan.convert(HALL, tmp_path / "a.mcap", scans={"/a": {"keep_used": "/u"}, "/b": {"keep_used": "/u"}})
+    with pytest.raises(UsageError, match="`reverse` converts scans"):
+        pc2scan.convert(HALL, tmp_path / "a.mcap", keep_used="/used", reverse=True)
+
+
+@pytest.mark.parametrize(
+    "options", [{"accumulate": 0.2}, {"topics": ["/points:=/scan"], "accumulate": "2clouds"}], ids=str
+)
+def test_scans_of_several_clouds_keep_no_points(options: dict[str, Any], tmp_path: Path) -> None:
+    with pytest.raises(
+        TopicError, match="`keep_used=/used` keeps points of single clouds, but /scan is made of several"
+    ):
+        pc2scan.convert(HALL, tmp_path / "a.mcap", keep_used="/used", fixed_frame="odom", **options)
