@@ -247,7 +247,7 @@ class Projector:
         params = self.params
         beams = self._beams
         if params.reduce == "min" and params.min_points == 1 and intensities is None:
-            ranges = np.empty(beams, np.float32)
+            ranges = np.empty(beams, _FLOAT32)
             rejected = kernel.project(x, y, z, self._rule, transform, ranges, self._limit, self._empty)
             return ProjectedScan(ranges, PointCounts.of_projection(x.size, rejected), _NO_VALUES)
         bins, returns, numbers = np.empty(x.size, np.int32), np.empty(x.size, np.float32), np.empty(x.size, np.int64)
@@ -322,10 +322,11 @@ def _coordinates(
     x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], intensities: NDArray[Any] | None
 ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
     """Coordinates as the loops over points read them."""
-    if not (x.shape == y.shape == z.shape and 1 <= x.ndim <= 2):
-        raise ValueError(f"x, y and z have the shapes {x.shape}, {y.shape}, {z.shape}, expected one of (M,) or (H, W)")
-    if intensities is not None and intensities.shape != x.shape:
-        raise ValueError(f"intensities have the shape {intensities.shape}, expected that of x, {x.shape}")
+    shape = x.shape
+    if not (shape == y.shape == z.shape and 1 <= len(shape) <= 2):
+        raise ValueError(f"x, y and z have the shapes {shape}, {y.shape}, {z.shape}, expected one of (M,) or (H, W)")
+    if intensities is not None and intensities.shape != shape:
+        raise ValueError(f"intensities have the shape {intensities.shape}, expected that of x, {shape}")
     usual = x.dtype == y.dtype == z.dtype == _FLOAT32
     if not usual and not all(array.dtype.str[1:] in _READ_AS_IS for array in (x, y, z)):
         with np.errstate(over="ignore"):

@@ -98,7 +98,7 @@ class Frames(NamedTuple):
         target = self.target_frame
         transform = self.transform(target, frame_id, stamp_ns) if target else None
         target = target or self.source_frame or frame_id
-        level = self.level(target, stamp_ns)
+        level = None if self.up is None else self.level(target, stamp_ns)
         if level is None:
             return Placement(target, transform)
         level_from_target = level.frame_from_level.inverse()
