@@ -141,6 +141,19 @@ def test_level_by_an_imu_that_is_mounted_upside_down(tmp_path: Path, world: Path
     assert any(f"/imu: up is {'known ' if orientation else ''}{how}" in note for note in made.report["notes"])
 
 
+def test_the_imu_levels_and_odometry_deskews(tmp_path: Path, world: Path) -> None:
+    imu = write_imu(tmp_path / "imu.mcap", TILTING)
+    both = ("--level", "--imu", "/imu", *MOUNTED, "--deskew", "--fixed-frame", "odom")
+    made = converted(tmp_path, world, imu, *both)
+    assert made.off(TILTING).max() < 0.02
+    (entry,) = (topic for topic in made.report["topics"] if topic["action"] == "converted")
+    assert entry["motion"]["largest_deg"] > 0.1
+    assert entry["tilt"]["largest_deg"] == pytest.approx(3.0, abs=0.2)
+    # Transforms may come from another recording, and so may the IMU.
+    elsewhere = converted(tmp_path, world, "--tf-from", imu, *both)
+    assert [scan.ranges.tobytes() for _, scan in elsewhere.scans] == [scan.ranges.tobytes() for _, scan in made.scans]
+
+
 def test_the_scans_are_connected_with_the_target_frame(tmp_path: Path, world: Path) -> None:
     made = converted(tmp_path, world, "--level", "--fixed-frame", "odom")
     assert made.done.status == 0, made.done.stderr
