@@ -1,6 +1,7 @@
 """Makes the pictures of the README again: ``python docs/pictures/make.py [FOLDER]``.
 
-A cloud of the fixtures, and the map of a drive that the tests simulate. Needs what the tests need.
+A cloud of the fixtures, the map of a drive that the tests simulate, and scans of robots that move. Needs what the tests
+need.
 """
 
 from __future__ import annotations
@@ -13,6 +14,8 @@ from tempfile import TemporaryDirectory
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
+
+import moving  # noqa: E402  # beside this one
 
 from builders import write_mcap  # noqa: E402  # a folder of its own
 from drives import drive_recording  # noqa: E402
@@ -30,6 +33,7 @@ def main(folder: Path) -> None:
     with TemporaryDirectory() as temporary:
         drive = write_mcap(Path(temporary) / "drive.mcap", drive_recording())
         pc2scan("map", drive, "--png", folder / "map.png")
+    moving.main(folder)
 
 
 if __name__ == "__main__":

@@ -294,3 +294,25 @@ def test_rpy_at_the_poles(pitch: float) -> None:
     np.testing.assert_allclose(
         Rigid.from_rpy(roll, found, yaw).matrix, Rigid.from_rpy(0.3, pitch, 0.7).matrix, atol=1e-7
     )
+
+
+def test_a_product_rotates_and_does_not_scale() -> None:
+    # As people type a quarter turn: 0.7 too short by 1 %.
+    typed = Rigid(np.array([0.0, 0.0, 0.7, 0.71]), np.array([1.0, 2.0, 3.0]))
+    moved = Rigid.from_rpy(0.1, 0.2, 0.3, (10.0, 0.0, 0.0))
+    point = np.array([[4.0, -5.0, 6.0]])
+    expected = typed.matrix @ (moved.matrix @ point[0] + moved.translation) + typed.translation
+    product = typed.product(moved)
+    np.testing.assert_allclose(product.apply(point)[0], expected, atol=1e-12)
+    assert np.linalg.norm(product.quaternion) == pytest.approx(1, abs=1e-15)
+    assert np.linalg.norm(typed.compose(moved).apply(point)[0] - expected) > 0.01
+
+
+@pytest.mark.parametrize(
+    "angles", [(0, 0, 0), (3.1, 0, 0), (0, 1.57, 0), (0, 0, -3.1), (1.0, -0.5, 2.0), (3.1, 0.1, 3.0)]
+)
+def test_a_rotation_matrix_and_back(angles: tuple[float, float, float]) -> None:
+    rotation = Rigid.from_rpy(*angles).matrix
+    again = Rigid.from_matrix(rotation, (1, 2, 3))
+    np.testing.assert_allclose(again.matrix, rotation, atol=1e-15)
+    assert again.translation.tolist() == [1, 2, 3]

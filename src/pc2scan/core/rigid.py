@@ -348,6 +348,15 @@ class Rigid:
         """``a_from_b.compose(b_from_c)`` is ``a_from_c``."""
         return Rigid.from_pose(compose_poses(self.pose, other.pose))
 
+    def product(self, other: Rigid) -> Rigid:
+        """As `compose`, of two lookups: tf2 multiplies these as matrices, and the quaternion has unit length.
+
+        `compose` multiplies quaternions as published, as tf2 does within a lookup: one that is 0.1 % too long scales by
+        0.2 %.
+        """
+        rotation = self.matrix
+        return Rigid.from_matrix(rotation @ other.matrix, rotation @ other.translation + self.translation)
+
     def inverse(self) -> Rigid:
         """``source_from_target``."""
         return Rigid.from_pose(inverse_pose(self.pose))

@@ -148,8 +148,7 @@ class TransformBuffer:
         """
         moved = self.lookup(fixed, source, source_ns, tolerance_ns)
         seen = self.lookup(target, fixed, target_ns, tolerance_ns)
-        rotation = seen.matrix
-        return Rigid.from_matrix(rotation @ moved.matrix, rotation @ moved.translation + seen.translation)
+        return seen.product(moved)
 
     def rows(
         self,

@@ -310,7 +310,7 @@ class CombineToScan(Conversion):
         elif lead.target_from_fixed is not None and member.fixed_from_source is not None:
             # At one time the transform is that between the two frames, to the bit.
             if member.stamp_ns != lead.reference_ns:
-                transform = lead.target_from_fixed.compose(member.fixed_from_source)
+                transform = lead.target_from_fixed.product(member.fixed_from_source)
             motion = _moved(transform, mount)
         if self._late is None:
             return member.points, transform if moving is None else moving.transform, member.rejected, motion

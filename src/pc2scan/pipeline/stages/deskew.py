@@ -285,7 +285,7 @@ class Deskew:
         buffer, tolerance_ns, reference_ns = self._known(), self._frames.tolerance_ns, track.reference_ns
         source = self._frames.source_frame or points.frame_id
         target, from_fixed = self._frames.from_fixed(self._fixed, points.frame_id, reference_ns)
-        reference = from_fixed.compose(buffer.lookup(self._fixed, source, reference_ns, tolerance_ns))
+        reference = from_fixed.product(buffer.lookup(self._fixed, source, reference_ns, tolerance_ns))
         # Nobody else has the rows.
         return track.seen_from(from_fixed, reference, target, reference_ns, track.rows)
 
