@@ -136,6 +136,8 @@ def convert(
     metadata_version: int = 8,
     ros_distro: str = "",
     to: str | None = None,
+    split: str | None = None,
+    repeat_latched: bool = False,
     overwrite: bool = False,
     report: PathText | None = None,
     dry_run: bool = False,
@@ -221,6 +223,10 @@ def convert(
         its scans than this share, 0 to 1.
     storage, compression, profile, metadata_version, to
         The form of the destination. Default: that of its format.
+    split, repeat_latched
+        Write several files, each of so much log time (``60s``, ``10min``) or so many bytes of messages before
+        compression (``500MB``, ``1GiB``); whether latched messages and static transforms are repeated at the beginning
+        of each. ``files`` of the report lists them.
     ros_distro
         Whose definitions stand in for those that the recording lacks.
     overwrite
@@ -288,6 +294,11 @@ def convert(
         own |= {"lead": lead, "window": window, "accumulate": accumulate, "every": every, "rebin": rebin}
         several = scans_of(scans, parameters, own)
         parameters = {}
+    cut = None
+    if split is not None or repeat_latched:
+        from .pipeline.parts import cut_of  # noqa: PLC0415  # most recordings are one file
+
+        cut = cut_of(split, repeat_latched=repeat_latched)
     resolved = resolved_parameters(params, preset, params_file, node, parameters, reverse=reverse)
     options = ConvertOptions.of(
         scans=several.specs if several is not None else (),
@@ -329,6 +340,7 @@ def convert(
         folder=folder,
         to=to,
         dry_run=dry_run,
+        cut=cut,
         report=None if report is None else path_of("report", report),
     )
     files = {"`params_file`": params_file, "`static_tf_file`": static_tf_file}

@@ -6,6 +6,7 @@ import struct
 import threading
 from collections import defaultdict
 from contextlib import closing
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -36,7 +37,6 @@ from pc2scan.threads import Threads
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
 T0 = 1_600_000_000_000_000_000
 STEP = 1_000_000
@@ -476,3 +476,38 @@ def test_rosbag2_directories(tmp_path: Path) -> None:
     written = [stored for _, _, stored in stored_chunks(destination / "scans_0.mcap")]
     assert [stored for stored in written if stored in there] == there
     assert len(opened(destination).messages) == ROUNDS * (IMAGES_A_CHUNK + 2)
+
+
+@pytest.mark.parametrize(("suffix", "compression"), FORMS)
+@pytest.mark.parametrize("split", ["7ms", "90kB"])
+def test_chunks_are_copied_whole_into_the_parts_of_a_split_recording(
+    suffix: str, compression: str, split: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = write(tmp_path / f"drive{suffix}", compression, drive("ros1" if suffix == ".bag" else "cdr"))
+    copied: list[tuple[int, int]] = []
+    for kind in (Rosbag1Writer, McapWriter):
+        real = kind.write_chunk
+
+        def counting(self: Any, chunk: Any, real: Any = real) -> None:
+            copied.append(chunk.span_ns())
+            real(self, chunk)
+
+        monkeypatch.setattr(kind, "write_chunk", counting)
+    pc2scan.convert(source, tmp_path / f"whole{suffix}", params=PARAMS)
+    in_one = copied[:]
+    copied.clear()
+    report = pc2scan.convert(source, tmp_path / f"part{suffix}", params=PARAMS, split=split)
+    assert in_one
+    assert copied
+    if split == "7ms":
+        # Those in which a part ends are not copied.
+        assert {(first - T0) // 7_000_000 for first, _ in copied} == {(last - T0) // 7_000_000 for _, last in copied}
+        assert len(copied) < len(in_one)
+    else:
+        assert copied == in_one
+    parts = [opened(Path(file)).messages for file in report.files]
+    assert len(parts) > 2
+    assert [each for part in parts for each in part] == opened(tmp_path / f"whole{suffix}").messages
+    # Without the index too: a reader that goes through the file finds every channel before its messages.
+    if suffix == ".mcap":
+        assert all(streamed(Path(file)) for file in report.files)

@@ -11,10 +11,12 @@ from . import zstd
 from .formats import FORMATS, Format, WriteOptions
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
     from pc2scan.model import Summary, Writer
+
+    from .splitting import Cut, Part
 
 __all__ = [
     "TO",
@@ -307,7 +309,7 @@ def beside_recording(folder: Path) -> str:
     return metadata.beside_recording(folder)
 
 
-def open_writer(destination: Destination, staged_path: Path, name: str) -> Writer:
+def open_writer(destination: Destination, staged_path: Path, name: str, cut: Cut | None = None) -> Writer:
     """Start writing.
 
     Parameters
@@ -315,9 +317,12 @@ def open_writer(destination: Destination, staged_path: Path, name: str) -> Write
     destination
         From `plan_destination`.
     staged_path
-        The path to write to; see `pc2scan.files.staging.staged`.
+        The path to write to; see `pc2scan.files.staging.staged`. For several files that are no directory: the
+        directory that they are written in; see `pc2scan.files.staging.staged_parts`.
     name
-        The final name; a rosbag2 directory's files are named after it.
+        The final name; a rosbag2 directory's files, and several files, are named after it.
+    cut
+        Where a new file begins; None for one file.
 
     Raises
     ------
@@ -330,7 +335,15 @@ def open_writer(destination: Destination, staged_path: Path, name: str) -> Write
         storage=destination.storage,
         profile=destination.profile,
         metadata_version=destination.metadata_version,
+        cut=cut,
     )
     writer = destination.format.open_writer
     assert writer is not None  # a destination without one is never planned
-    return writer(staged_path, options)
+    if cut is None or destination.storage:
+        return writer(staged_path, options)
+    from .splitting import SplitWriter, part_name  # noqa: PLC0415  # most recordings are one file
+
+    def open_part(path: Path) -> tuple[Writer, Callable[[Part], None]]:
+        return writer(path, options), lambda _: None
+
+    return SplitWriter(lambda number: staged_path / part_name(name, number), open_part, cut)

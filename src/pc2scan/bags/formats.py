@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from pc2scan.model import Summary, Writer
 
     from .reader import Reader
+    from .splitting import Cut
 
 __all__ = ["FORMATS", "Format", "ReadOptions", "WriteOptions", "and_list", "chunk_format", "storages"]
 
@@ -42,7 +43,7 @@ class ReadOptions(NamedTuple):
 class WriteOptions(NamedTuple):
     """How a recording is written; see `pc2scan.bags.destinations.Destination`.
 
-    ``name`` is the final name of the recording.
+    ``name`` is the final name of the recording; ``cut`` is None for a recording in one file.
     """
 
     name: str
@@ -50,6 +51,7 @@ class WriteOptions(NamedTuple):
     storage: str = ""
     profile: str = ""
     metadata_version: int = 8
+    cut: Cut | None = None
 
 
 class Format(NamedTuple):

@@ -12,10 +12,13 @@ if TYPE_CHECKING:
 
 __all__ = ["next_command"]
 
+#: More files than these are written as a pattern.
+_NAMED = 3
+
 
 def next_command(report: Report) -> str:
     """Return the command: quoted for a shell, and right for the destination's container and ROS version."""
-    destination = _quoted(report.destination)
+    destination = _destination(report)
     if report.all_empty:
         return f"pc2scan info {_quoted(report.sources[0])}"
     consumer = next((origin.split()[-1] for origin in report.origins.values() if from_preset(origin)), "")
@@ -27,10 +30,20 @@ def next_command(report: Report) -> str:
         return f"rosbag play --clock {destination}"
     if report.container == "rosbag2":
         return f"ros2 bag play {destination} --clock"
-    if report.ros_version == 2:
+    if report.ros_version == 2 and len(report.files) < 2:
         return f"ros2 bag play -s mcap {destination} --clock"
-    # No player of ROS 1 reads MCAP.
+    # No player of ROS 1 reads MCAP, and that of ROS 2 reads one file.
     return f"pc2scan check {destination}"
+
+
+def _destination(report: Report) -> str:
+    """The recording, or all of its files."""
+    if not report.files or report.container == "rosbag2":
+        return _quoted(report.destination)
+    if len(report.files) <= _NAMED:
+        return " ".join(map(_quoted, report.files))
+    stem, _, rest = report.files[0].rpartition("_0")
+    return f"{_quoted(stem)}_*{shlex.quote(rest)}"
 
 
 def _quoted(path: str) -> str:

@@ -897,6 +897,23 @@ class OutputGroup(Group):
             rich_help_panel=_OUTPUT,
         ),
     ] = ""
+    split: Annotated[
+        str | None,
+        typer.Option(
+            metavar="TIME|SIZE",
+            help="Write several files, DST_0, DST_1 and so on, each of so much log time (60s, 10min, 1h) or of so many "
+            "bytes of messages before compression (500MB, 1GiB).",
+            rich_help_panel=_OUTPUT,
+        ),
+    ] = None
+    repeat_latched: Annotated[
+        bool,
+        typer.Option(
+            "--repeat-latched",
+            help="With --split: repeat latched messages and static transforms at the beginning of each file.",
+            rich_help_panel=_OUTPUT,
+        ),
+    ] = False
     overwrite: Annotated[
         bool,
         typer.Option(
@@ -908,7 +925,13 @@ class OutputGroup(Group):
         """Return the library's options."""
         from pc2scan.pipeline.run import OutputOptions
 
+        cut = None
+        if self.split is not None or self.repeat_latched:
+            from pc2scan.pipeline.parts import cut_of
+
+            cut = cut_of(self.split, repeat_latched=self.repeat_latched)
         return OutputOptions(
+            cut=cut,
             storage=self.storage,
             compression=self.compression,
             profile=self.profile,

@@ -51,9 +51,9 @@ def show(report: Report, *, verbose: bool = False) -> None:
         frames = [repr(spec.params.target_frame) if spec.params.target_frame else _OWN for spec in report.scans]
         named = ", ".join(dict.fromkeys(frames))
         typer.echo(printable(f"frame{'s' * (',' in named)}: {named}; points: those of the first messages"))
-        typer.echo(printable(f"{report.destination}: {_CONTAINERS[report.container]}, about {written} from {read}"))
+        typer.echo(printable(f"{report.written_to}: {_CONTAINERS[report.container]}, about {written} from {read}"))
     else:
-        typer.echo(printable(f"{report.destination}: {written} from {read} in {duration(report.seconds)}"))
+        typer.echo(printable(f"{report.written_to}: {written} from {read} in {duration(report.seconds)}"))
     if report.container == "mcap":
         # Its name does not say.
         converts = any(topic.action == "converted" for topic in report.topics)

@@ -14,7 +14,17 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-__all__ = ["ANGLE", "EXAMPLES", "FULL_TURN", "angle_value", "in_degrees", "quantity", "written_angle"]
+__all__ = [
+    "ANGLE",
+    "EXAMPLES",
+    "FULL_TURN",
+    "angle_value",
+    "byte_size",
+    "duration_ns",
+    "in_degrees",
+    "quantity",
+    "written_angle",
+]
 
 #: ROS 1's notation of angles.
 ANGLE = re.compile(r"(deg|rad)\((.*)\)")
@@ -27,6 +37,16 @@ EXAMPLES = {
     "rad": "write radians (1.5708, pi/2) or degrees (90deg)",
     "m": "write metres (0.5, 0.5m), centimetres (50cm) or millimetres (500mm)",
     "s": "write seconds (0.1, 0.1s) or milliseconds (100ms)",
+}
+
+_NUMBER_AND_UNIT = re.compile(r"(\d{1,18}(?:\.\d{0,18})?|\.\d{1,18}) ?([A-Za-z]+)")
+
+#: Nanoseconds, and bytes, of a unit in lower case.
+_DURATIONS = {"ms": 10**6, "s": 10**9, "min": 60 * 10**9, "h": 3600 * 10**9}
+_SIZES = {
+    "b": 1,
+    **{f"{prefix}b": 1000**power for power, prefix in enumerate("kmgt", 1)},
+    **{f"{prefix}ib": 1024**power for power, prefix in enumerate("kmgt", 1)},
 }
 
 #: Longer arithmetic is not an angle that anybody writes.
@@ -98,6 +118,35 @@ def written_angle(text: str) -> float | None:
         return angle_value(*written.groups())
     except ValueError:
         return None
+
+
+def duration_ns(text: str) -> int | None:
+    """Read a time of ``60s``, ``1.5min``, ``2h`` or ``500ms`` as nanoseconds; None if it is something else.
+
+    >>> duration_ns("60s"), duration_ns("1.5 min"), duration_ns("0.1s"), duration_ns("60")
+    (60000000000, 90000000000, 100000000, None)
+    """
+    return _whole(text, _DURATIONS)
+
+
+def byte_size(text: str) -> int | None:
+    """Read a size of ``500MB``, ``1.5GB`` or ``1GiB`` as bytes; None if it is something else.
+
+    >>> byte_size("500MB"), byte_size("1.5 kB"), byte_size("1GiB"), byte_size("500")
+    (500000000, 1500, 1073741824, None)
+    """
+    return _whole(text, _SIZES)
+
+
+def _whole(text: str, units: Mapping[str, int]) -> int | None:
+    """Read a decimal number with a unit, exactly; what is less than one is cut off."""
+    written = _NUMBER_AND_UNIT.fullmatch(text.strip())
+    scale = None if written is None else units.get(written[2].lower())
+    if written is None or scale is None:
+        return None
+    from decimal import Decimal  # noqa: PLC0415  # few runs need it
+
+    return int(Decimal(written[1]) * scale)
 
 
 def in_degrees(value: float) -> str:

@@ -58,10 +58,11 @@ def forecast(
     start_ns: int | None,
     stop_ns: int | None,
     report: Report,
-) -> None:
+) -> float:
     """Fill in a report as a conversion would, as far as indexes and the first messages tell.
 
-    The points in it are those of the first messages, and what is skipped is among these.
+    The points in it are those of the first messages, and what is skipped is among these. Returns about how many bytes
+    the written messages have before compression.
 
     Raises
     ------
@@ -83,6 +84,7 @@ def forecast(
     others = [key for key in routes if key not in sizes]
     sizes |= _other_sizes(reader, [routes[key].connection for key in others])
     report.bytes_written = _written(reader, target, routes, counts, sizes)
+    return sum((counts.get(key) or 0) * (size.passed + size.made + _INDEXED) for key, size in sizes.items())
 
 
 def _converted_sizes(

@@ -273,6 +273,7 @@ class Report(Shown):
     dry_run: bool = False
     container: str = ""
     ros_version: int = 0
+    files: list[str] = field(default_factory=list)
     bytes_read: int = 0
     bytes_written: int = 0
     seconds: float = 0.0
@@ -286,6 +287,13 @@ class Report(Shown):
     def origins(self) -> Mapping[str, str]:
         """Where each parameter's value came from, by name, of the first output; ``default`` if from nowhere."""
         return self.scans[0].origins
+
+    @property
+    def written_to(self) -> str:
+        """The destination as text: of several files the first and the last one, and how many there are."""
+        if len(self.files) < 2:  # several
+            return self.files[0] if self.files and self.container != "rosbag2" else self.destination
+        return f"{self.destination}: {len(self.files)} files, {self.files[0]} to {self.files[-1]}"
 
     @property
     def skipped_count(self) -> int:
@@ -480,7 +488,7 @@ class Report(Shown):
             yield ""
         yield from self.tables()
         written, read = size(self.bytes_written), size(self.bytes_read)
-        yield f"{self.destination}: {written} from {read}, exit status {self.exit_status}"
+        yield f"{self.written_to}: {written} from {read}, exit status {self.exit_status}"
         yield from listed([str(place) for place in self.damage], "damaged", _MAX_SHOWN)
         yield from listed([str(entry) for entry in self.skipped], "skipped", _MAX_SHOWN)
         if hint := next((entry.hint for entry in self.skipped if entry.hint), ""):
@@ -495,6 +503,7 @@ class Report(Shown):
             "error": None if self.error is None else self.error.as_dict(),
             "sources": self.sources,
             "destination": self.destination or None,
+            "files": self.files,
             "dry_run": self.dry_run,
             "container": self.container or None,
             "ros_version": self.ros_version or None,

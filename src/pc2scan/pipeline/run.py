@@ -37,9 +37,10 @@ from pc2scan.errors import (
 )
 from pc2scan.files.overlap import InputPath, OutputPath, refuse_overlap
 from pc2scan.files.source import state_of
-from pc2scan.files.staging import check_destination, made_folder, staged
+from pc2scan.files.staging import check_destination, check_parts, made_folder, parts_beside, staged, staged_parts
 from pc2scan.files.text_output import check_text_output, text_output
 from pc2scan.messages.laserscan import LASERSCAN
+from pc2scan.model import MAX_ROSBAG2_NS
 from pc2scan.tf.options import FrameOptions
 from pc2scan.tf.placing import Frames
 from pc2scan.tf.reading import read_some_transforms, read_transforms
@@ -73,6 +74,7 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.destinations import Destination
     from pc2scan.bags.reader import Reader
+    from pc2scan.bags.splitting import Cut
     from pc2scan.model import Connection, Summary
     from pc2scan.tf.buffer import TransformBuffer
 
@@ -113,6 +115,8 @@ class OutputOptions(NamedTuple):
         Whether nothing is written, the report neither, and only what would be is found out.
     like_source
         Whether a named destination has the storage of the source, as one that is named after the source has.
+    cut
+        Where a new file begins; None for a recording in one file.
     """
 
     storage: str | None = None
@@ -125,6 +129,7 @@ class OutputOptions(NamedTuple):
     to: str | None = None
     dry_run: bool = False
     like_source: bool = False
+    cut: Cut | None = None
 
 
 def run(
@@ -202,12 +207,15 @@ class _Files:
         self._inputs = [*map(InputPath, sources), *(InputPath(file, f"file of {option}") for option, file in named)]
         self._states = [state_of(path) for path in self.read]
         self._output = output
+        #: Files beside the destination that it replaces, too: parts of a recording of its name.
+        self.parts: Sequence[Path] = ()
         self._write_report: Callable[[str], None] | None = None
 
     def open_report(self, stack: ExitStack) -> None:
         """Make sure that nothing that is read is written over, and that the report can be written."""
         report = [] if self._output.report is None else [OutputPath(self._output.report, "`report`")]
-        destination = [] if self.destination is None else [OutputPath(self.destination)]
+        paths = [] if self.destination is None else [self.destination, *self.parts]
+        destination = [OutputPath(path) for path in paths]
         refuse_overlap(self._inputs, [*destination, *report])
         self._write_report = report_file(self._output, stack)
 
@@ -272,30 +280,46 @@ def _run(
     target = _target(path, is_named, reader, summaries, options, output)
     report.container, report.ros_version = target.container, target.ros_version
     report.warnings += (*overlap_warnings(readers), *plan.warnings, *doubts(options))
+    in_parts = output.cut is not None and not target.storage
+    files.parts = parts_beside(path) if in_parts else ()
     if output.dry_run:
         report.dry_run = True
         files.open_report(stack)
-        check_destination(path, overwrite=output.overwrite, beside_recording=beside_recording, folder=output.folder)
+        if in_parts and (output.folder is None or output.folder.is_dir()):
+            check_parts(path, overwrite=output.overwrite)
+        else:
+            check_destination(path, overwrite=output.overwrite, beside_recording=beside_recording, folder=output.folder)
         span = span_of(reader, options)
         refuse_no_messages(reader, converted, span.start_ns, span.stop_ns)
         conversions, _ = prepared(reader, plan, options, span, stack, report)
         from .forecast import forecast  # noqa: PLC0415  # dry runs only
 
         levels = _level_frames(reader, plan, target, options, Declarations(), report)
-        forecast(reader, plan, target, conversions, options, span.start_ns, span.stop_ns, report)
+        size = forecast(reader, plan, target, conversions, options, span.start_ns, span.stop_ns, report)
         if levels is not None:
             made = (each.messages_out for each in report.topics if each.spec is not None and each.spec.level)
             levels.report.messages_out = max(made, default=0)
+        if output.cut is not None:
+            from .parts import expected_files  # noqa: PLC0415  # most recordings are one file
+
+            last_ns = min(span.stop_ns or MAX_ROSBAG2_NS, reader.summary.end_ns or span.first_ns)
+            report.files = expected_files(replace(output.cut, begin_ns=span.first_ns), target, last_ns, size)
         return
     if output.folder is not None:
         stack.enter_context(made_folder(output.folder))
     files.open_report(stack)
-    with staged(path, overwrite=output.overwrite, beside_recording=beside_recording) as unfinished:
+    staging = (
+        staged_parts(path, overwrite=output.overwrite)
+        if in_parts
+        else staged(path, overwrite=output.overwrite, beside_recording=beside_recording)
+    )
+    with staging as unfinished:
         span = span_of(reader, options)
         refuse_no_messages(reader, converted, span.start_ns, span.stop_ns)
         firsts = FirstClouds(report, warn, partial(_transforms_of, files.read, options, span))
         conversions, others = prepared(reader, plan, options, span, stack, report, firsts)
-        writer = open_writer(target, unfinished, path.name)
+        cut = None if output.cut is None else replace(output.cut, begin_ns=span.first_ns)
+        writer = open_writer(target, unfinished, path.name, cut)
         try:
             copying = target.chunks == chunk_format(reader.summary) != ""
             if copying:
@@ -320,6 +344,10 @@ def _run(
             if pool is not None:
                 writer.compress_ahead(pool)
             rule = chunk_rule(routes, target, writer) if copying else None
+            if rule is not None and cut is not None:
+                from pc2scan.bags.splitting import narrowed  # noqa: PLC0415  # most recordings are one file
+
+                rule = narrowed(rule, cut, reader.connections)
             stream(reader, routes, options, span, rule, pool, writer, report, progress, levels)
             firsts.finish()
             for spec in plan.specs:
@@ -338,6 +366,10 @@ def _run(
             writer.abort()
             raise
         report.bytes_written = _size(unfinished)
+        if cut is not None:
+            from .parts import files_in  # noqa: PLC0415  # most recordings are one file
+
+            report.files = files_in(unfinished, path)
 
 
 def _transforms_of(sources: Sequence[Path], options: ConvertOptions, span: Span) -> TransformBuffer | None:

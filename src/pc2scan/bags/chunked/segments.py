@@ -95,6 +95,7 @@ def standing_alone(
             and (start_ns is None or start_ns <= segment.start_ns)
             and (stop_ns is None or segment.end_ns < stop_ns)
             and (rule.last_ns is None or segment.end_ns <= rule.last_ns)
+            and not rule.is_cut(segment.start_ns, segment.end_ns)
         ):
             alone.append(segment)
         latest = max(latest, (segment.end_ns, segment.offset))

@@ -1,10 +1,10 @@
-"""Writes rosbag2 directories: one storage file, and metadata.yaml."""
+"""Writes rosbag2 directories: storage files, and metadata.yaml."""
 
 from __future__ import annotations
 
 import os
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.bags.formats import WriteOptions, storages
 from pc2scan.bags.qos import MAX_CHARACTERS, parsed_qos, respelled_qos
@@ -15,14 +15,23 @@ from pc2scan.model import MAX_ROSBAG2_NS, Connection, Metadata
 from .metadata import METADATA_NAME, NEWEST_VERSION, RECORD_NAME, ROOT
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Mapping
+    from collections.abc import Callable, Collection, Mapping, Sequence
     from pathlib import Path
 
     from pc2scan.bags.mcap.writer import McapWriter
-    from pc2scan.model import Attachment, Buffer, StoredChunk
+    from pc2scan.bags.splitting import Cut, Part, SplitWriter
+    from pc2scan.model import Attachment, Buffer, StoredChunk, Writer
     from pc2scan.threads import Threads
 
 __all__ = ["Rosbag2Writer", "open_mcap_storage", "open_writer"]
+
+
+class _File(NamedTuple):
+    """A storage file, its messages by handle, and its first and last log time."""
+
+    path: Path
+    counts: Mapping[int, int]
+    span_ns: tuple[int, int] | None
 
 
 def open_writer(path: Path, options: WriteOptions) -> Rosbag2Writer:
@@ -33,6 +42,7 @@ def open_writer(path: Path, options: WriteOptions) -> Rosbag2Writer:
         storage=options.storage,
         compression=options.compression,
         metadata_version=options.metadata_version,
+        cut=options.cut,
     )
 
 
@@ -45,7 +55,7 @@ def open_mcap_storage(path: Path, options: WriteOptions) -> tuple[McapWriter, Ca
 
 
 class Rosbag2Writer:
-    """Writes a rosbag2 directory with one storage file; see `pc2scan.model.Writer`.
+    """Writes a rosbag2 directory, with one storage file or several; see `pc2scan.model.Writer`.
 
     Nothing in it depends on the machine: ``ros_distro`` is empty.
 
@@ -65,6 +75,8 @@ class Rosbag2Writer:
         or by name. Profiles that cannot be understood, and unknown or missing keys, stay as they are.
     custom_data
         For metadata.yaml.
+    cut
+        Where a new file begins; None for one file.
 
     Raises
     ------
@@ -81,6 +93,7 @@ class Rosbag2Writer:
         compression: str = "none",
         metadata_version: int = 8,
         custom_data: Mapping[str, str] | None = None,
+        cut: Cut | None = None,
     ) -> None:
         self._path = path
         self._storage_name = storage
@@ -88,7 +101,6 @@ class Rosbag2Writer:
         self._custom_data = dict(custom_data or {})
         entry = storages()[storage]
         self._message_compression = compression if entry.packs_messages else "none"
-        self._file_name = f"{name}_0{entry.suffix}"
         self._connections: dict[int, Connection] = {}
         self._counts: dict[int, int] = {}
         self._span_ns: tuple[int, int] | None = None
@@ -98,7 +110,21 @@ class Rosbag2Writer:
             raise self._failed(err) from err
         options = WriteOptions(name=name, compression=compression, metadata_version=metadata_version)
         assert entry.open_storage is not None
-        self._storage, self._keep_info = entry.open_storage(path / self._file_name, options)
+        open_storage = entry.open_storage
+
+        def open_part(file: Path) -> tuple[Writer, Callable[[Part | _File], None]]:
+            storage, keep_info = open_storage(file, options)
+            # Each file says of itself what metadata.yaml says of all.
+            return storage, lambda part: keep_info(dump_yaml(self._info([part])).rstrip("\n"))
+
+        self._split: SplitWriter | None = None
+        self._file = path / f"{name}_0{entry.suffix}"
+        if cut is None:
+            self._storage, self._keep_info = open_part(self._file)
+        else:
+            from pc2scan.bags.splitting import SplitWriter  # noqa: PLC0415  # most recordings are one file
+
+            self._storage = self._split = SplitWriter(lambda n: path / f"{name}_{n}{entry.suffix}", open_part, cut)
 
     def keep_ids(self, connections: Collection[Connection]) -> None:
         """Reserve the ids of these connections, so that they keep them when they are declared."""
@@ -167,12 +193,15 @@ class Rosbag2Writer:
         """Finish the storage, write metadata.yaml, and put everything on the disk."""
         from pc2scan.files.staging import sync_directory  # noqa: PLC0415
 
-        info = self._info()
-        self._keep_info(dump_yaml(info).rstrip("\n"))
+        parts: Sequence[Part | _File] = [_File(self._file, self._counts, self._span_ns)]
+        if self._split is None:
+            self._keep_info(parts[0])
         self._storage.finish()
+        if self._split is not None:
+            parts = self._split.parts
         try:
             with (self._path / METADATA_NAME).open("x", encoding="utf-8", newline="\n") as file:
-                file.write(dump_yaml({ROOT: info}))
+                file.write(dump_yaml({ROOT: self._info(parts)}))
                 file.flush()
                 os.fsync(file.fileno())
             sync_directory(self._path)
@@ -183,30 +212,25 @@ class Rosbag2Writer:
         """Release the storage; the caller removes the directory."""
         self._storage.abort()
 
-    def _info(self) -> dict[str, Any]:
+    def _info(self, parts: Sequence[Part | _File]) -> dict[str, Any]:
         packed = self._message_compression != "none"
         return {
             "version": self._version,
             "storage_identifier": self._storage_name,
-            **self._extent(),
+            **_extent(parts),
             "topics_with_message_count": [
-                {"topic_metadata": self._topic(connection), "message_count": self._counts[handle]}
+                {
+                    "topic_metadata": self._topic(connection),
+                    "message_count": sum(part.counts.get(handle, 0) for part in parts),
+                }
                 for handle, connection in self._connections.items()
             ],
             "compression_format": self._message_compression if packed else "",
             "compression_mode": "MESSAGE" if packed else "",
-            "relative_file_paths": [self._file_name],
-            "files": [{"path": self._file_name, **self._extent()}],
+            "relative_file_paths": [part.path.name for part in parts],
+            "files": [{"path": part.path.name, **_extent([part])} for part in parts],
             "custom_data": self._custom_data or None,
             "ros_distro": "",
-        }
-
-    def _extent(self) -> dict[str, Any]:
-        first_ns, last_ns = self._span_ns or (MAX_ROSBAG2_NS, MAX_ROSBAG2_NS)
-        return {
-            "duration": {"nanoseconds": last_ns - first_ns},
-            "starting_time": {"nanoseconds_since_epoch": first_ns},
-            "message_count": sum(self._counts.values()),
         }
 
     def _topic(self, connection: Connection) -> dict[str, Any]:
@@ -225,3 +249,15 @@ class Rosbag2Writer:
 
     def _failed(self, err: OSError) -> OutputError:
         return OutputError(f"cannot be written: {err.strerror}", path=self._path)
+
+
+def _extent(parts: Sequence[Part | _File]) -> dict[str, Any]:
+    """Return the times and the number of messages of files."""
+    spans = [part.span_ns for part in parts if part.span_ns is not None]
+    first_ns = min((first for first, _ in spans), default=MAX_ROSBAG2_NS)
+    last_ns = max((last for _, last in spans), default=MAX_ROSBAG2_NS)
+    return {
+        "duration": {"nanoseconds": last_ns - first_ns},
+        "starting_time": {"nanoseconds_since_epoch": first_ns},
+        "message_count": sum(sum(part.counts.values()) for part in parts),
+    }
