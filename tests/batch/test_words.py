@@ -79,6 +79,7 @@ TYPED: dict[str, Any] = {
     "--no-verify --strict": {"verify": False, "strict": True},
     "--storage sqlite3 --compression zstd": {"storage": "sqlite3", "compression": "zstd"},
     "--to mcap --profile ros2 --ros-distro humble": {"to": "mcap", "profile": "ros2", "ros_distro": "humble"},
+    "--split 60s --repeat-latched --to rosbag2": {"split": "60s", "repeat_latched": True, "to": "rosbag2"},
     "--metadata-version 9 --overwrite": {"metadata_version": 9, "overwrite": True},
     "": {},
 }
@@ -101,6 +102,7 @@ def test_typed_options_are_words(text: str, tmp_path: Path, monkeypatch: pytest.
         request = request_of(words)
         assert called[0][2] == request.options
         assert called[0][3].storage == request.output.storage
+        assert called[0][3].cut == request.output.cut
 
 
 class _Done:
@@ -129,11 +131,20 @@ def test_every_option_of_the_command_becomes_a_word() -> None:
         ({"static_tf": "a b 0 0 0 0 0 0"}, {"static_tf": "a b 0 0 0 0 0 0.1"}, False),
         ({"start": 1}, {"start": "1.0"}, True),
         ({"to": "mcap", "compression": "none"}, {"to": "mcap"}, False),
+        ({"split": "60s", "to": "rosbag2"}, {"split": "1min", "to": "rosbag2"}, True),
+        ({"split": "60s", "to": "rosbag2"}, {"split": "61s", "to": "rosbag2"}, False),
+        ({"split": "60s", "to": "rosbag2"}, {"split": "60s", "to": "rosbag2", "repeat_latched": True}, False),
         ({"strict": True}, {}, False),
     ],
 )
 def test_a_digest_is_of_what_decides_the_output(words: dict[str, Any], other: dict[str, Any], same: bool) -> None:
     assert (request_of(words).digest() == request_of(other).digest()) == same
+
+
+@pytest.mark.parametrize("words", [{"split": "60s"}, {"split": "60s", "to": "bag"}, {"repeat_latched": True}])
+def test_a_batch_splits_only_into_directories(words: dict[str, Any]) -> None:
+    with pytest.raises(UsageError, match="`split`"):
+        request_of(words)
 
 
 def test_a_digest_sees_the_files_of_options(tmp_path: Path) -> None:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 from enum import Enum
+from itertools import chain
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,6 +26,7 @@ from .identity import identity_of
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from pc2scan.bags.splitting import Cut
     from pc2scan.pipeline.scans_file import ScansFile
 
 __all__ = ["Request", "request_of", "words_known"]
@@ -36,6 +38,7 @@ _FILTERS = ("where", "exclude_box", "exclude_polygon", "min_height_slope", "filt
 _COMBINING = ("lead", "window", "accumulate", "every", "rebin")
 _CHANNELS = ("channels", "range_cutoff")
 _OUTPUT = ("storage", "compression", "profile", "metadata_version", "to", "overwrite")
+_SPLIT = ("split", "repeat_latched")
 _TEXTS = ("topics", "keep", "drop")
 
 #: What an output has of its own where there are ``scans``; see `pc2scan.pipeline.scans_file.refuse_beside`.
@@ -98,6 +101,8 @@ class Request:
         output = {
             name: getattr(self.output, name) for name in ("storage", "compression", "profile", "metadata_version")
         }
+        if self.output.cut is not None:
+            output["cut"] = asdict(self.output.cut)
         others = [identity_of([path]).as_json() for path in options.frames.tf_from]
         whole = json_value({"options": _canonical(options), "output": output, "tf_from": others})
         return hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()[:32]
@@ -106,7 +111,8 @@ class Request:
 def words_known() -> frozenset[str]:
     """Return all words that `request_of` reads."""
     plain = {field.name for field in fields(ConvertOptions)} - {"params", "frames", "filters", "channels"} - _NO_WORDS
-    return frozenset({*_PARAMETERS, *_FRAMES, *_FILTERS, *_COMBINING, *_CHANNELS, *_OUTPUT, *plain, *parameter_names()})
+    groups = (_PARAMETERS, _FRAMES, _FILTERS, _COMBINING, _CHANNELS, _OUTPUT, _SPLIT)
+    return frozenset(chain(*groups, plain, parameter_names()))
 
 
 def request_of(words: Mapping[str, Any], origins: Mapping[str, str] | None = None) -> Request:
@@ -166,7 +172,8 @@ def request_of(words: Mapping[str, Any], origins: Mapping[str, str] | None = Non
     )
     combining = take(_COMBINING)
     channels = take(_CHANNELS)
-    output = OutputOptions(**take(_OUTPUT), like_source=True)
+    cut = _cut(take(_SPLIT), given.get("to"))
+    output = OutputOptions(**take(_OUTPUT), like_source=True, cut=cut)
     options = ConvertOptions.of(
         scans=() if several is None else several.specs,
         params=resolved.params,
@@ -191,6 +198,20 @@ def request_of(words: Mapping[str, Any], origins: Mapping[str, str] | None = Non
             for origin in (resolved.ignored if several is None else several.ignored)
         ),
     )
+
+
+def _cut(asked: Mapping[str, Any], to: object) -> Cut | None:
+    """Read where outputs are split; a batch keeps one output for each recording, so that this is a directory."""
+    if not asked:
+        return None
+    from pc2scan.pipeline.parts import cut_of  # noqa: PLC0415  # most outputs are one file
+
+    cut = cut_of(asked.get("split"), repeat_latched=asked.get("repeat_latched", False))
+    if cut is not None and to != "rosbag2":
+        raise UsageError(
+            "`split` of a batch writes rosbag2 directories, each with several files", hint="give `to=rosbag2`"
+        )
+    return cut
 
 
 def _several(
