@@ -262,6 +262,38 @@ def test_what_has_no_effect_draws_a_warning(tmp_path: Path, options: tuple[str, 
     assert said in " ".join(done.stderr.split())
 
 
+def test_what_makes_scans_of_one_cloud_each_says_so(tmp_path: Path) -> None:
+    source = write_world(tmp_path / "w.mcap", [FRONT, FLAT], seconds=0.4)
+    gathered = ("--topic", "/front", "--accumulate", "0.2", *MOVED, "--min-height", "0.1")
+    for command in (
+        ("export", source, "-o", tmp_path / "s.npz", *gathered),
+        ("map", source, "-o", tmp_path / "m.yaml", *gathered),
+        ("view", source, "-o", tmp_path / "v.html", "--rebin"),
+    ):
+        done = run(*command)
+        assert done.status == 2, done
+        assert "make the scans with `pc2scan convert` and these options" in " ".join(done.stderr.split())
+    done = run("view", source, "-o", tmp_path / "v.html", *gathered)
+    assert done.status == 0, done.stderr
+    assert "Clouds are shown one by one" in (tmp_path / "v.html").read_text()
+
+
+def test_level_scans_of_two_lidars_on_a_robot_that_tilts(tmp_path: Path) -> None:
+    drive = Drive(tilt=float(np.radians(3.0)))
+    source = write_world(tmp_path / "w.mcap", [FRONT, REAR], drive, seconds=1.0)
+    done = converted(source, *two_topics(), *MOVED, "--deskew", "--level", *FINE)
+    assert {scan.frame_id for scan in done.scans} == {"base_link_stabilized"}
+    # The level frame has the yaw and the place of the robot, and none of its tilt.
+    right = errors(done.scans, DRIVE)
+    assert np.mean(right < 0.02) > 0.99
+    with closing(open_recording(tmp_path / "out.mcap")) as reader:
+        kinds = [message.connection.topic for message in reader.messages()]
+    assert kinds.count("/tf") == kinds.count("/scan") == 10
+    # Without it, floor is in the scans: far from any wall.
+    tilted = errors(converted(source, *two_topics(), *MOVED, "--deskew", *FINE).scans, drive)
+    assert np.mean(tilted > 0.1) > 0.01
+
+
 def test_a_dry_run_says_what_becomes_of_the_topics(tmp_path: Path) -> None:
     source = write_world(tmp_path / "w.mcap", [FRONT, REAR], seconds=0.5)
     done = run("convert", source, "-n", *two_topics(), *MOVED, "--min-height", "0.1")

@@ -317,6 +317,7 @@ def map_of(
     ResultError
         If no scan has a place, or none has a return.
     """
+    options.specs[0].refuse_combining("a map makes")
     if options.reverse:
         raise UsageError("`reverse` makes clouds, and a map is made of scans")
     with opened(sources, options) as recording:

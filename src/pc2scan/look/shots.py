@@ -121,6 +121,11 @@ def take_shots(
             topics.setdefault(route.connection.topic, []).append(route.connection)
     frames = _frames(buffer, options, None if others is None else [reader, *others])
     params, notes = options.params, list[str]()
+    spec = options.specs[0]
+    if spec.combining.rebin:
+        spec.refuse_combining("pages and figures make")
+    if spec.may_combine:
+        notes.append("Clouds are shown one by one; only a conversion makes one scan of several.")
     if options.deskew:
         notes.append("Clouds are deskewed, as if all points had been measured at the scan's time.")
     if options.level and frames.up is None:

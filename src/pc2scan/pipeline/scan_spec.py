@@ -211,6 +211,21 @@ class ScanSpec:
         """Whether a scan may be made of several messages, or of other scans."""
         return self.may_share or self.combining.accumulates or self.combining.rebin
 
+    def refuse_combining(self, what: str) -> None:
+        """Raise if scans would be made of several messages, or of scans, for something that makes each of one cloud.
+
+        Raises
+        ------
+        UsageError
+            If anything of it is asked for.
+        """
+        if self.may_combine:
+            raise UsageError(
+                f"{what} each scan of one cloud: `accumulate`, `every`, `rebin` and topics that share a target do not "
+                "count",
+                hint="make the scans with `pc2scan convert` and these options, and use what it writes",
+            )
+
     @property
     def rejections(self) -> tuple[Rejection, ...]:
         """Why points may be rejected, other than by the projection itself."""

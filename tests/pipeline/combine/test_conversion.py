@@ -1,0 +1,142 @@
+"""Scans of several messages: equal to the scan of one cloud with all their points, where nothing moves."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pc2scan.core.params import ProjectionParams
+from pc2scan.core.points import Points
+from pc2scan.core.rigid import Rigid
+from pc2scan.errors import DecodeError
+from pc2scan.messages.laserscan import LaserScan, encode_laserscan
+from pc2scan.pipeline.cloud_to_scan import CloudToScan
+from pc2scan.pipeline.combine.asked import Combining
+from pc2scan.pipeline.combine.conversion import CombineToScan, Prepared
+from pc2scan.pipeline.combine.matching import Nearest
+from pc2scan.pipeline.conversion import Measured, Result
+from pc2scan.pipeline.scan_spec import ScanSpec, TopicRequest
+from pc2scan.pipeline.stages.height_slope import MinHeightSlope
+from pc2scan.pipeline.stages.regions import ExcludeBox
+from pc2scan.pipeline.stages.where import Where
+from pc2scan.tf.builder import TransformBuilder
+from pc2scan.tf.placing import Frames
+
+T0 = 1_700_000_000_000_000_000
+MOUNTS = {
+    "a": Rigid.from_rpy(0.1, -0.2, 0.7, (0.3, -0.1, 0.5)),
+    "b": Rigid.from_rpy(0.0, 0.05, 3.0, (-0.4, 0.2, 0.6)),
+    "c": Rigid.from_rpy(-0.1, 0.0, -1.5, (0.0, 0.0, 1.0)),
+}
+TOPICS = tuple(f"/{frame}" for frame in MOUNTS)
+
+
+def frames() -> Frames:
+    builder = TransformBuilder()
+    builder.add([("base_link", frame, T0, *mount.pose) for frame, mount in MOUNTS.items()], static=True)
+    return Frames("base_link", "", builder.build(), 0)
+
+
+def conversion(params: ProjectionParams, **options: Any) -> CombineToScan:
+    spec = ScanSpec(topics=tuple(TopicRequest(topic, "/scan") for topic in TOPICS), params=params, **options)
+    return CombineToScan(spec, TOPICS, frames(), Measured(0.1), lambda: Nearest([0, 0, 0]))
+
+
+def cloud(rng: np.random.Generator, frame: str, stamp_ns: int) -> Points:
+    x, y, z = rng.normal(0, 3, (3, int(rng.integers(0, 200)))).astype(np.float32)
+    x[rng.uniform(size=x.size) < 0.05] = np.nan
+    intensity = rng.uniform(0, 100, x.size).astype(np.float32)
+    return Points(0, stamp_ns, frame, {"x": x, "y": y, "z": z, "intensity": intensity})
+
+
+def together(made: CombineToScan, clouds: list[Any]) -> Result:
+    prepared: list[Prepared] = [made.stages(topic)[0](each) for topic, each in zip(TOPICS, clouds, strict=True)]
+    return made.scan(prepared[0], prepared)
+
+
+def concatenated(clouds: list[Points]) -> Points:
+    """All points in base_link, as tf2_sensor_msgs transforms clouds."""
+    fields: dict[str, Any] = {}
+    with np.errstate(invalid="ignore"):
+        placed = [MOUNTS[each.frame_id].apply(np.stack(each.xyz(), axis=1)) for each in clouds]
+    for axis, name in enumerate("xyz"):
+        fields[name] = np.concatenate([each[:, axis] for each in placed])
+    fields["intensity"] = np.concatenate([each.field("intensity") for each in clouds])
+    return Points(0, clouds[0].stamp_ns, "base_link", fields)
+
+
+def scan_of(params: ProjectionParams, points: Points, filters: Any = ()) -> Result:
+    result: Any = points
+    for stage in CloudToScan(params, frames(), {"/a": Measured(0.1)}, filters).stages("/a"):
+        result = stage(result)
+    assert isinstance(result, Result)
+    return result
+
+
+def same(one: Result, other: Result) -> None:
+    assert encode_laserscan(one.message, "cdr") == encode_laserscan(other.message, "cdr")
+    assert one.counts == other.counts
+    assert one.empty == other.empty
+
+
+@settings(deadline=None, max_examples=60)
+@given(
+    st.integers(0, 2**32),
+    st.sampled_from(
+        [{}, {"intensity_field": "intensity"}, {"reduce": "mean"}, {"geometry": "centered", "reduce": "surface"}]
+    ),
+    st.booleans(),
+)
+def test_where_nothing_moves_the_scan_is_that_of_the_concatenated_clouds(
+    seed: int, choice: dict[str, Any], filtered: bool
+) -> None:
+    rng = np.random.default_rng(seed)
+    params = ProjectionParams(target_frame="base_link", min_height=-0.5, range_max=6.0, angle_increment=0.05, **choice)
+    filters = (Where("intensity > 20"), MinHeightSlope(-0.5, 0.05)) if filtered else ()
+    # Stamps differ, and it makes no difference: the sensors are mounted rigidly.
+    clouds = [cloud(rng, frame, T0 + number * 1_000_000) for number, frame in enumerate(MOUNTS)]
+    same(together(conversion(params, filters=filters), clouds), scan_of(params, concatenated(clouds), filters))
+
+
+def test_what_a_filter_rejects_in_a_frame_of_its_own_is_counted_once() -> None:
+    rng = np.random.default_rng(3)
+    box = ExcludeBox("base_link", (-1.0, 1.0), (-1.0, 1.0), (-5.0, 5.0))
+    params = ProjectionParams(target_frame="base_link", min_height=-0.5)
+    clouds = [cloud(rng, frame, T0) for frame in MOUNTS]
+    made, expected = together(conversion(params, filters=(box,)), clouds), scan_of(params, concatenated(clouds), (box,))
+    assert made.counts.exclude_box == expected.counts.exclude_box > 0
+    same(made, expected)
+
+
+def test_preparing_keeps_nothing_of_the_message() -> None:
+    rng = np.random.default_rng(4)
+    made = conversion(ProjectionParams(target_frame="base_link", min_height=-0.5))
+    clouds = [cloud(rng, frame, T0) for frame in MOUNTS]
+    prepared = [made.stages(topic)[0](each) for topic, each in zip(TOPICS, clouds, strict=True)]
+    before = encode_laserscan(made.scan(prepared[0], prepared).message, "cdr")
+    for each in clouds:
+        each.field("x")[:] = 1.0
+    assert encode_laserscan(made.scan(prepared[0], prepared).message, "cdr") == before
+    assert all(each.points.fields.keys() == {"x", "y", "z"} for each in prepared)
+
+
+def test_a_missing_field_is_the_error_of_the_message_that_lacks_it() -> None:
+    made = conversion(ProjectionParams(target_frame="base_link", intensity_field="reflectivity"))
+    with pytest.raises(DecodeError, match="no field 'reflectivity'"):
+        made.stages("/a")[0](cloud(np.random.default_rng(0), "a", T0))
+
+
+def test_the_heights_of_a_scans_beams_count_only_if_they_are_asked_for() -> None:
+    flat = LaserScan(0, T0, "a", -1.0, 1.0, 0.25, 0.0, 0.1, 0.1, 10.0, np.full(9, 2.0, np.float32))
+    for params, kept in ((ProjectionParams(), 9), (ProjectionParams(min_height=0.1), 0)):
+        spec = ScanSpec(params=params, combining=Combining(rebin=True))
+        made = CombineToScan(spec, ["/a"], Frames(), Measured(0.1), None)
+        result: Any = flat
+        for stage in made.stages("/a"):
+            result = stage(result)
+        assert (result.counts.used, result.counts.height) == (kept, 9 - kept)
+        assert result.rebinned is not None
