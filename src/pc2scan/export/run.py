@@ -168,7 +168,7 @@ def _check_request(written: Format, options: ConvertOptions, form: ExportOptions
             "transforms would have no effect: neither poses nor scans of clouds are asked for",
             hint="`pose_frame=odom` writes poses",
         )
-    options.specs[0].refuse_combining("`export` makes")
+    options.specs[0].refuse_combining("an export makes")
     if not form.converting and (options.filters or options.deskew):
         raise UsageError(
             "filters and `deskew` count only where clouds become scans",
