@@ -14,7 +14,7 @@ from pc2scan.core import kernel, plain
 from pc2scan.core.occupancy import FREE, OCCUPIED, UNSEEN, OccupancyGrid, beams_of, placed_beams
 from pc2scan.core.rigid import Rigid
 from pc2scan.core.unproject import UnprojectParams, deskew, unproject
-from pc2scan.errors import ParameterError, UsageError
+from pc2scan.errors import DecodeError, ParameterError, UsageError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -198,6 +198,15 @@ def test_a_grid_that_would_be_too_large_is_refused() -> None:
     found = grid.occupancy()
     assert found is not None
     assert found.cells.shape == (801, 801)
+
+
+def test_a_scan_that_would_take_too_long_is_refused() -> None:
+    grid = OccupancyGrid(0.001, 64 << 20)
+    ends = np.stack((np.full(1000, 40.0), np.linspace(0, 0.5, 1000)), axis=1)
+    with pytest.raises(DecodeError, match="cross more than 33,554,432 cells"):
+        grid.add(np.zeros((1000, 2)), ends, np.ones(1000, bool))
+    grid.add(np.zeros((100, 2)), ends[:100], np.ones(100, bool))
+    assert grid.occupancy() is not None
 
 
 @pytest.mark.parametrize("resolution", [0.0, -1.0, math.nan, math.inf])

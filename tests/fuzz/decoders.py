@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING, Any, cast
 import pc2scan
 from bags import mcap_files
 from fuzz.clouds import project_cloud
+from fuzz.rays import draw_rays
 from pc2scan.bags.rosbag1.records import Damaged, parsed_connection, parsed_fields
 from pc2scan.errors import Pc2ScanError
 from pc2scan.model import ChunkRule, Connection, Definition, StoredChunk
@@ -309,6 +310,7 @@ def _ignored(_: object) -> None:
 DECODERS: dict[str, Callable[[bytes], None]] = {
     "cloud": _cloud,
     "clouds": project_cloud,
+    "rays": draw_rays,
     "scan": _scan,
     "transforms": _transforms,
     "wire": _wire,

@@ -32,7 +32,7 @@ from builders import (
     scan,
     write_rosbag2,
 )
-from fuzz import clouds
+from fuzz import clouds, rays
 from fuzz.decoders import CORPUS
 from pc2scan import ProjectionParams
 from pc2scan.bags.mcap.reader import McapReader
@@ -89,6 +89,10 @@ def inputs() -> Iterator[tuple[str, str, bytes]]:
     yield from _copies()
     yield from _pages()
     yield from _clouds()
+    fan = [((20, 10, 40 * (n % 2), n), n) for n in range(20)]
+    yield "rays", "fan", rays.written(40, 19, 3, fan)
+    yield "rays", "line", rays.written(200, 0, 0, [((0, 0, n, 0), n) for n in range(9)])
+    yield "rays", "outside", rays.written(5, 5, 1, [((0, 0, 5, 5), 1), ((6, 0, 0, -1), 1), ((2**31 - 1, 0, 0, 0), 0)])
     yield "scan-text", "messages", _scan_text().encode()
     yield "rows", "sound", b"\xfe".join((b"\1/t", b"\1p/msg/T", b"\1", b"\2" + bytes(T0 % 50), b"\0data"))
     yield "qos", "profile", qos_text((POINTS,)).encode()

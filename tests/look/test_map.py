@@ -243,6 +243,20 @@ def test_odd_scans_are_skipped(changes: dict[str, Any], tmp_path: Path) -> None:
         pc2scan.map(with_scan(tmp_path, np.ones(91, np.float32), **changes))
 
 
+def test_reasons_without_number_are_one(tmp_path: Path) -> None:
+    recording = drive_recording(seconds=0.2, rate=5.0, beams=91)
+    scan = next(item for item in recording.items if item.stream.topic == "/scan")
+    odd = [
+        Item(scan.stream, T0 + n, {2: scan_message(np.ones(9, np.float32), stamp_ns=T0, frame=f"frame{n}")})
+        for n in range(150)
+    ]
+    source = write_mcap(tmp_path / "odd.mcap", Recording(recording.streams, (*recording.items, *odd)))
+    made = pc2scan.map(source)
+    assert len(made.skipped) == 101
+    assert sum(each.count for each in made.skipped) == 150
+    assert made.skipped[0].count == 50
+
+
 @pytest.mark.parametrize("value", [np.nan, np.inf, 3.4e38, -1.0])
 def test_odd_ranges_are_no_trouble(value: float, tmp_path: Path) -> None:
     ranges = np.full(91, 1.0, np.float32)
@@ -279,6 +293,7 @@ def test_a_map_without_end_is_refused(tmp_path: Path) -> None:
         (["--png", "map.png", "--clear-to", "inf"], "--clear-to is inf m"),
         (["--png", "map.png", "--odom-frame", "world"], "the frames are base_link, laser, odom"),
         (["--png", "map.png", "--odom-frame", "world"], "--odom-frame odom draws the map"),
+        (["--png", "map.png", "--base-frame", "base_lnik"], "hint: did you mean base_link?"),
         (["--png", "map.png", "--topic", "/nope"], "/nope"),
         (["--png", "map.png", "--reverse"], "a map is made of scans"),
         (["-o", "map.yaml", "--png", "map.pgm"], "map.pgm"),

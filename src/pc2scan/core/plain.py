@@ -24,8 +24,8 @@ __all__ = ["angles", "bins_of", "deskew", "follow", "gather", "project", "span",
 #: Points at a time: few enough for the cache, and enough to make the cost of calling NumPy small.
 BLOCK = 16384
 
-#: Lines at a time.
-_LINES = 256
+#: Cells of lines at a time, about.
+_CROSSED = 1 << 18
 
 #: Log-odds of a cell in steps of 0.05; see `pc2scan.core.occupancy`.
 UNKNOWN, HIT, MISS, LOWEST, HIGHEST = -128, 17, -8, -40, 70
@@ -398,8 +398,8 @@ def trace(
         raise ValueError("a ray leaves the grid")
     lines = rays.astype(np.int64)
     _observe(cells, mark, lines[hits, 3] * width + lines[hits, 2], HIT)
-    for start in range(0, len(lines), _LINES):
-        part = slice(start, start + _LINES)
+    ends = np.cumsum(np.abs(lines[:, 2:] - lines[:, :2]).max(axis=1, initial=0))
+    for part in np.split(np.arange(len(lines)), np.flatnonzero(np.diff(ends // _CROSSED)) + 1):
         _observe(cells, mark, _line_cells(lines[part], hits[part], width), MISS)
 
 

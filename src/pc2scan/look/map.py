@@ -16,7 +16,7 @@ import numpy as np
 
 from pc2scan.arguments import path_of
 from pc2scan.bags.topics import find_topics, matches
-from pc2scan.core.occupancy import FREE, OCCUPIED, Occupancy, OccupancyGrid, beams_of, placed_beams
+from pc2scan.core.occupancy import FREE, LONGEST, OCCUPIED, Occupancy, OccupancyGrid, beams_of, placed_beams
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.rigid import Rigid
 from pc2scan.core.unproject import beam_angles, last_beam_ns
@@ -28,6 +28,7 @@ from pc2scan.inspect.scan_frames import BASE_FRAMES
 from pc2scan.json_types import json_value
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN
+from pc2scan.names import did_you_mean
 from pc2scan.pipeline.options import TopicRequest
 from pc2scan.shown import Shown, duration, listed
 from pc2scan.streams.scans import Scans
@@ -60,6 +61,9 @@ _FINEST, _COARSEST = 0.001, 10.0
 
 #: A scan is tilted if its z axis has less than this of the map's: 5 degrees.
 _LEVEL = math.cos(math.radians(5))
+
+#: Reasons for skipping that are told apart.
+_MOST_REASONS = 100
 
 #: Reasons for skipping, and damaged places, that are shown as text.
 _MAX_SHOWN = 5
@@ -415,14 +419,19 @@ class _Drawn:
             if level is not None:
                 start = start.compose(Rigid.from_pose(level.row[3:]))
             end = self._end(scan) if level is None else None
-            directions = self._directions(scan)
+            beams = beams_of(
+                scan.ranges,
+                scan.range_min,
+                scan.range_max,
+                longest=min(asked.max_range, LONGEST * asked.resolution),
+                clear_to=asked.clear_to,
+            )
+            origins, ends = placed_beams(beams, self._directions(scan), len(scan.ranges), start, end)
+            self.grid.add(origins, ends, beams.hits)
         except MessageError as err:
             self._explain(err, scan)
             self.skip(scan.topic, err)
             return
-        beams = beams_of(scan.ranges, scan.range_min, scan.range_max, longest=asked.max_range, clear_to=asked.clear_to)
-        origins, ends = placed_beams(beams, directions, len(scan.ranges), start, end)
-        self.grid.add(origins, ends, beams.hits)
         self.scans[scan.topic] += 1
         self.tilted += abs(float(start.matrix[2, 2])) < _LEVEL
         self._drive(scan, start)
@@ -433,7 +442,10 @@ class _Drawn:
             raise error
         self.first_error = self.first_error or error
         reason = error.reason if isinstance(error, TransformError) else ""
-        self.skipped[topic, reason or error.message] += 1
+        key = (topic, reason or error.message)
+        if key not in self.skipped and len(self.skipped) >= _MOST_REASONS:
+            key = (topic, "other reasons")
+        self.skipped[key] += 1
 
     def _pose(self, frame: str, stamp_ns: int) -> Rigid:
         tolerance_ns = round(self.options.params.transform_tolerance * 1e9)
@@ -456,7 +468,7 @@ class _Drawn:
         if found is None:
             angles = beam_angles(*key)
             found = np.stack((np.cos(angles), np.sin(angles)))
-            if len(self.directions) >= 16:
+            if len(self.directions) >= 4:
                 self.directions.clear()
             self.directions[key] = found
         return found
@@ -466,6 +478,10 @@ class _Drawn:
         if not self.robot:
             known = {frame.removeprefix("/") for frame in self.buffer.frames}
             asked = self.asked.base_frame.removeprefix("/")
+            if asked and asked not in known:
+                near = did_you_mean(asked, sorted(known))
+                there = f"the frames are {name_list(sorted(known))}"
+                raise UsageError(f"there is no frame {asked!r} for `base_frame`; {there}", hint=near or None)
             usual = next((frame for frame in BASE_FRAMES if frame in known), "")
             self.robot = asked or usual or scan.frame.removeprefix("/")
         pose = start
@@ -473,8 +489,6 @@ class _Drawn:
             try:
                 pose = self._pose(self.robot, scan.stamp_ns)
             except TransformError:
-                if self.asked.base_frame:
-                    raise
                 return
         x, y, _ = pose.translation.tolist()
         self.way.append((scan.stamp_ns, x, y))
