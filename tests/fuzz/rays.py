@@ -32,7 +32,7 @@ def draw_rays(data: bytes) -> None:
         cells = np.full((height + 1, width + 1), plain.UNKNOWN * 256, np.int16)
         refused = 0
         for mark, part in enumerate(parts):
-            ends, hits = np.ascontiguousarray(part["ends"], np.int32), np.ascontiguousarray(part["hit"] % 2 == 1)
+            ends, hits = np.array(part["ends"], np.int32, order="C"), part["hit"] % 2 == 1
             try:
                 trace(cells, width + 1, mark, ends, hits)
             except ValueError:
