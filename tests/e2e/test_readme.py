@@ -212,7 +212,7 @@ def test_the_recipe_for_ci_works_from_start_to_finish(tmp_path: Path) -> None:
     params = "pointcloud_to_laserscan:\n  ros__parameters:\n    min_height: -0.3\n"
     (tmp_path / "params.yaml").write_text(params)
     block = PAGES["golden"].partition("<!-- golden commands -->")[2].split("```")[1].removeprefix("sh\n")
-    (workflow,) = code_blocks("yaml", PAGES["golden"])
+    workflow, *_ = code_blocks("yaml", PAGES["golden"])
     steps = YAML(typ="safe").load(workflow)["jobs"]["golden"]["steps"]
     in_ci = [step["run"] for step in steps if step.get("run", "").startswith("pc2scan")]
     uploaded = [step["with"]["path"] for step in steps if "upload-artifact" in step.get("uses", "")]
@@ -269,7 +269,18 @@ def test_the_readmes_python_runs(tmp_path: Path) -> None:
     assert len(done.stdout.splitlines()) == 5
 
 
-@pytest.mark.parametrize("page", ["README", "DESIGN", "SECURITY", "CHANGELOG", *(f"docs/{name}" for name in PAGES)])
+@pytest.mark.parametrize(
+    "page",
+    [
+        "README",
+        "DESIGN",
+        "SECURITY",
+        "CHANGELOG",
+        "CONTRIBUTING",
+        "CODE_OF_CONDUCT",
+        *(f"docs/{name}" for name in PAGES),
+    ],
+)
 def test_links_lead_somewhere(page: str) -> None:
     """To files that are there, and to headings of theirs."""
     path = ROOT / f"{page}.md"
@@ -283,3 +294,10 @@ def test_links_lead_somewhere(page: str) -> None:
             headings = re.findall(r"^#+ (.*)$", target.read_text("utf-8"), re.MULTILINE)
             anchors = {re.sub(r"[^a-z0-9 _-]", "", heading.lower()).replace(" ", "-") for heading in headings}
             assert anchor in anchors, link
+
+
+def test_yaml_in_the_docs_is_yaml() -> None:
+    blocks = code_blocks("yaml")
+    assert len(blocks) >= 4
+    for block in blocks:
+        assert YAML(typ="safe").load(block) is not None

@@ -49,15 +49,20 @@ def why_not() -> str:
     return f"Debian's ROS is not here: apt-get install {' '.join(missing)}" if missing else ""
 
 
-@pytest.fixture(scope="session")
-def oracle(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    if why_not():
-        pytest.skip(why_not())
-    program = tmp_path_factory.mktemp("parity") / "oracle"
+def compiled(folder: Path) -> Path:
+    """Compile the program into a folder."""
+    program = folder / "oracle"
     # As Debian builds its packages: tf2_sensor_msgs is a header, and without fused operations only without -march.
     command = ["g++", "-O2", "-I/usr/include/eigen3", "-o", str(program), str(SOURCE)]
     subprocess.run([*command, "-ltf2", "-llaser_geometry", "-lrostime"], check=True)
     return program
+
+
+@pytest.fixture(scope="session")
+def oracle(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    if why_not():
+        pytest.skip(why_not())
+    return compiled(tmp_path_factory.mktemp("parity"))
 
 
 def time_of(stamp_ns: int) -> str:

@@ -1,0 +1,96 @@
+"""What the site has beside the pages under docs: those of the repository's root, and what the code generates."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from mkdocs.structure.files import File
+
+import pc2scan
+
+if TYPE_CHECKING:
+    from mkdocs.config.defaults import MkDocsConfig
+    from mkdocs.structure.files import Files
+    from mkdocs.structure.pages import Page
+
+ROOT = Path(__file__).parents[2]
+
+#: Pages of the site, by the files of the repository's root.
+PAGES = {
+    "README.md": "index.md",
+    "DESIGN.md": "design.md",
+    "SECURITY.md": "security.md",
+    "CHANGELOG.md": "changelog.md",
+    "CONTRIBUTING.md": "contributing.md",
+}
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Add the pages that are not under docs."""
+    generated = {page: (ROOT / file).read_text("utf-8") for file, page in PAGES.items()}
+    generated |= {
+        "reference/commands.md": commands(),
+        "reference/python.md": functions(),
+        "reference/schemas.md": schemas(),
+    }
+    for page, text in generated.items():
+        files.append(File.generated(config, page, content=text))
+    return files
+
+
+def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, **_: object) -> str:
+    """Have links lead to pages of the site, and to the repository where they leave it."""
+    of_root = page.file.src_uri in PAGES.values()
+
+    def target(found: re.Match[str]) -> str:
+        link, _, anchor = found[1].partition("#")
+        if not link or "://" in link or link.startswith("mailto:"):
+            return found[0]
+        path = link if of_root else str(Path("docs", page.file.src_uri).parent / link)
+        path = Path(path).as_posix() if ".." not in path else (ROOT / path).resolve().relative_to(ROOT).as_posix()
+        if path in PAGES:
+            link = PAGES[path]
+        elif path.startswith("docs/"):
+            link = path.removeprefix("docs/")
+        else:
+            return f"]({config.repo_url}/blob/main/{path})"
+        return f"]({link}{'#' if anchor else ''}{anchor})"
+
+    return re.sub(r"\]\(([^)\s]+)\)", target, markdown)
+
+
+def commands() -> str:
+    """Return the help of every command."""
+    overview = _help()
+    names = re.findall(r"^  ([a-z]+)  ", overview[overview.index("Commands:") :], re.MULTILINE)
+    parts = ["# Commands\n", f"```text\n{overview}```\n"]
+    parts += [f"## pc2scan {name}\n\n```text\n{_help(name)}```\n" for name in names]
+    return "\n".join(parts)
+
+
+def _help(*words: str) -> str:
+    command = [sys.executable, "-m", "pc2scan", *words, "--help"]
+    environment = {"COLUMNS": "100", "NO_COLOR": "1", "PYTHONPATH": str(ROOT / "src")}
+    return subprocess.run(command, capture_output=True, text=True, check=True, env=environment).stdout
+
+
+def functions() -> str:
+    """Return a page with the docstring of every public name."""
+    names = [name for name in pc2scan.__all__ if not name.startswith("_") and name != "errors"]
+    parts = ["# Python\n", "[Python](../python.md) is the introduction; these are the docstrings.\n"]
+    for name in names:
+        thing = getattr(pc2scan, name)
+        where = f"{thing.__module__}.{thing.__qualname__}" if hasattr(thing, "__qualname__") else f"pc2scan.{name}"
+        parts.append(f"::: {where}\n")
+    return "\n".join(parts)
+
+
+def schemas() -> str:
+    """Return the JSON schemas of the files that pc2scan reads."""
+    files = sorted((ROOT / "src").rglob("*.schema.json"))
+    parts = [f"## {path.name}\n\n```json\n{path.read_text('utf-8').strip()}\n```\n" for path in files]
+    return "\n".join(["# Schemas\n", "For editors that check YAML as it is typed.\n", *parts])

@@ -1,0 +1,65 @@
+"""What is around the code: workflows, the action, the version."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from ruamel.yaml import YAML
+
+import pc2scan
+from e2e.command import environment
+from pc2scan.version import __version__
+from support import ROOT
+
+FILES = sorted(
+    path.relative_to(ROOT).as_posix()
+    for pattern in (".github/**/*.yml", "action.yml", ".pre-commit-hooks.yaml", "CITATION.cff")
+    for path in ROOT.glob(pattern)
+)
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_it_is_yaml(name: str) -> None:
+    assert YAML(typ="safe").load((ROOT / name).read_text("utf-8"))
+
+
+def test_there_is_one_version() -> None:
+    assert pc2scan.__version__ == __version__
+    assert "version =" not in (ROOT / "pyproject.toml").read_text("utf-8").partition("[project]")[2].partition("\n[")[0]
+    assert f"\nversion: {__version__}\n" in (ROOT / "CITATION.cff").read_text("utf-8")
+    named = set(re.findall(r"pc2scan@v(\S+)", (ROOT / "docs" / "golden.md").read_text("utf-8")))
+    assert named == {__version__}
+
+
+@pytest.mark.parametrize("name", [".ci/run", ".ci/packages"])
+def test_scripts_are_shell(name: str) -> None:
+    subprocess.run(["bash", "-n", str(ROOT / name)], check=True)
+
+
+@pytest.mark.parametrize("broken", [False, True])
+def test_the_step_of_the_action_shows_the_cases(tmp_path: Path, broken: bool) -> None:
+    """Its script, as the runner runs it."""
+    shutil.copytree(ROOT / "fixtures" / "golden" / "tf_static", tmp_path / "cases" / "tf_static")
+    if broken:
+        params = tmp_path / "cases" / "tf_static" / "params.yaml"
+        params.write_text(params.read_text("utf-8") + "    range_max: 1.0\n")
+    steps = YAML(typ="safe").load((ROOT / "action.yml").read_text("utf-8"))["runs"]["steps"]
+    (script,) = [step["run"] for step in steps if "golden.txt" in step.get("run", "")]
+    variables = environment() | {
+        "CASES": "cases",
+        "JUNIT": "golden.xml",
+        "RUNNER_TEMP": str(tmp_path),
+        "GITHUB_STEP_SUMMARY": str(tmp_path / "summary.md"),
+        "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}",
+    }
+    command = ["bash", "-eo", "pipefail", "-c", script]
+    done = subprocess.run(command, cwd=tmp_path, env=variables, capture_output=True, text=True, check=False)
+    assert done.returncode == int(broken), done.stderr
+    assert "tf_static" in (tmp_path / "summary.md").read_text("utf-8")
+    assert (tmp_path / "golden.xml").is_file()
