@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import pytest
 
+import pc2scan
 from builders import definition
 from e2e.command import run
 from messages.test_imu import imu_message
@@ -311,3 +312,33 @@ def test_info_says_which_imus_make_scans_level(tmp_path: Path, world: Path) -> N
     assert "up      up is estimated by gyroscope and accelerometer of 1,000 messages" in done.stdout
     (entry,) = json.loads(run("info", world, imu, "--json").stdout)["imus"]
     assert (entry["topic"], entry["frame"], entry["usable"]) == ("/imu", "imu_link", True)
+
+
+def test_scans_are_level_and_deskewed_on_the_way(tmp_path: Path, world: Path) -> None:
+    made = converted(tmp_path, world, "--level", "--deskew", "--fixed-frame", "odom", "--stamp", "middle")
+    scans = pc2scan.scans(
+        world, level=True, deskew=True, fixed_frame="odom", stamp="middle", target_frame="base_link", min_height=0.1,
+        max_height=2, angle_increment=np.radians(0.2), geometry="centered", range_max=30,
+    )  # fmt: skip
+    read = [(scan.log_time_ns, scan.stamp_ns, scan.frame, scan.ranges.tobytes()) for scan in scans]
+    assert read == [(log, scan.stamp_ns, scan.frame_id, scan.ranges.tobytes()) for log, scan in made.scans]
+    with pytest.raises(pc2scan.errors.UsageError, match="`deskew` and `level` count only where clouds are converted"):
+        pc2scan.scans(world, level=True, fixed_frame="odom")
+
+
+def test_a_2d_lidar_that_tilts_is_made_level(tmp_path: Path) -> None:
+    lidar = Lidar("/flat", "flat", Rigid.from_rpy(0.0, 0.0, 0.0, (0.0, 0.0, 0.5)), kind="flat", columns=1800)
+    flat = write_world(tmp_path / "flat.mcap", [lidar], TILTING, seconds=1.0)
+    options = ("--rebin", "--topic", "/flat:=/scan", "--deskew", "--fixed-frame", "odom")
+    level = converted(tmp_path, flat, *options, "--level")
+    assert {scan.frame_id for _, scan in level.scans} == {"base_link_stabilized"}
+    assert level.off(TILTING).max() < 0.02
+    assert sum(row[1] == "base_link_stabilized" for _, row in level.transforms) == len(level.scans)
+
+
+def test_a_fixed_frame_beside_an_imu_has_an_effect_or_a_warning(tmp_path: Path, world: Path) -> None:
+    imu = write_imu(tmp_path / "imu.mcap", TILTING)
+    both = ("--level", "--imu", "/imu", *MOUNTED, "--fixed-frame", "odom")
+    assert "--fixed-frame has no effect: --imu makes scans level" in converted(tmp_path, world, imu, *both).done.stderr
+    assert "no effect" not in converted(tmp_path, world, imu, *both, "--deskew").done.stderr
+    assert "no effect" not in converted(tmp_path, world, imu, *both, "--every", "0.1").done.stderr

@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, TypeAlias
 
-import numpy as np
-
 from .rigid import Rigid
 
 if TYPE_CHECKING:
@@ -19,8 +17,8 @@ Up: TypeAlias = tuple[float, float, float]
 
 UP: Up = (0.0, 0.0, 1.0)
 
-#: The sine of the angle to the vertical below which an axis has no heading.
-_VERTICAL = 1e-6
+#: The tangent of the angle to the vertical below which an axis has no heading.
+_VERTICAL = 1e-12
 
 
 def up_in(world_from_frame: Sequence[float]) -> Up:
@@ -48,17 +46,12 @@ def upright(up: Up) -> Rigid:
     whatever the yaw. So the level x axis is the frame's own, projected onto the horizontal plane. At a pitch of
     +-pi/2, where that has no direction, roll is 0, as for `Rigid.rpy`: the level y axis is the frame's own.
     """
-    z = np.array(_unit(up))
-    x = np.array([1.0, 0.0, 0.0]) - z[0] * z
-    length = float(np.linalg.norm(x))
-    if length < _VERTICAL:
-        y = np.array([0.0, 1.0, 0.0]) - z[1] * z
-        y /= np.linalg.norm(y)
-        x = np.cross(y, z)
-    else:
-        x /= length
-        y = np.cross(z, x)
-    return Rigid.from_matrix(np.column_stack([x, y, z]))
+    x, y, z = up
+    across = math.hypot(y, z)
+    roll = math.atan2(y, z) if across > _VERTICAL * abs(x) else 0.0
+    pitch = math.atan2(-x, across)
+    (sr, cr), (sp, cp) = ((math.sin(-angle / 2), math.cos(angle / 2)) for angle in (roll, pitch))
+    return Rigid.from_pose((0.0, 0.0, 0.0, sr * cp, cr * sp, sr * sp, cr * cp))
 
 
 def _unit(direction: Sequence[float]) -> Up:

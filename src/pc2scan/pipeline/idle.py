@@ -64,7 +64,7 @@ def doubts(options: ConvertOptions) -> list[str]:
 def _frames(options: ConvertOptions, spec: ScanSpec, given: set[str]) -> list[str]:
     params, frames = spec.params, options.frames
     found = []
-    if spec.level and spec.imu and spec.fixed_frame and not spec.deskew:
+    if spec.level and spec.imu and spec.fixed_frame and not (spec.deskew or spec.may_combine):
         found.append("`fixed_frame` has no effect: `imu` makes scans level")
     if spec.needs_transforms:
         source = frames.source_frame.removeprefix("/")
