@@ -1,0 +1,242 @@
+"""Which points of a cloud are on the ground, be it level, sloped, or with kerbs.
+
+Method: the ground is followed outwards from the robot along each direction, cell by cell, by the lowest point of each;
+as in Himmelsbach, v. Hundelshausen and Wünsche, "Fast segmentation of 3D point clouds for ground vehicles" (IEEE
+Intelligent Vehicles Symposium, 2010), which fits lines to the lowest points of such cells, and as in Autoware's
+``ray_ground_filter``, which limits the slope from each point to the next. It needs neither rings nor an order of
+points.
+
+A cell continues the ground where its lowest point is where the ground so far leads to, or a kerb higher, or on a slope;
+if it is higher than the ground so far, little may stand in it, so that nothing climbs walls. Between these cells the
+ground is a straight line. What is not much higher than it, or lower, is on it.
+
+Where to begin: with a plane beneath the robot, at the lowest height at which many cells have another one behind them
+that is about as high, as a floor has, and walls have not. Without such a height there is no ground, as in clouds of a planar lidar, or of one that sees
+only walls.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = ["Terrain", "on_ground"]
+
+#: Directions, and cells along each: twenty centimetres long beside the robot, 4 % longer each.
+_SECTORS = 180
+_FIRST = 5.0
+_GROWTH = math.log(1.04)
+_FARTHEST = 150.0
+_RINGS = math.ceil(math.log1p(_FARTHEST / _FIRST) / _GROWTH)
+
+#: Cells that have to be at the height where the ground begins, and their share of all that have one behind them.
+_FEWEST = 20
+_LEAST_SHARE = 0.15
+#: How much of a height they may differ by, metres.
+_WINDOW = 0.3
+#: The ground is not higher than this beneath the robot, in its own frame: what is higher is a table, or a ceiling.
+_HIGHEST = 0.3
+
+#: Slopes are measured over so many metres at least, and kerbs are so far from each other: stairs are no ground.
+_BASE = 1.0
+#: Metres that the ground may rise at once without anything seen in between.
+_RISE = 0.5
+#: Metres that points of level ground differ by.
+_NOISE = 0.08
+#: How much of its distance a point may be above the ground.
+_SPREAD = 0.008
+#: Cells that are compared to find where the ground begins are at most so far from each other, metres.
+_APART = 30.0
+#: Behind the last cell that continues the ground it goes on for so many metres.
+_BEYOND = 3.0
+
+
+class Terrain(NamedTuple):
+    """What counts as ground.
+
+    Attributes
+    ----------
+    slope
+        The steepest, radians.
+    step
+        The highest kerb, metres.
+    clearance
+        Points are on the ground up to this height above it, metres, and 0.008 times their distance.
+    """
+
+    slope: float = math.radians(15.0)
+    step: float = 0.2
+    clearance: float = 0.1
+
+
+class _Cells(NamedTuple):
+    """The lowest point of each cell, (rings, sectors): its height and distance; whether much stands on it.
+
+    Heights and distances are inf where there is no point.
+    """
+
+    height: NDArray[np.float32]
+    distance: NDArray[np.float32]
+    cluttered: NDArray[np.bool_]
+
+
+def on_ground(x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], terrain: Terrain | None = None) -> NDArray[np.bool_]:
+    """Return which points are on the ground.
+
+    Parameters
+    ----------
+    x, y, z
+        Coordinates in metres, of one shape, in a frame of the robot whose z axis points up.
+    terrain
+        What counts as ground.
+
+    Returns
+    -------
+    Array of bool, of their shape; false for points that are NaN or infinite, or farther away than 150 m.
+    """
+    rule = terrain or Terrain()
+    shape = x.shape
+    px, py, pz = (np.ravel(axis).astype(np.float32) for axis in (x, y, z))
+    with np.errstate(all="ignore"):
+        distance = np.hypot(px, py)
+        known = np.isfinite(pz) & (distance < _FARTHEST)
+        found = np.zeros(px.size, np.bool_)
+        if not known.all():
+            px, py, pz, distance = px[known], py[known], pz[known], distance[known]
+        if not px.size:
+            return found.reshape(shape)
+        sector = ((np.arctan2(py, px) + np.float32(math.pi)) * np.float32(_SECTORS / (2 * math.pi))).astype(np.int32)
+        ring = (np.log1p(distance * np.float32(1 / _FIRST)) * np.float32(1 / _GROWTH)).astype(np.int32)
+        ring = np.minimum(ring, _RINGS - 1)
+        cell = ring * np.int32(_SECTORS) + np.minimum(sector, _SECTORS - 1)
+        edges = _FIRST * np.expm1(np.arange(int(ring.max()) + 2) * _GROWTH)
+        cells = _lowest(cell, pz, distance, edges.size - 1)
+        plane = _beneath(cells, math.tan(rule.slope))
+        if plane is None:
+            return found.reshape(shape)
+        slope = np.sum(np.multiply(plane[:2], np.transpose(_directions())), axis=1)
+        # From here on heights are above the plane beneath the robot.
+        cells = cells._replace(height=cells.height - (slope * cells.distance + plane[2]).astype(np.float32))
+        heights = _at_edges(_followed(cells, rule), cells.distance, edges)
+        heights += slope * edges[:, np.newaxis] + plane[2]
+        slopes = np.diff(heights, axis=0) / np.diff(edges)[:, np.newaxis]
+        limit = (heights[:-1] - slopes * edges[:-1, np.newaxis] + rule.clearance).astype(np.float32).ravel()
+        grade = (slopes + _SPREAD).astype(np.float32).ravel()
+        found[known] = pz <= limit[cell] + grade[cell] * distance
+    return found.reshape(shape)
+
+
+def _lowest(cell: NDArray[np.int32], z: NDArray[np.float32], distance: NDArray[np.float32], rings: int) -> _Cells:
+    count = _SECTORS * rings
+    height = np.full(count, np.inf, np.float32)
+    np.minimum.at(height, cell, z)
+    above = z - height[cell]
+    lowest = np.flatnonzero(above == 0)
+    where = np.full(count, np.inf, np.float32)
+    np.minimum.at(where, cell[lowest], distance[lowest])
+    low = np.bincount(cell[above <= 0.3], minlength=count)
+    standing = np.bincount(cell[(above > 0.3) & (above <= 2.0)], minlength=count)
+    grid = rings, _SECTORS
+    return _Cells(height.reshape(grid), where.reshape(grid), (standing > low).reshape(grid))
+
+
+def _beneath(cells: _Cells, steepest: float) -> tuple[float, float, float] | None:
+    """The plane beneath the robot, ``z = a x + b y + c``; None where no ground is seen."""
+    found = _floor_like(cells)
+    ring, sector = np.nonzero(found & (cells.height <= _HIGHEST + steepest * cells.distance))
+    heights, distances = cells.height[ring, sector], cells.distance[ring, sector]
+    order = np.argsort(heights, kind="stable")
+    low = heights[order]
+    low = low[low <= _HIGHEST]
+    if low.size < _FEWEST:
+        return None
+    counts = np.searchsorted(low, low + np.float32(_WINDOW), "right") - np.arange(low.size)
+    enough = np.flatnonzero(counts >= max(_FEWEST, _LEAST_SHARE * low.size))
+    if not enough.size:
+        return None
+    first = int(enough[0])
+    # The fullest window among those that begin in this one.
+    begin = first + int(counts[first : first + counts[first]].argmax())
+    level = float(np.median(low[begin : begin + counts[begin]]))
+    across, along = (part[sector] * distances for part in _directions())
+    near = distances <= 3 * np.sort(distances)[distances.size // 3]
+    plane = np.array([0.0, 0.0, level])
+    design = np.stack([across, along, np.ones(across.size)], axis=1)
+    for _ in range(4):
+        inside = near & (np.abs(heights - design @ plane) < _WINDOW)
+        # Cells far to one side say little about the slope to the other: without it, it is level.
+        square = design[inside].T @ design[inside] + np.diag([_FEWEST, _FEWEST, 0.0])
+        fitted = np.linalg.solve(square, design[inside].T @ heights[inside]) if inside.sum() >= _FEWEST else plane
+        if math.hypot(fitted[0], fitted[1]) > steepest or fitted[2] > _HIGHEST:
+            break
+        plane = fitted
+    a, b, c = plane.tolist()
+    return a, b, c
+
+
+def _directions() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Cosine and sine of the middle of each sector."""
+    angles = (np.arange(_SECTORS) + 0.5) * (2 * math.pi / _SECTORS) - math.pi
+    return np.cos(angles), np.sin(angles)
+
+
+def _floor_like(cells: _Cells) -> NDArray[np.bool_]:
+    """Whether cells have another one behind them that is about as high, as a floor has, and walls have not."""
+    found = np.zeros(cells.height.shape, np.bool_)
+    height, distance = np.full(_SECTORS, np.inf, np.float32), np.full(_SECTORS, np.inf, np.float32)
+    # From far to near.
+    for ring in range(len(found) - 1, -1, -1):
+        low, where = cells.height[ring], cells.distance[ring]
+        there = np.isfinite(low)
+        apart = distance - where
+        followed = there & (apart > 0.2 + 0.1 * where) & (apart < _APART)
+        followed &= np.abs(height - low) < _NOISE + 0.2 * apart
+        found[ring] = followed
+        # A wall has cells right behind each other: the one to compare with stays until it is far enough behind.
+        renewed = there & (followed | (low < height))
+        height, distance = np.where(renewed, low, height), np.where(renewed, where, distance)
+    return found
+
+
+def _followed(cells: _Cells, rule: Terrain) -> NDArray[np.float64]:
+    """The ground's height in the cells that continue it, (rings, sectors), NaN in others."""
+    steepest = math.tan(rule.slope)
+    z0, r0 = np.zeros(_SECTORS), np.zeros(_SECTORS)
+    # Where slopes are measured from, and where the last kerb was.
+    z1, r1, kerb = z0, r0, np.full(_SECTORS, -np.inf)
+    ground = np.full(cells.height.shape, np.nan)
+    for ring, (z, r, cluttered) in enumerate(zip(cells.height, cells.distance, cells.cluttered, strict=True)):
+        rise, over, base = z - z0, z - z1, r - r1
+        most = np.where(cluttered, _NOISE + 0.02 * (r - r0), _RISE)
+        sloped = (over <= steepest * base + _NOISE) & (rise <= most)
+        kerbed = ~sloped & (rise > 0) & (rise <= rule.step) & (r - kerb >= _BASE) & ~cluttered
+        taken = np.isfinite(z) & (over >= -steepest * base - rule.step) & (sloped | kerbed)
+        kerbed &= taken
+        kerb = np.where(kerbed, r, kerb)
+        # A kerb is no slope: slopes are measured from its top on.
+        moved = kerbed | (taken & (base >= _BASE))
+        z1, r1 = np.where(moved, z, z1), np.where(moved, r, r1)
+        z0, r0 = np.where(taken, z, z0), np.where(taken, r, r0)
+        ground[ring, taken] = z[taken]
+    return ground
+
+
+def _at_edges(
+    ground: NDArray[np.float64], distance: NDArray[np.float32], edges: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """The ground's height at the edges of cells, (rings + 1, sectors); -inf where it is not known."""
+    heights = np.full((edges.size, _SECTORS), -np.inf)
+    known = ~np.isnan(ground)
+    for sector in np.flatnonzero(known.any(axis=0)).tolist():
+        rings = np.flatnonzero(known[:, sector])
+        z, r = ground[rings, sector], distance[rings, sector]
+        # Before the first cell the ground is a line from beneath the robot; behind the last one it goes on.
+        heights[:, sector] = np.interp(edges, np.concatenate([[0.0], r]), np.concatenate([[0.0], z]))
+        last = int(rings[-1])
+        heights[edges > edges[last + 1] + _BEYOND, sector] = -np.inf
+    return heights
