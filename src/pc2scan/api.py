@@ -111,6 +111,7 @@ def convert(
     exclude_box: str | Iterable[str] = (),
     exclude_polygon: str | Iterable[str] = (),
     min_height_slope: float | None = None,
+    ground: str = "keep",
     filters: Iterable[Filter] = (),
     keep_used: str = "",
     reverse: bool = False,
@@ -187,10 +188,10 @@ def convert(
         Frame of the messages to convert, where their own is wrong or empty.
     frames
         All of these in one object, instead of them.
-    where, exclude_box, exclude_polygon, min_height_slope
+    where, exclude_box, exclude_polygon, min_height_slope, ground
         Which points of the clouds are used: those whose fields fulfil conditions (``ring in (3, 4) or intensity > 9``),
         not those in boxes (``frame x0 x1 y0 y1 z0 z1``) or polygons (``frame x0 y0 x1 y1 x2 y2 ...``), not those below
-        a limit that grows with range.
+        a limit that grows with range, and with ``ground="remove"`` not those on the ground.
     filters
         Further filters, as objects.
     keep_used
@@ -289,6 +290,7 @@ def convert(
         }
         own |= {"where": where, "exclude_box": exclude_box, "exclude_polygon": exclude_polygon, "deskew": deskew}
         own |= {"min_height_slope": min_height_slope, "filters": filters, "fixed_frame": fixed_frame}
+        own |= {"ground": ground != "keep"}
         own |= {"point_time": point_time, "stamp": stamp != "header", "reverse": reverse, "channels": channels}
         own |= {"range_cutoff": range_cutoff, "keep_used": keep_used, "level": level, "imu": imu}
         own |= {"lead": lead, "window": window, "accumulate": accumulate, "every": every, "rebin": rebin}
@@ -313,7 +315,7 @@ def convert(
         imu=imu,
         combining=Combining.of(lead=lead, window=window, accumulate=accumulate, every=every, rebin=rebin),
         keep_used=keep_used,
-        filters=filters_of(resolved, where, exclude_box, exclude_polygon, min_height_slope, filters),
+        filters=filters_of(resolved, where, exclude_box, exclude_polygon, min_height_slope, ground, filters),
         frames=frames_of(frames, static_tf, static_tf_file, write_static_tf, tf_from, tf_topics, source_frame),
         topics=names_in("topics", topics) or resolved.topics,
         keep=names_in("keep", keep),
@@ -580,6 +582,7 @@ def view(
     exclude_box: str | Iterable[str] = (),
     exclude_polygon: str | Iterable[str] = (),
     min_height_slope: float | None = None,
+    ground: str = "keep",
     filters: Iterable[Filter] = (),
     verify: bool = True,
     strict: bool = False,
@@ -599,7 +602,7 @@ def view(
         As for `pc2scan.convert`.
     static_tf, static_tf_file, tf_from, tf_topics, source_frame, frames
         As for `pc2scan.convert`.
-    where, exclude_box, exclude_polygon, min_height_slope, filters, verify, strict
+    where, exclude_box, exclude_polygon, min_height_slope, ground, filters, verify, strict
         As for `pc2scan.convert`.
 
     Returns
@@ -626,7 +629,7 @@ def view(
     options = ConvertOptions.of(
         params=resolved.params,
         reverse=resolved.reverse,
-        filters=filters_of(resolved, where, exclude_box, exclude_polygon, min_height_slope, filters),
+        filters=filters_of(resolved, where, exclude_box, exclude_polygon, min_height_slope, ground, filters),
         frames=frames_of(frames, static_tf, static_tf_file, False, tf_from, tf_topics, source_frame),
         topics=names_in("topics", topics),
         start=start,
@@ -671,6 +674,7 @@ def map(  # noqa: A001  # as the command is called
     exclude_box: str | Iterable[str] = (),
     exclude_polygon: str | Iterable[str] = (),
     min_height_slope: float | None = None,
+    ground: str = "keep",
     filters: Iterable[Filter] = (),
     deskew: bool = False,
     fixed_frame: str = "",
@@ -710,7 +714,9 @@ def map(  # noqa: A001  # as the command is called
         As for `pc2scan.convert`.
     static_tf, static_tf_file, tf_from, tf_topics, source_frame, frames
         As for `pc2scan.convert`.
-    where, exclude_box, exclude_polygon, min_height_slope, filters, deskew, fixed_frame, point_time, stamp, level, imu
+    where, exclude_box, exclude_polygon, min_height_slope, ground, filters
+        As for `pc2scan.convert`.
+    deskew, fixed_frame, point_time, stamp, level, imu
         As for `pc2scan.convert`.
     on_error, verify, strict, progress
         As for `pc2scan.convert`.
@@ -742,7 +748,7 @@ def map(  # noqa: A001  # as the command is called
     options = ConvertOptions.of(
         params=resolved.params,
         reverse=resolved.reverse,
-        filters=filters_of(resolved, where, exclude_box, exclude_polygon, min_height_slope, filters),
+        filters=filters_of(resolved, where, exclude_box, exclude_polygon, min_height_slope, ground, filters),
         frames=frames_of(frames, static_tf, static_tf_file, False, tf_from, tf_topics, source_frame),
         deskew=deskew,
         fixed_frame=fixed_frame,
@@ -1004,6 +1010,7 @@ def export(
     exclude_box: str | Iterable[str] = (),
     exclude_polygon: str | Iterable[str] = (),
     min_height_slope: float | None = None,
+    ground: str = "keep",
     filters: Iterable[Filter] = (),
     on_error: str = "skip",
     overwrite: bool = False,
@@ -1036,7 +1043,7 @@ def export(
         As for `pc2scan.scans`: with any of them scans are made of clouds on the way.
     static_tf, static_tf_file, tf_from, tf_topics, source_frame, frames
         As for `pc2scan.convert`; for poses too.
-    where, exclude_box, exclude_polygon, min_height_slope, filters
+    where, exclude_box, exclude_polygon, min_height_slope, ground, filters
         As for `pc2scan.convert`.
     on_error
         ``skip`` counts and lists messages that cannot be written, ``fail`` makes the first one an error.
@@ -1083,7 +1090,7 @@ def export(
         params=resolved.params,
         reverse=resolved.reverse,
         frames=frames_of(frames, static_tf, static_tf_file, False, tf_from, tf_topics, source_frame),
-        filters=filters_of(resolved, where, exclude_box, exclude_polygon, min_height_slope, filters),
+        filters=filters_of(resolved, where, exclude_box, exclude_polygon, min_height_slope, ground, filters),
         topics=names or resolved.topics,
         start=start,
         end=end,
@@ -1130,6 +1137,7 @@ def scans(
     exclude_box: str | Iterable[str] = (),
     exclude_polygon: str | Iterable[str] = (),
     min_height_slope: float | None = None,
+    ground: str = "keep",
     filters: Iterable[Filter] = (),
     deskew: bool = False,
     fixed_frame: str = "",
@@ -1160,7 +1168,7 @@ def scans(
         As for `pc2scan.convert`.
     static_tf, static_tf_file, tf_from, tf_topics, source_frame, frames
         As for `pc2scan.convert`; for clouds with a ``target_frame``.
-    where, exclude_box, exclude_polygon, min_height_slope, filters
+    where, exclude_box, exclude_polygon, min_height_slope, ground, filters
         As for `pc2scan.convert`.
     deskew, fixed_frame, point_time, stamp, level, imu
         As for `pc2scan.convert`.
@@ -1196,7 +1204,8 @@ def scans(
 
     names = names_in("topic", topic)
     framing = (static_tf, static_tf_file, False, tf_from, tf_topics, source_frame)
-    filtering = (where, exclude_box, exclude_polygon, min_height_slope, filters)
+    filtering = (where, exclude_box, exclude_polygon, min_height_slope, ground, filters)
+    selecting = (where, exclude_box, exclude_polygon, min_height_slope, ground != "keep", filters)
     moving: dict[str, Any] = {
         "deskew": deskew,
         "fixed_frame": fixed_frame,
@@ -1223,7 +1232,7 @@ def scans(
             verify=verify,
             strict=strict,
         )
-    elif frames is not None or node is not None or any(framing) or any(filtering) or moving != _AT_REST:
+    elif frames is not None or node is not None or any(framing) or any(selecting) or moving != _AT_REST:
         raise UsageError(
             "transforms, filters, `node`, `deskew` and `level` count only where clouds are converted",
             hint="give parameters: `preset`, `params_file`, or any of them by name, `target_frame=base_link`",

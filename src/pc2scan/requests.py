@@ -203,6 +203,7 @@ def filters_of(
     exclude_box: str | Iterable[str],
     exclude_polygon: str | Iterable[str],
     min_height_slope: float | None,
+    ground: str,
     filters: Iterable[Filter],
 ) -> tuple[Filter, ...]:
     """Gather which points of clouds are used."""
@@ -211,11 +212,11 @@ def filters_of(
         names_in("exclude_box", exclude_box),
         names_in("exclude_polygon", exclude_polygon),
     )
-    if not (conditions or boxes or polygons or min_height_slope is not None):
+    if not (conditions or boxes or polygons or min_height_slope is not None or ground != "keep"):
         return tuple(filters)
     from .pipeline.stages.texts import filters_from  # noqa: PLC0415
 
-    asked = filters_from(conditions, boxes, polygons, min_height_slope, resolved.params.min_height)
+    asked = filters_from(conditions, boxes, polygons, min_height_slope, resolved.params.min_height, ground)
     return (*asked, *filters)
 
 

@@ -12,6 +12,7 @@ import pytest
 import pc2scan
 from e2e.command import run
 from pc2scan.bags.opening import open_recording
+from pc2scan.core.terrain import on_ground
 from pc2scan.messages.laserscan import decode_laserscan
 from pc2scan.messages.pointcloud2 import decode_pointcloud2
 from support import ROOT
@@ -87,6 +88,24 @@ def test_a_height_limit_may_grow_with_range(tmp_path: Path) -> None:
     assert points["height"] == 0
 
 
+def test_the_ground_is_removed(tmp_path: Path) -> None:
+    found, points, report = converted(tmp_path, "--min-height", "-9", "--ground", "remove")
+    assert_same(found, expected(lambda x, y, z, **_: ~on_ground(x, y, z)))
+    assert 0.2 < points["ground"] / points["total"] < 0.8
+    assert points["total"] == sum(count for name, count in points.items() if name != "total")
+    assert report["filters"] == [{"name": "ground"}]
+    assert not any("ground" in warning for warning in report["warnings"])
+    kept, points, _ = converted(tmp_path, "--min-height", "-9", "--ground", "keep")
+    assert "ground" not in points
+    assert_same(kept, expected(lambda x, **_: np.full(x.shape, True)))
+
+
+def test_clouds_without_ground_are_warned_of(tmp_path: Path) -> None:
+    _, points, report = converted(tmp_path, "--min-height", "-9", "--where", "z > 0.5", "--ground", "remove")
+    assert points["ground"] == 0
+    assert any("found no ground in any cloud" in warning for warning in report["warnings"])
+
+
 def test_several_filters_count_each_point_once_and_are_shown(tmp_path: Path) -> None:
     done = run(
         "convert", HALL, "-o", tmp_path / "b.mcap", "--min-height", "-9", "--where", "ring > 2", "--where", "ring < 9",
@@ -104,6 +123,7 @@ def test_several_filters_count_each_point_once_and_are_shown(tmp_path: Path) -> 
         (["--where", "rnig > 3"], "--where needs the field 'rnig', which the clouds on /points do not have"),
         (["--exclude-box", "body 0 1"], "--exclude-box: 'body 0 1' has 2 numbers, a box has 6"),
         (["--exclude-polygon", "body 0 1"], "--exclude-polygon: the polygon in body has 1 corners"),
+        (["--ground", "remvoe"], "--ground is 'remvoe', it must be one of keep, remove"),
         (["--min-height-slope", "-1"], "--min-height-slope is -1.0, it must be 0 or more"),
         (["--reverse", "--where", "ring > 3"], "filters select points of clouds"),
     ],

@@ -34,7 +34,7 @@ __all__ = ["Request", "request_of", "words_known"]
 #: Words that are read here; the others are options of the conversion or of the output, as they are.
 _PARAMETERS = ("params", "preset", "params_file", "node", "param", "launch_args", "remap")
 _FRAMES = ("frames", "static_tf", "static_tf_file", "write_static_tf", "tf_from", "tf_topics", "source_frame")
-_FILTERS = ("where", "exclude_box", "exclude_polygon", "min_height_slope", "filters")
+_FILTERS = ("where", "exclude_box", "exclude_polygon", "min_height_slope", "ground", "filters")
 _COMBINING = ("lead", "window", "accumulate", "every", "rebin")
 _CHANNELS = ("channels", "range_cutoff")
 _OUTPUT = ("storage", "compression", "profile", "metadata_version", "to", "overwrite")
@@ -55,7 +55,7 @@ _BESIDE = (
         "channels",
         "range_cutoff",
     ),
-    *("where", "exclude_box", "exclude_polygon", "min_height_slope", "filters"),
+    *("where", "exclude_box", "exclude_polygon", "min_height_slope", "ground", "filters"),
     *("deskew", "fixed_frame", "point_time", "stamp", "level", "imu"),
     *_COMBINING,
 )
@@ -168,6 +168,7 @@ def request_of(words: Mapping[str, Any], origins: Mapping[str, str] | None = Non
         chosen.get("exclude_box", ()),
         chosen.get("exclude_polygon", ()),
         chosen.get("min_height_slope"),
+        chosen.get("ground", "keep"),
         chosen.get("filters", ()),
     )
     combining = take(_COMBINING)

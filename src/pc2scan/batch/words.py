@@ -65,6 +65,7 @@ WORDS: dict[str, Word] = {
     "exclude_box": Word("texts", "Reject points in a box: frame x0 x1 y0 y1 z0 z1."),
     "exclude_polygon": Word("texts", "Reject points above, below and in a polygon: frame x0 y0 x1 y1 x2 y2 ..."),
     "min_height_slope": Word("number", "Reject points below min_height + this * range."),
+    "ground": Word("text", "Whether points on the ground are used.", ("keep", "remove")),
     "static_tf": Word("texts", "Add transforms: parent child x y z roll pitch yaw."),
     "static_tf_file": Word("path", "A YAML list of such transforms. Relative to the dataset file."),
     "write_static_tf": Word("flag", "Write the added transforms to /tf_static."),

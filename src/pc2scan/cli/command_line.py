@@ -74,6 +74,7 @@ def _time(bound: TimeBound) -> str:
 
 
 def _filter_words(chosen: Filter) -> list[str]:
+    from pc2scan.pipeline.stages.ground import RemoveGround
     from pc2scan.pipeline.stages.height_slope import MinHeightSlope
     from pc2scan.pipeline.stages.regions import ExcludeBox, ExcludePolygon
     from pc2scan.pipeline.stages.where import Where
@@ -88,4 +89,6 @@ def _filter_words(chosen: Filter) -> list[str]:
             return ["--exclude-polygon", " ".join((chosen.frame, *map(repr, numbers)))]
         case MinHeightSlope():
             return [f"--min-height-slope={chosen.slope!r}"]
+        case RemoveGround():
+            return ["--ground", "remove"]
     return []

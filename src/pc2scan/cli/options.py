@@ -377,11 +377,23 @@ class PointsGroup(Group):
         ),
     ] = None
 
+    ground: Annotated[
+        str,
+        typer.Option(
+            "--ground",
+            metavar="keep|remove",
+            help="Reject points on the ground (remove): level, sloped up to 15 degrees, or with kerbs, found in each "
+            "cloud. Needs a frame of the robot whose z axis points up.  [default: keep]",
+            rich_help_panel=_POINTS,
+        ),
+    ] = "keep"
+
     def filters(self, min_height: float) -> "Iterator[Filter]":
         """Return the library's options."""
         from pc2scan.pipeline.stages.texts import filters_from
 
-        return filters_from(self.where, self.exclude_box, self.exclude_polygon, self.min_height_slope, min_height)
+        slope = self.min_height_slope
+        return filters_from(self.where, self.exclude_box, self.exclude_polygon, slope, min_height, self.ground)
 
 
 class TfSources(Group):
@@ -809,6 +821,7 @@ class ConversionGroup(Group):
         others |= {"params_file": asked.params_file, "node": asked.node, "launch_args": asked.launch_args}
         others |= {"where": points.where, "exclude_box": points.exclude_box, "exclude_polygon": points.exclude_polygon}
         others |= {"min_height_slope": points.min_height_slope, "deskew": moving.deskew}
+        others |= {"ground": points.ground != "keep"}
         others |= {"fixed_frame": moving.fixed_frame, "point_time": moving.point_time}
         others |= {"keep_used": points.keep_used}
         others |= {"level": moving.level, "imu": moving.imu}

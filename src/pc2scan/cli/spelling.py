@@ -36,6 +36,7 @@ OPTIONS = {
     "fail_on": "--fail-on",
     "fixed_frame": "--fixed-frame",
     "format": "--format",
+    "ground": "--ground",
     "ignore": "--ignore",
     "imu": "--imu",
     "keep": "--keep",

@@ -60,12 +60,15 @@ class Rejection(NamedTuple):
     by_default
         A parameter whose default rejects more than users expect, and the explanation where it has its default.
         Empty: there is none.
+    absent
+        The warning if no point of a topic is rejected, where that is a surprise. Empty: it is none.
     """
 
     name: str
     explanation: str
     title: str = ""
     by_default: tuple[str, str] = ("", "")
+    absent: str = ""
 
     @property
     def heading(self) -> str:

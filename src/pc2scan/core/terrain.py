@@ -11,8 +11,8 @@ if it is higher than the ground so far, little may stand in it, so that nothing 
 ground is a straight line. What is not much higher than it, or lower, is on it.
 
 Where to begin: with a plane beneath the robot, at the lowest height at which many cells have another one behind them
-that is about as high, as a floor has, and walls have not. Without such a height there is no ground, as in clouds of a planar lidar, or of one that sees
-only walls.
+and others beside them that are about as high, as a floor has, and walls have not. Without such a height there is no
+ground, as in clouds of a planar lidar, or of one that sees only walls.
 """
 
 from __future__ import annotations
@@ -200,6 +200,23 @@ def _floor_like(cells: _Cells) -> NDArray[np.bool_]:
         # A wall has cells right behind each other: the one to compare with stays until it is far enough behind.
         renewed = there & (followed | (low < height))
         height, distance = np.where(renewed, low, height), np.where(renewed, where, distance)
+    return found & _beside(cells, 1) & _beside(cells, -1)
+
+
+def _beside(cells: _Cells, step: int) -> NDArray[np.bool_]:
+    """Whether cells have one of the next sector beside them that is about as high.
+
+    Of a wall that is seen at a small angle, each sector shows another part, nearer or farther away.
+    """
+    # Coarse lidars leave every other sector empty.
+    empty = ~np.isfinite(cells.height).any(axis=0)
+    order = np.arange(_SECTORS) - step
+    order = np.where(empty[order % _SECTORS], order - step, order) % _SECTORS
+    height = cells.height[:, order]
+    reach: NDArray[np.float32] = np.asarray(_NOISE + 0.01 * cells.distance)
+    found: NDArray[np.bool_] = np.asarray(np.abs(height - cells.height) < reach)
+    found[1:] |= np.abs(height[:-1] - cells.height[1:]) < reach[1:]
+    found[:-1] |= np.abs(height[1:] - cells.height[:-1]) < reach[:-1]
     return found
 
 
@@ -208,18 +225,20 @@ def _followed(cells: _Cells, rule: Terrain) -> NDArray[np.float64]:
     steepest = math.tan(rule.slope)
     z0, r0 = np.zeros(_SECTORS), np.zeros(_SECTORS)
     # Where slopes are measured from, and where the last kerb was.
-    z1, r1, kerb = z0, r0, np.full(_SECTORS, -np.inf)
+    z1, r1, kerb, steep = z0, r0, np.full(_SECTORS, -np.inf), np.zeros(_SECTORS, np.bool_)
     ground = np.full(cells.height.shape, np.nan)
     for ring, (z, r, cluttered) in enumerate(zip(cells.height, cells.distance, cells.cluttered, strict=True)):
         rise, over, base = z - z0, z - z1, r - r1
         most = np.where(cluttered, _NOISE + 0.02 * (r - r0), _RISE)
         sloped = (over <= steepest * base + _NOISE) & (rise <= most)
         kerbed = ~sloped & (rise > 0) & (rise <= rule.step) & (r - kerb >= _BASE) & ~cluttered
+        kerbed &= ~steep & (over <= rule.step + _NOISE + steepest * base / 2)
         taken = np.isfinite(z) & (over >= -steepest * base - rule.step) & (sloped | kerbed)
         kerbed &= taken
         kerb = np.where(kerbed, r, kerb)
         # A kerb is no slope: slopes are measured from its top on.
         moved = kerbed | (taken & (base >= _BASE))
+        steep = np.where(moved & ~kerbed, over > steepest * base / 2, steep)
         z1, r1 = np.where(moved, z, z1), np.where(moved, r, r1)
         z0, r0 = np.where(taken, z, z0), np.where(taken, r, r0)
         ground[ring, taken] = z[taken]

@@ -419,6 +419,8 @@ class Report(Shown):
         warnings = []
         for each in self.rejections.values():
             share = points.rejected.get(each.name, 0) / points.total if points.total else 0.0
+            if each.absent and points.total and points.rejected.get(each.name) == 0:
+                warnings.append(f"{topic.target}: {each.absent}")
             if share >= _NOTABLE_SHARE and self._surprises(topic, each):
                 advice = f": {topic.advice}" if topic.advice and each.name == "height" else ""
                 warnings.append(f"{topic.target}: {share:.0%} of the points were {each.by_default[1]}{advice}")

@@ -47,6 +47,7 @@ CHOICES: Mapping[str, Choice] = {
     "exclude_box": Choice("texts", "Reject points in a box: frame x0 x1 y0 y1 z0 z1."),
     "exclude_polygon": Choice("texts", "Reject points in a polygon: frame x0 y0 x1 y1 x2 y2 ..."),
     "min_height_slope": Choice("number", "Reject points below min_height + this * range."),
+    "ground": Choice("text", "Whether points on the ground are used.", ("keep", "remove")),
     "deskew": Choice("flag", "Transform each point by the pose at its own time, through fixed_frame."),
     "fixed_frame": Choice("text", "A frame that does not move, such as odom."),
     "point_time": Choice("text", "Field with the times of points, and its unit: t or t:ns."),
@@ -276,13 +277,13 @@ def _spec(
 
 def _filters(values: Mapping[str, Any], min_height: float) -> Iterable[Any]:
     names = ("where", "exclude_box", "exclude_polygon")
-    slope = values.get("min_height_slope")
-    if slope is None and not any(name in values for name in names):
+    slope, ground = values.get("min_height_slope"), values.get("ground", "keep")
+    if slope is None and ground == "keep" and not any(name in values for name in names):
         return ()
     from .stages.texts import filters_from  # noqa: PLC0415  # only where something is selected
 
     where, box, polygon = (values.get(name, ()) for name in names)
-    return filters_from(where, box, polygon, slope, min_height)
+    return filters_from(where, box, polygon, slope, min_height, ground)
 
 
 def _topic(source: str) -> str:

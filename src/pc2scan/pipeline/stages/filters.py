@@ -61,7 +61,8 @@ class Filter(Protocol):
 
 def rejection_of(chosen: Filter) -> Rejection:
     """Return the reason of a filter's rejections."""
-    return Rejection(chosen.name, chosen.explanation)
+    # Of most filters it is no surprise that they reject nothing; so few have this.
+    return Rejection(chosen.name, chosen.explanation, absent=getattr(chosen, "absent", ""))
 
 
 def as_dict(chosen: Filter) -> dict[str, Any]:

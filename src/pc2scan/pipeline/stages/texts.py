@@ -18,6 +18,7 @@ def filters_from(
     exclude_polygon: Sequence[str],
     min_height_slope: float | None,
     min_height: float,
+    ground: str = "keep",
 ) -> Iterator[Filter]:
     """Yield the filters that are asked for; a conversion without any does not load them.
 
@@ -29,6 +30,8 @@ def filters_from(
         As `pc2scan.pipeline.stages.regions.ExcludeBox.parse` and that of ``ExcludePolygon`` read them.
     min_height_slope, min_height
         See `pc2scan.pipeline.stages.height_slope.MinHeightSlope`.
+    ground
+        ``remove`` or ``keep``; see `pc2scan.pipeline.stages.ground.RemoveGround`.
 
     Raises
     ------
@@ -44,6 +47,11 @@ def filters_from(
 
         yield from map(ExcludeBox.parse, exclude_box)
         yield from map(ExcludePolygon.parse, exclude_polygon)
+    if ground != "keep":
+        from .ground import RemoveGround  # noqa: PLC0415
+
+        # Before the limits of height: what these reject would be missing where the ground is followed.
+        yield RemoveGround.parse(ground)
     if min_height_slope is not None:
         from .height_slope import MinHeightSlope  # noqa: PLC0415
 

@@ -1,0 +1,140 @@
+"""Simulated clouds of which each point is known to be ground or not, in streets, on hills and ramps, in halls."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from mounted_worlds import SENSORS, Rectangle, box, mounted, room
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+__all__ = ["PLACES", "Labelled", "labelled"]
+
+
+class Labelled(NamedTuple):
+    """A cloud in the robot's frame: (N, 3), whether points are ground, and how high above the ground they are."""
+
+    points: NDArray[np.float32]
+    ground: NDArray[np.bool_]
+    above: NDArray[np.float64]
+
+
+class Scene(NamedTuple):
+    """Surfaces, the ground's height at x and y, the height of the lidar, and the robot's heading, degrees."""
+
+    surfaces: list[Rectangle]
+    height_at: Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
+    lidar: float
+    heading: float = 20.0
+
+
+def _floor(x0: float, x1: float, z: float, degrees: float = 0.0, width: float = 150.0) -> Rectangle:
+    rise = (x1 - x0) * math.tan(math.radians(degrees))
+    return Rectangle((x0, -width, z), (x1 - x0, 0, rise), (0, 2 * width, 0), "floor")
+
+
+def _posts(places: list[tuple[float, float]], height_at: Callable[[float], float]) -> list[Rectangle]:
+    return [side for x, y in places for side in box(x, x + 0.6, y, y + 0.6, height_at(x) - 0.2, height_at(x) + 1.6)]
+
+
+def _street() -> Scene:
+    kerb = 0.15
+    found = [Rectangle((-120, -4, 0), (240, 0, 0), (0, 8, 0), "floor")]
+    for side in (1, -1):
+        found.append(Rectangle((-120, 4 * side, kerb), (240, 0, 0), (0, 5 * side, 0), "floor"))
+        found.append(Rectangle((-120, 4 * side, 0), (240, 0, 0), (0, 0, kerb), "kerb"))
+    found += box(-120, 120, 9, 20, 0, 12) + box(-120, 120, -20, -9, 0, 9)
+    for x in (-25, -12, 8, 17, 40):
+        found += box(x, x + 4.2, 2.0, 3.8, 0.2, 1.5)
+    for x, y in ((5, -6), (11, 6.5), (-7, -7), (22, -5)):
+        found += box(x, x + 0.4, y, y + 0.4, kerb, kerb + 1.7)
+    for x in range(-60, 60, 15):
+        found += box(x, x + 0.2, 4.5, 4.7, kerb, 6)
+    return Scene(found, lambda _, y: np.where(np.abs(y) > 4, kerb, 0.0), 1.8, 3.0)
+
+
+def _hill() -> Scene:
+    slope = math.tan(math.radians(10))
+    places = [(10.0, 3.0), (14.0, -4.0), (20.0, 2.0), (-8.0, 5.0), (-12.0, -6.0)]
+    surfaces = [_floor(-150, 6, 0), _floor(6, 36, 0, 10), _floor(36, 96, 30 * slope)]
+    surfaces += _posts(places, lambda x: max(0.0, (x - 6) * slope))
+    return Scene(surfaces, lambda x, _: np.clip((x - 6) * slope, 0, 30 * slope), 1.8)
+
+
+def _valley() -> Scene:
+    slope = math.tan(math.radians(-8))
+    places = [(8.0, 2.0), (12.0, -3.0), (20.0, 4.0), (-6.0, 3.0)]
+    surfaces = [_floor(-150, 5, 0), _floor(5, 65, 0, -8), *_posts(places, lambda x: min(0.0, (x - 5) * slope))]
+    return Scene(surfaces, lambda x, _: np.minimum(0, (x - 5) * slope), 1.8)
+
+
+def _hall(lidar: float = 0.4, *more: Rectangle) -> Scene:
+    found = [*room(-8, 10, -6, 7, 3.0), *more]
+    for x, y in ((2, 2), (-3, 3), (4, -3)):
+        found += box(x, x + 1.4, y, y + 0.8, 0.72, 0.75)
+        for dx in (0, 1.35):
+            for dy in (0, 0.75):
+                found += box(x + dx, x + dx + 0.05, y + dy, y + dy + 0.05, 0, 0.72)
+    found += box(-5, -4, -4, -3, 0, 0.4) + box(6, 6.5, 0, 0.5, 0, 1.8) + box(-2, -1.6, -2, -1.6, 0, 3)
+    return Scene(found, lambda x, _: np.zeros_like(x), lidar)
+
+
+def _ramp() -> Scene:
+    slope = math.tan(math.radians(6))
+    ramp = Rectangle((5, -6, 0), (5, 0, 5 * slope), (0, 13, 0), "floor")
+    return _hall(1.0, ramp)._replace(height_at=lambda x, _: np.maximum(0, (x - 5) * slope))
+
+
+def _stairs() -> Scene:
+    found = room(-8, 10, -6, 7, 3.5)
+    for step in range(8):
+        found += box(3 + 0.28 * step, 3.28 + 0.28 * step, -2, 2, 0, 0.17 * (step + 1))
+    return Scene(found, lambda x, _: np.zeros_like(x), 0.4)
+
+
+PLACES = {
+    "street": _street(),
+    "hill": _hill(),
+    "valley": _valley(),
+    "hall": _hall(),
+    "hall from above": _hall(1.0),
+    "ramp": _ramp(),
+    "stairs": _stairs(),
+}
+
+
+def labelled(place: str, sensor: str, *, pitch: float = 0.0, floor: bool = True) -> Labelled:
+    """The returns of one sweep, in a frame on the floor beneath the lidar whose z axis points up."""
+    random = np.random.default_rng(5)
+    scene = PLACES[place]
+    surfaces = [each for each in scene.surfaces if floor or each.part not in {"floor", "kerb"}]
+    tilt = mounted(0, pitch)
+    turn = mounted(0, 0, scene.heading)
+    rays = SENSORS[sensor]() @ tilt.T
+    origin = np.array([0.0, 0.0, scene.lidar])
+    nearest, label = np.full(len(rays), np.inf), np.full(len(rays), -1)
+    world = rays @ turn.T
+    for number, surface in enumerate(surfaces):
+        corner, one, other = (np.array(part, float) for part in (surface.corner, surface.one, surface.other))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            normal = np.cross(one, other)
+            distance = ((corner - origin) @ normal) / (world @ normal)
+            at = origin - corner + distance[:, None] * world
+            # The edges of ramps are not at right angles to each other's projections, those of a rectangle are.
+            u, v = at @ one / (one @ one), at @ other / (other @ other)
+            hit = (distance > 0) & (u >= 0) & (u <= 1) & (v >= 0) & (v <= 1) & (distance < nearest)
+        nearest[hit], label[hit] = distance[hit], number
+    seen = (nearest > 0.3) & (nearest < 100)
+    distance = nearest[seen]
+    distance = distance + random.normal(0, 0.02, distance.size) * (distance / 3 if "camera" in sensor else 1)
+    points = rays[seen] * distance[:, None] + origin
+    parts = np.array([surface.part for surface in surfaces])[label[seen]]
+    placed = points @ turn.T
+    above = points[:, 2] - scene.height_at(placed[:, 0], placed[:, 1])
+    return Labelled(points.astype(np.float32), np.isin(parts, ["floor", "kerb"]), above)
