@@ -209,7 +209,7 @@ def _beside(cells: _Cells, step: int) -> NDArray[np.bool_]:
     Of a wall that is seen at a small angle, each sector shows another part, nearer or farther away.
     """
     # Coarse lidars leave every other sector empty.
-    empty = ~np.isfinite(cells.height).any(axis=0)
+    empty: NDArray[np.bool_] = np.logical_not(np.any(np.isfinite(cells.height), axis=0))
     order = np.arange(_SECTORS) - step
     order = np.where(empty[order % _SECTORS], order - step, order) % _SECTORS
     height = cells.height[:, order]
