@@ -153,7 +153,12 @@ def _paths(paths: Sequence[Path], out: Path, searching: str = "") -> Iterator[li
     if not paths:
         return
     parents = [os.path.abspath(path.parent) for path in paths]  # noqa: PTH100  # links keep their names
-    root = Path(os.path.commonpath(parents))
+    try:
+        root = Path(os.path.commonpath(parents))
+    except ValueError:
+        # On drives of their own.
+        yield from ([places] for path in paths for (places,) in _paths([path], out, searching))
+        return
     places = []
     for path in paths:
         if path.is_dir() and not _is_rosbag2(path):
@@ -341,8 +346,7 @@ def _distinct(found: Sequence[Found]) -> Iterator[Found]:
 
 def _refuse_inside(folder: Path, out: Path) -> None:
     """Raise if a folder to be searched is where the batch writes, or in it."""
-    inside, outside = os.path.realpath(folder), os.path.realpath(out)
-    if os.path.commonpath((inside, outside)) == outside:
+    if Path(os.path.realpath(folder)).is_relative_to(os.path.realpath(out)):
         raise UsageError(
             f"is searched, and {out} is where scans are written: they would be found as sources",
             path=folder,

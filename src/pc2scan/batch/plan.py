@@ -13,7 +13,7 @@ from pc2scan.shown import size
 from pc2scan.version import __version__
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Mapping, Sequence
+    from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 
     from pc2scan.errors import Pc2ScanError
 
@@ -173,7 +173,7 @@ def make_plan(
             owners.setdefault(name.as_posix().casefold(), []).append(key)
     owned = history.owned
     steps = []
-    warnings = []
+    left: dict[str, str] = {}
     for each in found:
         choice = choices[each.key]
         record = history.records.get(each.key)
@@ -214,8 +214,15 @@ def make_plan(
         why = "forced" if force else _reason(each, choice, output, history, there, checksum)
         steps.append(replace(step, action="convert" if why else "keep", why=why or "unchanged", replaces=replaces))
         if record is not None and record.output and record.output != output and present(record.output).files:
-            warnings.append(f"{record.output} is not written any more: {each.key} becomes {output} now")
-    return Plan(tuple(steps), tuple(warnings))
+            left[record.output] = output
+    return Plan(tuple(steps), tuple(_left_warning(left)))
+
+
+def _left_warning(left: Mapping[str, str]) -> Iterator[str]:
+    """Name results that have other names now, and stay what they are."""
+    for old, new in list(left.items())[:1]:
+        more = f", and {len(left) - 1:,} more of an earlier run" if len(left) > 1 else ""
+        yield f"{old} is not written any more, it is {new} now{more}; what is there is left as it is"
 
 
 def _reason(

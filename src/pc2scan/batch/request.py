@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 from enum import Enum
@@ -148,6 +149,8 @@ def request_of(words: Mapping[str, Any], origins: Mapping[str, str] | None = Non
     resolved = _parameters(asked, parameters, origins or {}, reverse=reverse)
     framed = take(_FRAMES)
     frames = frames_of(framed.pop("frames", None), **framed)
+    # Another process may be in another folder.
+    frames = replace(frames, tf_from=tuple(map(_absolute, frames.tf_from)))
     texts: dict[str, Any] = {name: names_in(name, given.pop(name)) for name in _TEXTS if name in given}
     remaps = (*resolved.remaps, *names_in("remap", asked.get("remap")))
     if asked.get("remap") and texts.get("topics"):
@@ -191,14 +194,18 @@ def request_of(words: Mapping[str, Any], origins: Mapping[str, str] | None = Non
         options,
         output,
         resolved.origin,
-        {f"`{name}`": path_of(name, path) for name, path in files.items() if path is not None}
-        | {f"{path.name} (from `params_file`)": path for path in resolved.files}
-        | {f"{path.name} (from `scans`)": path for path in (several.files if several is not None else ())},
+        {f"`{name}`": _absolute(path_of(name, path)) for name, path in files.items() if path is not None}
+        | {f"{path.name} (from `params_file`)": _absolute(path) for path in resolved.files}
+        | {f"{path.name} (from `scans`)": _absolute(path) for path in (several.files if several is not None else ())},
         tuple(
             f"not a parameter of the projection, ignored: {origin}"
             for origin in (resolved.ignored if several is None else several.ignored)
         ),
     )
+
+
+def _absolute(path: Path) -> Path:
+    return Path(os.path.abspath(path))  # noqa: PTH100  # links keep their names
 
 
 def _cut(asked: Mapping[str, Any], to: object) -> Cut | None:

@@ -307,7 +307,8 @@ class _Batch:
 
     def clean_up(self) -> None:
         """Remove what killed runs left beside the outputs of this folder."""
-        for output in {*self._history.owned, *(step.output for step in self.made.steps if step.output)}:
+        planned = [step.output for action in ("convert", "keep") for step in self.made.of(action)]
+        for output in {*self._history.owned, *planned}:
             clean_up(self._out / output)
 
     def convert(self, lock: int | None, make: Callable[..., Executor]) -> None:
