@@ -172,7 +172,7 @@ def declared_counts(connections: Iterable[Connection]) -> dict[int, int]:
     return {c.id: c.message_count for c in connections if c.message_count is not None}
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True, eq=False)
 class StoredChunk:
     """A chunk that is written as a whole, without reading its messages one by one.
 

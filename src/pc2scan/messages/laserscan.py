@@ -153,5 +153,7 @@ def encode_laserscan(scan: LaserScan, serialization: str) -> bytes:
     packer.raw(encode(scan.frame_id, packed, serialization))
     # From the geometry on, everything is aligned in both formats.
     for values in (scan.ranges, scan.intensities):
-        packer.raw(_COUNT.pack(len(values)) + values.astype(_FLOAT32, copy=False).tobytes())
+        packer.raw(_COUNT.pack(len(values)))
+        if len(values):
+            packer.raw(values.astype(_FLOAT32, copy=False).tobytes())
     return packer.finish()

@@ -22,7 +22,7 @@ __all__ = ["OF_CLOUDS", "OF_SCANS", "OutputType"]
 Message = TypeVar("Message")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True, eq=False)
 class OutputType(Generic[Message]):
     """A type of messages that conversions make.
 

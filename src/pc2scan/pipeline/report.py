@@ -61,8 +61,7 @@ _SEVERAL = 10
 _NOTABLE_STEP = 1e-5
 
 
-@dataclass(frozen=True, slots=True)
-class Failure:
+class Failure(NamedTuple):
     """A conversion that failed before anything was known but what was asked for.
 
     Attributes
