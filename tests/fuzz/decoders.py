@@ -23,16 +23,18 @@ from pathlib import Path
 from types import FunctionType
 from typing import TYPE_CHECKING, Any, cast
 
+import numpy as np
+
 import pc2scan
 from bags import mcap_files
 from fuzz.clouds import project_cloud
 from fuzz.rays import draw_rays
 from pc2scan.bags.rosbag1.records import Damaged, parsed_connection, parsed_fields
 from pc2scan.errors import Pc2ScanError
-from pc2scan.model import ChunkRule, Connection, Definition, StoredChunk
+from pc2scan.model import ChunkRule, Connection, Definition, RawMessage, StoredChunk
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from pc2scan.bags.mcap.chunks import ChunkSegment
 
@@ -74,6 +76,28 @@ def _transforms(data: bytes) -> None:
     built = builder.build()
     assert len(built.infos) <= len(rows)
     encode_transforms(rows, _serialization(data)[1])
+
+
+def _imu(data: bytes) -> None:
+    """Some messages of one length each after the other, and what they tell of up."""
+    from pc2scan.tf.imu_reading import ImuRequest, read_up
+
+    content, serialization = _serialization(data)
+    kind = "sensor_msgs/Imu" if serialization == "ros1" else "sensor_msgs/msg/Imu"
+    connection = Connection(0, "/imu", kind, serialization)
+    size = max(1, len(content) // 4)
+    parts = [content[place : place + size] for place in range(0, len(content), size)]
+    messages = [RawMessage(connection, place, part, place) for place, part in enumerate(parts)]
+
+    class Recorded:
+        connections = (connection,)
+
+        def messages(self, _: object) -> Iterator[RawMessage]:
+            return iter(messages)
+
+    found = read_up([Recorded()], ImuRequest("/imu"))  # type: ignore[list-item]  # a part of a reader
+    assert np.isfinite(found.ups).all()
+    assert len(found.ups) == len(found.stamps_ns)
 
 
 def _wire(data: bytes) -> None:
@@ -313,6 +337,7 @@ DECODERS: dict[str, Callable[[bytes], None]] = {
     "rays": draw_rays,
     "scan": _scan,
     "transforms": _transforms,
+    "imu": _imu,
     "wire": _wire,
     "schema": _schema,
     "transcoding": _transcoding,

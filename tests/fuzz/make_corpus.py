@@ -34,6 +34,7 @@ from builders import (
 )
 from fuzz import clouds, rays
 from fuzz.decoders import CORPUS
+from messages.test_imu import imu_message
 from pc2scan import ProjectionParams
 from pc2scan.bags.mcap.reader import McapReader
 from pc2scan.bags.mcap.records import MAGIC
@@ -55,6 +56,7 @@ def inputs() -> Iterator[tuple[str, str, bytes]]:
         yield "wire", word, lead + cloud(points, ros_version)
         yield "scan", word, lead + scan(points[:, 0], ros_version)
         yield "transforms", word, lead + CONTENT.of("/tf")[0].data[ros_version]
+        yield "imu", word, lead + b"".join(imu_message(ros_version, stamp_ns=T0 + place * 10**7) for place in range(4))
         text = struct.pack("<I", 2) + (b"\0" if ros_version == 1 else b"a\0\0\0") * 4
         yield "transcoding", word, lead + (b"" if ros_version == 1 else b"\0\1\0\0") + text + bytes(60)
         yield "schema", word, bytes([ros_version - 1]) + definition(BATTERY, ros_version).encode()
