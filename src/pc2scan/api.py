@@ -1012,6 +1012,12 @@ def export(
     min_height_slope: float | None = None,
     ground: str = "keep",
     filters: Iterable[Filter] = (),
+    deskew: bool = False,
+    fixed_frame: str = "",
+    point_time: str = "",
+    stamp: str = "header",
+    level: bool = False,
+    imu: str = "",
     on_error: str = "skip",
     overwrite: bool = False,
     verify: bool = True,
@@ -1044,7 +1050,9 @@ def export(
     static_tf, static_tf_file, tf_from, tf_topics, source_frame, frames
         As for `pc2scan.convert`; for poses too.
     where, exclude_box, exclude_polygon, min_height_slope, ground, filters
-        As for `pc2scan.convert`.
+        As for `pc2scan.convert`, where scans are made of clouds.
+    deskew, fixed_frame, point_time, stamp, level, imu
+        As for `pc2scan.convert`, where scans are made of clouds.
     on_error
         ``skip`` counts and lists messages that cannot be written, ``fail`` makes the first one an error.
     overwrite
@@ -1091,6 +1099,12 @@ def export(
         reverse=resolved.reverse,
         frames=frames_of(frames, static_tf, static_tf_file, False, tf_from, tf_topics, source_frame),
         filters=filters_of(resolved, where, exclude_box, exclude_polygon, min_height_slope, ground, filters),
+        deskew=deskew,
+        fixed_frame=fixed_frame,
+        point_time=point_time,
+        stamp=stamp,
+        level=level,
+        imu=imu,
         topics=names or resolved.topics,
         start=start,
         end=end,

@@ -27,7 +27,8 @@ from builders import (
 )
 from builders import cloud as plain_cloud
 from e2e.command import run
-from pc2scan.errors import DestinationError, ResultError, UsageError
+from pc2scan.errors import DecodeError, DestinationError, ResultError, UsageError
+from pc2scan.messages.pointcloud2 import PointCloud2, PointField
 from support import ROOT
 
 if TYPE_CHECKING:
@@ -175,6 +176,24 @@ def test_names_that_a_header_cannot_hold(tmp_path: Path) -> None:
     with pytest.raises(ResultError, match="two fields are named 'x'"):
         pc2scan.export(recorded(tmp_path, names=names), tmp_path / "out", format="pcd")
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("name", ["", "_", "a\nDATA ascii", "é", "a b"])
+def test_names_of_untrusted_recordings(name: str, tmp_path: Path) -> None:
+    names = list(NAMES)
+    names[6] = name
+    with pytest.raises(ResultError, match="no cloud can be written"):
+        pc2scan.export(recorded(tmp_path, names=names), tmp_path / "out", format="pcd")
+
+
+def test_fields_that_are_the_same_bytes_many_times_are_refused() -> None:
+    fields = tuple(PointField(f"f{i}", 0, 8) for i in range(4000))
+    cloud = PointCloud2(0, 0, "", 1, 10, fields, False, 8, 80, memoryview(bytes(80)), True)
+    with pytest.raises(DecodeError, match="its fields have 32000 bytes, and a point has 8"):
+        cloud.structured()
+    huge = PointCloud2(0, 0, "", 0, 0, (PointField("x", 0, 7, 1 << 32),), False, 8, 0, memoryview(b""), True)
+    with pytest.raises(DecodeError, match="bytes"):
+        huge.structured()
 
 
 def test_kitti_has_returns_alone(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import subprocess
 import sys
 import tracemalloc
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -311,14 +311,17 @@ def test_a_source_is_never_the_destination(mcap: Path) -> None:
         ({"topics": "/scan:=/other"}, "renames a topic"),
         ({"static_tf": "base_link laser 0 0 0 0 0 0"}, "no effect"),
         ({"where": "x > 3"}, "count only where clouds become scans"),
+        ({"deskew": True, "fixed_frame": "odom"}, "count only where clouds become scans"),
+        ({"topics": ["/scan:=/a", "/front:=/a"]}, "each scan of one cloud"),
         ({"node": "a"}, "`params_file`"),
         ({"min_height": 0.1}, "no PointCloud2 topic"),
     ],
 )
-def test_wrong_requests_write_nothing(how: dict[str, str], said: str, mcap: Path, tmp_path: Path) -> None:
+def test_wrong_requests_write_nothing(how: dict[str, Any], said: str, mcap: Path, tmp_path: Path) -> None:
+    how = dict(how)
     destination = tmp_path / how.pop("destination", "scans.npz")
     with pytest.raises(UsageError, match=said):
-        pc2scan.export(mcap, destination, **how)  # type: ignore[arg-type]
+        pc2scan.export(mcap, destination, **how)
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["drive.mcap"]
 
 
@@ -344,5 +347,11 @@ def test_the_command(mcap: Path, tmp_path: Path) -> None:
     done = run("export", mcap, "-o", tmp_path / "scans.npy")
     assert done.status == 2
     assert "give --format: npz, csv" in done.stderr
-    done = run("export", HALL, "-o", tmp_path / "hall.csv", "--min-height", "-0.3", "--keep", "/tf")
-    assert (done.status, "no effect" in done.stderr) == (2, True)
+    words = ("export", HALL, "-o", tmp_path / "hall.csv", "--min-height", "-0.3")
+    for further in ("--keep /tf", "--keep-used /used", "--keep-clouds"):
+        done = run(*words, *further.split())
+        assert (done.status, "no effect" in done.stderr) == (2, True), done.stderr
+    for further in ("--rebin", "--accumulate 0.3s --fixed-frame odom"):
+        done = run(*words, *further.split())
+        assert (done.status, "each scan of one cloud" in done.stderr) == (2, True), done.stderr
+    assert not (tmp_path / "hall.csv").exists()

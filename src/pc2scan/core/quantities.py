@@ -39,7 +39,7 @@ EXAMPLES = {
     "s": "write seconds (0.1, 0.1s) or milliseconds (100ms)",
 }
 
-_NUMBER_AND_UNIT = re.compile(r"(\d{1,18}(?:\.\d{0,18})?|\.\d{1,18}) ?([A-Za-z]+)")
+_NUMBER_AND_UNIT = re.compile(r"([0-9]{1,18}(?:\.[0-9]{0,18})?|\.[0-9]{1,18}) ?([A-Za-z]+)")
 
 #: Nanoseconds, and bytes, of a unit in lower case.
 _DURATIONS = {"ms": 10**6, "s": 10**9, "min": 60 * 10**9, "h": 3600 * 10**9}

@@ -46,7 +46,7 @@ class SameBeams:
         raise UsageError(
             f"the scan at {stamp_text(scan.stamp_ns)} has {found}: {self._what} holds scans with the same beams",
             topic=scan.topic,
-            hint="`start` and `end` export a part of the recording",
+            hint="`pc2scan convert` with `rebin` gives all scans the same beams; `start` and `end` export a part",
         )
 
 

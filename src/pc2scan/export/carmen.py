@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pc2scan.errors import UsageError, stamp_text
+from pc2scan.errors import UnwritableError, UsageError, stamp_text
 
 from .beams import has_intensities
 from .digits import float32_text, float32_texts, planar
@@ -68,6 +68,9 @@ class CarmenWriter:
     def add(self, item: Scan, placed: Placed | None) -> None:
         """Write a line; raises a `UsageError` for what these lines cannot say."""
         assert placed is not None
+        numbers = (item.angle_min, item.angle_increment)
+        if not all(map(math.isfinite, numbers)):
+            raise UnwritableError(f"its angles are not finite: angle_min {numbers[0]}, angle_increment {numbers[1]}")
         laser = placed.sensor()
         if laser.matrix[2, 2] <= 0:
             raise UsageError(

@@ -5,6 +5,7 @@ Source of the rules: "The PCD (Point Cloud Data) file format", version 0.7, of P
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING
 
 from pc2scan.core.rigid import IDENTITY_POSE
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
     from .poses import Placed
 
 __all__ = ["PcdWriter"]
+
+_WORD = re.compile(r"[!-~]+")
 
 #: NumPy's kinds of numbers, and PCD's.
 _TYPES = {"f": "F", "i": "I", "u": "U"}
@@ -37,8 +40,8 @@ class PcdWriter:
         """Write a cloud; raises an `UnwritableError` where a field has a name that a header cannot hold."""
         points = item.points()
         names = points.dtype.names or ()
-        if odd := [name for name in names if not name or name == "_" or any(c.isspace() for c in name)]:
-            raise UnwritableError(f"a field is named {odd[0]!r}: names in a .pcd file are words")
+        if odd := [name for name in names if name == "_" or not _WORD.fullmatch(name)]:
+            raise UnwritableError(f"a field is named {odd[0]!r:.60}: names in a .pcd file are words of ASCII")
         fields = [points.dtype[name] for name in names]
         height, width = item.shape
         x, y, z, i, j, k, r = IDENTITY_POSE if placed is None else placed.sensor().pose

@@ -162,6 +162,9 @@ def base_between(transforms: TransformBuffer, pose_frame: str, sensor_frame: str
         below.append(frame)
         is_fixed &= history.static
         fixed = frame if is_fixed else fixed
+    if len(below) == 1 and frame not in transforms.frames:
+        # A frame without transforms: a level one, for example, that was made for the scans.
+        below += transforms.frames
     return next((name for name in _BASES if name in below), fixed)
 
 

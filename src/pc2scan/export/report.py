@@ -137,6 +137,8 @@ class ExportReport(Shown):
         yield from listed(self.notes, "note", _SHOWN)
         reasons = [f"{number:,} messages: {reason}" for reason, number in self.skipped_reasons.most_common()]
         yield from listed(reasons, "skipped", _SHOWN)
+        if hint := next((entry.hint for entry in self.skipped if entry.hint), ""):
+            yield f"hint: {hint}"
 
     def __repr__(self) -> str:
         return f"<ExportReport: {self.messages:,} messages as {self.format} in {self.destination}>"

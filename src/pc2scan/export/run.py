@@ -149,6 +149,7 @@ def _check_request(written: Format, options: ConvertOptions, form: ExportOptions
     idle = {
         "scans": options.scans,
         "reverse": options.reverse,
+        "keep_used": options.keep_used,
         "keep": options.keep,
         "drop": options.drop,
         "keep_clouds": options.keep_clouds,
@@ -169,9 +170,9 @@ def _check_request(written: Format, options: ConvertOptions, form: ExportOptions
             hint="`pose_frame=odom` writes poses",
         )
     options.specs[0].refuse_combining("an export makes")
-    if not form.converting and (options.filters or options.deskew):
+    if not form.converting and (options.filters or options.deskew or options.level):
         raise UsageError(
-            "filters and `deskew` count only where clouds become scans",
+            "filters, `deskew` and `level` count only where clouds become scans",
             hint="give parameters: `preset`, `params_file`, or any of them by name, `min_height=-0.3`",
         )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -48,6 +49,9 @@ _SMALL = 12
 _DATATYPE_CODES = {name: code for code, name in DATATYPES.items()}
 
 #: By byte order and datatype.
+#: Some drivers have several names for the same bytes. More than so many times the bytes of a point are an attack.
+_MOST_OVERLAP = 8
+
 _DTYPES = {order: {code: np.dtype(order + name) for code, name in DATATYPES.items()} for order in "<>"}
 
 
@@ -164,12 +168,18 @@ class PointCloud2:
         Raises
         ------
         DecodeError
-            If two fields have one name; as `field` does; and if a field's elements do not fit into a point.
+            If two fields have one name, or one has none; as `field` does; if a field's elements do not fit into a
+            point, or many fields are made of the same bytes.
         """
-        names = [field.name for field in self.fields]
-        if twice := [name for name in names if names.count(name) > 1]:
+        names = Counter(field.name for field in self.fields)
+        if "" in names:
+            raise self._error("a field has no name")
+        if twice := [name for name, count in names.items() if count > 1]:
             raise self._error(f"two fields are named {twice[0]!r}")
         self.check_size()
+        sizes = [np.dtype(DATATYPES.get(each.datatype, "f8")).itemsize * max(each.count, 1) for each in self.fields]
+        if sum(sizes) > _MOST_OVERLAP * max(self.point_step, 1):
+            raise self._error(f"its fields have {sum(sizes)} bytes, and a point has {self.point_step}")
         views = {field.name: self._elements(field) for field in self.fields}
         dtype = np.dtype(
             [
@@ -188,7 +198,7 @@ class PointCloud2:
         # Drivers write 0 for a single element.
         count = max(field.count, 1)
         size = first.dtype.itemsize
-        if first.size and field.offset + count * size > self.point_step:
+        if self.points and field.offset + count * size > self.point_step:
             raise self._error(
                 f"field {field.name!r} takes bytes {field.offset} to {field.offset + count * size} of a point, but "
                 f"point_step is {self.point_step}"
