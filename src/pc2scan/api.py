@@ -7,7 +7,7 @@ from numbers import Real
 from typing import TYPE_CHECKING
 
 from .arguments import known_keywords, names_in, path_of, paths_in
-from .errors import UsageError
+from .errors import SeveralNodesError, UsageError
 from .pipeline.combine.asked import Combining
 from .pipeline.options import ConvertOptions
 from .requests import (
@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from .look.view import Page
     from .pipeline.combine.asked import Duration
     from .pipeline.options import Time
+    from .pipeline.param_sources import ResolvedSources
     from .pipeline.report import Report
     from .pipeline.run import Progress
     from .pipeline.stages.filters import Filter
@@ -301,37 +302,55 @@ def convert(
         from .pipeline.parts import cut_of  # noqa: PLC0415  # most recordings are one file
 
         cut = cut_of(split, repeat_latched=repeat_latched)
-    resolved = resolved_parameters(params, preset, params_file, node, parameters, reverse=reverse)
-    options = ConvertOptions.of(
-        scans=several.specs if several is not None else (),
-        params=resolved.params,
-        reverse=resolved.reverse,
-        channels=channels_of(channels, range_cutoff),
-        deskew=deskew,
-        fixed_frame=fixed_frame,
-        point_time=point_time,
-        stamp=stamp,
-        level=level,
-        imu=imu,
-        combining=Combining.of(lead=lead, window=window, accumulate=accumulate, every=every, rebin=rebin),
-        keep_used=keep_used,
-        filters=filters_of(resolved, where, exclude_box, exclude_polygon, min_height_slope, ground, filters),
-        frames=frames_of(frames, static_tf, static_tf_file, write_static_tf, tf_from, tf_topics, source_frame),
-        topics=names_in("topics", topics) or resolved.topics,
-        keep=names_in("keep", keep),
-        drop=names_in("drop", drop),
-        keep_clouds=keep_clouds,
-        only_scans=only_scans,
-        start=start,
-        end=end,
-        on_error=on_error,
-        fail_on=fail_on,
-        min_used=min_used,
-        ros_distro=ros_distro,
-        jobs=jobs,
-        verify=verify,
-        strict=strict,
-    )
+    filters = tuple(filters)
+
+    def of_node(name: str | None) -> tuple[ResolvedSources, ConvertOptions]:
+        resolved = resolved_parameters(params, preset, params_file, name, parameters, reverse=reverse)
+        return resolved, ConvertOptions.of(
+            scans=several.specs if several is not None else (),
+            origins=resolved.origin,
+            params=resolved.params,
+            reverse=resolved.reverse,
+            channels=channels_of(channels, range_cutoff),
+            deskew=deskew,
+            fixed_frame=fixed_frame,
+            point_time=point_time,
+            stamp=stamp,
+            level=level,
+            imu=imu,
+            combining=Combining.of(lead=lead, window=window, accumulate=accumulate, every=every, rebin=rebin),
+            keep_used=keep_used,
+            filters=filters_of(resolved, where, exclude_box, exclude_polygon, min_height_slope, ground, filters),
+            frames=frames_of(frames, static_tf, static_tf_file, write_static_tf, tf_from, tf_topics, source_frame),
+            topics=names_in("topics", topics) or resolved.topics,
+            keep=names_in("keep", keep),
+            drop=names_in("drop", drop),
+            keep_clouds=keep_clouds,
+            only_scans=only_scans,
+            start=start,
+            end=end,
+            on_error=on_error,
+            fail_on=fail_on,
+            min_used=min_used,
+            ros_distro=ros_distro,
+            jobs=jobs,
+            verify=verify,
+            strict=strict,
+        )
+
+    try:
+        resolved, options = of_node(node)
+        ignored = resolved.ignored if several is None else several.ignored
+    except SeveralNodesError as err:
+        if reverse or params_file is None:
+            raise
+        from .pipeline.several_nodes import options_of_nodes, refuse_topics  # noqa: PLC0415
+
+        file = path_of("params_file", params_file)
+        refuse_topics(topics, err.nodes, file)
+        each = [of_node(name) for name in err.nodes]
+        resolved, options = each[0][0], options_of_nodes(err.nodes, [made for _, made in each], file)
+        ignored = tuple(dict.fromkeys(origin for found, _ in each for origin in found.ignored))
     path, folder = destination_of(destination)
     output = OutputOptions(
         storage=storage,
@@ -358,8 +377,7 @@ def convert(
         also_read=also_read,
         progress=progress,
     )
-    left = resolved.ignored if several is None else several.ignored
-    done.warnings += [f"not a parameter of the projection, ignored: {origin}" for origin in left]
+    done.warnings += [f"not a parameter of the projection, ignored: {origin}" for origin in ignored]
     return done
 
 

@@ -5,6 +5,7 @@
     Pc2ScanError                   exit status 1
     ├── UsageError                 exit status 2: the call is wrong, nothing was tried
     │   ├── ParameterError         a projection parameter's name, type or value
+    │   │   └── SeveralNodesError  a parameter file with several nodes, where one is expected
     │   ├── TopicError             a topic that is missing, of another type or taken
     │   └── DestinationError       DST cannot be written as asked for
     ├── RecordingError             a source cannot be read
@@ -43,6 +44,7 @@ __all__ = [
     "RecordingError",
     "RecordingWarning",
     "ResultError",
+    "SeveralNodesError",
     "TopicError",
     "TransformError",
     "UnconnectedError",
@@ -168,6 +170,22 @@ class ParameterError(UsageError):
     def __init__(self, message: str, *, name: str = "", hint: str | None = None) -> None:
         super().__init__(message, hint=hint)
         self.name = name
+
+
+class SeveralNodesError(ParameterError):
+    """A parameter or launch file has several nodes, and it was not said which one is meant.
+
+    Parameters
+    ----------
+    message, hint
+        As for `ParameterError`.
+    nodes
+        Their names, fully qualified.
+    """
+
+    def __init__(self, message: str, *, nodes: tuple[str, ...], hint: str | None = None) -> None:
+        super().__init__(message, hint=hint)
+        self.nodes = nodes
 
 
 class TopicError(UsageError):

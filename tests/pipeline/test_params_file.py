@@ -411,7 +411,7 @@ def test_a_file_for_other_nodes_lists_them(load: Load) -> None:
 def test_two_renamed_nodes_are_not_guessed_between(load: Load) -> None:
     err = failure(lambda: load(ros2({"min_height": 1}, "front") + ros2({"min_height": 2}, "rear")))
     assert "several have only their parameters; found /front, /rear" in str(err)
-    assert err.hint == "choose one with `node`"
+    assert err.hint == "choose one, for example `node=/front`"
 
 
 def test_a_renamed_node_is_found_beside_a_wildcard(load: Load) -> None:

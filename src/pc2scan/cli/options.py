@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 from typer.models import TyperPath
 
-from pc2scan.errors import UsageError
+from pc2scan.errors import SeveralNodesError, UsageError
 from pc2scan.pipeline.parameters import PARAMETERS, Setting, default_in_words
 from pc2scan.pipeline.parameters import Parameter as TableRow
 from pc2scan.pipeline.ros_scalars import plain_scalar
@@ -738,6 +738,22 @@ class ConversionGroup(Group):
         """
         if self.projection.scans is not None:
             return self._several(self.projection.scans, ros_distro), {}
+        try:
+            return self._of_node(self.projection.node, ros_distro)
+        except SeveralNodesError as err:
+            file = self.projection.params_file
+            if self.reverse.reverse or file is None:
+                raise
+            from pc2scan.pipeline.several_nodes import options_of_nodes, refuse_topics
+
+            refuse_topics(self.topics.topics, err.nodes, file)
+            each = [self._of_node(node, ros_distro, one_of=err.nodes)[0] for node in err.nodes]
+            return options_of_nodes(err.nodes, each, file), {}
+
+    def _of_node(
+        self, node: str | None, ros_distro: str, one_of: tuple[str, ...] = ()
+    ) -> "tuple[ConvertOptions, Mapping[str, str]]":
+        """Return the options of one output, by one node of a parameter file if there is one."""
         from pc2scan.pipeline.param_sources import resolve_sources
 
         asked = self.projection
@@ -745,12 +761,12 @@ class ConversionGroup(Group):
             asked.given.settings,
             assignments=asked.param,
             file=asked.params_file,
-            node=asked.node,
+            node=node,
             launch_args=asked.launch_args,
             preset=asked.preset,
             reverse=self.reverse.reverse,
         )
-        self.files = tuple(("--params-file", path) for path in resolved.files)
+        self.files = tuple(dict.fromkeys((*self.files, *(("--params-file", path) for path in resolved.files))))
         for origin in resolved.ignored:
             warn(f"not a parameter of the projection, ignored: {origin}")
 
@@ -765,14 +781,17 @@ class ConversionGroup(Group):
         if asked.remap or resolved.remaps:
             from dataclasses import replace
 
-            from pc2scan.pipeline.remaps import remapped
+            from pc2scan.pipeline.remaps import meant_for, remapped
 
             typed = [text for text in asked.remap if not text.startswith("__")]
+            if one_of and node is not None:
+                typed = meant_for(typed, node)
             moved = remapped((*resolved.remaps, *typed), reverse=resolved.reverse)
             names = names or list(moved.topics)
             if moved.tf_topics and not frames.tf_topics:
                 frames = replace(frames, tf_topics=moved.tf_topics)
         options = ConvertOptions.of(
+            origins=resolved.origin,
             params=resolved.params,
             reverse=resolved.reverse,
             channels=self.reverse.fields(),

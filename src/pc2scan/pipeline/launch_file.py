@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
-from pc2scan.errors import ParameterError, name_list
+from pc2scan.errors import ParameterError, SeveralNodesError, name_list
 from pc2scan.names import did_you_mean
 
 if TYPE_CHECKING:
@@ -136,10 +136,15 @@ def launch_node(text: str, path: Path, arguments: Mapping[str, str], node: str |
     else:
         chosen = nodes
     if len(chosen) > 1:
-        raise ParameterError(
-            f"{path}: several nodes could be meant: {name_list([name for name, *_ in chosen])}",
-            hint=f"choose one, for example `node={chosen[0][0]}`",
+        names = [name for name, *_ in chosen]
+        message, hint = (
+            f"{path}: several nodes could be meant: {name_list(names)}",
+            f"choose one, for example `node={names[0]}`",
         )
+        others = any(_direction(element) == "laserscan_to_pointcloud" for _, element, _ in chosen)
+        if others or len(set(names)) < len(names):
+            raise ParameterError(message, hint=hint)
+        raise SeveralNodesError(message, nodes=tuple(names), hint=hint)
     ((name, element, scope),) = chosen
     found = reader.node(name, element, scope)
     if unused := sorted(arguments.keys() - reader.declared):

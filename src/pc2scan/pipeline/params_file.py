@@ -5,9 +5,9 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Any, NoReturn, get_args
 
-from pc2scan.errors import ParameterError
+from pc2scan.errors import ParameterError, SeveralNodesError
 from pc2scan.files.nearby import missing_hint
 from pc2scan.files.source import opened_bytes
 from pc2scan.names import did_you_mean
@@ -336,10 +336,7 @@ def _chosen(sections: _Sections, node: str | None, file: Path) -> str:
     if len(named) == 1:
         return named[0]
     if named:
-        raise ParameterError(
-            f"{file}: several nodes could be meant: {', '.join(named)}",
-            hint=f"choose one, for example `node={named[0]}`",
-        )
+        _raise_several(f"{file}: several nodes could be meant: {', '.join(named)}", named)
     own = {full: _own_names(parameters) for full, parameters in sections.items()}
     upstreams = _most_specific([full for full, names in own.items() if _only_upstreams(names)])
     if len(upstreams) == 1:
@@ -349,11 +346,18 @@ def _chosen(sections: _Sections, node: str | None, file: Path) -> str:
         [(only, names)] = own.items()
         if len(_foreign(names)) < len(names) or not names:
             return only
-    raise ParameterError(
-        f"{file}: no section is named pointcloud_to_laserscan or laserscan_to_pointcloud, and "
-        f"{'several have' if upstreams else 'none has'} only their parameters; found {_listed(sections)}",
-        hint="choose one with `node`" if upstreams else None,
-    )
+    message = f"{file}: no section is named pointcloud_to_laserscan or laserscan_to_pointcloud, and "
+    if upstreams:
+        _raise_several(f"{message}several have only their parameters; found {_listed(sections)}", upstreams)
+    raise ParameterError(f"{message}none has only their parameters; found {_listed(sections)}")
+
+
+def _raise_several(message: str, nodes: list[str]) -> NoReturn:
+    """Say that several nodes could be meant; as nodes of one conversion, if all make scans of clouds."""
+    hint = f"choose one, for example `node={nodes[0]}`"
+    if any("*" in node or _direction_of(node) == "laserscan_to_pointcloud" for node in nodes):
+        raise ParameterError(message, hint=hint)
+    raise SeveralNodesError(message, nodes=tuple(nodes), hint=hint)
 
 
 def _asked_for(sections: _Sections, node: str, file: Path) -> str:

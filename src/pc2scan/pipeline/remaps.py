@@ -13,7 +13,7 @@ from .options import TopicRequest
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-__all__ = ["Remapped", "remapped"]
+__all__ = ["Remapped", "meant_for", "remapped"]
 
 #: What the nodes call the topic that they read and the one that they write, by whether scans become clouds.
 _NAMES = {False: ("cloud_in", "scan"), True: ("scan_in", "cloud")}
@@ -28,6 +28,20 @@ class Remapped:
 
     topics: tuple[str, ...] = ()
     tf_topics: tuple[str, ...] = ()
+
+
+def meant_for(texts: Iterable[str], node: str) -> list[str]:
+    """Return those remappings that are for a node: without a node in front, or with this one.
+
+    >>> meant_for(["front:scan:=/a", "/rear:scan:=/b", "cloud_in:=/points"], "/robot/front")
+    ['front:scan:=/a', 'cloud_in:=/points']
+    """
+    found = []
+    for text in texts:
+        own, colon, _ = text.partition(":=")[0].rpartition(":")
+        if not colon or f"/{own.strip('/')}" == node or (not own.startswith("/") and node.endswith(f"/{own}")):
+            found.append(text)
+    return found
 
 
 def remapped(texts: Iterable[str], *, reverse: bool = False) -> Remapped:

@@ -1,0 +1,72 @@
+"""Several nodes of one parameter or launch file: each is an output."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from pc2scan.errors import UsageError
+
+from .scan_spec import TopicRequest
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from .options import ConvertOptions
+    from .scan_spec import ScanSpec
+
+__all__ = ["options_of_nodes", "refuse_topics"]
+
+
+def refuse_topics(topics: object, nodes: Sequence[str], file: Path) -> None:
+    """Raise if topics are named that do not say of which node they are.
+
+    Raises
+    ------
+    UsageError
+        If there are any.
+    """
+    if topics:
+        raise UsageError(
+            f"`topics` does not say which node it is for: {', '.join(nodes)}",
+            path=file,
+            hint=f"choose a node, `node={nodes[0]}`, or name the topics of each: "
+            f"`remap={nodes[0].lstrip('/')}:cloud_in:=/points`",
+        )
+
+
+def options_of_nodes(nodes: Sequence[str], options: Sequence[ConvertOptions], file: Path) -> ConvertOptions:
+    """Make one conversion of those that the nodes alone would be.
+
+    Parameters
+    ----------
+    nodes
+        Fully qualified names.
+    options
+        Of each node, as if it were the only one.
+
+    Returns
+    -------
+    ConvertOptions
+        A node that does not say where its scans go publishes ``scan`` in its namespace, or, where several nodes would,
+        under its own name. One that does not say what it reads has the only topic with clouds.
+    """
+    requests = [next(iter(each.specs[0].topics), TopicRequest("*")) for each in options]
+    usual = [f"{node.rpartition('/')[0]}/scan" for node in nodes]
+    targets = [
+        request.target or (own if usual.count(own) == 1 else f"{node}/scan")
+        for node, request, own in zip(nodes, requests, usual, strict=True)
+    ]
+    specs = [
+        _renamed(each.specs[0], target, f"{file}, {node}", request.source)
+        for node, each, target, request in zip(nodes, options, targets, requests, strict=True)
+    ]
+    moved = dict.fromkeys(topic for each in options for topic in each.frames.tf_topics)
+    frames = replace(options[0].frames, tf_topics=tuple(moved))
+    return replace(options[0], scans=tuple(specs), frames=frames)
+
+
+def _renamed(spec: ScanSpec, target: str, place: str, source: str) -> ScanSpec:
+    topics = () if source == "*" else (TopicRequest(source, target),)
+    return replace(spec, name=target, place=place, topics=topics)
