@@ -342,3 +342,33 @@ def test_a_fixed_frame_beside_an_imu_has_an_effect_or_a_warning(tmp_path: Path, 
     assert "--fixed-frame has no effect: --imu makes scans level" in converted(tmp_path, world, imu, *both).done.stderr
     assert "no effect" not in converted(tmp_path, world, imu, *both, "--deskew").done.stderr
     assert "no effect" not in converted(tmp_path, world, imu, *both, "--every", "0.1").done.stderr
+
+
+def test_two_outputs_of_one_frame_share_its_transforms(tmp_path: Path, world: Path) -> None:
+    (tmp_path / "scans.yaml").write_text(
+        "defaults:\n  sources: /points\n  level: true\n  fixed_frame: odom\nscans:\n"
+        "  /scan:\n    intensity_field: intensity\n  /others:\n    reduce: max\n"
+    )
+    made = converted(tmp_path, world, "--scans", tmp_path / "scans.yaml", "--only-scans")
+    assert made.done.status == 0, made.done.stderr
+    assert len(made.scans) == len(made.transforms) == 200
+    assert {row[2] for _, row in made.transforms} == {scan.stamp_ns for _, scan in made.scans}
+
+
+def test_transforms_go_where_those_of_the_robot_are(tmp_path: Path) -> None:
+    robots = write_world(tmp_path / "world.mcap", [replace(LIDAR, columns=200)], TILTING, seconds=0.2)
+    spaced = tmp_path / "spaced.mcap"
+    writer = open_writer(plan_destination(spaced, source_ros_version=2), spaced, spaced.name)
+    with closing(open_recording(robots)) as reader:
+        moved = {"/tf": "/robot1/tf", "/tf_static": "/robot1/tf_static"}
+        handles = {
+            c.id: writer.add_connection(replace(c, topic=moved.get(c.topic, c.topic))) for c in reader.connections
+        }
+        for message in reader.messages():
+            writer.write(handles[message.connection.id], message.log_time_ns, bytes(message.data), 0)
+    writer.finish()
+    made = converted(tmp_path, spaced, "--level", "--fixed-frame", "odom")
+    assert made.done.status == 0, made.done.stderr
+    assert not made.transforms
+    (entry,) = (topic for topic in made.report["topics"] if topic["action"] == "added")
+    assert (entry["topic"], entry["messages_out"]) == ("/robot1/tf", 20)
