@@ -1040,6 +1040,7 @@ def export(
     overwrite: bool = False,
     verify: bool = True,
     strict: bool = False,
+    progress: Progress | None = None,
     **parameters: Any,
 ) -> ExportReport:
     """Write scans with poses, trajectories or clouds for learning and evaluation, as ``pc2scan export`` does.
@@ -1075,7 +1076,7 @@ def export(
         ``skip`` counts and lists messages that cannot be written, ``fail`` makes the first one an error.
     overwrite
         Whether an existing destination is replaced: a file, or a folder with nothing but an export of this format.
-    verify, strict
+    verify, strict, progress
         As for `pc2scan.convert`.
 
     Returns
@@ -1143,6 +1144,7 @@ def export(
         in_folder=path is None,
         origins=resolved.origin,
         also_read={name: path_of(name.strip("`"), file) for name, file in files.items() if file is not None},
+        progress=progress,
     )
     done.warnings += [f"not a parameter of the projection, ignored: {origin}" for origin in resolved.ignored]
     return done

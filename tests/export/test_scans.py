@@ -77,6 +77,13 @@ def test_poses_are_those_at_the_stamps_and_scans_without_one_are_skipped(recordi
     assert not (tmp_path / "other.npz").exists()
 
 
+def test_progress_is_reported(mcap: Path, tmp_path: Path) -> None:
+    calls: list[tuple[int, int, int]] = []
+    pc2scan.export(mcap, tmp_path / "scans.npz", progress=lambda *call: calls.append(call))
+    assert calls[0][2] == 0
+    assert all(0 <= read <= total == mcap.stat().st_size for read, total, _ in calls)
+
+
 def test_poses_of_odometry_messages(recording: Path, tmp_path: Path) -> None:
     report = pc2scan.export(recording, tmp_path / "scans.npz", odom_topic="/odom")
     with np.load(tmp_path / "scans.npz") as archive:
@@ -326,7 +333,7 @@ def test_wrong_requests_write_nothing(how: dict[str, Any], said: str, mcap: Path
 
 
 def test_scans_of_which_none_has_a_pose(mcap: Path, tmp_path: Path) -> None:
-    with pytest.raises(ResultError, match="no scan can be written; of 1, 1: "):
+    with pytest.raises(ResultError, match="no scan can be written; of 1, 1 message: no pose in odom"):
         pc2scan.export(mcap, tmp_path / "scans.npz", pose_frame="odom", end=STAMPS[1])
     assert not (tmp_path / "scans.npz").exists()
 
@@ -338,7 +345,9 @@ def test_the_command(mcap: Path, tmp_path: Path) -> None:
     done = run("export", mcap, "-o", tmp_path / "scans.npz", "--pose-frame", "odom")
     assert done.status == 3, done.stderr
     assert "base_link in odom" in done.stdout
-    assert "2 messages" in done.stdout or "1 messages" in done.stdout
+    lines = [line for line in done.stdout.splitlines() if line.startswith("skipped: ")]
+    assert lines[0].startswith("skipped: 2 messages: no pose in odom at the stamp; /scan, stamp 1699999999.900000000: ")
+    assert "transform_tolerance" not in done.stdout
     done = run("export", mcap, "-o", tmp_path / "scans.npz", "--pose-frame", "odom", "--overwrite", "--json")
     report = json.loads(done.stdout)
     assert (report["exit_status"], report["topics"][0]["written"], report["topics"][0]["skipped"]) == (3, 4, 2)

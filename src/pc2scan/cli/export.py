@@ -11,6 +11,7 @@ from typer.models import TyperPath
 from . import completion
 from .damage import show_damage
 from .options import ConversionGroup, Json
+from .progress import progress_bar
 from .render import print_json, show_parts, warn
 
 __all__ = ["export"]
@@ -93,20 +94,23 @@ def export(
     named, folder = destination_and_folder(destination)
     place = named or folder
     assert place is not None
-    report = run(
-        sources,
-        place,
-        options,
-        ExportOptions(
-            format=written,
-            poses=PoseOptions(pose_frame=pose_frame, base_frame=base_frame, odom_topic=odom_topic),
-            converting=conversion.projection.is_given,
-            overwrite=overwrite,
-        ),
-        in_folder=named is None,
-        origins=origins,
-        also_read=conversion.read_files(),
+    form = ExportOptions(
+        format=written,
+        poses=PoseOptions(pose_frame=pose_frame, base_frame=base_frame, odom_topic=odom_topic),
+        converting=conversion.projection.is_given,
+        overwrite=overwrite,
     )
+    with progress_bar(enabled=not as_json) as progress:
+        report = run(
+            sources,
+            place,
+            options,
+            form,
+            in_folder=named is None,
+            origins=origins,
+            also_read=conversion.read_files(),
+            progress=progress,
+        )
     if as_json:
         print_json(report.as_dict())
     else:

@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from pc2scan.bags.damage import Damage
-    from pc2scan.errors import MessageError
 
 __all__ = ["ExportReport", "ExportedTopic"]
 
@@ -82,6 +81,7 @@ class ExportReport(Shown):
     topics: list[ExportedTopic] = field(default_factory=list)
     skipped: list[Skipped] = field(default_factory=list)
     skipped_reasons: Counter[str] = field(default_factory=Counter)
+    _examples: dict[str, Skipped] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     damage: tuple[Damage, ...] = ()
@@ -96,11 +96,13 @@ class ExportReport(Shown):
         """The command's exit status: 3 where messages were skipped or a source is damaged, else 0."""
         return 3 if self.skipped_reasons or self.damage else 0
 
-    def skip(self, topic: str, log_time_ns: int, stamp_ns: int | None, error: MessageError) -> None:
-        """Note a message that is not written."""
-        self.skipped_reasons[error.message] += 1
+    def skip(self, entry: Skipped, reason: str = "") -> None:
+        """Note a message that is not written; ``reason`` is what it has in common with others, by default its own."""
+        reason = reason or entry.reason
+        self.skipped_reasons[reason] += 1
+        self._examples.setdefault(reason, entry)
         if len(self.skipped) < MAX_LISTED:
-            self.skipped.append(Skipped(topic, log_time_ns, stamp_ns, error.message, error.hint or ""))
+            self.skipped.append(entry)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the report as JSON's types."""
@@ -135,10 +137,16 @@ class ExportReport(Shown):
         columns = ("topic", "file", "written", "skipped", "poses", "stamps")
         yield Table(columns, rows, left=("topic", "file", "poses", "stamps"))
         yield from listed(self.notes, "note", _SHOWN)
-        reasons = [f"{number:,} messages: {reason}" for reason, number in self.skipped_reasons.most_common()]
-        yield from listed(reasons, "skipped", _SHOWN)
+        yield from listed([*map(self.explained, self.skipped_reasons.most_common())], "skipped", _SHOWN)
         if hint := next((entry.hint for entry in self.skipped if entry.hint), ""):
             yield f"hint: {hint}"
+
+    def explained(self, counted: tuple[str, int]) -> str:
+        """Why messages were skipped, with the first of them."""
+        reason, number = counted
+        example = self._examples.get(reason)
+        first = "" if example is None or example.reason == reason else f"; {example}"
+        return f"{number:,} message{'s' if number > 1 else ''}: {reason}{first}"
 
     def __repr__(self) -> str:
         return f"<ExportReport: {self.messages:,} messages as {self.format} in {self.destination}>"

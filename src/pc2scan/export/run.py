@@ -8,12 +8,21 @@ from typing import TYPE_CHECKING, Any
 
 from pc2scan.bags.merged import as_one
 from pc2scan.bags.opening import open_recordings
-from pc2scan.errors import DestinationError, MessageError, OutputError, ResultError, UsageError, name_list
+from pc2scan.errors import (
+    DestinationError,
+    MessageError,
+    OutputError,
+    ResultError,
+    TransformError,
+    UsageError,
+    name_list,
+)
 from pc2scan.files.overlap import InputPath, OutputPath, refuse_overlap
 from pc2scan.files.staging import staged
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
 from pc2scan.pipeline.options import TopicRequest
+from pc2scan.pipeline.report import Skipped
 from pc2scan.streams.clouds import Clouds
 from pc2scan.streams.scans import Scans
 from pc2scan.streams.stream import Selection
@@ -28,6 +37,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pc2scan.pipeline.options import ConvertOptions
+    from pc2scan.pipeline.run import Progress
 
     from .formats import Format, Writer
     from .poses import Poses
@@ -66,6 +76,7 @@ def run(
     in_folder: bool = False,
     origins: Mapping[str, str] | None = None,
     also_read: Mapping[str, Path] | None = None,
+    progress: Progress | None = None,
 ) -> ExportReport:
     """Export the scans, or the clouds, of a recording.
 
@@ -85,6 +96,8 @@ def run(
         Where each parameter comes from.
     also_read
         Files that were read for the options, by option.
+    progress
+        Called now and then with bytes read, bytes in all, and messages read.
 
     Raises
     ------
@@ -112,7 +125,7 @@ def run(
         stack.callback(stream.close)
         folder = _is_folder(destination, stream.topics, written, in_folder=in_folder)
         report = ExportReport([str(source) for source in sources], str(destination), written.name)
-        stream.listener = report.warnings.append
+        stream.listener, stream.progress = report.warnings.append, progress
         # Before transforms are read: that may take long.
         partial = stack.enter_context(
             staged(destination, overwrite=form.overwrite, beside_recording=_only_exports(written))
@@ -286,15 +299,20 @@ class _Export:
                 self._add(item, entry)
             except MessageError as err:
                 err.topic, err.stamp_ns = item.topic, item.stamp_ns
+                reason = ""
+                if self._poses is not None and isinstance(err, TransformError):
+                    # Nothing is extrapolated here, whatever would help a conversion.
+                    err.hint = "`pc2scan tf` shows the frames of a recording and their times"
+                    reason = f"no pose in {self._poses.pose_frame} at the stamp"
                 if self._failing:
                     raise
                 entry.skipped += 1
-                report.skip(item.topic, item.log_time_ns, item.stamp_ns, err)
+                skipped = Skipped(item.topic, item.log_time_ns, item.stamp_ns, err.message, err.hint or "")
+                report.skip(skipped, reason)
         for skipped in stream.skipped:
-            report.skipped_reasons[skipped.reason] += 1
+            report.skip(skipped)
         if further := stream.skipped_count - len(stream.skipped):
             report.skipped_reasons["other messages that cannot be read"] += further
-        report.skipped += stream.skipped
         if not report.messages:
             raise self._nothing(stream)
         for topic, entry in self._entries.items():
@@ -339,9 +357,9 @@ class _Export:
         reasons = self._report.skipped_reasons.most_common(1)
         if not reasons:
             return ResultError(f"no {what} to write: the topic has no messages", topic=stream.topics[0])
-        (reason, number), total = reasons[0], sum(self._report.skipped_reasons.values())
-        hint = next((entry.hint for entry in self._report.skipped if entry.reason == reason and entry.hint), None)
-        return ResultError(f"no {what} can be written; of {total:,}, {number:,}: {reason}", hint=hint)
+        total = sum(self._report.skipped_reasons.values())
+        hint = next((entry.hint for entry in self._report.skipped if entry.hint), None)
+        return ResultError(f"no {what} can be written; of {total:,}, {self._report.explained(reasons[0])}", hint=hint)
 
     def abort(self) -> None:
         """Release what is open; the files of finished writers stay."""

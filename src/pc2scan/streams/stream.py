@@ -35,6 +35,9 @@ __all__ = ["Account", "Read", "Selection", "Source", "Stream"]
 
 Item = TypeVar("Item")
 
+#: Messages between two calls of the progress function.
+_PROGRESS_EVERY = 16
+
 #: Topics that a representation names.
 _SHOWN = 3
 
@@ -217,6 +220,8 @@ class Stream(ABC, Generic[Item]):
         self.skipped_count = 0
         #: Takes what the user should know of a conversion, instead of Python's warnings; its owner reports the rest.
         self.listener: Callable[[str], None] | None = None
+        #: Called now and then with bytes read, bytes in all, and messages read.
+        self.progress: Callable[[int, int, int], None] | None = None
         source = self._open()
         self._prepared: Source | None = source
         #: Closes what is open if nobody iterates.
@@ -293,7 +298,10 @@ class Stream(ABC, Generic[Item]):
             self.damage = source.damage
             warned = 0 if self.listener else _warn_of_damage(self.damage, 0)
             with closing(_accounted(source)) as messages:
-                for message in messages:
+                for number, message in enumerate(messages):
+                    if self.progress is not None and number % _PROGRESS_EVERY == 0:
+                        first = source.readers[0]
+                        self.progress(first.bytes_read, first.summary.size_bytes, number)
                     if message.error is None:
                         yield from message.items  # type: ignore[misc]
                     else:
