@@ -1,6 +1,6 @@
 // The page of clouds: parameters change, the projection runs, the views follow.
 
-import { commandLine, parameterFile, staticText } from "./commands.mjs";
+import { commandLine, commandWords, parameterFile, staticText } from "./commands.mjs";
 import { Controls } from "./controls.mjs";
 import { columns } from "./data.mjs";
 import { band, beamsFromAbove, endsOf, frameMarks, rings, sector } from "./draw.mjs";
@@ -467,6 +467,14 @@ function revived(values) {
 /** @param {[number, number]} pair */
 const flipped = ([x, y]) => /** @type {[number, number]} */ ([y, x]);
 
+/** @param {string} word */
+function unbroken(word) {
+  const span = document.createElement("span");
+  span.className = "word";
+  span.textContent = word;
+  return span;
+}
+
 /**
  * The counts, and what can be copied.
  * @param {HTMLElement} panel
@@ -520,7 +528,11 @@ function resultsIn(panel, choice) {
       const thinned =
         entry.total > scan.outcomes.length ? ` of ${entry.total.toLocaleString("en")} points, thinned;` : "";
       summary.textContent = `${scan.ranges.length} beams, ${scan.returns} with a return;${thinned} ${milliseconds.toFixed(1)} ms`;
-      command.textContent = commandLine(choice());
+      command.replaceChildren(
+        ...commandWords(choice())
+          .flatMap((word) => [" ", unbroken(word)])
+          .slice(1),
+      );
       staticButton.hidden = !choice().staticTf;
     },
   };

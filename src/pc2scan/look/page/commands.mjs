@@ -70,6 +70,14 @@ export function staticText({ staticTf }) {
  * @param {Choice} choice
  */
 export function commandLine(choice) {
+  return commandWords(choice).join(" ");
+}
+
+/**
+ * Its words, as a shell reads them.
+ * @param {Choice} choice
+ */
+export function commandWords(choice) {
   const words = [...choice.command];
   if (choice.preset) words.push("--preset", choice.preset);
   if (choice.staticTf) words.push("--static-tf", staticText(choice));
@@ -80,7 +88,7 @@ export function commandLine(choice) {
     else if (name === "beams" || name === "kth" || name === "min_points") words.push(`${option}=${value}`);
     else words.push(`${option}=${written(value)}`);
   }
-  return words.map(quoted).join(" ");
+  return words.map(quoted);
 }
 
 /**

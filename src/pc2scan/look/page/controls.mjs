@@ -71,7 +71,7 @@ const GROUPS = [
       { name: "angle_min", label: "angle_min", unit: "deg", min: -360, max: 360, step: 0.5, factor: DEGREE },
       { name: "angle_max", label: "angle_max", unit: "deg", min: -360, max: 360, step: 0.5, factor: DEGREE },
       { name: "angle_increment", label: "increment", unit: "deg", min: 0.05, max: 5, step: 0.05, factor: DEGREE },
-      { name: "beams", label: "beams", unit: "", min: 0, max: 3600, step: 1, none: "by increment", empty: 0 },
+      { name: "beams", label: "beams", unit: "", min: 0, max: 3600, step: 1, none: "unset", empty: 0 },
       "geometry",
     ],
   },

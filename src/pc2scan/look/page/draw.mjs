@@ -151,6 +151,8 @@ export function frameMarks(pen, place, frames, length, style) {
   pen.lineWidth = 1;
   pen.strokeStyle = pen.fillStyle = style.getPropertyValue("--ink");
   pen.textAlign = "left";
+  /** @type {[number, number, number][]} left, right and height of the names so far */
+  const named = [];
   for (const { name, x, y, z } of together(frames)) {
     const [px, py] = place(x, y, z);
     pen.beginPath();
@@ -160,7 +162,17 @@ export function frameMarks(pen, place, frames, length, style) {
     pen.lineTo(px, py + 4);
     pen.stroke();
     pen.globalAlpha = 0.75;
-    pen.fillText(name, px + 6, py - 7);
+    const end = px + 6 + pen.measureText(name).width;
+    let line = py - 7;
+    // A name that would lie over another one goes above it.
+    while (named.some(([from, to, at]) => px + 6 < to && end > from && Math.abs(at - line) < 12)) line -= 13;
+    named.push([px + 6, end, line]);
+    pen.lineWidth = 3;
+    pen.strokeStyle = style.getPropertyValue("--paper");
+    pen.strokeText(name, px + 6, line);
+    pen.lineWidth = 1;
+    pen.strokeStyle = pen.fillStyle;
+    pen.fillText(name, px + 6, line);
     pen.globalAlpha = 1;
   }
 }
