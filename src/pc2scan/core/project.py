@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Part", "ProjectedScan", "Projector", "Transform", "packed", "project"]
+__all__ = ["Part", "ProjectedScan", "Projector", "Transform", "compact", "packed", "project"]
 
 #: Rotation (3, 3) and translation (3,), rounded to float32: ``target = rotation @ source + translation``.
 Transform: TypeAlias = "tuple[NDArray[np.floating[Any]], NDArray[np.floating[Any]]]"
@@ -132,20 +132,11 @@ class Projector:
         ProjectedScan
             As for one cloud.
         """
-        params, beams = self.params, self._beams
+        beams = self._beams
         lit = any(part.intensities is not None for part in parts)
         total = sum(part.x.size for part in parts)
-        if params.reduce == "min" and params.min_points == 1 and not lit:
-            nearest = np.full(beams, np.inf, np.float32)
-            counts = PointCounts()
-            for part in parts:
-                ranges = np.empty(beams, np.float32)
-                arrays, transform = self._checked(part)
-                rejected = kernel.project(*arrays, self._rule_for(part), transform, ranges, self._limit, np.inf)
-                counts += PointCounts.of_projection(part.x.size, rejected)
-                np.minimum(nearest, ranges, out=nearest)
-            nearest[np.isinf(nearest)] = self._empty
-            return ProjectedScan(nearest, counts, _NO_VALUES)
+        if self.reads_nearest and not lit:
+            return self.nearest_of([self.nearest(part) for part in parts])
         counts, begin = PointCounts(), 0
         bins, returns = np.empty(total, np.int32), np.empty(total, np.float32)
         values: list[NDArray[Any]] = []
@@ -168,6 +159,28 @@ class Projector:
             both = np.concatenate(values) if lit else None
             ranges, shown = self._reduced(bins[:begin], returns[:begin], both)
         return ProjectedScan(ranges, counts, shown)
+
+    @property
+    def reads_nearest(self) -> bool:
+        """Whether beams read the closest return, so that the scan of several parts is the minimum of theirs."""
+        return self.params.reduce == "min" and self.params.min_points == 1
+
+    def nearest(self, part: Part) -> ProjectedScan:
+        """Project a part for `nearest_of`: beams without a return read infinity; intensities do not count."""
+        ranges = np.empty(self._beams, np.float32)
+        arrays, transform = self._checked(part)
+        rejected = kernel.project(*arrays, self._rule_for(part), transform, ranges, self._limit, np.inf)
+        return ProjectedScan(ranges, PointCounts.of_projection(part.x.size, rejected), _NO_VALUES)
+
+    def nearest_of(self, scans: Sequence[ProjectedScan]) -> ProjectedScan:
+        """Return what beams read of several parts: the same as `together`, where they read the closest return."""
+        ranges = np.full(self._beams, np.inf, np.float32)
+        counts = PointCounts()
+        for scan in scans:
+            counts += scan.counts
+            np.minimum(ranges, scan.ranges, out=ranges)
+        ranges[np.isinf(ranges)] = self._empty
+        return ProjectedScan(ranges, counts, _NO_VALUES)
 
     def bins(self, part: Part) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
         """Return the beams that the points of a part fall into, and the numbers of these points, in their order."""
@@ -332,6 +345,35 @@ def _coordinates(
         with np.errstate(over="ignore"):
             x, y, z = (array.astype(np.float32) for array in (x, y, z))
     return x, y, z
+
+
+def compact(x: NDArray[Any], y: NDArray[Any], z: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+    """Return copies of coordinates, each (M,), that lie as the loops over points read them fastest.
+
+    Where float32 x, y and z follow each other in memory, as in nearly all messages, they are copied together, in a
+    third of the time.
+    """
+    interface = x.__array_interface__
+    place = interface["data"][0]
+    if (
+        x.dtype == y.dtype == z.dtype == _FLOAT32
+        and x.dtype.isnative
+        and x.shape == y.shape == z.shape
+        and x.strides == y.strides == z.strides
+        and (y.__array_interface__["data"][0], z.__array_interface__["data"][0]) == (place + 4, place + 8)
+    ):
+        rows = np.asarray(_Rows(interface, x, z)).copy().reshape(-1).view(np.float32).reshape(-1, 3)
+        return rows[:, 0], rows[:, 1], rows[:, 2]
+    return np.array(x).reshape(-1), np.array(y).reshape(-1), np.array(z).reshape(-1)
+
+
+class _Rows:
+    """Memory of points as items of twelve bytes: x, y and z."""
+
+    def __init__(self, interface: dict[str, Any], *owners: NDArray[Any]) -> None:
+        row = {"typestr": "|V12", "descr": [("", "|V12")], "shape": interface["shape"], "version": 3}
+        self.__array_interface__ = row | {"data": interface["data"], "strides": interface["strides"]}
+        self._owners = owners
 
 
 def packed(transform: Transform) -> NDArray[np.float32]:

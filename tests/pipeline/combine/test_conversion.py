@@ -112,16 +112,17 @@ def test_what_a_filter_rejects_in_a_frame_of_its_own_is_counted_once() -> None:
     same(made, expected)
 
 
-def test_preparing_keeps_nothing_of_the_message() -> None:
+@pytest.mark.parametrize(("choice", "kept"), [({}, set()), ({"reduce": "max"}, {"x", "y", "z"})])
+def test_preparing_keeps_nothing_of_the_message(choice: dict[str, Any], kept: set[str]) -> None:
     rng = np.random.default_rng(4)
-    made = conversion(ProjectionParams(target_frame="base_link", min_height=-0.5))
+    made = conversion(ProjectionParams(target_frame="base_link", min_height=-0.5, **choice))
     clouds = [cloud(rng, frame, T0) for frame in MOUNTS]
     prepared = [made.stages(topic)[0](each) for topic, each in zip(TOPICS, clouds, strict=True)]
     before = encode_laserscan(made.scan(prepared[0], prepared).message, "cdr")
     for each in clouds:
         each.field("x")[:] = 1.0
     assert encode_laserscan(made.scan(prepared[0], prepared).message, "cdr") == before
-    assert all(each.points.fields.keys() == {"x", "y", "z"} for each in prepared)
+    assert all(each.points.fields.keys() == kept for each in prepared)
 
 
 def test_a_missing_field_is_the_error_of_the_message_that_lacks_it() -> None:

@@ -17,7 +17,7 @@ from pc2scan.core.counts import PointCounts
 from pc2scan.core.layout import TURN
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.points import Points
-from pc2scan.core.project import Part, Projector
+from pc2scan.core.project import Part, ProjectedScan, Projector, compact
 from pc2scan.core.rigid import Rigid
 from pc2scan.messages.beams import beams_of
 from pc2scan.messages.clouds import CLOUDS
@@ -55,6 +55,7 @@ __all__ = ["CombineToScan", "Prepared"]
 _OVERHEAD = 2_000
 
 _DEFAULTS = ProjectionParams()
+_AXES = frozenset("xyz")
 
 #: The transform that changes nothing.
 _NOWHERE = Rigid.identity()
@@ -85,6 +86,8 @@ class Prepared(NamedTuple):
         How many points were rejected so far, by reason.
     flat
         Whether it is a LaserScan.
+    nearest
+        What beams read of it, instead of its points, where nothing depends on the scan's time.
     sample
         For `FirstClouds`, while it wants any.
     size
@@ -103,6 +106,7 @@ class Prepared(NamedTuple):
     level: Level | None
     rejected: Mapping[str, int]
     flat: bool
+    nearest: ProjectedScan | None
     sample: Sample | None
     size: int
 
@@ -152,8 +156,10 @@ class CombineToScan(Conversion):
         self._no_returns = np.full(params.length, params.empty_range, np.float32).tobytes()
         with np.errstate(over="ignore"):
             self._range_max = float(np.float32(params.range_max))
-        late = tuple(each for each in spec.filters if each.frame is Frame.TARGET)
-        early = tuple(each for each in spec.filters if each.frame is not Frame.TARGET)
+        #: Where it is known at once where points go, no message waits for the scan's time to be placed.
+        self._rigid = not spec.fixed_frame and frames.up is None
+        late = tuple(each for each in spec.filters if each.frame is Frame.TARGET and not self._rigid)
+        early = tuple(each for each in spec.filters if each not in late)
         self._early = Select(early, frames) if early else None
         self._late = Select(late, frames) if late else None
         self._intensity = params.intensity_field or ("intensity" if spec.combining.rebin else "")
@@ -216,14 +222,19 @@ class CombineToScan(Conversion):
             level = frames.level(target, reference_ns)
         if self._early is not None:
             # Filters in the target frame see the points where the scan shows them.
-            selected = self._early.apply(points, Placement("", None))
-            points = selected.points
-            rejected |= selected.rejected
+            selected = self._early.apply(points, Placement(target, mount) if self._rigid else Placement("", None))
+            points, rejected = selected.points, rejected | selected.rejected
+            mount = selected.target_from_source if self._rigid else mount
         if not flat and self._intensity:
             points.field(self._intensity)
+        nearest = None
+        if self._rigid and not flat and not self._intensity and self._projector.reads_nearest:
+            nearest = self._projector.nearest(Part(*points.xyz(), None if mount is None else mount.as_float32()))
+            points = Points(points.sequence, stamp_ns, frame_id, {})
         kept = self._kept | ({track.time_field} if track is not None else set()) | ({"index"} if flat else set())
-        points = _owned(points, kept)
+        points = _owned(points, kept) if nearest is None else points
         size = _OVERHEAD + sum(values.nbytes for values in points.fields.values())
+        size += 0 if nearest is None else nearest.ranges.nbytes
         return Prepared(
             number,
             stamp_ns,
@@ -237,6 +248,7 @@ class CombineToScan(Conversion):
             level,
             rejected,
             flat,
+            nearest,
             sample,
             size,
         )
@@ -258,9 +270,14 @@ class CombineToScan(Conversion):
         """
         rejected = PointCounts()
         parts: list[Part] = []
+        known: list[ProjectedScan] = []
         motions: list[Motion] = []
         beams: list[tuple[Part, NDArray[np.int32]]] = []
         for member in members:
+            if member.nearest is not None:
+                known.append(member.nearest)
+                rejected += PointCounts(sum(member.rejected.values()), **member.rejected)
+                continue
             points, transform, found, motion = self._placed(lead, member)
             rejected += PointCounts(sum(found.values()), **found)
             if motion is not None:
@@ -271,7 +288,10 @@ class CombineToScan(Conversion):
             parts.append(Part(*points.xyz(), moved, values, any_height=not by_height))
             if member.flat:
                 beams.append((parts[-1], points.field("index")))
-        scan = self._projector.together(parts)
+        if known:
+            scan = self._projector.nearest_of([*known, *map(self._projector.nearest, parts)])
+        else:
+            scan = self._projector.together(parts)
         layout = self._params.layout
         message = LaserScan(
             lead.points.sequence,
@@ -343,7 +363,9 @@ def _resolved(params: ProjectionParams, measured: Measured) -> ProjectionParams:
 
 def _owned(points: Points, names: AbstractSet[str]) -> Points:
     """The points with copies of some of their fields: what they are views of may be used again."""
-    fields = {name: np.array(points.field(name)).reshape(-1) for name in points.fields if name in names}
+    axes = compact(*points.xyz())
+    fields = {name: np.array(points.field(name)).reshape(-1) for name in points.fields if name in names - _AXES}
+    fields |= zip(("x", "y", "z"), axes, strict=True)
     return Points(points.sequence, points.stamp_ns, points.frame_id, fields)
 
 

@@ -14,7 +14,7 @@ from pc2scan.errors import MessageError, ParameterError, UsageError, name_list
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
 from pc2scan.pipeline.conversion import Measured
-from pc2scan.pipeline.measure import FIRST_CLOUDS, measure
+from pc2scan.pipeline.measure import measure
 
 from .matching import Intervals, Nearest, Recent
 
@@ -30,6 +30,10 @@ if TYPE_CHECKING:
     from .matching import Grouper
 
 __all__ = ["measured"]
+
+#: Messages that tell of a topic how often it comes, and how few of them cannot.
+_LOOKED_AT = 11
+_FEWEST = 3
 
 #: Half a period, nanoseconds, where there are no two stamps to measure one between.
 _HALF_PERIOD_NS = 50_000_000
@@ -102,7 +106,7 @@ def measured(
     if flat:
         _require_fields(flat, combination)
     wanted = len(topics) > 1 or asked.every_ns or (flat and "auto" in (params.scan_time, params.beams))
-    firsts = {topic: _firsts(reader, found, start_ns, stop_ns) for topic, found in own.items()} if wanted else {}
+    firsts = _first_messages(reader, own, start_ns, stop_ns) if wanted else {}
     lead = firsts.get(topics[0])
     found = timing.get(topics[0]) or _of_scans(combination, lead, notes)
     if asked.every_ns and spec.origins.get("scan_time", "default") == "default":
@@ -128,27 +132,46 @@ def measured(
     return found, partial(Nearest, windows), notes, warnings
 
 
-def _firsts(reader: Reader, connections: Sequence[Connection], start_ns: int | None, stop_ns: int | None) -> _Firsts:
-    """Look at the first messages of a topic."""
+def _first_messages(
+    reader: Reader, own: Mapping[str, Sequence[Connection]], start_ns: int | None, stop_ns: int | None
+) -> dict[str, _Firsts]:
+    """Look at the first messages of the topics: of all together, then of those that begin later."""
+    found = {topic: _Firsts([], [], []) for topic in own}
+    everything = [connection for connections in own.values() for connection in connections]
+    _look(reader, everything, found, start_ns, stop_ns, _LOOKED_AT * len(own))
+    for topic, connections in own.items():
+        if len(found[topic].stamps) < _FEWEST:
+            found[topic] = _Firsts([], [], [])
+            _look(reader, connections, found, start_ns, stop_ns, _LOOKED_AT)
+    return found
+
+
+def _look(
+    reader: Reader,
+    connections: Sequence[Connection],
+    found: Mapping[str, _Firsts],
+    start_ns: int | None,
+    stop_ns: int | None,
+    most: int,
+) -> None:
     decoders = {
         each.id: partial(decode_laserscan, serialization=each.serialization)
         if each.ros_type == LASERSCAN
         else CLOUDS[each.ros_type](each.serialization)
         for each in connections
     }
-    found = _Firsts([], [], [])
     with closing(reader.messages(connections, start_ns, stop_ns)) as messages:
-        for message in islice(messages, FIRST_CLOUDS):
+        for message in islice(messages, most):
             try:
                 decoded = decoders[message.connection.id](message.data)
             except MessageError:
                 # What cannot be decoded is reported when its turn to be converted comes.
                 continue
-            found.stamps.append(decoded.stamp_ns)
-            found.delays.append(message.log_time_ns - decoded.stamp_ns)
+            own = found[message.connection.topic]
+            own.stamps.append(decoded.stamp_ns)
+            own.delays.append(message.log_time_ns - decoded.stamp_ns)
             if isinstance(decoded, LaserScan):
-                found.increments.append(abs(decoded.angle_increment))
-    return found
+                own.increments.append(abs(decoded.angle_increment))
 
 
 def _windows(firsts: Mapping[str, _Firsts], topics: Sequence[str], window_ns: int | None) -> list[int]:
