@@ -185,7 +185,7 @@ def _windows(firsts: Mapping[str, _Firsts], topics: Sequence[str], window_ns: in
 
 
 def _clocks(firsts: Mapping[str, _Firsts], topics: Sequence[str], windows: Sequence[int] | None) -> list[str]:
-    """Compare the clocks of the topics: warnings, or an error where no stamps would match."""
+    """Compare the clocks of the topics: warnings, or an error where they surely differ."""
     warnings = []
     lead = firsts.get(topics[0])
     for number, topic in enumerate(topics[1:], 1):
@@ -199,11 +199,11 @@ def _clocks(firsts: Mapping[str, _Firsts], topics: Sequence[str], windows: Seque
         how = f"{abs(behind_ns) / 1e9:.4g} s {'behind' if behind_ns > 0 else 'ahead of'}"
         said = f"the stamps of {topic} are {how} those of {topics[0]}, compared with their log times"
         if abs(behind_ns) > _SURELY_ANOTHER_NS:
-            window = "" if windows is None else f"; the window is {window_ns / 1e9:.4g} s"
+            wider = math.ceil(abs(behind_ns) / 1e8) / 10
+            still = "" if windows is None else f"; or `window={wider:g}`, if the robot did not move"
             raise UsageError(
-                f"{said}: they are of different clocks{window}",
-                hint=f"convert them to scans of their own: `topics={topic}:=/scan_2`; or `window="
-                f"{math.ceil(abs(behind_ns) / 1e8) / 10:g}`, if the robot did not move",
+                f"{said}: they are of different clocks",
+                hint=f"convert them to scans of their own: `topics={topic}:=/scan_2`{still}",
             )
         warnings.append(f"{said}: if their clocks differ, a scan has what was measured that far apart")
     return warnings
