@@ -432,7 +432,9 @@ def batch(
     progress
         Called now and then with how far it is.
     **words
-        Every option of `pc2scan.convert` that is not one of a single run, and the parameters of the projection.
+        Every option of `pc2scan.convert` that is not one of a single run, and the parameters of the projection. With
+        ``export`` (``npz``, ``csv``, ...) results are what `pc2scan.export` writes, in a folder for each recording;
+        ``pose_frame``, ``base_frame`` and ``odom_topic`` as there.
 
     Returns
     -------

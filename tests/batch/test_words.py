@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import inspect
 import json
+import re
+import typing
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -17,9 +20,12 @@ from pc2scan.batch import words as words_module
 from pc2scan.batch.request import request_of, words_known
 from pc2scan.batch.words import WORDS, schema
 from pc2scan.cli.app import application
+from pc2scan.cli.batch import ExportGroup
 from pc2scan.cli.options import ConversionGroup, OutputGroup
 from pc2scan.cli.words import typed_words
 from pc2scan.errors import UsageError
+from pc2scan.export.formats import FORMATS
+from pc2scan.export.poses import PoseOptions
 from support import ROOT
 
 if TYPE_CHECKING:
@@ -180,6 +186,30 @@ def test_several_outputs_are_words(tmp_path: Path) -> None:
     assert request_of({"scans": moved, "max_height": 3, "range_min": 0.5}).digest() != asked.digest()
     with pytest.raises(UsageError, match="`preset` cannot be given beside `scans`"):
         request_of({"scans": moved, "preset": "gmapping"})
+
+
+def test_exports_are_those_of_the_command() -> None:
+    assert WORDS["export"].choices == tuple(FORMATS)
+    assert typing.get_args(typing.get_args(ExportGroup.__annotations__["export"])[0])[0].__args__ == tuple(FORMATS)
+    asked = request_of({"export": "npz", "pose_frame": "odom", "min_height": 0})
+    assert asked.export is not None
+    assert (asked.export.converting, asked.export.poses.pose_frame) == (True, "odom")
+    assert request_of({"export": "pcd"}).export == replace(
+        asked.export, format="pcd", poses=PoseOptions(), converting=False
+    )
+    assert (
+        asked.digest()
+        != request_of({"export": "npz", "min_height": 0}).digest()
+        != request_of({"min_height": 0}).digest()
+    )
+    for words, message in (
+        ({"pose_frame": "odom"}, "`pose_frame` goes with `export`"),
+        ({"export": "npy"}, "`export=npy` is not a format"),
+        ({"export": "tum"}, "`export=tum` needs poses"),
+        ({"export": "npz", "to": "bag", "split": "1s"}, "`to`, `split` would have no effect"),
+    ):
+        with pytest.raises(UsageError, match=re.escape(message)):
+            request_of(words)
 
 
 def test_what_is_no_word_is_refused() -> None:

@@ -15,6 +15,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -416,6 +417,32 @@ def test_from_python(drives: Path, tmp_path: Path) -> None:
     assert "3 converted" in str(report)
     with pytest.raises(TypeError, match="did you mean 'min_height'"):
         pc2scan.batch(drives, tmp_path / "out", min_hight=-2)
+
+
+def test_exports(drives: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    options = (*HEIGHTS, "--export", "npz", "--pose-frame", "odom", "--base-frame", "base_link")
+    done = run("batch", drives, "-o", out, *options)
+    # The first cloud is older than the first pose.
+    assert done.status in (0, 3), done.stderr
+    assert set(contents(out)) == {"a/scan.npz", "b/scan.npz", "robot1/a/scan.npz"}
+    with np.load(out / "a" / "scan.npz") as archive:
+        assert archive["ranges"].shape[0] == archive["stamps"].shape[0] == archive["poses"].shape[0] > 0
+    alone = tmp_path / "alone"
+    assert (
+        run("export", drives / "a.bag", "-o", f"{alone}/", "--format", "npz", *options[-4:], *HEIGHTS).status
+        == done.status
+    )
+    assert (alone / "scan.npz").read_bytes() == (out / "a" / "scan.npz").read_bytes()
+    assert "3 unchanged" in plan_of(run("batch", drives, "-o", out, *options).stderr)
+    (out / "a" / "scan.npz").unlink()
+    assert "1 its output is missing" in plan_of(run("batch", drives, "-o", out, *options).stderr)
+    clouds = tmp_path / "clouds"
+    assert run("batch", drives, "-o", clouds, "--export", "pcd", "--dry-run").status == 0
+    assert not clouds.exists()
+    assert run("batch", drives, "-o", clouds, "--export", "pcd").status == 0
+    assert len(list((clouds / "robot1" / "a").glob("*.pcd"))) == 3
+    assert "3 unchanged" in plan_of(run("batch", drives, "-o", clouds, "--export", "pcd").stderr)
 
 
 # --- What is shown ---

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +16,9 @@ if TYPE_CHECKING:
 __all__ = ["Identity", "checksum_of", "identity_of"]
 
 _PIECE_BYTES = 1 << 20
+
+#: So many files of a folder are listed one by one.
+_MOST = 100
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,15 +52,29 @@ def identity_of(paths: Iterable[Path]) -> Identity:
     for path in paths:
         try:
             # Not Path: a thousand recordings are asked for.
-            if os.path.isdir(path):  # noqa: PTH112
-                with os.scandir(path) as entries:
-                    files = sorted((entry.name, entry.stat()) for entry in entries if entry.is_file())
-            else:
-                files = [(path.name, os.stat(path))]  # noqa: PTH116
+            found += _in_folder(path) if os.path.isdir(path) else [_file(path.name, os.stat(path))]  # noqa: PTH112, PTH116
         except OSError:
             continue
-        found += [(name, status.st_size, status.st_mtime_ns) for name, status in files]
     return Identity(tuple(found))
+
+
+def _file(name: str, status: os.stat_result) -> tuple[str, int, int]:
+    return name, status.st_size, status.st_mtime_ns
+
+
+def _in_folder(folder: Path) -> list[tuple[str, int, int]]:
+    """The files in a folder and in those below it; of very many (one for each cloud) what all are together."""
+    found = []
+    for place, folders, names in os.walk(folder):
+        folders.sort()
+        below = os.path.relpath(place, folder)
+        for name in sorted(names):
+            # A link may lead nowhere.
+            with suppress(OSError):
+                found.append(_file(os.path.normpath(os.path.join(below, name)), os.stat(os.path.join(place, name))))  # noqa: PTH116, PTH118
+    if len(found) <= _MOST:
+        return found
+    return [(f"{len(found)} files", sum(size for _, size, _ in found), max(time for _, _, time in found))]
 
 
 def checksum_of(paths: Iterable[Path]) -> str:

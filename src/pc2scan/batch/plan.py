@@ -112,11 +112,13 @@ class Plan:
 def destinations(found: Sequence[Found], choices: Mapping[str, Choice]) -> dict[str, str]:
     """Return where the results are, by key: the tree of the sources, with the names that `convert` gives.
 
+    What is exported goes into a folder with the name of the recording.
+
     Where two would meet (``drive.bag`` and ``drive.mcap`` with ``--to mcap``), the suffix of each source becomes a
     part of its name: ``drive_bag_scan.mcap``.
     """
-    formats = {key: choice.request.output.to for key, choice in choices.items() if choice.request is not None}
-    named = {each.key: _name(each, formats[each.key]) for each in found if each.container and each.key in formats}
+    requests = {key: choice.request for key, choice in choices.items() if choice.request is not None}
+    named = {each.key: _name(each, requests[each.key]) for each in found if each.container and each.key in requests}
     taken: dict[str, list[str]] = {}
     for key, name in named.items():
         taken.setdefault(name.casefold(), []).append(key)
@@ -124,14 +126,15 @@ def destinations(found: Sequence[Found], choices: Mapping[str, Choice]) -> dict[
     for keys in taken.values():
         if len(keys) > 1:
             for key in keys:
-                named[key] = _name(by_key[key], formats[key], distinct=True)
+                named[key] = _name(by_key[key], requests[key], distinct=True)
     return named
 
 
-def _name(found: Found, to: str | None, *, distinct: bool = False) -> str:
+def _name(found: Found, request: Request, *, distinct: bool = False) -> str:
     source = Path(found.key)
     suffix = f"_{source.suffix[1:] or 'folder'}" if distinct else ""
-    return named_after(source, found.container, f"{suffix}_scan", folder=source.parent, to=to).as_posix()
+    mark, to = ("", "rosbag2") if request.export is not None else ("_scan", request.output.to)
+    return named_after(source, found.container, f"{suffix}{mark}", folder=source.parent, to=to).as_posix()
 
 
 def make_plan(

@@ -15,6 +15,7 @@ from pc2scan.arguments import names_in, path_of
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import UsageError
 from pc2scan.json_types import json_value
+from pc2scan.names import did_you_mean
 from pc2scan.pipeline.combine.asked import Combining
 from pc2scan.pipeline.options import ConvertOptions
 from pc2scan.pipeline.param_sources import ResolvedSources, resolve_sources
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from pc2scan.bags.splitting import Cut
+    from pc2scan.export.run import ExportOptions
     from pc2scan.pipeline.scans_file import ScansFile
 
 __all__ = ["Request", "request_of", "words_known"]
@@ -40,6 +42,7 @@ _COMBINING = ("lead", "window", "accumulate", "every", "rebin")
 _CHANNELS = ("channels", "range_cutoff")
 _OUTPUT = ("storage", "compression", "profile", "metadata_version", "to", "overwrite")
 _SPLIT = ("split", "repeat_latched")
+_EXPORT = ("export", "pose_frame", "base_frame", "odom_topic")
 _TEXTS = ("topics", "keep", "drop")
 
 #: What an output has of its own where there are ``scans``; see `pc2scan.pipeline.scans_file.refuse_beside`.
@@ -82,6 +85,8 @@ class Request:
         The files that were read for it, by option.
     notes
         What the user should know of it.
+    export
+        How scans or clouds are exported, instead of being written to a recording; None if they are not.
     """
 
     options: ConvertOptions
@@ -89,6 +94,7 @@ class Request:
     origins: Mapping[str, str]
     files: Mapping[str, Path]
     notes: tuple[str, ...] = ()
+    export: ExportOptions | None = None
 
     def digest(self) -> str:
         """Return a digest of all that decides what is written: the same for requests that write the same.
@@ -105,6 +111,8 @@ class Request:
         if self.output.cut is not None:
             output["cut"] = asdict(self.output.cut)
         others = [identity_of([path]).as_json() for path in options.frames.tf_from]
+        if self.export is not None:
+            output["export"] = _canonical(replace(self.export, overwrite=False))
         whole = json_value({"options": _canonical(options), "output": output, "tf_from": others})
         return hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()[:32]
 
@@ -112,7 +120,7 @@ class Request:
 def words_known() -> frozenset[str]:
     """Return all words that `request_of` reads."""
     plain = {field.name for field in fields(ConvertOptions)} - {"params", "frames", "filters", "channels"} - _NO_WORDS
-    groups = (_PARAMETERS, _FRAMES, _FILTERS, _COMBINING, _CHANNELS, _OUTPUT, _SPLIT)
+    groups = (_PARAMETERS, _FRAMES, _FILTERS, _COMBINING, _CHANNELS, _OUTPUT, _SPLIT, _EXPORT)
     return frozenset(chain(*groups, plain, parameter_names()))
 
 
@@ -138,6 +146,7 @@ def request_of(words: Mapping[str, Any], origins: Mapping[str, str] | None = Non
     def take(names: tuple[str, ...]) -> dict[str, Any]:
         return {name: given.pop(name) for name in names if name in given}
 
+    export = _export(take(_EXPORT), given)
     parameters = take(tuple(parameter_names()))
     several = None
     if (scans := given.pop("scans", None)) is not None:
@@ -201,7 +210,31 @@ def request_of(words: Mapping[str, Any], origins: Mapping[str, str] | None = Non
             f"not a parameter of the projection, ignored: {origin}"
             for origin in (resolved.ignored if several is None else several.ignored)
         ),
+        export,
     )
+
+
+def _export(asked: Mapping[str, Any], others: Mapping[str, Any]) -> ExportOptions | None:
+    """Read how messages are exported; ``others`` are all other words."""
+    if not asked:
+        return None
+    name = asked.get("export")
+    if name is None:
+        raise UsageError(f"`{min(asked)}` goes with `export`", hint="such as `export=npz`")
+    if idle := [f"`{word}`" for word in (*_OUTPUT, *_SPLIT) if word != "overwrite" and others.get(word) is not None]:
+        raise UsageError(f"{', '.join(idle)} would have no effect: `export` writes no recordings")
+    from pc2scan.export.formats import FORMATS  # noqa: PLC0415  # most batches write recordings
+    from pc2scan.export.poses import PoseOptions  # noqa: PLC0415
+    from pc2scan.export.run import ExportOptions  # noqa: PLC0415
+
+    if name not in FORMATS:
+        hint = did_you_mean(name, FORMATS) or None
+        raise UsageError(f"`export={name}` is not a format; there are {', '.join(FORMATS)}", hint=hint)
+    poses = PoseOptions(**{word: value for word, value in asked.items() if word != "export"})
+    if FORMATS[name].needs_poses and not poses.wanted:
+        raise UsageError(f"`export={name}` needs poses", hint="give `pose_frame=odom`, or `odom_topic=/odom`")
+    making = others.keys() & {*parameter_names(), "params", "preset", "params_file", "param"}
+    return ExportOptions(format=name, poses=poses, converting=bool(making))
 
 
 def _absolute(path: Path) -> Path:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.shown import Shown, Table, count, duration, size
 from pc2scan.version import __version__
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from .manifest import Record
     from .plan import Step
 
-__all__ = ["BEGINNINGS", "BatchReport", "Outcome", "report_text"]
+__all__ = ["BEGINNINGS", "BatchReport", "Facts", "Outcome", "report_text"]
 
 #: Outcomes from bad to good, which is the order in which recordings are shown.
 _ORDER = ("died", "failed", "not begun", "empty", "incomplete", "converted", "skipped")
@@ -53,6 +53,33 @@ BEGINNINGS = {
     ".csv": (",".join(heading for heading, _ in _COLUMNS)).encode(),
     ".md": b"# Batch of pc2scan",
 }
+
+
+class Facts(NamedTuple):
+    """What the report of a conversion, or of an export, says in numbers; ``damage`` in words."""
+
+    scans: int = 0
+    empty_scans: int = 0
+    skipped: int = 0
+    damage: tuple[str, ...] = ()
+    warnings: int = 0
+
+    @classmethod
+    def of(cls, report: Mapping[str, Any]) -> Facts:
+        """Read a report; an empty one has none."""
+        topics = report.get("topics", ())
+        warnings = len(report.get("warnings", ()))
+        if "format" in report:
+            skipped = sum(report["skipped_reasons"].values())
+            return cls(sum(topic["written"] for topic in topics), 0, skipped, tuple(report["damage"]), warnings)
+        converted = [topic for topic in topics if topic["action"] == "converted"]
+        return cls(
+            sum(topic["messages_out"] for topic in converted),
+            sum(topic["empty_scans"] for topic in converted),
+            report.get("skipped_count", 0),
+            tuple(place["what"] for place in report.get("damage", ())),
+            warnings,
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -108,7 +135,7 @@ class Outcome:
         if record is None:
             return cls(key=step.found.key, action=step.action, why=step.why, outcome="not begun", exit_status=1)
         report: Mapping[str, Any] = record.report or {}
-        topics = [topic for topic in report.get("topics", ()) if topic["action"] == "converted"]
+        facts = Facts.of(report)
         return cls(
             key=step.found.key,
             action=step.action,
@@ -116,13 +143,13 @@ class Outcome:
             outcome=record.outcome,
             exit_status=record.exit_status,
             output=record.output if record.report is not None else "",
-            scans=sum(topic["messages_out"] for topic in topics),
-            empty_scans=sum(topic["empty_scans"] for topic in topics),
-            skipped=report.get("skipped_count", 0),
-            damaged=len(report.get("damage", ())),
-            warnings=len(report.get("warnings", ())),
+            scans=facts.scans,
+            empty_scans=facts.empty_scans,
+            skipped=facts.skipped,
+            damaged=len(facts.damage),
+            warnings=facts.warnings,
             bytes_read=record.identity.size_bytes,
-            bytes_written=report.get("bytes_written", 0),
+            bytes_written=report.get("bytes_written", record.output_identity.size_bytes),
             seconds=record.seconds,
             attempts=record.attempts,
             error=str((record.error or {}).get("message", "")),

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import time
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pc2scan.bags.opening import open_recordings
 from pc2scan.errors import Pc2ScanError, RecordingError
 from pc2scan.pipeline.run import run
 
@@ -15,6 +17,9 @@ from .identity import Identity, checksum_of, identity_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from pc2scan.export.report import ExportReport
+    from pc2scan.pipeline.report import Report
 
     from .request import Request
 
@@ -107,17 +112,7 @@ def convert_one(job: Job, progress: Callable[[int, int, int], None] | None = Non
     try:
         if job.checksum:
             sha256 = _checksum(sources)
-        options = replace(job.request.options, jobs=job.threads)
-        output = job.request.output._replace(overwrite=job.replaces, dry_run=job.dry_run)
-        done = run(
-            sources,
-            destination,
-            options,
-            output,
-            origins=job.request.origins,
-            also_read=job.request.files,
-            progress=progress,
-        )
+        done = _done(job, sources, destination, progress)
         report, status = done.as_dict(), done.exit_status
         text = str(done) if job.shown else ""
     except Pc2ScanError as err:
@@ -137,6 +132,44 @@ def convert_one(job: Job, progress: Callable[[int, int, int], None] | None = Non
         error=error,
         text=text,
     )
+
+
+def _done(
+    job: Job, sources: list[Path], destination: Path, progress: Callable[[int, int, int], None] | None
+) -> Report | ExportReport:
+    """Convert or export; raises what that raises."""
+    request = job.request
+    options = replace(request.options, jobs=job.threads)
+    if job.dry_run and request.export is not None and not request.export.converting:
+        return _looked_into(job, sources)
+    if request.export is None or job.dry_run:
+        # Scans that would be exported are those that would be converted.
+        output = request.output._replace(overwrite=job.replaces, dry_run=job.dry_run)
+        return run(
+            sources,
+            destination,
+            options,
+            output,
+            origins=request.origins,
+            also_read=request.files,
+            progress=progress,
+        )
+    from pc2scan.export.run import run as export  # noqa: PLC0415  # most batches write recordings
+
+    form = replace(request.export, overwrite=job.replaces)
+    return export(sources, destination, options, form, in_folder=True, origins=request.origins, also_read=request.files)
+
+
+def _looked_into(job: Job, sources: list[Path]) -> ExportReport:
+    """Open a recording of which messages would be exported as they are."""
+    from pc2scan.export.report import ExportReport  # noqa: PLC0415  # most batches write recordings
+
+    options = job.request.options
+    with ExitStack() as stack:
+        readers = open_recordings(sources, stack, verify=options.verify, strict=options.strict)
+        damage = tuple(place for reader in readers for place in reader.damage)
+    assert job.request.export is not None
+    return ExportReport(list(job.sources), job.destination, str(job.request.export.format), damage=damage)
 
 
 def died(job: Job, why: str, *, attempts: int, seconds: float) -> Result:

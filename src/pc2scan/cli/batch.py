@@ -8,13 +8,13 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from inspect import Parameter
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from .groups import Group
 from .options import ConversionGroup, OutputGroup
-from .render import count, message, printable, show_parts, size, warn
+from .render import message, printable, show_parts, size, warn
 from .words import typed_words
 
 if TYPE_CHECKING:
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 __all__ = ["batch"]
 
 _BATCH = "Batch"
+_EXPORT = "Export"
 
 
 class BatchGroup(Group):
@@ -99,6 +100,41 @@ class BatchGroup(Group):
     ] = False
 
 
+class ExportGroup(Group):
+    """Options of results that are not recordings."""
+
+    export: Annotated[
+        Literal["npz", "csv", "tum", "carmen", "flaser", "pcd", "kitti"] | None,
+        typer.Option(
+            metavar="FORMAT",
+            help="Instead of recordings, write what pc2scan export writes, into a folder for each recording.",
+            rich_help_panel=_EXPORT,
+        ),
+    ] = None
+    pose_frame: Annotated[
+        str,
+        typer.Option(
+            metavar="FRAME",
+            help="With --export: the robot's pose in this frame at each stamp.",
+            show_default=False,
+            rich_help_panel=_EXPORT,
+        ),
+    ] = ""
+    base_frame: Annotated[
+        str,
+        typer.Option(metavar="FRAME", help="With --export: whose pose.", show_default=False, rich_help_panel=_EXPORT),
+    ] = ""
+    odom_topic: Annotated[
+        str,
+        typer.Option(
+            metavar="TOPIC",
+            help="With --export: take the poses from this nav_msgs/Odometry topic.",
+            show_default=False,
+            rich_help_panel=_EXPORT,
+        ),
+    ] = ""
+
+
 class _Without(Group):
     """A group without some of its options: those keep their defaults."""
 
@@ -149,6 +185,7 @@ def batch(
     ],
     *,
     running: BatchGroup,
+    exporting: ExportGroup,
     conversion: _Conversion,
     output: _Output,
 ) -> None:
@@ -159,7 +196,7 @@ def batch(
     """
     from pc2scan.batch.run import BatchOptions, Watch, run_batch
 
-    words, origins = typed_words(conversion, output)
+    words, origins = typed_words(exporting, conversion, output)
     dry_run = bool(words.pop("dry_run", False))
     options = BatchOptions(
         dataset=running.dataset,
@@ -216,19 +253,19 @@ def _show_record(record: "Record", *, quiet: bool, dry_run: bool) -> None:
         return
     if quiet:
         return
-    report = record.report or {}
-    topics = [topic for topic in report.get("topics", ()) if topic["action"] == "converted"]
-    scans, empty = (sum(topic[name] for topic in topics) for name in ("messages_out", "empty_scans"))
-    facts = [
-        f"{scans:,} scans",
-        *([f"{empty:,} empty"] if empty else []),
-        *([f"{count(report['skipped_count'])} skipped"] if report.get("skipped_count") else []),
-        *([f"damaged: {report['damage'][0]['what']}"] if report.get("damage") else []),
-        *([f"{len(report['warnings'])} warnings"] if report.get("warnings") else []),
+    from pc2scan.batch.summary import Facts
+
+    facts = Facts.of(record.report or {})
+    told = [
+        f"{facts.scans:,} scans",
+        *([f"{facts.empty_scans:,} empty"] if facts.empty_scans else []),
+        *([f"{facts.skipped:,} skipped"] if facts.skipped else []),
+        *([f"damaged: {facts.damage[0]}"] if facts.damage else []),
+        *([f"{facts.warnings} warnings"] if facts.warnings else []),
         f"{record.seconds:.1f} s",
     ]
     would = "would be " if dry_run else ""
-    typer.echo(message(f"{would}{record.outcome}: {record.key} -> {record.output} ({', '.join(facts)})"), err=True)
+    typer.echo(message(f"{would}{record.outcome}: {record.key} -> {record.output} ({', '.join(told)})"), err=True)
 
 
 def _show_text(text: str) -> None:

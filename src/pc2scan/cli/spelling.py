@@ -33,6 +33,7 @@ OPTIONS = {
     "every": "--every",
     "exclude_box": "--exclude-box",
     "exclude_polygon": "--exclude-polygon",
+    "export": "--export",
     "fail_on": "--fail-on",
     "fixed_frame": "--fixed-frame",
     "format": "--format",
