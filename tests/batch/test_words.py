@@ -188,6 +188,20 @@ def test_several_outputs_are_words(tmp_path: Path) -> None:
         request_of({"scans": moved, "preset": "gmapping"})
 
 
+def test_several_nodes_of_a_file_are_several_outputs(tmp_path: Path) -> None:
+    file = tmp_path / "params.yaml"
+    section = "  ros__parameters:\n    min_height: {}\n"
+    nodes = {"low": 0.1, "high": 1.0}
+    file.write_text("".join(f"pointcloud_to_laserscan_{name}:\n{section.format(z)}" for name, z in nodes.items()))
+    asked = request_of({"params_file": file, "max_height": 3.0})
+    assert [spec.params.min_height for spec in asked.options.scans] == [0.1, 1.0]
+    assert {spec.params.max_height for spec in asked.options.scans} == {3.0}
+    one = request_of({"params_file": file, "node": "pointcloud_to_laserscan_high"})
+    assert (one.options.scans, one.options.params.min_height) == ((), 1.0)
+    with pytest.raises(UsageError, match="does not say which node it is for"):
+        request_of({"params_file": file, "topics": "/points"})
+
+
 def test_exports_are_those_of_the_command() -> None:
     assert WORDS["export"].choices == tuple(FORMATS)
     assert typing.get_args(typing.get_args(ExportGroup.__annotations__["export"])[0])[0].__args__ == tuple(FORMATS)

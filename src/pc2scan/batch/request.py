@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from pc2scan.arguments import names_in, path_of
 from pc2scan.core.params import ProjectionParams
-from pc2scan.errors import UsageError
+from pc2scan.errors import SeveralNodesError, UsageError
 from pc2scan.json_types import json_value
 from pc2scan.names import did_you_mean
 from pc2scan.pipeline.combine.asked import Combining
@@ -141,6 +141,26 @@ def request_of(words: Mapping[str, Any], origins: Mapping[str, str] | None = Non
     """
     if unknown := words.keys() - words_known():
         raise UsageError(f"`{min(unknown)}` is not an option of a conversion")
+    try:
+        return _of_node(words, origins or {})
+    except SeveralNodesError as err:
+        if words.get("reverse") or words.get("params_file") is None:
+            raise
+        from pc2scan.pipeline.several_nodes import options_of_nodes, refuse_topics  # noqa: PLC0415  # few files have
+
+        file = path_of("params_file", words["params_file"])
+        refuse_topics(words.get("topics"), err.nodes, file)
+        each = [_of_node({**words, "node": node}, origins or {}, one_of=err.nodes) for node in err.nodes]
+        return replace(
+            each[0],
+            options=options_of_nodes(err.nodes, [found.options for found in each], file),
+            origins={},
+            notes=tuple(dict.fromkeys(note for found in each for note in found.notes)),
+        )
+
+
+def _of_node(words: Mapping[str, Any], origins: Mapping[str, str], one_of: tuple[str, ...] = ()) -> Request:
+    """Read words that are known, of one node of a parameter file if there is one."""
     given = dict(words)
 
     def take(names: tuple[str, ...]) -> dict[str, Any]:
@@ -151,17 +171,22 @@ def request_of(words: Mapping[str, Any], origins: Mapping[str, str] | None = Non
     several = None
     if (scans := given.pop("scans", None)) is not None:
         beside = {name: words[name] for name in _BESIDE if name in words and words[name] != "header"}
-        several = _several(scans, parameters, names_in("param", given.pop("param", ())), beside, origins or {})
+        several = _several(scans, parameters, names_in("param", given.pop("param", ())), beside, origins)
         parameters = {}
     reverse = given.pop("reverse", False)
     asked = take(_PARAMETERS)
-    resolved = _parameters(asked, parameters, origins or {}, reverse=reverse)
+    resolved = _parameters(asked, parameters, origins, reverse=reverse)
     framed = take(_FRAMES)
     frames = frames_of(framed.pop("frames", None), **framed)
     # Another process may be in another folder.
     frames = replace(frames, tf_from=tuple(map(_absolute, frames.tf_from)))
     texts: dict[str, Any] = {name: names_in(name, given.pop(name)) for name in _TEXTS if name in given}
-    remaps = (*resolved.remaps, *names_in("remap", asked.get("remap")))
+    remaps: Sequence[str] = names_in("remap", asked.get("remap"))
+    if one_of and remaps:
+        from pc2scan.pipeline.remaps import meant_for  # noqa: PLC0415  # few files have several nodes
+
+        remaps = meant_for(list(remaps), words["node"])
+    remaps = (*resolved.remaps, *remaps)
     if asked.get("remap") and texts.get("topics"):
         raise UsageError(
             "`topics` and `remap` say the same in two ways; give one of them", hint="`topics=/points:=/scan` is both"
@@ -189,6 +214,7 @@ def request_of(words: Mapping[str, Any], origins: Mapping[str, str] | None = Non
     output = OutputOptions(**take(_OUTPUT), like_source=True, cut=cut)
     options = ConvertOptions.of(
         scans=() if several is None else several.specs,
+        origins=resolved.origin,
         params=resolved.params,
         reverse=resolved.reverse,
         channels=channels_of(channels.get("channels"), channels.get("range_cutoff")),
