@@ -1,4 +1,11 @@
-"""Any header over any points, through the compiled loops and through NumPy's: the same scan from both."""
+"""Any header over any points, through the compiled loops and through NumPy's: the same scan from both.
+
+At rest, and while the sensor moves: then the fourth field has the times of the points.
+
+With sanitizers, by hand: build with ``CFLAGS="-fsanitize=address,undefined" pip install -e .``, then run pytest on
+``tests/fuzz`` and ``tests/core`` with ``LD_PRELOAD=$(gcc -print-file-name=libasan.so)`` and
+``ASAN_OPTIONS=detect_leaks=0``.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +18,7 @@ import numpy as np
 
 from pc2scan import ProjectionParams
 from pc2scan.core import kernel, plain
+from pc2scan.core.moving import MovingTransform
 from pc2scan.core.presets import PRESETS
 from pc2scan.core.project import Projector
 from pc2scan.messages.pointcloud2 import PointCloud2, PointField
@@ -18,12 +26,18 @@ from pc2scan.messages.pointcloud2 import PointCloud2, PointField
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-__all__ = ["project_cloud", "written"]
+    from numpy.typing import NDArray
+
+    from pc2scan.core.project import ProjectedScan
+
+__all__ = ["motion_written", "project_cloud", "project_moving", "written"]
 
 #: What is asked for (parameters, reduction, smallest number of returns, flags); height, width, point_step, row_step.
 _HEAD = struct.Struct("<4B4I")
 #: Offset, datatype and count of x, y, z and the intensity.
 _FIELD = struct.Struct("<IBI")
+#: Nodes between the first and the last, and the offset and unit of the times.
+_MOTION = struct.Struct("<Bff")
 _NAMES = ("x", "y", "z", "intensity")
 _BIG_ENDIAN, _MOVED, _LIT = 1, 2, 4
 
@@ -59,8 +73,47 @@ def written(
     return head + b"".join(_FIELD.pack(*field, 1) for field in fields) + data
 
 
+def motion_written(steps: bytes, rows: NDArray[np.float32], cloud: bytes, *, offset: float, unit: float) -> bytes:
+    """Write an input of `project_moving`: the steps between the nodes (hundredths of a second), and their rows."""
+    return _MOTION.pack(len(steps), offset, unit) + steps + rows.tobytes() + cloud
+
+
 def project_cloud(data: bytes) -> None:
     """Project with both loops and compare."""
+    project, flags, cloud = _read(data)
+    xyz, lit = cloud.xyz(), cloud.field("intensity") if flags & _LIT else None
+    moved = _TRANSFORM if flags & _MOVED else None
+    compiled = project(*xyz, moved, lit)
+    with _plain():
+        expected = project(*xyz, moved, lit)
+    _compare(compiled, expected)
+
+
+def project_moving(data: bytes) -> None:
+    """Move and project with both loops and compare."""
+    count, offset, unit = _MOTION.unpack_from(data.ljust(_MOTION.size, b"\0"))
+    steps = np.frombuffer(data[_MOTION.size :].ljust(count, b"\0")[:count], np.uint8)
+    nodes = np.concatenate([[0.0], np.cumsum((steps.astype(np.float64) + 1) / 100), [100.0]])
+    start, size = _MOTION.size + count, (2 * len(nodes) - 1) * 12
+    with np.errstate(invalid="ignore"):
+        rows = np.frombuffer(data[start:].ljust(4 * size, b"\0")[: 4 * size], "<f4").astype(np.float64).reshape(-1, 12)
+    project, flags, cloud = _read(data[start + 4 * size :])
+    xyz, times = cloud.xyz(), cloud.field("intensity")
+    motion = MovingTransform(times, offset, unit, nodes, rows)
+    lit = times if flags & _LIT else None
+    outs = np.zeros((2, xyz[0].size, 3), np.float32)
+    with np.errstate(all="ignore"):
+        compiled = project.moving(*xyz, motion, lit)
+        lost, span = kernel.deskew(*xyz, motion, outs[0]), kernel.span(xyz[0], times)
+        with _plain():
+            expected = project.moving(*xyz, motion, lit)
+        assert lost == plain.deskew(*xyz, motion, outs[1])
+        np.testing.assert_array_equal(span, plain.span(xyz[0], times))
+    _compare(compiled, expected)
+    np.testing.assert_array_equal(*outs)
+
+
+def _read(data: bytes) -> tuple[Projector, int, PointCloud2]:
     start = _HEAD.size + len(_NAMES) * _FIELD.size
     data = data.ljust(start, b"\0")
     asked, reduction, few, flags, height, width, step, row_step = _HEAD.unpack_from(data)
@@ -68,14 +121,13 @@ def project_cloud(data: bytes) -> None:
         PointField(name, *_FIELD.unpack_from(data, _HEAD.size + place * _FIELD.size))
         for place, name in enumerate(_NAMES)
     )
-    cloud = PointCloud2(
-        0, 0, "", height, width, fields, bool(flags & _BIG_ENDIAN), step, row_step, memoryview(data)[start:], True
-    )
-    xyz, lit = cloud.xyz(), cloud.field("intensity") if flags & _LIT else None
-    project, moved = _projector(asked, reduction, few), _TRANSFORM if flags & _MOVED else None
-    compiled = project(*xyz, moved, lit)
-    with _plain():
-        expected = project(*xyz, moved, lit)
+    points = memoryview(data)[start:]
+    big = bool(flags & _BIG_ENDIAN)
+    cloud = PointCloud2(0, 0, "", height, width, fields, big, step, row_step, points, True)
+    return _projector(asked, reduction, few), flags, cloud
+
+
+def _compare(compiled: ProjectedScan, expected: ProjectedScan) -> None:
     assert compiled.counts == expected.counts
     np.testing.assert_array_equal(compiled.ranges, expected.ranges)
     np.testing.assert_array_equal(compiled.intensities, expected.intensities)

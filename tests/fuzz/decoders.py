@@ -27,7 +27,7 @@ import numpy as np
 
 import pc2scan
 from bags import mcap_files
-from fuzz.clouds import project_cloud
+from fuzz.clouds import project_cloud, project_moving
 from fuzz.rays import draw_rays
 from pc2scan.bags.rosbag1.records import Damaged, parsed_connection, parsed_fields
 from pc2scan.errors import Pc2ScanError
@@ -334,6 +334,7 @@ def _ignored(_: object) -> None:
 DECODERS: dict[str, Callable[[bytes], None]] = {
     "cloud": _cloud,
     "clouds": project_cloud,
+    "moving": project_moving,
     "rays": draw_rays,
     "scan": _scan,
     "transforms": _transforms,

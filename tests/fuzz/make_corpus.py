@@ -91,6 +91,7 @@ def inputs() -> Iterator[tuple[str, str, bytes]]:
     yield from _copies()
     yield from _pages()
     yield from _clouds()
+    yield from _moving()
     fan = [((20, 10, 40 * (n % 2), n), n) for n in range(20)]
     yield "rays", "fan", rays.written(40, 19, 3, fan)
     yield "rays", "line", rays.written(200, 0, 0, [((0, 0, n, 0), n) for n in range(9)])
@@ -147,6 +148,34 @@ def _clouds() -> Iterator[tuple[str, str, bytes]]:
     yield "clouds", "doubles", clouds.written(doubles, points.astype(">f8").tobytes(), step=24, flags=3)
     mixed = ((0, 3), (2, 6), (6, 1), (7, 2))
     yield "clouds", "mixed", clouds.written(mixed, bytes(range(96)), step=8, flags=6)
+
+
+def _moving() -> Iterator[tuple[str, str, bytes]]:
+    """Points with times of several datatypes, on the way through a turn; for a while no transform is known."""
+    record = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("t", "<u4")])
+    sweep = np.zeros(24, record)
+    angles = np.linspace(-3.0, 3.0, 24)
+    sweep["x"], sweep["y"], sweep["z"] = 5 * np.cos(angles), 5 * np.sin(angles), 0.5
+    sweep["t"] = np.linspace(0, 200_000, 24)
+    turns = np.linspace(0, 0.5, 9)
+    rows = np.zeros((9, 12), np.float32)
+    rows[:, 0], rows[:, 1], rows[:, 3], rows[:, 4] = np.cos(turns), -np.sin(turns), np.sin(turns), np.cos(turns)
+    rows[:, 8], rows[:, 9] = 1, turns
+    gap = rows.copy()
+    gap[4] = np.nan
+    floats = ((0, 7), (4, 7), (8, 7))
+    whole = clouds.written((*floats, (12, 6)), sweep.tobytes(), step=16)
+    yield "moving", "microseconds", clouds.motion_written(b"\4\4\4", rows, whole, offset=0.0, unit=1e-6)
+    yield "moving", "gap", clouds.motion_written(b"\4\0\4", gap, whole, offset=1000.0, unit=1e-6)
+    seconds = sweep.astype([(name, "<f8" if name == "t" else "<f4") for name in "xyzt"])
+    seconds["t"] *= 1e-6
+    lit = clouds.written((*floats, (12, 8)), seconds.tobytes(), step=20, height=4, flags=4)
+    yield "moving", "rows", clouds.motion_written(b"\3\3\3", rows, lit, offset=0.0, unit=1.0)
+    wild = rows.copy()
+    wild[::2, 0], wild[1::2, 0], wild[:, 11] = 3e38, -3e38, -50
+    yield "moving", "overflow", clouds.motion_written(b"\4\4\4", wild, whole, offset=0.0, unit=1e-6)
+    mixed = clouds.written(((0, 3), (2, 6), (6, 1), (7, 2)), bytes(range(96)), step=8, flags=5)
+    yield "moving", "mixed", clouds.motion_written(b"\1\2\3", rows, mixed, offset=80.0, unit=0.01)
 
 
 def _scan_text() -> str:

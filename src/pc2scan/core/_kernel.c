@@ -215,12 +215,16 @@ typedef struct {
     int size, swapped;
 } Axis;
 
+/* Numbers below it can be multiplied and added up without becoming infinite, nor then NaN. */
+#define TAME 1e18f
+
 /* A part of the time in which a cloud was measured. The transform in it is a polynomial of the time: start + s * (rate +
    s * bend), with s from 0 to 1; each has twelve numbers, the rows of a rotation, then a translation. */
 typedef struct {
     /* A time belongs to the first part that ends at it or behind it. */
     double begin, end, scale;
-    int known;
+    /* Whether there is a transform, and whether all of its numbers are below TAME. */
+    int known, tame;
     double start[12];
     float rate[12], bend[12];
 } Part;
@@ -538,12 +542,12 @@ EIGHT_WIDE __m256 move_eight(const Part *part, int axis, __m256 x, __m256 y, __m
 }
 
 /* The same as move_run, eight at a time: what is written behind the last one is overwritten later. Where all eight are
-   too high or too low, their x and y are not needed; 0 stands for them. */
+   too high or too low, their x and y are not needed; 0 stands for them, unless they may be NaN, which counts first. */
 __attribute__((target("avx2,popcnt"))) static int move_run_eight(const Part *part, Moved *block, int from, int end,
                                                                  float lowest, float highest) {
     const __m256d begin = _mm256_set1_pd(part->begin), scale = _mm256_set1_pd(part->scale);
     const __m256d close = _mm256_set1_pd(part->end);
-    const __m256 least = _mm256_set1_ps(lowest), most = _mm256_set1_ps(highest), largest = _mm256_set1_ps(FLT_MAX);
+    const __m256 least = _mm256_set1_ps(lowest), most = _mm256_set1_ps(highest), tame = _mm256_set1_ps(TAME);
     const __m256 absolute = _mm256_castsi256_ps(_mm256_set1_epi32(0x7fffffff));
     for (int i = from; i < end; i += 8) {
         const __m256d first = _mm256_loadu_pd(block->times + i), second = _mm256_loadu_pd(block->times + i + 4);
@@ -560,8 +564,9 @@ __attribute__((target("avx2,popcnt"))) static int move_run_eight(const Part *par
         const __m256 to_z = move_eight(part, 2, x, y, z, s, wide);
         _mm256_storeu_ps(block->to_z + i, to_z);
         const __m256 away = _mm256_or_ps(_mm256_cmp_ps(to_z, least, _CMP_LT_OQ), _mm256_cmp_ps(to_z, most, _CMP_GT_OQ));
-        const __m256 finite = _mm256_cmp_ps(_mm256_and_ps(to_z, absolute), largest, _CMP_LE_OQ);
-        if (_mm256_movemask_ps(_mm256_and_ps(away, finite)) == 255) {
+        const __m256 sum = _mm256_add_ps(_mm256_and_ps(x, absolute), _mm256_add_ps(_mm256_and_ps(y, absolute), _mm256_and_ps(z, absolute)));
+        const __m256 finite = _mm256_cmp_ps(sum, tame, _CMP_LE_OQ);
+        if (part->tame && _mm256_movemask_ps(_mm256_and_ps(away, finite)) == 255) {
             _mm256_storeu_ps(block->to_x + i, _mm256_setzero_ps());
             _mm256_storeu_ps(block->to_y + i, _mm256_setzero_ps());
         } else {
@@ -845,10 +850,12 @@ static void fit_part(Part *part, double begin, double end, const double *first) 
     part->end = end;
     part->scale = 1.0 / (end - begin);
     part->known = first[0] == first[0] && middle[0] == middle[0] && last[0] == last[0];
+    part->tame = 1;
     for (int k = 0; k < 12; k++) {
         part->start[k] = first[k];
         part->rate[k] = (float)((4 * middle[k] - 3 * first[k]) - last[k]);
         part->bend[k] = (float)(2 * ((first[k] - 2 * middle[k]) + last[k]));
+        part->tame &= fabs(part->start[k]) < TAME && fabsf(part->rate[k]) < TAME && fabsf(part->bend[k]) < TAME;
     }
 }
 
