@@ -11,6 +11,7 @@ from .errors import SeveralNodesError, UsageError
 from .pipeline.combine.asked import Combining
 from .pipeline.options import ConvertOptions
 from .requests import (
+    beam_filters_of,
     channels_of,
     destination_of,
     filters_of,
@@ -114,6 +115,7 @@ def convert(
     min_height_slope: float | None = None,
     ground: str = "keep",
     filters: Iterable[Filter] = (),
+    remove: str | Iterable[str] = (),
     keep_used: str = "",
     reverse: bool = False,
     deskew: bool = False,
@@ -195,6 +197,9 @@ def convert(
         a limit that grows with range, and with ``ground="remove"`` not those on the ground.
     filters
         Further filters, as objects.
+    remove
+        Which beams of scans are removed, by the rules of laser_filters: ``shadows``, ``speckles``, or with parameters,
+        ``"speckles filter_window=3"``; or several.
     keep_used
         A topic for the points that the scans' beams read: PointCloud2 with all their fields, and the beam's number.
     reverse
@@ -291,7 +296,7 @@ def convert(
         }
         own |= {"where": where, "exclude_box": exclude_box, "exclude_polygon": exclude_polygon, "deskew": deskew}
         own |= {"min_height_slope": min_height_slope, "filters": filters, "fixed_frame": fixed_frame}
-        own |= {"ground": ground != "keep"}
+        own |= {"ground": ground != "keep", "remove": remove}
         own |= {"point_time": point_time, "stamp": stamp != "header", "reverse": reverse, "channels": channels}
         own |= {"range_cutoff": range_cutoff, "keep_used": keep_used, "level": level, "imu": imu}
         own |= {"lead": lead, "window": window, "accumulate": accumulate, "every": every, "rebin": rebin}
@@ -319,6 +324,7 @@ def convert(
             level=level,
             imu=imu,
             combining=Combining.of(lead=lead, window=window, accumulate=accumulate, every=every, rebin=rebin),
+            remove=beam_filters_of(remove),
             keep_used=keep_used,
             filters=filters_of(resolved, where, exclude_box, exclude_polygon, min_height_slope, ground, filters),
             frames=frames_of(frames, static_tf, static_tf_file, write_static_tf, tf_from, tf_topics, source_frame),

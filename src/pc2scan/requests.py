@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from .pipeline.options import Time
     from .pipeline.param_sources import ResolvedSources
     from .pipeline.scans_file import ScansFile
+    from .pipeline.stages.beams import BeamFilter
     from .pipeline.stages.filters import Filter
     from .streams.stream import Selection
 
@@ -218,6 +219,16 @@ def filters_of(
 
     asked = filters_from(conditions, boxes, polygons, min_height_slope, resolved.params.min_height, ground)
     return (*asked, *filters)
+
+
+def beam_filters_of(remove: str | Iterable[str]) -> tuple[BeamFilter, ...]:
+    """Read which beams are removed."""
+    texts = names_in("remove", remove)
+    if not texts:
+        return ()
+    from .pipeline.stages.beams import beam_filter  # noqa: PLC0415  # few scans are filtered
+
+    return tuple(map(beam_filter, texts))
 
 
 def moments_of(at: Time | Iterable[Time]) -> list[TimeBound]:

@@ -106,6 +106,21 @@ def test_clouds_without_ground_are_warned_of(tmp_path: Path) -> None:
     assert any("found no ground in any cloud" in warning for warning in report["warnings"])
 
 
+def test_beams_are_removed_and_counted(tmp_path: Path) -> None:
+    whole, _, report = converted(tmp_path, "--min-height", "-0.5")
+    assert next(entry for entry in report["topics"] if entry["action"] == "converted")["removed_beams"] == {}
+    found, _, report = converted(tmp_path, "--min-height", "-0.5", "--remove", "shadows", "--remove", "speckles")
+    (topic,) = (entry for entry in report["topics"] if entry["action"] == "converted")
+    counts = topic["removed_beams"]
+    assert counts["returns"] == sum(int(np.isfinite(ranges).sum()) for ranges in whole)
+    left = sum(int(np.isfinite(ranges).sum()) for ranges in found)
+    assert counts["returns"] - counts["shadows"] - counts["speckles"] == left < counts["returns"]
+    for one, other in zip(found, whole, strict=True):
+        kept = np.isfinite(one)
+        np.testing.assert_array_equal(one[kept], other[kept])
+    assert any("beams were shadows, and are removed" in note for note in report["notes"])
+
+
 def test_several_filters_count_each_point_once_and_are_shown(tmp_path: Path) -> None:
     done = run(
         "convert", HALL, "-o", tmp_path / "b.mcap", "--min-height", "-9", "--where", "ring > 2", "--where", "ring < 9",
@@ -123,6 +138,7 @@ def test_several_filters_count_each_point_once_and_are_shown(tmp_path: Path) -> 
         (["--where", "rnig > 3"], "--where needs the field 'rnig', which the clouds on /points do not have"),
         (["--exclude-box", "body 0 1"], "--exclude-box: 'body 0 1' has 2 numbers, a box has 6"),
         (["--exclude-polygon", "body 0 1"], "--exclude-polygon: the polygon in body has 1 corners"),
+        (["--remove", "shadow"], "--remove is 'shadow', it must begin with one of shadows, speckles"),
         (["--ground", "remvoe"], "--ground is 'remvoe', it must be one of keep, remove"),
         (["--min-height-slope", "-1"], "--min-height-slope is -1.0, it must be 0 or more"),
         (["--reverse", "--where", "ring > 3"], "filters select points of clouds"),

@@ -21,7 +21,7 @@ from pc2scan.pipeline.options import ConvertOptions
 from pc2scan.pipeline.param_sources import ResolvedSources, resolve_sources
 from pc2scan.pipeline.parameters import CALL, Setting
 from pc2scan.pipeline.run import OutputOptions
-from pc2scan.requests import channels_of, filters_of, frames_of, parameter_names, resolved_parameters
+from pc2scan.requests import beam_filters_of, channels_of, filters_of, frames_of, parameter_names, resolved_parameters
 
 from .identity import identity_of
 
@@ -220,6 +220,7 @@ def _of_node(words: Mapping[str, Any], origins: Mapping[str, str], one_of: tuple
         channels=channels_of(channels.get("channels"), channels.get("range_cutoff")),
         combining=Combining.of(**combining),
         filters=filters,
+        remove=beam_filters_of(given.pop("remove", ())),
         frames=frames,
         **texts,
         **given,

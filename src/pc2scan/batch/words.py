@@ -49,6 +49,7 @@ WORDS: dict[str, Word] = {
     "keep": Word("texts", "Of all topics that are not converted, write only these (names or globs)."),
     "drop": Word("texts", "Do not write these topics (names or globs)."),
     "keep_clouds": Word("flag", "Write the converted clouds too."),
+    "remove": Word("texts", "Remove beams that are shadows or speckles: shadows, speckles filter_window=3."),
     "keep_used": Word("text", "Write the points that the scan's beams read to this topic too."),
     "only_scans": Word("flag", "Write only the scans."),
     "start": Word("value", "Start time: seconds from the beginning, @seconds since 1970, or a date and time."),

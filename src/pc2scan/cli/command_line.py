@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -42,6 +43,10 @@ def _option_words(options: ConvertOptions) -> Iterator[str]:
         yield "--write-static-tf"
     if options.deskew:
         yield "--deskew"
+    for chosen in options.remove:
+        default = type(chosen)()
+        words = (f"{each.name}={getattr(chosen, each.name)}" for each in fields(chosen) if chosen != default)
+        yield from ("--remove", " ".join((chosen.name, *words)))
     if options.keep_used:
         yield from ("--keep-used", options.keep_used)
     if options.level:

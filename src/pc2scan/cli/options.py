@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from pc2scan.pipeline.combine.asked import Combining
     from pc2scan.pipeline.options import ConvertOptions
     from pc2scan.pipeline.run import OutputOptions
+    from pc2scan.pipeline.stages.beams import BeamFilter
     from pc2scan.pipeline.stages.filters import Filter
     from pc2scan.tf.options import FrameOptions
 
@@ -338,6 +339,16 @@ class PointsGroup(Group):
             rich_help_panel=_POINTS,
         ),
     ] = ""
+    remove: Annotated[
+        list[str],
+        typer.Option(
+            "--remove",
+            metavar="BEAMS",
+            help="Remove beams by the rules of laser_filters: shadows (between an edge and what is behind it), speckles. "
+            "With its parameters: 'shadows min_angle=5 neighbors=10', 'speckles filter_window=3'. Repeatable.",
+            rich_help_panel=_POINTS,
+        ),
+    ]
     where: Annotated[
         list[str],
         typer.Option(
@@ -387,6 +398,14 @@ class PointsGroup(Group):
             rich_help_panel=_POINTS,
         ),
     ] = "keep"
+
+    def beam_filters(self) -> "tuple[BeamFilter, ...]":
+        """Return the library's options for beams."""
+        if not self.remove:
+            return ()
+        from pc2scan.pipeline.stages.beams import beam_filter
+
+        return tuple(map(beam_filter, self.remove))
 
     def filters(self, min_height: float) -> "Iterator[Filter]":
         """Return the library's options."""
@@ -803,6 +822,7 @@ class ConversionGroup(Group):
             imu=self.moving.imu,
             combining=self.combining.asked(),
             filters=tuple(self.points.filters(resolved.params.min_height)),
+            remove=self.points.beam_filters(),
             keep_used=self.points.keep_used,
             frames=frames,
             topics=names,
@@ -842,7 +862,7 @@ class ConversionGroup(Group):
         others |= {"min_height_slope": points.min_height_slope, "deskew": moving.deskew}
         others |= {"ground": points.ground != "keep"}
         others |= {"fixed_frame": moving.fixed_frame, "point_time": moving.point_time}
-        others |= {"keep_used": points.keep_used}
+        others |= {"keep_used": points.keep_used, "remove": points.remove}
         others |= {"level": moving.level, "imu": moving.imu}
         together = self.combining
         others |= {"lead": together.lead, "window": together.window, "accumulate": together.accumulate}

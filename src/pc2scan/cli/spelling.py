@@ -68,6 +68,7 @@ OPTIONS = {
     "report": "--report",
     "resolution": "--resolution",
     "reverse": "--reverse",
+    "remove": "--remove",
     "ros_distro": "--ros-distro",
     "source_frame": "--source-frame",
     "stamp": "--stamp",

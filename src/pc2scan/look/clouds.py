@@ -69,6 +69,8 @@ def clouds_page(
         notes.append(
             "What filters reject was decided when this page was made: another mount or min_height does not change it."
         )
+    if options.remove:
+        notes.append("Beams that `remove` takes away from scans are still shown here.")
     topics: dict[str, list[dict[str, Any]]] = {}
     for number, shot in enumerate(taken.shots):
         columns = {name: column[::step] for name, column in shot.columns.items()}

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
     from .conversion import Step
     from .first_clouds import TopicClouds
+    from .stages.beams import BeamFilter
     from .stages.deskew import Deskew
     from .stages.filters import Filter
     from .stages.place import Placed
@@ -78,6 +79,8 @@ class CloudToScan(Conversion):
         Returns what judges the first clouds of a topic; None if nobody does.
     keeps_used
         Whether results have the points that beams read.
+    remove
+        What removes beams of the scans, in order.
     """
 
     def __init__(
@@ -91,6 +94,7 @@ class CloudToScan(Conversion):
         first_clouds: Callable[[str], TopicClouds] | None = None,
         *,
         keeps_used: bool = False,
+        remove: Sequence[BeamFilter] = (),
     ) -> None:
         self._timings = timings or {}
         # A scan repeats the cloud's header; what else it has besides ranges and intensities takes less.
@@ -113,6 +117,11 @@ class CloudToScan(Conversion):
 
             self._select = Select(filters, frames, numbered=keeps_used)
         self._keeps_used = keeps_used
+        self._remove: tuple[Step, ...] = ()
+        if remove:
+            from .stages.beams import Remove  # noqa: PLC0415  # few scans are filtered
+
+            self._remove = (Remove(remove, params.empty_range),)
         self._beams = _Beams(params) if params.beams != "auto" else None
 
     def decoder(self, source: str, source_type: str) -> Callable[[Buffer], Points]:
@@ -125,7 +134,8 @@ class CloudToScan(Conversion):
         beams = self._beams or _Beams(_resolved(self.params, measured))
         firsts = None if self._first_clouds is None else self._first_clouds(topic)
         project = partial(self._scan, measured, beams, firsts)
-        return (self._place, project) if self._select is None else (self._place, self._select, project)
+        select = () if self._select is None else (self._select,)
+        return (self._place, *select, project, *self._remove)
 
     def _scan(self, timing: Measured, beams: _Beams, firsts: TopicClouds | None, placed: Placed) -> Result:
         scan = self._projected(placed, beams.project)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 from pc2scan.errors import MessageError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from pc2scan.core.counts import PointCounts
     from pc2scan.messages.outputs import OutputType
@@ -37,6 +37,7 @@ class Result:
     ``sample`` is for `FirstClouds`, while it wants any. ``level`` is the transform of its frame, if that is made level.
     ``rebinned`` is how beams of scans became other beams.
     ``used`` are the points that beams read, if they are kept.
+    ``removed`` is how many beams each of the filters of beams removed, and how many had ``returns`` before.
     """
 
     message: Any
@@ -47,6 +48,7 @@ class Result:
     level: LevelTransform | None = None
     rebinned: Rebinned | None = None
     used: UsedPoints | None = None
+    removed: Mapping[str, int] | None = None
 
 
 @dataclass(slots=True, eq=False)
@@ -61,6 +63,7 @@ class Converted:
     level: LevelTransform | None = None
     rebinned: Rebinned | None = None
     used: bytes | None = None
+    removed: Mapping[str, int] | None = None
 
     @property
     def size(self) -> int:
@@ -225,5 +228,13 @@ def _encoded(encode: Callable[[Any, str], bytes], target: str, result: Result) -
     data = encode(result.message, target)
     used = None if result.used is None else result.used.encode(target)
     return Converted(
-        data, result.counts, result.empty, result.motion, result.sample, result.level, result.rebinned, used
+        data,
+        result.counts,
+        result.empty,
+        result.motion,
+        result.sample,
+        result.level,
+        result.rebinned,
+        used,
+        result.removed,
     )

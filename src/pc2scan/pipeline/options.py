@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
     from pc2scan.core.unproject import UnprojectParams
 
+    from .stages.beams import BeamFilter
     from .stages.filters import Filter
 
     #: What a time may be given as; see `TimeBound.of`.
@@ -225,7 +226,7 @@ class ConvertOptions:
     scans
         The outputs; empty: only one, as the next attributes describe it.
     topics, origins, params, reverse, channels, deskew, fixed_frame, point_time, stamp, combining, filters,
-    keep_used, output_type
+    remove, keep_used, output_type
         See `ScanSpec`. They do not count where there are ``scans``.
     frames
         Where transforms come from.
@@ -272,6 +273,7 @@ class ConvertOptions:
     imu: str = ""
     combining: Combining = Combining()
     filters: tuple[Filter, ...] = ()
+    remove: tuple[BeamFilter, ...] = ()
     keep_used: str = ""
     output_type: str = ""
     frames: FrameOptions = FrameOptions()
@@ -352,6 +354,7 @@ class ConvertOptions:
                 imu=self.imu,
                 combining=self.combining,
                 filters=self.filters,
+                remove=self.remove,
                 keep_used=self.keep_used,
                 output_type=self.output_type,
             ),

@@ -148,6 +148,8 @@ class TopicReport:
         Of level scans: between the z axis of the target frame and up, radians.
     joined
         Of a topic whose messages become scans together with others: what became of them; None for all others.
+    removed_beams
+        Of scans whose beams are filtered: how many had ``returns`` before, and how many each filter removed; else empty.
     rebinned
         Of scans made of scans only: how their beams became other beams; None for all others.
     clouds_kept
@@ -173,6 +175,7 @@ class TopicReport:
     motions: list[tuple[float, float, float]] = field(default_factory=list)
     tilts: list[float] = field(default_factory=list)
     joined: SourceCounts | None = None
+    removed_beams: dict[str, int] = field(default_factory=dict)
     rebinned: Rebinned | None = None
     clouds_kept: bool = False
     lost: bool = False
@@ -211,6 +214,11 @@ class TopicReport:
         """Add the beams of one more scan."""
         known = self.rebinned or (0, 0, 0)
         self.rebinned = type(found)(*(one + other for one, other in zip(known, found, strict=True)))
+
+    def count_removed(self, found: Mapping[str, int]) -> None:
+        """Add the beams that were removed from one more scan."""
+        for name, count in found.items():
+            self.removed_beams[name] = self.removed_beams.get(name, 0) + count
 
     def skip(self, count: int) -> None:
         """Count messages of a topic that is left out; they are missing unless the user dropped the topic."""
@@ -399,6 +407,14 @@ class Report(Shown):
             self.notes.append(
                 f"{counts.unmatched} of {counts.messages} messages of {topic.topic} are in no scan on {scans}"
             )
+        if topic.removed_beams:
+            returns = topic.removed_beams["returns"]
+            for name, count in topic.removed_beams.items():
+                if name != "returns":
+                    share = count / returns if returns else 0.0
+                    self.notes.append(
+                        f"{scans}: {count:,} of {returns:,} beams were {name}, and are removed ({share:.2%})"
+                    )
         if beams := topic.rebinned:
             note = f"{scans}: of {beams.beams} beams {beams.shared} share one of the new scans with another"
             self.notes.append(f"{note}; {beams.between} of the new ones lie between two neighbours, without a return")

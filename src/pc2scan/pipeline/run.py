@@ -558,7 +558,15 @@ def _to_scans(
     judges = None if firsts is None else partial(firsts.of, spec)
     deskew, keeps_used = _deskew(spec, frames), bool(spec.keep_used)
     return CloudToScan(
-        spec.params, frames, timings, spec.filters, deskew, spec.made_type, judges, keeps_used=keeps_used
+        spec.params,
+        frames,
+        timings,
+        spec.filters,
+        deskew,
+        spec.made_type,
+        judges,
+        keeps_used=keeps_used,
+        remove=spec.remove,
     )
 
 

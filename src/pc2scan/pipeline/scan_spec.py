@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from pc2scan.core.unproject import UnprojectParams
     from pc2scan.messages.outputs import OutputType
 
+    from .stages.beams import BeamFilter
     from .stages.filters import Filter
 
 __all__ = ["ScanSpec", "TopicRequest"]
@@ -90,6 +91,9 @@ class ScanSpec:
         Which messages become one scan.
     filters
         What selects points of clouds before they are projected, in order.
+    remove
+        What removes beams of scans after the projection, in order: ``Shadows`` and ``Speckles`` of
+        `pc2scan.pipeline.stages.beams`.
     keep_used
         A topic for the points of clouds that the scan's beams read; empty: none.
     output_type
@@ -112,6 +116,7 @@ class ScanSpec:
     imu: str = ""
     combining: Combining = Combining()
     filters: tuple[Filter, ...] = ()
+    remove: tuple[BeamFilter, ...] = ()
     keep_used: str = ""
     output_type: str = ""
 
@@ -126,6 +131,8 @@ class ScanSpec:
     def _check_stages(self) -> None:
         if self.reverse and self.keep_used:
             raise UsageError("`keep_used` keeps points of clouds; `reverse` converts scans")
+        if self.reverse and self.remove:
+            raise UsageError("`remove` removes beams of scans that are made of clouds; `reverse` makes clouds")
         if self.reverse and self.filters:
             raise UsageError("filters select points of clouds; `reverse` converts scans")
         taken = PointCounts().as_dict()

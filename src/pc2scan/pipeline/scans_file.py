@@ -58,11 +58,15 @@ CHOICES: Mapping[str, Choice] = {
     "accumulate": Choice("time", "All points of the last seconds in each scan; or of the last clouds: 10clouds."),
     "every": Choice("time", "One scan for each so many seconds, instead of one for each cloud."),
     "rebin": Choice("flag", "Sources are LaserScans instead of clouds."),
+    "remove": Choice("texts", "Remove beams that are shadows or speckles: shadows, speckles filter_window=3."),
     "keep_used": Choice("text", "Topic for the points that the scan's beams read, with the beam's number."),
     "imu": Choice("text", "With level: the IMU that knows which way is up, as TOPIC or TOPIC:FRAME."),
 }
 
 _TOP = ("defaults", "scans")
+
+#: Attributes of `ScanSpec` that are taken over as they are.
+_OWN = ScanSpec.__dataclass_fields__.keys() - {"remove"}
 
 #: The keys of `Combining`.
 _COMBINING = ("lead", "window", "accumulate", "every", "rebin")
@@ -270,9 +274,18 @@ def _spec(
             params=resolved.params,
             combining=Combining.of(**{name: values[name] for name in _COMBINING if name in values}),
             filters=tuple(_filters(values, resolved.params.min_height)),
-            **{name: value for name, value in values.items() if name in ScanSpec.__dataclass_fields__},
+            remove=_beam_filters(values.get("remove", ())),
+            **{name: value for name, value in values.items() if name in _OWN},
         )
     return spec, (() if file is None else (file, *resolved.files)), resolved.ignored
+
+
+def _beam_filters(texts: Sequence[str]) -> tuple[Any, ...]:
+    if not texts:
+        return ()
+    from .stages.beams import beam_filter  # noqa: PLC0415  # only where something is removed
+
+    return tuple(map(beam_filter, texts))
 
 
 def _filters(values: Mapping[str, Any], min_height: float) -> Iterable[Any]:

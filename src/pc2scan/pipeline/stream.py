@@ -285,6 +285,8 @@ def _account(made: Converted, output: Output) -> None:
         output.report.motions.append(made.motion)
     if made.level is not None:
         output.report.tilts.append(made.level.tilt)
+    if made.removed is not None:
+        output.report.count_removed(made.removed)
     if made.rebinned is not None:
         output.report.count_rebinned(made.rebinned)
 

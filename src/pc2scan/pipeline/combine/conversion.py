@@ -163,6 +163,11 @@ class CombineToScan(Conversion):
         self._early = Select(early, frames) if early else None
         self._late = Select(late, frames) if late else None
         self._intensity = params.intensity_field or ("intensity" if spec.combining.rebin else "")
+        self._remove: Callable[[Result], Result] | None = None
+        if spec.remove:
+            from pc2scan.pipeline.stages.beams import Remove  # noqa: PLC0415  # few scans are filtered
+
+            self._remove = Remove(spec.remove, params.empty_range)
         self._kept = {"x", "y", "z", self._intensity, *(field for each in late for field in each.fields)}
         #: The smallest positive number: upstream's default is meant for clouds, and would reject every beam of a scan.
         self._any_height = params.min_height == _DEFAULTS.min_height
@@ -311,7 +316,8 @@ class CombineToScan(Conversion):
         largest = Motion(*map(max, zip(*motions, strict=True))) if motions else None
         shared = self._rebinned(beams) if len(beams) == len(members) else None
         level = None if lead.level is None else lead.level.at(lead.reference_ns)
-        return Result(message, scan.counts + rejected, empty, largest, lead.sample, level, shared)
+        result = Result(message, scan.counts + rejected, empty, largest, lead.sample, level, shared)
+        return result if self._remove is None else self._remove(result)
 
     def _placed(
         self, lead: Prepared, member: Prepared

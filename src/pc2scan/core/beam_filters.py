@@ -1,0 +1,169 @@
+"""Which beams of a scan to remove: shadows behind edges, and speckles.
+
+Source of the rules: ``ScanShadowsFilter`` (with ``ScanShadowDetector``) and ``LaserScanSpeckleFilter`` of laser_filters
+2.0, with their parameters by their names, in their float32. Two things differ: theirs end at the first and the last
+beam, here a full circle has no end; and theirs read past the scan's array, where nothing is done with what they read.
+
+Ranges without a return are inf or NaN here, whatever the scan has for them.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = ["shadows", "speckles_by_distance", "speckles_by_neighbors"]
+
+
+def shadows(
+    ranges: NDArray[np.float32],
+    increment: float,
+    *,
+    min_angle: float,
+    max_angle: float,
+    window: int,
+    neighbors: int,
+    remove_shadow_start_point: bool = False,
+    closed: bool = False,
+) -> NDArray[np.bool_]:
+    """Return which beams are shadows: returns between an edge and what is behind it, that are on neither.
+
+    Where the line from a return to another one at most ``window`` beams away is nearly parallel to the beam, the
+    farther ones of its ``neighbors`` on both sides are removed.
+
+    Parameters
+    ----------
+    ranges
+        (N,) metres.
+    increment
+        Radians from beam to beam.
+    min_angle, max_angle
+        Between the beam and that line, degrees: 0 to 90 and 90 to 180. Smaller than the one, or larger than the other,
+        is a shadow.
+    window, neighbors
+        Numbers of beams.
+    remove_shadow_start_point
+        Whether to remove the return itself, too.
+    closed
+        Whether the first beam follows the last one.
+    """
+    low, high = (np.float32(math.tan(math.radians(angle))) for angle in (min_angle, max_angle))
+    low, high = abs(low), -abs(high)
+    step = np.float32(increment)
+    included = np.float32(-window) * step
+    begins = np.zeros(ranges.size, np.bool_)
+    with np.errstate(all="ignore"):
+        for away in range(-window, window + 1):
+            angle, included = float(included), included + step
+            if away == 0:
+                continue
+            other, there = _shifted(ranges, away, closed)
+            across = other * np.float32(abs(math.sin(angle)))
+            along = ranges - other * np.float32(math.cos(angle))
+            tangent = across / along
+            begins |= there & (tangent < low) & (tangent > high)
+        removed = np.zeros(ranges.size, np.bool_)
+        for away in range(-neighbors, neighbors + 1):
+            # The beam that is removed, and the one that it is a neighbour of.
+            edge, there = _shifted(ranges, -away, closed)
+            begun, _ = _shifted(begins, -away, closed)
+            removed |= there & begun & (edge < ranges)
+    return removed | begins if remove_shadow_start_point else removed
+
+
+def speckles_by_distance(
+    ranges: NDArray[np.float32],
+    *,
+    max_range: float,
+    max_range_difference: float,
+    filter_window: int,
+    closed: bool = False,
+) -> NDArray[np.bool_]:
+    """Return which beams are speckles: in no run of ``filter_window`` beams whose ranges are like its first one's.
+
+    Parameters
+    ----------
+    ranges
+        (N,) metres.
+    max_range
+        Beyond it nothing is removed, metres.
+    max_range_difference
+        How much the ranges of a run may differ from its first one, metres.
+    filter_window
+        Beams of a run.
+    closed
+        Whether the first beam follows the last one.
+    """
+    with np.errstate(all="ignore"):
+        valid = ~np.isnan(ranges)
+        for away in range(1, filter_window):
+            other, there = _shifted(ranges, away, closed)
+            # Of two without a return the difference is NaN, which is not too large.
+            like = ~(np.abs(other - ranges).astype(np.float64) > max_range_difference)
+            valid &= there & ~np.isnan(other) & like
+        return _speckles(ranges, valid, max_range, filter_window, closed)
+
+
+def speckles_by_neighbors(
+    ranges: NDArray[np.float32],
+    increment: float,
+    *,
+    max_range: float,
+    max_range_difference: float,
+    filter_window: int,
+    closed: bool = False,
+) -> NDArray[np.bool_]:
+    """Return which beams are speckles: with fewer than ``filter_window`` returns near them, and behind no other one.
+
+    Returns count as near if they are at most ``filter_window`` beams and ``max_range_difference`` metres away. A beam
+    with enough of them keeps the next ``filter_window - 1`` as well.
+
+    Parameters
+    ----------
+    ranges, max_range, closed
+        As for `speckles_by_distance`.
+    increment
+        Radians from beam to beam.
+    """
+    near = np.zeros(ranges.size, np.int64)
+    step = np.float32(increment)
+    wide = ranges.astype(np.float64)
+    with np.errstate(all="ignore"):
+        for away in range(-filter_window, filter_window + 1):
+            if away == 0:
+                continue
+            other, there = _shifted(ranges, away, closed)
+            cosine = np.float32(math.cos(float(np.float32(away) * step)))
+            product = np.float32(2) * ranges * other * cosine
+            squares = wide * wide + other.astype(np.float64) * other.astype(np.float64) - product
+            distance = np.sqrt(squares).astype(np.float32)
+            near += there & (distance.astype(np.float64) <= max_range_difference)
+        valid = near >= filter_window
+        if not closed:
+            # Theirs looks at no beam from here on.
+            valid[max(0, ranges.size - filter_window + 1) :] = False
+        return _speckles(ranges, valid, max_range, filter_window, closed)
+
+
+def _speckles(
+    ranges: NDArray[np.float32], valid: NDArray[np.bool_], max_range: float, filter_window: int, closed: bool
+) -> NDArray[np.bool_]:
+    """Beams in no run that is valid, but for those beyond ``max_range``."""
+    kept = ranges.astype(np.float64) > max_range
+    for away in range(filter_window):
+        begun, there = _shifted(valid, -away, closed)
+        kept |= there & begun
+    removed: NDArray[np.bool_] = ~kept
+    return removed
+
+
+def _shifted(values: NDArray, away: int, closed: bool) -> tuple[NDArray, NDArray[np.bool_]]:  # type: ignore[type-arg]
+    """The value that is so many beams after each one, and whether there is one."""
+    places = np.arange(values.size) + away
+    there = np.ones(values.size, np.bool_) if closed else (places >= 0) & (places < values.size)
+    return values[places % values.size], there

@@ -1,0 +1,204 @@
+"""Removing beams of scans, after the projection: shadows and speckles, by the rules of laser_filters."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from pc2scan.core.beam_filters import shadows, speckles_by_distance, speckles_by_neighbors
+from pc2scan.core.layout import TURN
+from pc2scan.errors import UsageError
+from pc2scan.names import did_you_mean
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from pc2scan.pipeline.conversion import Result
+
+__all__ = ["BeamFilter", "Remove", "Shadows", "Speckles", "beam_filter"]
+
+_TRUE = {"true": True, "false": False}
+
+
+@dataclass(frozen=True, slots=True)
+class Shadows:
+    """``ScanShadowsFilter``: returns between an edge and what is behind it, that are on neither.
+
+    Parameters
+    ----------
+    min_angle, max_angle, window, neighbors, remove_shadow_start_point
+        As in laser_filters, with the values of its example; see `pc2scan.core.beam_filters.shadows`.
+    """
+
+    min_angle: float = 10.0
+    max_angle: float = 170.0
+    window: int = 1
+    neighbors: int = 20
+    remove_shadow_start_point: bool = False
+
+    name: ClassVar[str] = "shadows"
+
+    def __post_init__(self) -> None:
+        _check(0 <= self.min_angle <= 90, "min_angle", self.min_angle, "0 to 90 degrees")
+        _check(90 <= self.max_angle <= 180, "max_angle", self.max_angle, "90 to 180 degrees")
+        _check(1 <= self.window <= 1000, "window", self.window, "1 to 1000 beams")
+        _check(0 <= self.neighbors <= 1000, "neighbors", self.neighbors, "0 to 1000 beams")
+
+    def __call__(self, ranges: NDArray[np.float32], increment: float, *, closed: bool) -> NDArray[np.bool_]:
+        """Return which beams to remove."""
+        return shadows(ranges, increment, closed=closed, **dataclasses.asdict(self))
+
+
+@dataclass(frozen=True, slots=True)
+class Speckles:
+    """``LaserScanSpeckleFilter``: returns with too few others near them.
+
+    Parameters
+    ----------
+    filter_type
+        ``Distance`` compares ranges of consecutive beams, ``RadiusOutlier`` counts returns that are near.
+    max_range, max_range_difference, filter_window
+        As in laser_filters, with the values of its example; see `pc2scan.core.beam_filters`.
+    """
+
+    filter_type: str = "Distance"
+    max_range: float = 2.0
+    max_range_difference: float = 0.1
+    filter_window: int = 2
+
+    name: ClassVar[str] = "speckles"
+
+    def __post_init__(self) -> None:
+        types = {"0": "Distance", "1": "RadiusOutlier"}
+        object.__setattr__(self, "filter_type", types.get(self.filter_type, self.filter_type))
+        known = self.filter_type in types.values()
+        _check(known, "filter_type", self.filter_type, "Distance (0) or RadiusOutlier (1)")
+        _check(self.max_range >= 0, "max_range", self.max_range, "0 m or more")
+        _check(self.max_range_difference >= 0, "max_range_difference", self.max_range_difference, "0 m or more")
+        _check(1 <= self.filter_window <= 1000, "filter_window", self.filter_window, "1 to 1000 beams")
+
+    def __call__(self, ranges: NDArray[np.float32], increment: float, *, closed: bool) -> NDArray[np.bool_]:
+        """Return which beams to remove."""
+        limits = self.max_range, self.max_range_difference, self.filter_window
+        most, difference, window = limits
+        if self.filter_type == "Distance":
+            return speckles_by_distance(
+                ranges, max_range=most, max_range_difference=difference, filter_window=window, closed=closed
+            )
+        return speckles_by_neighbors(
+            ranges, increment, max_range=most, max_range_difference=difference, filter_window=window, closed=closed
+        )
+
+
+BeamFilter = Shadows | Speckles
+
+_FILTERS: dict[str, type[Shadows | Speckles]] = {kind.name: kind for kind in (Shadows, Speckles)}
+
+
+def _check(holds: bool, name: str, value: object, allowed: str) -> None:  # it is what is checked
+    if not holds:
+        raise UsageError(f"`remove`: {name} is {value}, it must be {allowed}")
+
+
+def beam_filter(text: str) -> BeamFilter:
+    """Read ``shadows`` or ``speckles``, and its parameters: ``shadows min_angle=5 window=2``.
+
+    Raises
+    ------
+    UsageError
+        If it is neither, or a parameter is wrong.
+    """
+    name, *settings = text.split() or [""]
+    if name not in _FILTERS:
+        raise UsageError(
+            f"`remove` is {text!r}, it must begin with one of {', '.join(_FILTERS)}",
+            hint=did_you_mean(name, _FILTERS) or None,
+        )
+    kind = _FILTERS[name]
+    defaults = {each.name: each.default for each in fields(kind)}
+    given: dict[str, object] = {}
+    for setting in settings:
+        key, _, value = setting.partition("=")
+        if key not in defaults:
+            raise UsageError(
+                f"`remove`: {name} has no parameter {key!r}, only {', '.join(defaults)}",
+                hint=did_you_mean(key, defaults) or None,
+            )
+        given[key] = _read(name, key, value, defaults[key])
+    return kind(**given)  # type: ignore[arg-type]  # of the types of the defaults
+
+
+def _read(name: str, key: str, value: str, default: object) -> object:
+    """A value of the default's type."""
+    try:
+        if isinstance(default, bool):
+            return _TRUE[value.lower()]
+        if isinstance(default, int):
+            return int(value)
+        if isinstance(default, float):
+            number = float(value)
+            if math.isnan(number):
+                raise ValueError(value)
+            return number
+    except (KeyError, ValueError):
+        kind = "true or false" if isinstance(default, bool) else "a number"
+        raise UsageError(f"`remove`: {key} of {name} is {value!r}, it must be {kind}") from None
+    return value
+
+
+class Remove:
+    """Removes beams of scans: they have no return then. Equal filters make equal ones.
+
+    Parameters
+    ----------
+    filters
+        In their order; each sees what those before it have left.
+    empty_range
+        What a beam without a return reads, metres.
+    """
+
+    __slots__ = ("_empty", "_filters")
+
+    def __init__(self, filters: Sequence[BeamFilter], empty_range: float) -> None:
+        self._filters = tuple(filters)
+        self._empty = np.float32(empty_range)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Remove):
+            return NotImplemented
+        return self._filters == other._filters and self._empty.tobytes() == other._empty.tobytes()
+
+    def __hash__(self) -> int:
+        return hash(self._filters)
+
+    def __call__(self, result: Result) -> Result:
+        """Remove beams of a scan."""
+        scan = result.message
+        seen = np.array(scan.ranges)
+        # Some scans read a number where there is no return; no filter is to take it for one.
+        seen[seen == self._empty] = np.inf
+        returns = np.isfinite(seen)
+        counts = {"returns": int(np.count_nonzero(returns))}
+        closed = abs(seen.size * float(scan.angle_increment) - TURN) < abs(float(scan.angle_increment)) / 2
+        for chosen in self._filters:
+            gone = chosen(seen, float(scan.angle_increment), closed=closed) & np.isfinite(seen)
+            counts[chosen.name] = counts.get(chosen.name, 0) + int(np.count_nonzero(gone))
+            seen[gone] = np.inf
+        removed = returns & ~np.isfinite(seen)
+        if removed.any():
+            ranges = np.where(removed, self._empty, scan.ranges)
+            lit = np.where(removed, np.float32(0), scan.intensities) if len(scan.intensities) else scan.intensities
+            result.message = dataclasses.replace(scan, ranges=ranges, intensities=lit)
+            result.empty = not np.isfinite(seen).any()
+            if result.used is not None:
+                kept = ~removed[result.used.beams]
+                result.used = dataclasses.replace(
+                    result.used, numbers=result.used.numbers[kept], beams=result.used.beams[kept]
+                )
+        result.removed = counts
+        return result

@@ -1,0 +1,166 @@
+"""Filters of beams, held to scalar transcriptions of laser_filters' rules."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pc2scan.core.beam_filters import shadows, speckles_by_distance, speckles_by_neighbors
+
+F = np.float32
+
+
+def shadow_filter(
+    ranges: Any, increment: float, low: float, high: float, window: int, neighbors: int, start: bool
+) -> Any:
+    """``ScanShadowsFilter::update``: which ranges become NaN."""
+    least, most = F(math.tan(math.radians(low))), F(math.tan(math.radians(high)))
+    least, most = abs(least), -abs(most)
+    step = F(increment)
+    angle, sines, cosines = F(-window) * step, {}, {}
+    for y in range(-window, window + 1):
+        sines[y], cosines[y] = F(abs(math.sin(float(angle)))), F(math.cos(float(angle)))
+        angle = angle + step
+    removed = np.zeros(len(ranges), bool)
+    for i in range(len(ranges)):
+        for y in range(max(-i, -window), min(len(ranges) - i, window + 1)):
+            if y == 0:
+                continue
+            r1, r2 = ranges[i], ranges[i + y]
+            tangent = (r2 * sines[y]) / (r1 - r2 * cosines[y])
+            if tangent < least and tangent > most:
+                for index in range(max(i - neighbors, 0), min(i + neighbors, len(ranges) - 1) + 1):
+                    if ranges[i] < ranges[index]:
+                        removed[index] = True
+                if start:
+                    removed[i] = True
+                break
+    return removed
+
+
+def speckle_filter(ranges: Any, increment: float, kind: str, max_range: float, difference: float, window: int) -> Any:
+    """``LaserScanSpeckleFilter::update``: which ranges become NaN."""
+    count = len(ranges)
+
+    def by_distance(index: int) -> bool:
+        if np.isnan(ranges[index]):
+            return False
+        for away in range(1, window):
+            if index + away < count:
+                other = ranges[index + away]
+                if np.isnan(other) or float(abs(other - ranges[index])) > difference:
+                    return False
+        return True
+
+    def by_neighbors(index: int) -> bool:
+        found = 0
+        r1 = ranges[index]
+        for y in range(-window, window + 1):
+            place = index + y
+            if place < 0 or place >= count or y == 0 or np.isnan(ranges[place]):
+                continue
+            r2 = ranges[place]
+            product = F(2) * r1 * r2 * F(math.cos(float(F(y) * F(increment))))
+            square = float(r1) ** 2 + float(r2) ** 2 - float(product)
+            # A negative square has a NaN for a root.
+            if square >= 0 and float(F(math.sqrt(square))) <= difference:
+                found += 1
+        return found >= window
+
+    check = by_distance if kind == "Distance" else by_neighbors
+    valid = np.zeros(count, bool)
+    for index in range(count - window + 1):
+        good = check(index)
+        for place in range(index, index + window):
+            valid[place] |= good or float(ranges[place]) > max_range
+    return ~valid
+
+
+def scans() -> list[Any]:
+    random = np.random.default_rng(8)
+    found = []
+    for count in (5, 90, 360):
+        steps = np.where(random.random(count) < 0.1, random.normal(0, 2, count), random.normal(0, 0.05, count))
+        ranges = np.abs(2 + np.cumsum(steps)).astype(F)
+        ranges[random.random(count) < 0.1] = np.inf
+        ranges[random.random(count) < 0.05] = np.nan
+        ranges[random.random(count) < 0.05] += F(0.4)
+        found.append(ranges)
+    return [*found, np.full(20, np.inf, F), np.full(20, 1.0, F)]
+
+
+@pytest.mark.parametrize("start", [False, True])
+@pytest.mark.parametrize(
+    ("low", "high", "window", "neighbors"),
+    [(10, 170, 1, 20), (5, 175, 2, 3), (0, 180, 3, 5), (90, 90, 1, 0), (30, 140, 8, 40)],
+)
+def test_shadows_are_those_of_laser_filters(low: float, high: float, window: int, neighbors: int, start: bool) -> None:
+    total = 0
+    for ranges in scans():
+        increment = 2 * math.pi / 720
+        with np.errstate(all="ignore"):
+            expected = shadow_filter(ranges, increment, low, high, window, neighbors, start)
+        found = shadows(
+            ranges, increment, min_angle=low, max_angle=high, window=window, neighbors=neighbors,
+            remove_shadow_start_point=start,
+        )  # fmt: skip
+        np.testing.assert_array_equal(found, expected)
+        total += int(found.sum())
+    assert total > 10 or (low, high) == (0, 180) or neighbors == 0
+
+
+@pytest.mark.parametrize("kind", ["Distance", "RadiusOutlier"])
+@pytest.mark.parametrize(
+    ("most", "difference", "window"), [(2.0, 0.1, 2), (100.0, 0.05, 3), (3.0, 0.3, 1), (5.0, 0.2, 5)]
+)
+def test_speckles_are_those_of_laser_filters(kind: str, most: float, difference: float, window: int) -> None:
+    removed = 0
+    for ranges in scans():
+        with np.errstate(all="ignore"):
+            expected = speckle_filter(ranges, 0.01, kind, most, difference, window)
+        limits: dict[str, Any] = {"max_range": most, "max_range_difference": difference, "filter_window": window}
+        if kind == "Distance":
+            found = speckles_by_distance(ranges, **limits)
+        else:
+            found = speckles_by_neighbors(ranges, 0.01, **limits)
+        np.testing.assert_array_equal(found, expected)
+        removed += int(found.sum())
+    assert removed > 10
+
+
+def test_a_full_circle_has_no_end() -> None:
+    """Whatever beam comes first, the same beams are removed."""
+    ranges = scans()[2]
+    step = 2 * math.pi / ranges.size
+    limits: dict[str, Any] = {"max_range": 9.0, "max_range_difference": 0.1, "filter_window": 3}
+    filters = [
+        lambda r: shadows(r, step, min_angle=10, max_angle=170, window=2, neighbors=7, closed=True),
+        lambda r: speckles_by_distance(r, closed=True, **limits),
+        lambda r: speckles_by_neighbors(r, step, closed=True, **limits),
+    ]
+    for chosen in filters:
+        found = chosen(ranges)
+        assert found.any()
+        for turn in (1, 100, 359):
+            np.testing.assert_array_equal(chosen(np.roll(ranges, turn)), np.roll(found, turn))
+
+
+def test_points_between_an_edge_and_the_wall_behind_it_are_shadows() -> None:
+    ranges = np.full(200, 5.0, F)
+    ranges[80:120] = 2.0
+    ranges[[78, 79, 120, 121]] = [4.0, 3.0, 3.0, 4.0]
+    found = shadows(ranges, 0.005, min_angle=10, max_angle=170, window=1, neighbors=2)
+    assert found[[79, 120]].all()
+    assert not found[82:118].any()
+    assert not found[:70].any()
+
+
+def test_a_single_near_return_is_a_speckle_and_a_far_one_is_not() -> None:
+    ranges = np.full(100, 1.5, F)
+    ranges[40], ranges[70] = 0.8, 3.0
+    limits: dict[str, Any] = {"max_range": 2.0, "max_range_difference": 0.1, "filter_window": 2}
+    assert np.flatnonzero(speckles_by_distance(ranges, **limits)).tolist() == [40]
+    assert np.flatnonzero(speckles_by_neighbors(ranges, 0.01, **limits)).tolist() == [40]

@@ -1,0 +1,80 @@
+"""Beams that are removed: what they read then, and how it is asked for."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pc2scan.core.counts import PointCounts
+from pc2scan.errors import UsageError
+from pc2scan.messages.laserscan import LaserScan
+from pc2scan.pipeline.conversion import Result
+from pc2scan.pipeline.stages.beams import Remove, Shadows, Speckles, beam_filter
+
+
+def result(ranges: list[float], intensities: list[float] | None = None, increment: float = 0.01) -> Result:
+    lit = np.array(intensities or [], np.float32)
+    values = np.array(ranges, np.float32)
+    last = increment * (len(ranges) - 1)
+    scan = LaserScan(0, 5, "lidar", 0.0, last, increment, 0.0, 0.1, 0.0, 9.0, values, lit)
+    return Result(scan, PointCounts(), False)
+
+
+@pytest.mark.parametrize("empty", [np.inf, np.nan, 10.0, 0.0])
+def test_a_removed_beam_has_no_return(empty: float) -> None:
+    made = Remove([Speckles()], empty)(result([1.0, 1.0, 0.5, 1.0, 1.0, empty], [1, 2, 3, 4, 5, 0]))
+    np.testing.assert_array_equal(made.message.ranges, np.array([1, 1, empty, 1, 1, empty], np.float32))
+    np.testing.assert_array_equal(made.message.intensities, [1, 2, 0, 4, 5, 0])
+    assert made.removed == {"returns": 5, "speckles": 1}
+    assert not made.empty
+
+
+def test_a_scan_whose_every_beam_is_removed_is_empty() -> None:
+    made = Remove([Speckles(max_range=9.0)], np.inf)(result([1.0, 2.0, 4.0]))
+    assert made.removed == {"returns": 3, "speckles": 3}
+    assert made.empty
+
+
+def test_filters_follow_each_other() -> None:
+    ranges = [1.0, 1.0, 1.0, 3.0, 5.0, 5.0, 5.0, 5.0]
+    one = Remove([Shadows(neighbors=1), Speckles(max_range=9.0)], np.inf)(result(ranges))
+    assert one.removed is not None
+    assert one.removed["shadows"] >= 1
+    assert one.removed["returns"] == 8
+    assert Remove([Shadows()], 1.0) == Remove([Shadows()], 1.0) != Remove([Speckles()], 1.0)
+
+
+def test_the_last_beam_of_a_full_circle_is_beside_the_first() -> None:
+    increment = 2 * np.pi / 100
+    ranges = [1.0] * 99 + [1.05]
+    ranges[0] = 1.04
+    circle = Remove([Speckles(max_range_difference=0.02)], np.inf)
+    assert circle(result(ranges, increment=increment)).removed == {"returns": 100, "speckles": 0}
+    assert circle(result(ranges, increment=increment / 2)).removed == {"returns": 100, "speckles": 2}
+
+
+def test_filters_are_written_with_their_parameters() -> None:
+    assert beam_filter("shadows") == Shadows()
+    text = "shadows min_angle=5 max_angle=175 window=2 neighbors=3 remove_shadow_start_point=true"
+    assert beam_filter(text) == Shadows(5.0, 175.0, 2, 3, True)
+    assert beam_filter("speckles filter_type=1 max_range=4") == Speckles("RadiusOutlier", 4.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "must begin with one of shadows, speckles"),
+        ("speckle", "`remove` is 'speckle'"),
+        ("shadows min_angel=3", "shadows has no parameter 'min_angel'"),
+        ("shadows min_angle=91", "min_angle is 91.0, it must be 0 to 90 degrees"),
+        ("shadows window=1.5", "window of shadows is '1.5', it must be a number"),
+        ("shadows remove_shadow_start_point=2", "must be true or false"),
+        ("speckles filter_type=Median", "must be Distance (0) or RadiusOutlier (1)"),
+        ("speckles filter_window=0", "filter_window is 0"),
+        ("speckles max_range=nan", "max_range of speckles is 'nan'"),
+    ],
+)
+def test_what_cannot_be_is_an_error(text: str, said: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        beam_filter(text)
+    assert said in caught.value.message
