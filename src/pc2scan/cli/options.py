@@ -344,8 +344,9 @@ class PointsGroup(Group):
         typer.Option(
             "--remove",
             metavar="BEAMS",
-            help="Remove beams by the rules of laser_filters: shadows (between an edge and what is behind it), speckles. "
-            "With its parameters: 'shadows min_angle=5 neighbors=10', 'speckles filter_window=3'. Repeatable.",
+            help="Remove beams by the rules of laser_filters: shadows (between an edge and what is behind it) or "
+            "speckles. With its parameters: 'shadows min_angle=5 neighbors=10', 'speckles filter_window=3'. "
+            "Repeatable.",
             rich_help_panel=_POINTS,
         ),
     ]

@@ -149,7 +149,7 @@ class TopicReport:
     joined
         Of a topic whose messages become scans together with others: what became of them; None for all others.
     removed_beams
-        Of scans whose beams are filtered: how many had ``returns`` before, and how many each filter removed; else empty.
+        Of scans whose beams are filtered: how many had ``returns`` before, and how many each filter removed.
     rebinned
         Of scans made of scans only: how their beams became other beams; None for all others.
     clouds_kept
@@ -217,8 +217,8 @@ class TopicReport:
 
     def count_removed(self, found: Mapping[str, int]) -> None:
         """Add the beams that were removed from one more scan."""
-        for name, count in found.items():
-            self.removed_beams[name] = self.removed_beams.get(name, 0) + count
+        for name, number in found.items():
+            self.removed_beams[name] = self.removed_beams.get(name, 0) + number
 
     def skip(self, count: int) -> None:
         """Count messages of a topic that is left out; they are missing unless the user dropped the topic."""
@@ -409,12 +409,9 @@ class Report(Shown):
             )
         if topic.removed_beams:
             returns = topic.removed_beams["returns"]
-            for name, count in topic.removed_beams.items():
+            for name, number in topic.removed_beams.items():
                 if name != "returns":
-                    share = count / returns if returns else 0.0
-                    self.notes.append(
-                        f"{scans}: {count:,} of {returns:,} beams were {name}, and are removed ({share:.2%})"
-                    )
+                    self.notes.append(f"{scans}: {number:,} of {returns:,} beams were {name}, and are removed")
         if beams := topic.rebinned:
             note = f"{scans}: of {beams.beams} beams {beams.shared} share one of the new scans with another"
             self.notes.append(f"{note}; {beams.between} of the new ones lie between two neighbours, without a return")
