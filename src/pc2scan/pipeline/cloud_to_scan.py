@@ -119,7 +119,7 @@ class CloudToScan(Conversion):
         self._keeps_used = keeps_used
         self._remove: tuple[Step, ...] = ()
         if remove:
-            from .stages.beams import Remove  # noqa: PLC0415  # few scans are filtered
+            from .remove import Remove  # noqa: PLC0415  # few scans are filtered
 
             self._remove = (Remove(remove, params.empty_range),)
         self._beams = _Beams(params) if params.beams != "auto" else None

@@ -9,7 +9,8 @@ from pc2scan.core.counts import PointCounts
 from pc2scan.errors import UsageError
 from pc2scan.messages.laserscan import LaserScan
 from pc2scan.pipeline.conversion import Result
-from pc2scan.pipeline.stages.beams import Remove, Shadows, Speckles, beam_filter
+from pc2scan.pipeline.remove import Remove
+from pc2scan.pipeline.stages.beams import Shadows, Speckles, beam_filter
 
 
 def result(ranges: list[float], intensities: list[float] | None = None, increment: float = 0.01) -> Result:

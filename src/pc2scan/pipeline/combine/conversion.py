@@ -165,7 +165,7 @@ class CombineToScan(Conversion):
         self._intensity = params.intensity_field or ("intensity" if spec.combining.rebin else "")
         self._remove: Callable[[Result], Result] | None = None
         if spec.remove:
-            from pc2scan.pipeline.stages.beams import Remove  # noqa: PLC0415  # few scans are filtered
+            from pc2scan.pipeline.remove import Remove  # noqa: PLC0415  # few scans are filtered
 
             self._remove = Remove(spec.remove, params.empty_range)
         self._kept = {"x", "y", "z", self._intensity, *(field for each in late for field in each.fields)}
