@@ -536,7 +536,8 @@ class _Drawn:
                 f"{_scans_are(self.tilted)} tilted by more than 5 deg against {self.asked.odom_frame}; "
                 "the map is a view from above"
             )
-        if self.beams_at_once:
+        # The last scan of a recording mostly ends behind the last transform.
+        if self.beams_at_once > max(1, 0.01 * self.scans.total()):
             further.append(
                 f"{_scans_are(self.beams_at_once)} placed at the stamp only: "
                 "there is no transform at the time of the last beam"

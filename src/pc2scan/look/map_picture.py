@@ -54,6 +54,12 @@ def picture_of(occupancy: Occupancy, way: NDArray[np.float64]) -> bytes:
     colours = np.array([_UNKNOWN_COLOUR, _FREE_COLOUR, _OCCUPIED_COLOUR], np.uint8)
     numbers = np.where(cells == OCCUPIED, 2, np.where(cells == FREE, 1, 0))[::-1]
     picture = np.full((height + 2 * _MARGIN + _FOOT, max(width, 200) + 2 * _MARGIN, 3), _UNKNOWN_COLOUR, np.uint8)
+    if enlarged == 1:
+        # One pixel alone is hardly seen.
+        occupied = numbers == 2
+        for there, here in ((np.s_[1:], np.s_[:-1]), (np.s_[:, 1:], np.s_[:, :-1])):
+            occupied[there] |= occupied[here].copy()
+        numbers[occupied] = 2
     large = numbers.repeat(enlarged, axis=0).repeat(enlarged, axis=1)
     picture[_MARGIN : _MARGIN + height, _MARGIN : _MARGIN + width] = colours[large]
     picture[height + 2 * _MARGIN :] = 255
