@@ -236,6 +236,7 @@ def test_a_silent_lidar_is_reported(tmp_path: Path) -> None:
         (("--every", "-1"), "it must be more than 0"),
         (("--accumulate", "1", "--time-increment", "auto"), "a scan of several messages is of one time"),
         ((*two_topics(), "--target-frame", "base_link", "--lead", "/points"), "no topic /points"),
+        (("--accumulate", "1", "--keep-used", "/used"), "--keep-used keeps points of single clouds"),
         (("--rebin", "--reverse"), "make scans; --reverse makes clouds"),
         (("--rebin", "--topic", "/front"), "topic /front is sensor_msgs/msg/PointCloud2"),
         (("--fixed-frame", "odom"), "--fixed-frame goes with --deskew or --level of clouds, --accumulate, and topics"),
@@ -301,3 +302,6 @@ def test_a_dry_run_says_what_becomes_of_the_topics(tmp_path: Path) -> None:
     lines = [line.split() for line in done.stdout.splitlines()]
     assert ["/front", "/scan", "5", "5", "-", "converted"] in lines
     assert ["/rear", "/scan", "4", "4", "-", "joined"] in lines
+    done = run("convert", source, "-n", "--topic", "/front", *MOVED, "--every", "0.7", "--min-height", "0.1")
+    (line,) = [line for line in done.stdout.splitlines() if line.startswith("/front")]
+    assert line.split()[2:4] in (["5", "2"], ["5", "3"])

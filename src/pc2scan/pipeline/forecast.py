@@ -81,6 +81,7 @@ def forecast(
     report.conclude()
     counts = reader.counts([route.connection for route in routes.values()], start_ns, stop_ns)
     _fill_in(routes, counts, report)
+    sizes |= _gathered(reader, routes, sizes, start_ns, stop_ns)
     others = [key for key in routes if key not in sizes]
     sizes |= _other_sizes(reader, [routes[key].connection for key in others])
     report.bytes_written = _written(reader, target, routes, counts, sizes)
@@ -187,6 +188,30 @@ def _fill_in(routes: Mapping[int, OpenRoute], counts: Mapping[int, int], report:
             entry.messages_out += count if route.writes else 0
     if uncounted:
         report.notes.append(f"no index counts the messages on {', '.join(sorted(set(uncounted)))}")
+
+
+def _gathered(
+    reader: Reader,
+    routes: Mapping[int, OpenRoute],
+    sizes: Mapping[int, _Size],
+    start_ns: int | None,
+    stop_ns: int | None,
+) -> dict[int, _Size]:
+    """Where there is one scan for each interval, correct the number of scans, and the mean size that comes of it."""
+    first_ns, last_ns = reader.summary.start_ns, reader.summary.end_ns
+    found: dict[int, _Size] = {}
+    if first_ns is None or last_ns is None:
+        return found
+    seconds_ns = min(last_ns, stop_ns or last_ns) - max(first_ns, start_ns or first_ns)
+    for key, route in routes.items():
+        for output in route.outputs:
+            spec, entry = output.report.spec, output.report
+            if output.joint is None or output.handle < 0 or spec is None or not spec.combining.every_ns:
+                continue
+            scans = min(entry.messages_out, seconds_ns // spec.combining.every_ns + 1)
+            found[key] = sizes[key]._replace(made=sizes[key].made * scans / max(1, entry.messages_in))
+            entry.messages_out = scans
+    return found
 
 
 def _written(

@@ -200,6 +200,12 @@ class ScanSpec:
             )
         if asked.window_ns is not None and asked.accumulates:
             raise UsageError("`window` does not count with `accumulate` and `every`, which take all messages of a time")
+        if self.may_combine and self.keep_used:
+            raise UsageError(
+                "`keep_used` keeps points of single clouds; `accumulate`, `every`, `rebin` and topics that share a "
+                "target make scans of several messages",
+                hint="leave `keep_used` out, or make a scan of each topic for it, with `scans`",
+            )
         if self.may_combine and self.params.time_increment != 0:
             raise UsageError(
                 f"time_increment is {self.params.time_increment}, but a scan of several messages is of one time",

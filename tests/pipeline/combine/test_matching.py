@@ -174,6 +174,36 @@ def test_the_order_of_log_times_between_topics_makes_no_difference(seed: int, ki
     assert seen(1) == seen(90) == seen(400)
 
 
+@settings(deadline=None, max_examples=200)
+@given(
+    st.lists(
+        st.tuples(st.integers(0, 2), st.integers(-(2**62), 2**62) | st.integers(0, 50), st.integers(0, 5_000)),
+        max_size=60,
+    ),
+    st.sampled_from(["nearest", "recent", "few", "intervals"]),
+)
+def test_whatever_the_stamps_are_every_message_is_accounted_for(drawn: list[Message], kind: str) -> None:
+    made: dict[str, Any] = {
+        "nearest": lambda: Nearest([0, 5, 2**61]),
+        "recent": lambda: Recent(3, 10),
+        "few": lambda: Recent(3, count=2),
+        "intervals": lambda: Intervals(3, 7, 3, 20),
+    }
+    grouper: Grouper[Message] = made[kind]()
+    found = groups_of(grouper, [(source, stamp, log * MS) for source, stamp, log in drawn])
+    leads = [each for each in drawn if each[0] == 0]
+    assert len(found) <= len(leads)
+    assert all(at[0] == 0 for at, _ in found)
+    if kind == "nearest":
+        assert len(found) == len(leads)
+        members = [m for _, group in found for m in group if m[0]]
+        assert len(members) == sum(counts.used for counts in grouper.counts[1:])
+    for source, counts in enumerate(grouper.counts):
+        assert counts.messages == sum(m[0] == source for m in drawn)
+        assert counts.used + counts.unmatched == counts.messages
+    assert grouper._bytes == 0  # nothing is held in the end
+
+
 def test_memory_has_a_limit_that_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(matching, "MAX_HELD_BYTES", 2_000)
     grouper: Recent[Message] = Recent(1, 10_000 * MS)
