@@ -95,6 +95,16 @@ def test_parts_are_one_recording_and_drives_are_not(folder: Path, tmp_path: Path
     }
 
 
+def test_parts_that_are_named_are_one_recording(folder: Path, tmp_path: Path) -> None:
+    names = []
+    for number, part in enumerate(CONTENT.halves()):
+        names.append(str(write_mcap(folder / f"part_{number}.mcap", part)))
+        write_mcap(folder / "robot1" / f"part_{number}.mcap", part)
+    assert [len(each.paths) for each in find(names, tmp_path / "out")] == [2]
+    assert [len(each.paths) for each in find([f"{folder}/**/*.mcap"], tmp_path / "out")] == [2, 2]
+    assert [len(each.paths) for each in find(names[1:], tmp_path / "out")] == [1]
+
+
 def test_nothing_is_found_twice(folder: Path, tmp_path: Path) -> None:
     bag = write_rosbag1(folder / "a.bag", CONTENT)
     (folder / "robot1" / "link.bag").symlink_to(bag)

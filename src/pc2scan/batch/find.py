@@ -113,8 +113,14 @@ def find(sources: Sequence[str], out: Path, *, known: Known | None = None, outpu
     search = _Search(_id(out), known or (lambda _path, _identity: ""), frozenset(map(_absolute, outputs)))
     found: list[Found] = []
     for places in _gathered(sources, out):
+        named: dict[Path, list[Found]] = {}
         for place in places:
-            found += _in_place(place, search)
+            if place.named:
+                named.setdefault(place.path.parent, []).extend(_in_place(place, search))
+            else:
+                found += _in_place(place, search)
+        for files in named.values():
+            found += _joined(files, search)
     return sorted(_distinct(found), key=lambda each: _natural(each.key))
 
 

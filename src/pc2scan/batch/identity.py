@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from pc2scan.files.source import opened_bytes
+from pc2scan.files.source import file_beside, opened_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -52,7 +52,7 @@ def identity_of(paths: Iterable[Path]) -> Identity:
     for path in paths:
         try:
             # Not Path: a thousand recordings are asked for.
-            found += _in_folder(path) if os.path.isdir(path) else [_file(path.name, os.stat(path))]  # noqa: PTH112, PTH116
+            found += _in_folder(path) if os.path.isdir(path) else _alone(path)  # noqa: PTH112
         except OSError:
             continue
     return Identity(tuple(found))
@@ -62,13 +62,23 @@ def _file(name: str, status: os.stat_result) -> tuple[str, int, int]:
     return name, status.st_size, status.st_mtime_ns
 
 
+def _alone(path: Path) -> list[tuple[str, int, int]]:
+    """A file, and the logs beside a database: a recorder that still runs may write only to these."""
+    found = [_file(path.name, os.stat(path))]  # noqa: PTH116
+    if path.suffix.lower() == ".db3":
+        logs = filter(None, (file_beside(path, suffix) for suffix in ("-wal", "-journal")))
+        found += [_file(log.name, log.stat()) for log in logs if log.stat().st_size]
+    return found
+
+
 def _in_folder(folder: Path) -> list[tuple[str, int, int]]:
     """The files in a folder and in those below it; of very many (one for each cloud) what all are together."""
     found = []
     for place, folders, names in os.walk(folder):
         folders.sort()
         below = os.path.relpath(place, folder)
-        for name in sorted(names):
+        # Whoever reads a database makes an index of its log.
+        for name in sorted(name for name in names if not name.endswith("-shm")):
             # A link may lead nowhere.
             with suppress(OSError):
                 found.append(_file(os.path.normpath(os.path.join(below, name)), os.stat(os.path.join(place, name))))  # noqa: PTH116, PTH118
