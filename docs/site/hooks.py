@@ -60,6 +60,8 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, **_: objec
             return f"]({config.repo_url}/blob/main/{path})"
         return f"]({link}{'#' if anchor else ''}{anchor})"
 
+    # Pictures of the README, which have a width.
+    markdown = markdown.replace('src="docs/', 'src="')
     return re.sub(r"\]\(([^)\s]+)\)", target, markdown)
 
 
@@ -80,7 +82,8 @@ def _help(*words: str) -> str:
 
 def functions() -> str:
     """Return a page with the docstring of every public name."""
-    names = [name for name in pc2scan.__all__ if not name.startswith("_") and name != "errors"]
+    # Functions first: their names are in lower case.
+    names = sorted((name for name in pc2scan.__all__ if name != "errors"), key=lambda name: (name[0].isupper(), name))
     parts = ["# Python\n", "[Python](../python.md) is the introduction; these are the docstrings.\n"]
     for name in names:
         thing = getattr(pc2scan, name)
