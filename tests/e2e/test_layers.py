@@ -67,7 +67,7 @@ ALLOWED = {
     # `bags.damage`: results have its data classes. `files.staging`: what is complete when a command is interrupted.
     "cli": {
         *("batch", "pipeline", "inspect", "compare", "golden", "export", "look", "core", "tf"),
-        *("bags.damage", "files.staging"),
+        *("bags.damage", "files.staging", "files.junit"),
     },
     "pytest_plugin": {"api", "cli", "golden"},
 }

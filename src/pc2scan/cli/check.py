@@ -11,7 +11,7 @@ from pc2scan.text_enum import TextEnum
 
 from . import completion
 from .damage import show_damage
-from .options import Json, TfSources
+from .options import Json, JUnitGroup, TfSources
 from .render import message, print_json, warn
 
 __all__ = ["check"]
@@ -75,6 +75,7 @@ def check(
     ] = "",
     *,
     transforms: TfSources,
+    junit: JUnitGroup,
     as_json: Json = False,
 ) -> None:
     """Check whether SLAM and navigation accept a recording's scans.
@@ -88,24 +89,28 @@ def check(
     """
     from pc2scan.inspect.check import check as look
 
+    from .junit_cases import of_check
     from .progress import progress_bar
 
-    with progress_bar(enabled=not as_json) as progress:
-        result = look(
-            sources,
-            consumers=[consumer.value for consumer in consumers],
-            topics=topics,
-            odom_frame=odom_frame,
-            base_frame=base_frame,
-            frames=transforms.options(),
-            progress=progress,
-        )
-    if as_json:
-        print_json(result.as_dict())
-    else:
-        for line in result.lines():
-            typer.echo(message(line))
-        for warning in result.warnings:
-            warn(warning)
-    show_damage(result.damage)
+    frames = transforms.options()
+    with junit.writing("check", [*sources, *frames.tf_from]) as write_junit:
+        with progress_bar(enabled=not as_json) as progress:
+            result = look(
+                sources,
+                consumers=[consumer.value for consumer in consumers],
+                topics=topics,
+                odom_frame=odom_frame,
+                base_frame=base_frame,
+                frames=frames,
+                progress=progress,
+            )
+        if as_json:
+            print_json(result.as_dict())
+        else:
+            for line in result.lines():
+                typer.echo(message(line))
+            for warning in result.warnings:
+                warn(warning)
+        show_damage(result.damage)
+        write_junit(of_check(result))
     raise typer.Exit(result.exit_status)

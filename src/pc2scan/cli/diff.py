@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from . import completion
-from .options import Json
+from .options import Json, JUnitGroup
 from .render import message, print_json
 
 __all__ = ["diff"]
@@ -102,6 +102,7 @@ def diff(
             help="Also write an HTML page that shows the scans with most differing beams on top of each other.",
         ),
     ] = None,
+    junit: JUnitGroup,
     as_json: Json = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing; only set the exit status.")] = False,
 ) -> None:
@@ -129,10 +130,14 @@ def diff(
         from pc2scan.tf.reading import recorded_transforms
 
         compared = partial(compared, transforms_of=recorded_transforms, clouds=clouds)
+    from .junit_cases import of_diff
     from .progress import progress_bar
 
-    with progress_bar(enabled=not (as_json or quiet)) as progress:
-        result = compared(progress=progress)
+    inputs = [path for path in (a, b, clouds) if path is not None]
+    with junit.writing("diff", inputs) as write_junit:
+        with progress_bar(enabled=not (as_json or quiet)) as progress:
+            result = compared(progress=progress)
+        write_junit(of_diff(result))
     if view is not None:
         from pc2scan.look.compared import compared_view
 

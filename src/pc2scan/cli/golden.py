@@ -7,9 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pc2scan.errors import UsageError
-
-from .options import Json
+from .options import Json, JUnitGroup
 from .render import message, print_json, printable
 
 if TYPE_CHECKING:
@@ -31,12 +29,7 @@ def golden(
         bool,
         typer.Option("--update", help="Write the expected output of cases that differ or have none; review the diff."),
     ] = False,
-    junit: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write the results as JUnit XML, for CI systems.")
-    ] = None,
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace the file of --junit, whatever its content.")
-    ] = False,
+    junit: JUnitGroup,
     as_json: Json = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Do not show cases that passed.")] = False,
 ) -> None:
@@ -49,24 +42,24 @@ def golden(
     Exit status: 0 all as expected, 1 some differ, 2 some could not be checked.
     """
     from pc2scan.golden.case import case_folders
-    from pc2scan.golden.check import check_case
-    from pc2scan.golden.junit import junit_file
+    from pc2scan.golden.check import check_case, refuse_output_over_cases
     from pc2scan.golden.result import GoldenReport
 
     from .in_process import run_command
+    from .junit_cases import of_golden
 
-    if overwrite and junit is None:
-        raise UsageError("--overwrite has no effect without --junit", hint="--update replaces expected outputs")
     report = GoldenReport(str(folder))
     cases = case_folders(folder, pattern)
-    with junit_file(junit, [case for _, case in cases], overwrite=overwrite) as write_junit:
+    if junit.junit is not None:
+        refuse_output_over_cases(junit.junit, "--junit", [case for _, case in cases])
+    with junit.writing("golden") as write_junit:
         for name, case in cases:
             result = check_case(name, case, run_command, update=update)
             report.cases.append(result)
             if not as_json:
                 _show(result, quiet=quiet)
         _conclude(report, as_json=as_json)
-        write_junit(report)
+        write_junit(of_golden(report))
     raise typer.Exit(report.exit_status)
 
 

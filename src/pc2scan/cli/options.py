@@ -23,9 +23,12 @@ from .render import warn
 from .spelling import as_typed
 
 if TYPE_CHECKING:
+    from contextlib import AbstractContextManager
+
     from typing_extensions import Self
 
     from pc2scan.core.unproject import UnprojectParams
+    from pc2scan.files.junit import JUnitCase
     from pc2scan.pipeline.combine.asked import Combining
     from pc2scan.pipeline.options import ConvertOptions
     from pc2scan.pipeline.run import OutputOptions
@@ -414,6 +417,27 @@ class PointsGroup(Group):
 
         slope = self.min_height_slope
         return filters_from(self.where, self.exclude_box, self.exclude_polygon, slope, min_height, self.ground)
+
+
+class JUnitGroup(Group):
+    """Options about JUnit XML."""
+
+    junit: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the results as JUnit XML, for CI systems.")
+    ] = None
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace the file of --junit, whatever its content.")
+    ] = False
+
+    def writing(
+        self, command: str, inputs: Iterable[Path] = ()
+    ) -> "AbstractContextManager[Callable[[Iterable[JUnitCase]], None]]":
+        """Check that the file can be written; the context is the function that writes it."""
+        if self.overwrite and self.junit is None:
+            raise UsageError("--overwrite has no effect without --junit")
+        from pc2scan.files.junit import junit_file
+
+        return junit_file(self.junit, command, inputs, overwrite=self.overwrite, option="--junit")
 
 
 class TfSources(Group):

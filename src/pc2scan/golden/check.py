@@ -57,15 +57,15 @@ class Command(Protocol):
         """
 
 
-def refuse_output_over_cases(output: OutputPath, folders: Sequence[Path]) -> None:
-    """Raise a `DestinationError` if an output is a file that a case reads, or its expected output."""
+def refuse_output_over_cases(output: Path, option: str, folders: Sequence[Path]) -> None:
+    """Raise a `DestinationError` if the output of an option is a file that a case reads, or its expected output."""
     files = []
     for folder in folders:
         # Errors of a case are reported when it is checked.
         with suppress(Pc2ScanError):
             case = load_case(folder)
             files += [*case.read_files(), InputPath(case.new_expected(), "file of a case")]
-    refuse_overlap(files, [output])
+    refuse_overlap(files, [OutputPath(output, option)])
 
 
 def check_case(name: str, folder: Path, command: Command, *, update: bool = False) -> CaseResult:

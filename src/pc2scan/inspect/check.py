@@ -179,12 +179,16 @@ class Check(Shown):
         Beams that are shifted, by up to one increment, count only where consumers were asked for: no scan satisfies
         slam_toolbox and gmapping at once, unless it is a full circle.
         """
+        return all(self.takes(topic, consumer) for topic in self.topics for consumer in self.counting)
+
+    def takes(self, topic: TopicCheck, consumer: str) -> bool:
+        """Whether a consumer takes every scan of a topic; see `accepted`."""
         taken = ("accepted",) if self.asked else ("accepted", "shifted")
-        return all(
-            {c.consumer: c.outcome for c in topic.consumers}.get(consumer) in taken
-            for topic in self.topics
-            for consumer in self.counting
-        )
+        return {each.consumer: each.outcome for each in topic.consumers}.get(consumer) in taken
+
+    def counts(self, finding: Finding) -> bool:
+        """Whether a finding makes the scans no good: a defect; with consumers asked for, only if it is `unusable`."""
+        return finding.level == "defect" and (not self.asked or finding.kind in _UNUSABLE)
 
     @property
     def unusable(self) -> bool:

@@ -1,0 +1,52 @@
+"""What golden, check and diff have found, as the test cases of JUnit XML."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pc2scan.files.junit import JUnitCase
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from pc2scan.compare.result import Difference
+    from pc2scan.files.junit import Outcome
+    from pc2scan.golden.result import GoldenReport
+    from pc2scan.inspect.check import Check
+
+__all__ = ["of_check", "of_diff", "of_golden"]
+
+
+#: Updated cases pass.
+_OUTCOMES: dict[str, Outcome] = {"passed": "passed", "updated": "passed", "failed": "failure", "error": "error"}
+
+
+def of_golden(report: GoldenReport) -> Iterator[JUnitCase]:
+    """Yield a test case for each golden case."""
+    for case in report.cases:
+        yield JUnitCase(case.name, _OUTCOMES[case.outcome.value], case.lines, case.seconds)
+
+
+def of_diff(difference: Difference) -> Iterator[JUnitCase]:
+    """Yield a test case for each topic that was compared."""
+    from pc2scan.compare.summary import summary
+
+    for topic in difference.topics:
+        yield JUnitCase(topic.name, "passed" if topic.same else "failure", tuple(summary([topic], 0)))
+
+
+def of_check(check: Check) -> Iterator[JUnitCase]:
+    """Yield a test case for each topic and consumer that counts, and one for the defects of each topic."""
+    for topic in check.topics:
+        found = {consumer.consumer: consumer for consumer in topic.consumers}
+        for name in check.counting:
+            taken = check.takes(topic, name)
+            said = found[name].lines(topic.scans) if name in found else ["there are no scans"]
+            lines = [" ".join(line.split()) for line in said]
+            yield JUnitCase(f"{topic.topic} for {name}", "passed" if taken else "failure", () if taken else lines)
+        defects = [finding for finding in topic.findings if check.counts(finding)]
+        lines = [line for finding in defects for line in (finding.text, finding.hint) if line]
+        yield JUnitCase(f"{topic.topic}: defects", "failure" if defects else "passed", lines)
+    if check.damage:
+        places = [str(place) for place in check.damage]
+        yield JUnitCase("the recording is sound", "passed" if check.asked else "failure", places)
