@@ -273,7 +273,16 @@ def test_packages_of_public_names_are_called() -> None:
         tree.lookup("map", "none")
     report = pc2scan.golden(CASES, "default")
     assert {case.outcome for case in report.cases} == {"passed"}
-    assert inspect.signature(pc2scan.golden).parameters.keys() == {"folder", "pattern", "update"}
+    assert inspect.signature(pc2scan.golden).parameters.keys() == {
+        "folder",
+        "pattern",
+        "update",
+        "init",
+        "start",
+        "end",
+        "topics",
+        "params_file",
+    }
     assert "Read the frames" in (pc2scan.tf.__doc__ or "")
 
 

@@ -890,7 +890,17 @@ def tf(
 
 
 @known_keywords(synonyms={**_SYNONYMS, "k": "pattern", "dir": "folder"})
-def golden(folder: PathText, pattern: str = "", *, update: bool = False) -> GoldenReport:
+def golden(
+    folder: PathText,
+    pattern: str = "",
+    *,
+    update: bool = False,
+    init: PathText | None = None,
+    start: Time | None = None,
+    end: Time | None = None,
+    topics: str | Iterable[str] = (),
+    params_file: PathText | None = None,
+) -> GoldenReport:
     """Check conversions against what they are expected to make, as ``pc2scan golden`` does.
 
     Parameters
@@ -901,6 +911,10 @@ def golden(folder: PathText, pattern: str = "", *, update: bool = False) -> Gold
         Only cases with this in their name; may be a glob.
     update
         Whether to write the expected output of cases that differ or have none.
+    init
+        Make a new case of this recording first: ``folder``, which must not exist.
+    start, end, topics, params_file
+        With ``init``: the cut of the recording, its topics of clouds and scans (default: all), and the parameter file.
 
     Returns
     -------
@@ -922,6 +936,14 @@ def golden(folder: PathText, pattern: str = "", *, update: bool = False) -> Gold
     from .golden.result import GoldenReport  # noqa: PLC0415
 
     path = path_of("folder", folder)
+    if init is not None:
+        from .golden.init import make_case  # noqa: PLC0415
+
+        params = None if params_file is None else path_of("params_file", params_file)
+        source, chosen = path_of("init", init), names_in("topics", topics)
+        make_case(path, source, run_command, start=start, end=end, topics=chosen, params=params)
+    elif start is not None or end is not None or topics or params_file is not None:
+        raise UsageError("`start`, `end`, `topics` and `params_file` are for a new case: init=SRC")
     report = GoldenReport(str(path))
     for name, case in case_folders(path, pattern):
         report.cases.append(check_case(name, case, run_command, update=update))

@@ -52,7 +52,7 @@ ALLOWED = {
     "pipeline": {"core", "tf", "messages", "bags", "files"},
     "inspect": {"core", "tf", "messages", "bags"},
     "compare": {"messages", "bags", "core", "files"},
-    "golden": {"compare", "bags", "files"},
+    "golden": {"pipeline", "compare", "messages", "bags", "files"},
     "streams": {"pipeline", "core", "tf", "messages", "bags"},
     "export": {"streams", "pipeline", "core", "tf", "messages", "bags", "files"},
     "look": {"streams", "pipeline", "inspect", "compare", "core", "tf", "messages", "bags", "files"},

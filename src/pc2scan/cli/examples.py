@@ -56,6 +56,7 @@ EXAMPLES: dict[str, tuple[tuple[str, str], ...]] = {
     ),
     "golden": (
         ("pc2scan golden golden/", "do conversions still make what they once made?"),
+        ("pc2scan golden golden/turn --init drive.bag --start 12 --end 14", "make a case of two seconds of a drive"),
         ("pc2scan golden golden/ -k drive --update", "make what they make now the expected output"),
     ),
 }

@@ -7,13 +7,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from pc2scan.errors import UsageError
+
+from . import completion
 from .options import Json, JUnitGroup
-from .render import message, print_json, printable
+from .render import message, print_json, printable, warn
 
 if TYPE_CHECKING:
     from pc2scan.golden.result import CaseResult, GoldenReport
 
 __all__ = ["golden"]
+
+_INIT = "A new case"
 
 
 def golden(
@@ -29,6 +34,32 @@ def golden(
         bool,
         typer.Option("--update", help="Write the expected output of cases that differ or have none; review the diff."),
     ] = False,
+    init: Annotated[
+        Path | None,
+        typer.Option("--init", metavar="SRC", help="Make a new case, DIR, of this recording.", rich_help_panel=_INIT),
+    ] = None,
+    start: Annotated[
+        str | None,
+        typer.Option(metavar="TIME", help="With --init: where the input begins, as in convert.", rich_help_panel=_INIT),
+    ] = None,
+    end: Annotated[
+        str | None, typer.Option(metavar="TIME", help="With --init: where it ends.", rich_help_panel=_INIT)
+    ] = None,
+    topics: Annotated[
+        list[str],
+        typer.Option(
+            "--topic",
+            "-t",
+            metavar="TOPIC",
+            help="With --init: a topic of clouds or scans to keep, or a glob. Repeatable. Default: all.",
+            autocompletion=completion.topics("/PointCloud2", "/LaserScan"),
+            rich_help_panel=_INIT,
+        ),
+    ] = [],  # noqa: B006 - typer reads the default and never hands it out
+    params_file: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="With --init: the case's parameter file.", rich_help_panel=_INIT),
+    ] = None,
     junit: JUnitGroup,
     as_json: Json = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Do not show cases that passed.")] = False,
@@ -41,6 +72,13 @@ def golden(
 
     Exit status: 0 all as expected, 1 some differ, 2 some could not be checked.
     """
+    if init is not None:
+        if update or pattern or junit.junit is not None or as_json:
+            raise UsageError("--init makes one case, and goes with none of -k, --update, --junit and --json")
+        _init(folder, init, start, end, topics, params_file, quiet=quiet)
+        return
+    if start or end or topics or params_file is not None:
+        raise UsageError("--start, --end, --topic and --params-file go with --init", hint="a case has its own")
     from pc2scan.golden.case import case_folders
     from pc2scan.golden.check import check_case, refuse_output_over_cases
     from pc2scan.golden.result import GoldenReport
@@ -61,6 +99,35 @@ def golden(
         _conclude(report, as_json=as_json)
         write_junit(of_golden(report))
     raise typer.Exit(report.exit_status)
+
+
+def _init(
+    folder: Path,
+    source: Path,
+    start: str | None,
+    end: str | None,
+    topics: list[str],
+    params: Path | None,
+    *,
+    quiet: bool,
+) -> None:
+    """Make a case, and say what it has."""
+    from pc2scan.golden.init import make_case
+
+    from .in_process import run_command
+    from .progress import progress_bar
+
+    with progress_bar(enabled=not quiet) as progress:
+        made = make_case(
+            folder, source, run_command, start=start, end=end, topics=topics, params=params, progress=progress
+        )
+    for warning in made.warnings:
+        warn(warning)
+    if quiet:
+        return
+    for name, size in made.files:
+        typer.echo(printable(f"{made.folder / name}  {size:,} bytes"))
+    typer.echo(message(f"next: look at {made.folder}/expected.txt, commit the folder, and: pc2scan golden {folder}"))
 
 
 def _conclude(report: GoldenReport, *, as_json: bool) -> None:

@@ -1,4 +1,4 @@
-"""The differences between two recordings: text, JSON, JUnit XML and the exit status are made from it."""
+"""The differences between two recordings: text, JSON and the exit status are made from it."""
 
 from __future__ import annotations
 

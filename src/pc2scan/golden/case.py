@@ -14,7 +14,7 @@ from pc2scan.files.nearby import missing_hint
 from pc2scan.files.overlap import InputPath
 from pc2scan.files.source import opened_text
 from pc2scan.files.yaml import MAX_CHARACTERS, load_yaml
-from pc2scan.names import did_you_mean
+from pc2scan.names import did_you_mean, nearest
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -145,6 +145,7 @@ def load_case(folder: Path) -> Case:
 
 
 def _case_of(folder: Path, settings: dict[str, Any]) -> Case:
+    _refuse_misnamed(folder)
     return Case(
         folder=folder,
         inputs=_inputs(folder, settings.get("input")),
@@ -155,6 +156,15 @@ def _case_of(folder: Path, settings: dict[str, Any]) -> Case:
         all_topics=_setting(folder, settings, "all_topics", bool, False),
         rules=_rules(folder, settings),
     )
+
+
+def _refuse_misnamed(folder: Path) -> None:
+    """Raise if a file's name is nearly one that would be read: without its ``param.yaml``, a case has the defaults."""
+    known = (SETTINGS, _PARAMS, *_INPUTS, *_EXPECTED)
+    for name in sorted(entry.name for entry in folder.iterdir()):
+        near = nearest(name, known) if name not in known else None
+        if near and not (folder / near).exists():
+            raise UsageError(f"{name} is not read", path=folder, hint=f"did you mean {near}?")
 
 
 def _error(folder: Path, message: str, hint: str | None = None) -> UsageError:

@@ -1,0 +1,123 @@
+"""Makes a golden case of a few seconds of a drive: the input is cut out, and the output becomes the expected one."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, NamedTuple
+
+from pc2scan.bags.opening import open_recordings
+from pc2scan.bags.topics import find_topics
+from pc2scan.errors import DestinationError, OutputError, ResultError
+from pc2scan.files.staging import made_folder, staged
+from pc2scan.messages.clouds import CLOUDS
+from pc2scan.messages.laserscan import LASERSCAN
+from pc2scan.pipeline.options import ConvertOptions
+from pc2scan.pipeline.run import OutputOptions, run
+
+from .check import check_case
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+    from pc2scan.bags.reader import Reader
+    from pc2scan.pipeline.options import Time
+
+    from .check import Command
+
+__all__ = ["NewCase", "make_case"]
+
+#: What conversions read beside clouds and scans.
+_ALSO_READ = {"tf2_msgs/msg/TFMessage", "tf/msg/tfMessage", "sensor_msgs/msg/Imu"}
+
+#: Larger inputs belong into Git LFS, if anywhere.
+_LARGE_BYTES = 10_000_000
+
+
+class NewCase(NamedTuple):
+    """A case that was made: its folder, its files with their sizes, and warnings."""
+
+    folder: Path
+    files: tuple[tuple[str, int], ...]
+    warnings: tuple[str, ...]
+
+
+def make_case(
+    folder: Path,
+    source: Path,
+    command: Command,
+    *,
+    start: Time | None = None,
+    end: Time | None = None,
+    topics: Sequence[str] = (),
+    params: Path | None = None,
+    progress: Callable[[int, int, int], None] | None = None,
+) -> NewCase:
+    """Make a case.
+
+    Parameters
+    ----------
+    folder
+        The case; it must not exist. The folder above it is made, if it does not exist.
+    source
+        The recording. Its clouds, scans, transforms and IMUs are kept, byte for byte.
+    command
+        Runs ``pc2scan``.
+    start, end
+        The cut, by log time.
+    topics
+        Clouds and scans to keep, as names or globs; empty for all.
+    params
+        The parameter file, which is copied.
+
+    Raises
+    ------
+    Pc2ScanError
+        If the recording cannot be read, the case cannot be written, or its conversion does not end with 0.
+    """
+    if os.path.lexists(folder):
+        raise DestinationError("exists already", path=folder, hint="name a folder that does not exist: the new case")
+    with ExitStack() as stack:
+        if folder.parent != folder and not os.path.lexists(folder.parent):
+            stack.enter_context(made_folder(folder.parent))
+        partial = stack.enter_context(staged(folder, overwrite=False))
+        partial.mkdir()
+        (reader,) = open_recordings([source], stack)
+        kept = _kept(reader, topics)
+        name = "input.bag" if any(each.ros_version == 1 for each in reader.connections) else "input.mcap"
+        options = ConvertOptions.of(repair=True, start=start, end=end, keep=kept)
+        report = run([source], partial / name, options, OutputOptions(), progress=progress)
+        if params is not None:
+            _copy(params, partial / "params.yaml")
+        result = check_case(folder.name, partial, command, update=True)
+        if result.outcome != "updated":
+            raise ResultError(
+                "; ".join(result.lines) or "its conversion makes nothing to compare",
+                path=folder,
+                hint="a case's conversion ends with 0: cut out a part with transforms for each cloud (`start`, `end`)",
+            )
+        files = tuple((file.name, file.stat().st_size) for file in sorted(partial.iterdir()))
+    warnings = [*report.warnings, *(str(place) for place in report.damage)]
+    if dict(files)[name] > _LARGE_BYTES:
+        warnings.append(f"{name} has {dict(files)[name] / 1e6:.0f} MB: cut out less (`start`, `end`), or use Git LFS")
+    return NewCase(folder, files, tuple(warnings))
+
+
+def _kept(reader: Reader, topics: Sequence[str]) -> list[str]:
+    """The topics of a recording that a case needs."""
+    types: dict[str, set[str]] = {}
+    for connection in reader.connections:
+        types.setdefault(connection.topic, set()).add(connection.ros_type)
+    kinds = (*CLOUDS, LASERSCAN)
+    candidates = sorted(topic for topic, names in types.items() if names & {*kinds})
+    chosen = {name for asked in topics for name in find_topics(asked, types, candidates, *kinds)} or {*candidates}
+    return sorted(chosen | {topic for topic, names in types.items() if names & _ALSO_READ})
+
+
+def _copy(source: Path, target: Path) -> None:
+    try:
+        shutil.copyfile(source, target)
+    except OSError as err:
+        raise OutputError(f"cannot be copied: {err.strerror}", path=source) from err
