@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import pytest
 
+import pc2scan
 from e2e.command import run
 from moving_world import BEGIN_NS, Drive, Lidar, off_the_walls, returns_in_odom, write_world
 from pc2scan.bags.opening import open_recording
@@ -305,3 +306,41 @@ def test_a_dry_run_says_what_becomes_of_the_topics(tmp_path: Path) -> None:
     done = run("convert", source, "-n", "--topic", "/front", *MOVED, "--every", "0.7", "--min-height", "0.1")
     (line,) = [line for line in done.stdout.splitlines() if line.startswith("/front")]
     assert line.split()[2:4] in (["5", "2"], ["5", "3"])
+
+
+def test_python_takes_the_same_words(tmp_path: Path) -> None:
+    source = write_world(tmp_path / "w.mcap", [FRONT, REAR], seconds=0.8)
+    typed = converted(source, *two_topics(), *MOVED, "--lead", "/rear", "--window", "60ms", "--min-height", "0.1")
+    report = pc2scan.convert(
+        source,
+        tmp_path / "python.mcap",
+        topics=["/front:=/scan", "/rear:=/scan"],
+        target_frame="base_link",
+        fixed_frame="odom",
+        lead="/rear",
+        window=0.06,
+        min_height=0.1,
+    )
+    assert (tmp_path / "python.mcap").read_bytes() == (tmp_path / "out.mcap").read_bytes()
+    (front,) = [topic for topic in report.topics if topic.topic == "/front"]
+    assert front.joined is not None
+    assert front.joined.as_dict() == typed.topic("/front")["joined"]
+
+
+def test_a_file_of_several_outputs_may_put_sources_together(tmp_path: Path) -> None:
+    source = write_world(tmp_path / "w.mcap", [FRONT, REAR], seconds=0.8)
+    scans = {
+        "/both": {
+            "sources": ["/front", "/rear"], "target_frame": "base_link", "fixed_frame": "odom", "min_height": 0.1,
+        },
+        "/front_scan": {"sources": "/front", "min_height": 0.1},
+        "/dense": {"sources": "/rear", "min_height": 0.1, "accumulate": "3clouds", "fixed_frame": "odom"},
+    }  # fmt: skip
+    (tmp_path / "scans.json").write_text(json.dumps({"scans": scans}))
+    done = converted(source, "--scans", str(tmp_path / "scans.json"))
+    out = {(topic["topic"], topic["target"]): topic["messages_out"] for topic in done.report["topics"]}
+    assert out["/front", "/both"] == out["/front", "/front_scan"] == 8
+    assert out["/rear", "/both"] == out["/rear", "/dense"] == 7
+    alone = converted(source, *two_topics(), *MOVED, "--min-height", "0.1")
+    both = [scan for scan in done.scans if scan.frame_id == "base_link"]
+    assert [scan.ranges.tobytes() for scan in both] == [scan.ranges.tobytes() for scan in alone.scans]

@@ -206,7 +206,15 @@ def test_whatever_the_stamps_are_every_message_is_accounted_for(drawn: list[Mess
 
 def test_memory_has_a_limit_that_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(matching, "MAX_HELD_BYTES", 2_000)
-    grouper: Recent[Message] = Recent(1, 10_000 * MS)
-    with pytest.raises(UsageError, match="points of 21 messages") as caught:
-        groups_of(grouper, [(0, t * MS, t * MS) for t in range(100)])
-    assert "accumulate" in str(caught.value.hint)
+    packets = [(0, t * MS, t * MS) for t in range(100)]
+    for grouper in (Recent[Message](1, 10_000 * MS), Intervals[Message](1, 50 * MS, 0, 50 * MS)):
+        with pytest.raises(UsageError, match="points of 21 messages") as caught:
+            groups_of(grouper, packets)
+        assert "accumulate" in str(caught.value.hint)
+
+
+def test_a_silent_topic_makes_no_scan_wait_beyond_that_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(matching, "MAX_HELD_BYTES", 2_000)
+    lead = [(0, t * MS, t * MS) for t in range(100)]
+    found = groups_of(Nearest[Message]([0, MS]), [*lead, (1, 0, 0)])
+    assert [at for at, _ in found] == lead

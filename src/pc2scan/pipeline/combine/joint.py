@@ -6,6 +6,7 @@ then. So the destination is as sorted as it is without such scans.
 
 from __future__ import annotations
 
+from contextlib import closing
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
@@ -105,7 +106,7 @@ class Joint:
 
 
 def with_scans(
-    outcomes: Iterable[Outcome],
+    outcomes: Generator[Outcome],
     arrivals: Callable[[Outcome], tuple[int, int, Iterable[Arrived]]],
     joints: Iterable[Joint],
     threads: Threads | None,
@@ -129,9 +130,11 @@ def with_scans(
         Each scan follows the outcome with which it is complete.
     """
     if threads is None:
-        yield from (work() for work, _, _ in _work(outcomes, arrivals, joints))
+        with closing(outcomes):
+            yield from (work() for work, _, _ in _work(outcomes, arrivals, joints))
         return
-    queue: InOrder[Any] = InOrder(threads, _AHEAD_BYTES, threads.jobs + 1)
+    # A scan may hold very many points: only one of such waits.
+    queue: InOrder[Any] = InOrder(threads, _AHEAD_BYTES, 1)
     try:
         for work, size, is_scan in _work(outcomes, arrivals, joints):
             while len(queue) and (queue.is_ready() or not queue.has_room(size)):
@@ -141,6 +144,8 @@ def with_scans(
             yield queue.take()
     finally:
         queue.cancel()
+        # What is loaded ahead is given up, too.
+        outcomes.close()
 
 
 def _work(

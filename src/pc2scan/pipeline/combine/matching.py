@@ -19,8 +19,8 @@ __all__ = ["MAX_HELD_BYTES", "Entry", "Group", "Grouper", "Intervals", "Nearest"
 
 Item = TypeVar("Item")
 
-#: Points that may wait for their scans.
-MAX_HELD_BYTES = 192 << 20
+#: Points that may wait for their scans; a scan that is being made may hold as many again.
+MAX_HELD_BYTES = 96 << 20
 
 #: Nanoseconds of log time that a scan waits for messages of a silent topic, and that in windows, if these are longer.
 _PATIENCE_NS = 1_000_000_000
@@ -148,11 +148,8 @@ class Grouper(ABC, Generic[Item]):
             self._lead(entry)
         groups = self._closed(log_time_ns)
         self._forget(log_time_ns)
-        while self._bytes > MAX_HELD_BYTES and self._waiting:
-            groups.append(self._close(self._waiting.pop(0)))
-            self._forget(log_time_ns)
         if self._bytes > MAX_HELD_BYTES:
-            self._too_much(stamp_ns)
+            groups += self._relieved(stamp_ns, log_time_ns)
         return groups
 
     def finish(self) -> list[Group[Item]]:
@@ -221,12 +218,13 @@ class Grouper(ABC, Generic[Item]):
                 self.counts[source].unmatched += 1
         del held[:count]
 
-    def _too_much(self, stamp_ns: int) -> None:
+    def _relieved(self, stamp_ns: int, log_time_ns: int) -> list[Group[Item]]:  # noqa: ARG002  # others need it
+        """Hold less; return the groups that are closed for it."""
         held = sum(map(len, self._held))
         raise UsageError(
             f"the points of {held} messages up to the stamp {stamp_text(stamp_ns)} are held for one scan, which takes "
             f"more than {MAX_HELD_BYTES >> 20} MiB",
-            hint="give `accumulate` less time, or select points with `min_height`, `max_height`, `where` and such",
+            hint="give `accumulate` or `every` less time, or select points with `where`, `exclude_box` and such",
         )
 
 
@@ -297,9 +295,16 @@ class Nearest(Grouper[Item]):
             over_ns = entry.stamp_ns + 1
         return over_ns
 
-    def _too_much(self, stamp_ns: int) -> None:  # noqa: ARG002  # there is no leading message to wait for
-        for source, held in enumerate(self._held):
-            self._drop(source, len(held))
+    def _relieved(self, stamp_ns: int, log_time_ns: int) -> list[Group[Item]]:  # noqa: ARG002  # only errors have it
+        groups = []
+        while self._bytes > MAX_HELD_BYTES and self._waiting:
+            # No scan is made of less than it has by now; what a late topic would add is unmatched.
+            groups.append(self._close(self._waiting.pop(0)))
+            self._forget(log_time_ns)
+        if self._bytes > MAX_HELD_BYTES:
+            for source, held in enumerate(self._held):
+                self._drop(source, len(held))
+        return groups
 
 
 class Recent(Grouper[Item]):
