@@ -259,9 +259,11 @@ def _largest(points: _Points, tolerance: NDArray[np.float64]) -> NDArray[np.bool
         return None
     normals = normals[good] / lengths[good, None]
     offsets = (normals * corners[0][good]).sum(axis=1)
-    distances = points.astype(np.float32) @ normals.T.astype(np.float32) - offsets.astype(np.float32)
-    near = np.abs(distances) < tolerance.astype(np.float32)[:, None]
-    return np.asarray(near[:, int(near.sum(axis=0).argmax())])
+    # A row for each plane, in place: in new arrays, a column for each, it takes ten times as long.
+    distances = normals.astype(np.float32) @ points.T.astype(np.float32)
+    distances -= offsets.astype(np.float32)[:, None]
+    near = np.abs(distances, out=distances) < tolerance.astype(np.float32)
+    return np.asarray(near[int(np.count_nonzero(near, axis=1).argmax())])
 
 
 def _triplets(count: int) -> NDArray[np.intp]:
