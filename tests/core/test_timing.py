@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pc2scan.core.layout import TURN, centered_layout
-from pc2scan.core.timing import Sweep, beam_times, fit_sweep, median_interval_ns, point_times
+from pc2scan.core.timing import Sweep, azimuth_times, beam_times, fit_sweep, median_interval_ns, point_times
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -152,3 +152,51 @@ def test_half_a_turn_in_a_whole_scan() -> None:
 def test_times_that_are_all_but_equal_are_no_turn() -> None:
     times = np.repeat([0.0, 5e-324], 100)
     assert fit_sweep(np.linspace(-3, 3, times.size), times) is None
+
+
+def turning(layout: str, *, clockwise: bool, offsets: float = 0.03, share: float = 1.0) -> tuple[Any, Any, Any]:
+    """x, y and the times of points of 8 lasers, of 600 columns: one turn in 0.1 s."""
+    columns = np.arange(600) / 600 * share
+    aside = np.linspace(-offsets, offsets, 8)
+    azimuth = (0.7 + (-1 if clockwise else 1) * columns * 2 * math.pi)[np.newaxis] + aside[:, np.newaxis]
+    times = np.broadcast_to(columns * 0.1, azimuth.shape)
+    reach = 5 + np.sin(3 * azimuth)
+    x, y = reach * np.cos(azimuth), reach * np.sin(azimuth)
+    if layout == "columns":
+        return x.T.ravel(), y.T.ravel(), times.T.ravel()
+    if layout == "rows of columns":
+        return x.T.copy(), y.T.copy(), times.T
+    return x, y, times
+
+
+@pytest.mark.parametrize("clockwise", [True, False])
+@pytest.mark.parametrize("layout", ["rings", "columns", "rows of columns"])
+@pytest.mark.parametrize("share", [1.0, 0.4, 1.02])
+def test_azimuth_tells_times(layout: str, clockwise: bool, share: float) -> None:
+    x, y, times = turning(layout, clockwise=clockwise, share=share)
+    x = x.astype(np.float32)
+    x[np.unravel_index(np.arange(50, x.size, 37), x.shape)] = np.nan
+    found = azimuth_times(x, y.astype(np.float32), 0.1)
+    assert found is not None
+    np.testing.assert_array_equal(np.isnan(found), np.isnan(x))
+    # The lasers look 0.03 rad to either side, and the first one decides where the turn begins.
+    np.testing.assert_allclose(found[~np.isnan(x)], times[~np.isnan(x)], rtol=0, atol=0.1 * 0.07 / (2 * math.pi))
+    same = azimuth_times(x, y.astype(np.float32), 0.1, -1 if clockwise else 1)
+    np.testing.assert_array_equal(found, same)
+
+
+def test_rings_in_one_row_tell_times_but_for_the_seam() -> None:
+    x, y, times = turning("rings", clockwise=True)
+    found = azimuth_times(x.ravel(), y.ravel(), 0.1)
+    assert found is not None
+    assert np.mean(np.abs(found - times.ravel()) < 0.002) > 0.98
+
+
+def test_an_order_that_tells_no_direction() -> None:
+    x, y, _ = turning("columns", clockwise=True)
+    order = np.random.default_rng(1).permutation(x.size)
+    assert azimuth_times(x[order], y[order], 0.1) is None
+    assert azimuth_times(x[order], y[order], 0.1, -1) is not None
+    nothing = azimuth_times(np.full(4, np.nan), np.zeros(4), 0.1)
+    assert nothing is not None
+    assert np.isnan(nothing).all()

@@ -22,6 +22,7 @@ __all__ = [
     "TIME_FIELDS",
     "TIME_UNITS",
     "Sweep",
+    "azimuth_times",
     "beam_times",
     "fit_sweep",
     "median_interval_ns",
@@ -50,6 +51,12 @@ _SLICES = 64
 
 #: A sweep may be off that line by so much, radians: the lasers of one column look up to 5 degrees to the side.
 _STRAIGHT = 0.1
+
+#: Points that follow each other are at most so far apart, radians; so many turns tell a direction; and from so many on,
+#: points come ring by ring.
+_NEXT = 0.2
+_LEAST_TURN = 0.05
+_ONE_TURN = 1.5
 
 #: Two ends of a turn overlap by up to so much, radians, for the same reason.
 _OVERLAP = 0.2
@@ -118,6 +125,52 @@ def offset_and_unit(low: float, high: float, stamp_ns: int, unit_name: str, *, w
     unit = TIME_UNITS.get(unit_name, unit)
     # Subtracted as whole numbers of the unit: seconds since 1970 leave a float64 no digits to lose.
     return (stamp_ns / round(1e9 * unit) if abs(low * unit) >= _ABSOLUTE else 0.0), unit
+
+
+def azimuth_times(x: NDArray[Any], y: NDArray[Any], period: float, direction: int = 0) -> NDArray[np.float64] | None:
+    """When points were measured by a lidar that turns evenly, as their azimuth tells.
+
+    Parameters
+    ----------
+    x, y
+        Coordinates in the lidar's frame, metres: (H, W), or (M,) one ring or one column after the other.
+    period
+        Of one turn, seconds.
+    direction
+        1 counter-clockwise, -1 clockwise, as seen from above; 0: as the order of the points tells.
+
+    Returns
+    -------
+    Seconds after the first point, of the shape of ``x``, NaN where that is. None if the order tells no direction.
+
+    Notes
+    -----
+    Lasers of one column look a little to the side, so some points have an azimuth before that of the first one, and
+    some of the last ones have one behind it: where points come column by column, their order tells which turn it is.
+    """
+    with np.errstate(all="ignore"):
+        angles = np.arctan2(y.astype(np.float64), x.astype(np.float64)).ravel()
+        angles[((x == 0) & (y == 0)).ravel()] = np.nan
+    places = np.flatnonzero(np.isfinite(angles))
+    times = np.full(angles.size, np.nan)
+    if not places.size:
+        return times.reshape(x.shape)
+    known = angles[places]
+    steps = np.remainder(np.diff(known) + math.pi, TURN) - math.pi
+    near = np.abs(steps) < _NEXT
+    turns = float(steps[near].sum()) / TURN
+    if not direction:
+        if near.mean() < 0.5 or abs(turns) < _LEAST_TURN:
+            return None
+        direction = 1 if turns > 0 else -1
+    share = np.remainder((known - known[0]) * direction, TURN) / TURN
+    in_rows = x.ndim == 2 and abs(turns) > _ONE_TURN
+    if in_rows:
+        share += np.round(places % x.shape[1] / x.shape[1] * abs(turns) / x.shape[0] - share)
+    elif abs(turns) <= _ONE_TURN:
+        share += np.round(places / angles.size * abs(turns) - share)
+    times[places] = share * period
+    return times.reshape(x.shape)
 
 
 @dataclass(frozen=True, slots=True)

@@ -94,6 +94,12 @@ def measure(
                 # What cannot be decoded or transformed is reported when its turn to be converted comes.
                 continue
         first.require_fields(topic, spec)
+        if spec.point_time.partition(":")[0] == "azimuth":
+            from .stages.deskew import PointTime  # noqa: PLC0415  # only where points move
+
+            notes.append(
+                f"{topic}: the times of points are told by their azimuth: {PointTime.parse(spec.point_time).turn}"
+            )
         timings[topic] = first.timing(topic, notes)
     return timings, notes
 
@@ -167,7 +173,9 @@ class _FirstClouds:
         name = spec.params.intensity_field
         asked = [("intensity_field", f"intensity_field is {name!r}", name)] if name else []
         asked += [(f.name, f"`{f.name}` needs the field {field!r}", field) for f in spec.filters for field in f.fields]
-        if spec.point_time:
+        if spec.point_time.partition(":")[0] == "azimuth":
+            pass
+        elif spec.point_time:
             asked.append(("point_time", f"`point_time` is {spec.point_time!r}", spec.point_time.partition(":")[0]))
         for option, request, field in asked:
             if field not in self._fields:

@@ -93,7 +93,7 @@ def turn(count: int = 1800) -> tuple[Any, Any]:
     return beams * room(origin, world)[:, np.newaxis], times
 
 
-def scanned(*, deskewed: bool) -> Any:
+def scanned(*, deskewed: bool, point_time: str = "t") -> Any:
     """How far the returns of a scan are from the walls."""
     mount = Rigid.from_rpy(0, 0, 0.4, (0.3, 0.0, 0.5))
     known = frames(rate=50, mount=mount)
@@ -106,7 +106,7 @@ def scanned(*, deskewed: bool) -> Any:
         fields=[*(PointField(name, 4 * place, 7) for place, name in enumerate("xyz")), PointField("t", 12, 6)],
     )  # fmt: skip
     params = ProjectionParams(min_height=-1.0, geometry="centered", beams=3600)
-    stage = Deskew(known, "odom", PointTime()) if deskewed else None
+    stage = Deskew(known, "odom", PointTime.parse(point_time)) if deskewed else None
     made = CloudToScan(params, known, deskew=stage).for_topic("/points", "ros1", "ros1")(message)
     scan = decode_laserscan(made.data, "ros1")
     assert scan.time_increment == 0
@@ -119,6 +119,33 @@ def scanned(*, deskewed: bool) -> Any:
     world = beams @ pose.matrix.T + np.asarray(pose.translation)
     x, y = world[:, 0], world[:, 1]
     return np.min(np.abs([x + 5, x - 7, y + 6, y - 6]), axis=0), made
+
+
+@pytest.mark.parametrize("text", ["azimuth:0.1", "azimuth:100ms:cw:start"])
+def test_azimuth_is_as_good_as_times(text: str) -> None:
+    off, made = scanned(deskewed=True, point_time=text)
+    assert np.mean(off < 0.02) > 0.99
+    assert made.motion.distance == pytest.approx(0.15, rel=0.2)
+    for wrong in ("azimuth:0.1:ccw", "azimuth:0.1:end"):
+        worse, _ = scanned(deskewed=True, point_time=wrong)
+        assert np.mean(worse < 0.02) < 0.5
+
+
+def test_a_direction_that_is_not_known_is_an_error() -> None:
+    xyz, _ = turn()
+    order = np.random.default_rng(3).permutation(len(xyz))
+    cloud = points(xyz[order], np.zeros(len(xyz)), "x_again")
+    with pytest.raises(DecodeError, match="which way the lidar turned") as caught:
+        Deskew(frames(), "odom", PointTime.parse("azimuth:0.1"))(cloud)
+    assert "azimuth:0.1:cw" in str(caught.value.hint)
+    assert Deskew(frames(), "odom", PointTime.parse("azimuth:0.1:cw"))(cloud) is not None
+
+
+@pytest.mark.parametrize("text", ["azimuth", "azimuth:", "azimuth:0", "azimuth:-1", "azimuth:0.1:left", "azimuth:100"])
+def test_times_by_azimuth_need_the_time_of_a_turn(text: str) -> None:
+    with pytest.raises(UsageError, match="need the time of a turn") as caught:
+        PointTime.parse(text)
+    assert "azimuth:0.1" in str(caught.value.hint)
 
 
 def test_a_turning_robots_scan_has_its_walls_where_they_are() -> None:

@@ -17,8 +17,9 @@ import numpy as np
 from pc2scan.core import kernel
 from pc2scan.core.moving import MovingTransform
 from pc2scan.core.points import TIME, Points
+from pc2scan.core.quantities import duration_ns
 from pc2scan.core.rule import NO_TIME, NO_TRANSFORM
-from pc2scan.core.timing import TIME_FIELDS, TIME_UNITS, offset_and_unit
+from pc2scan.core.timing import TIME_FIELDS, TIME_UNITS, azimuth_times, offset_and_unit
 from pc2scan.errors import DecodeError, TransformError, UsageError
 
 if TYPE_CHECKING:
@@ -30,7 +31,10 @@ if TYPE_CHECKING:
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.placing import Frames
 
-__all__ = ["NO_TIME", "NO_TRANSFORM", "STAMPS", "Deskew", "Motion", "Moving", "PointTime", "Track"]
+__all__ = ["AZIMUTH", "NO_TIME", "NO_TRANSFORM", "STAMPS", "Deskew", "Motion", "Moving", "PointTime", "Track"]
+
+#: Instead of a field with times: the points' directions tell them.
+AZIMUTH = "azimuth"
 
 #: Which time of a cloud its scan has.
 STAMPS = ("header", "start", "middle", "end")
@@ -48,6 +52,68 @@ _MOST_NODES = 20_000
 
 
 @dataclass(frozen=True, slots=True)
+class Turn:
+    """How a lidar turned, whose points have no times.
+
+    Attributes
+    ----------
+    period
+        Of one turn, seconds.
+    direction
+        1 counter-clockwise, -1 clockwise; 0: as the order of the points tells.
+    ended
+        Whether the stamp is the time of the last point, not of the first one.
+    """
+
+    period: float
+    direction: int = 0
+    ended: bool = False
+
+    @classmethod
+    def parse(cls, text: str) -> Turn:
+        """Read ``azimuth:PERIOD``, and ``:cw`` or ``:ccw``, and ``:start`` or ``:end`` behind it.
+
+        Raises
+        ------
+        UsageError
+            If it is anything else.
+        """
+        _, *words = text.split(":")
+        period = (duration_ns(words[0]) or duration_ns(f"{words[0]}s") or 0) / 1e9 if words else 0.0
+        ways = {"cw": -1, "ccw": 1}
+        if not 0 < period <= _LONGEST or any(word not in {*ways, "start", "end"} for word in words[1:]):
+            raise UsageError(
+                f"`point_time` is {text!r}; times by azimuth need the time of a turn, at most {_LONGEST:g} s",
+                hint="write `point_time=azimuth:0.1` for 10 Hz. cw or ccw may follow (which way it turns, seen from "
+                "above), and start or end (of the turn: the stamp's time): `point_time=azimuth:0.1:cw:end`",
+            )
+        way = next((ways[word] for word in words if word in ways), 0)
+        return cls(period, way, "end" in words)
+
+    def times(self, points: Points) -> NDArray[np.float64]:
+        """Return seconds after the stamp.
+
+        Raises
+        ------
+        DecodeError
+            If it is not known which way the lidar turned.
+        """
+        times = azimuth_times(points.field("x"), points.field("y"), self.period, self.direction)
+        if times is None:
+            raise DecodeError(
+                "the order of its points does not tell which way the lidar turned",
+                stamp_ns=points.stamp_ns,
+                hint=f"say it: `point_time=azimuth:{self.period:g}:cw` (clockwise, seen from above) or ccw",
+            )
+        return times - np.fmax.reduce(times, axis=None, initial=0.0) if self.ended else times
+
+    def __str__(self) -> str:
+        way = {1: "counter-clockwise", -1: "clockwise", 0: "in the order of its points"}[self.direction]
+        stamp = "last" if self.ended else "first"
+        return f"one turn takes {self.period:g} s, {way}, and the stamp is that of the {stamp} point"
+
+
+@dataclass(frozen=True, slots=True)
 class PointTime:
     """Where the times of points are.
 
@@ -57,14 +123,17 @@ class PointTime:
         Empty: the first of `TIME_FIELDS` that the cloud has.
     unit
         ``s``, ``ms``, ``us`` or ``ns``. Empty: integers are nanoseconds, for others what they span decides.
+    turn
+        How the lidar turned, if its points have no times; None: ``field`` has them.
     """
 
     field: str = ""
     unit: str = ""
+    turn: Turn | None = None
 
     @classmethod
     def parse(cls, text: str) -> PointTime:
-        """Read ``FIELD`` or ``FIELD:UNIT``.
+        """Read ``FIELD``, ``FIELD:UNIT``, or what `Turn` reads.
 
         Raises
         ------
@@ -72,6 +141,8 @@ class PointTime:
             If it is neither.
         """
         field, colon, unit = text.partition(":")
+        if field == AZIMUTH:
+            return cls(turn=Turn.parse(text))
         if not field or (colon and unit not in TIME_UNITS):
             raise UsageError(
                 f"`point_time` is {text!r}, it must be a field, or a field and a unit",
@@ -301,6 +372,9 @@ class Deskew:
         TransformError
             If there is no transform at any of the points' times.
         """
+        turn = self._point_time.turn
+        if turn is not None and TIME not in points.fields:
+            points = points.replace({TIME: turn.times(points)}, points.frame_id)
         given = TIME in points.fields
         name = TIME if given else self._point_time.field_of(points)
         values = points.field(name)
@@ -315,7 +389,7 @@ class Deskew:
         if not given:
             offset, unit = offset_and_unit(low, high, points.stamp_ns, self._point_time.unit, whole=whole)
         low, high = (low - offset) * unit, (high - offset) * unit
-        label = "time_increment" if given else name
+        label = AZIMUTH if turn is not None else "time_increment" if given else name
         self._check(label, low, high, several=measured > 1 and not given, stamp_ns=points.stamp_ns)
         stamp_ns = points.stamp_ns
         begin_ns = stamp_ns + math.floor(low * 1e9)
