@@ -82,6 +82,7 @@ def test_where_nothing_moves_deskewing_changes_nothing_but_the_last_bits(tmp_pat
             ["--deskew", "--fixed-frame", "odom", "--point-time", "rnig:s"],
             "--point-time is 'rnig:s', which the clouds",
         ),
+        (["--deskew", "--fixed-frame", "odom", "--point-time", "azimuth"], "need the time of a turn, at most 60 s"),
         (["--deskew", "--fixed-frame", "odom", "--point-time", "time:h"], "it must be a field, or a field and a unit"),
     ],
 )
