@@ -187,8 +187,8 @@ class _FirstClouds:
             raise ParameterError(
                 f"the clouds on {topic} have no times of their points: no field {', '.join(TIME_FIELDS)}",
                 name="point_time",
-                hint="name the field that has them: `point_time=FIELD`; of a lidar that turns once in 0.1 s, azimuth tells "
-                f"them: `point_time=azimuth:0.1`; {there}",
+                hint="name the field that has them: `point_time=FIELD`; of a lidar that turns once in 0.1 s: "
+                f"`point_time=azimuth:0.1`; {there}",
             )
 
     def timing(self, topic: str, notes: list[str]) -> Measured:
