@@ -24,7 +24,7 @@ __all__ = ["VERDICTS", "end_without_output", "show_failure"]
 VERDICTS = frozenset({"check", "diff", "golden"})
 
 #: Commands that write their output before they print anything.
-_WRITING = frozenset({"batch", "convert", "export", "repair"})
+_WRITING = frozenset({"batch", "convert", "export", "map", "repair", "view"})
 
 
 def show_failure(err: Pc2ScanError, words: Sequence[str]) -> int:
