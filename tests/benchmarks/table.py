@@ -56,11 +56,13 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, help="where the recordings are written meanwhile")
     parser.add_argument(
         "--only",
-        choices=("projection", "conversions", "batch", "passing", "maps", "start-up", "memory"),
+        choices=("projection", "conversions", "outputs", "batch", "passing", "maps", "start-up", "memory"),
         help="one table",
     )
     asked = parser.parse_args()
-    wanted = {asked.only} if asked.only else {"projection", "conversions", "batch", "passing", "maps", "start-up"}
+    wanted = (
+        {asked.only} if asked.only else {"projection", "conversions", "outputs", "batch", "passing", "maps", "start-up"}
+    )
     keep_freed_memory()
     with TemporaryDirectory(dir=asked.folder) as folder:
         place = Path(folder)
@@ -70,6 +72,8 @@ def main() -> None:
         if "conversions" in wanted:
             conversions(place, int(asked.gb * 1e9), asked.repeat)
             smaller_clouds(place, int(asked.gb * 0.25e9), asked.repeat)
+        if "outputs" in wanted:
+            outputs(place, int(asked.gb * 0.25e9), asked.repeat)
         if "batch" in wanted:
             datasets(place, int(asked.gb * 0.5e9), asked.repeat)
         if "passing" in wanted:
@@ -297,6 +301,49 @@ def smaller_clouds(place: Path, size: int, repeat: int) -> None:
         f"Converting** smaller clouds, {size / 1e9:g} GB of them (MCAP, none): clouds a second, and the time as a "
         "multiple of plain reading + projecting",
         ("points", "1 job", "2 jobs", "1 job, a multiple", "2 jobs, a multiple"),
+        rows(),
+    )
+
+
+# --- Several outputs ---
+
+FOUR = """\
+scans:
+  /scan: {}
+  /near: {range_max: 20.0, angle_increment: 0.5deg}
+  /slam: {geometry: centered, beams: 720, angle_min: 0, angle_max: 2*pi}
+  /fine: {geometry: centered, beams: 1800, angle_min: 0, angle_max: 2*pi}
+"""
+
+
+def outputs(place: Path, size: int, repeat: int) -> None:
+    count = max(1, size // CLOUD_BYTES)
+    four = place / "four.yaml"
+    four.write_text(FOUR)
+
+    def several(source: Path, jobs: int) -> float:
+        words = (source, "-o", place / "scans.mcap", "--only-scans", "--drop", TRIFLE, "--jobs", str(jobs))
+        return float(command(*words, "--scans", four)["seconds"])
+
+    def rows() -> Iterable[Sequence[str]]:
+        for name in ("MCAP, none", "MCAP, zstd"):
+            source = write_recording(place, FORMS[name], size)
+            for jobs in (1, 2):
+                found = rounds(
+                    repeat,
+                    lambda: converted(source, place / "scans.mcap", jobs),  # noqa: B023
+                    lambda: several(source, jobs),  # noqa: B023
+                    lambda: converted(source, place / "scans.mcap", jobs, "--keep-used", "/used"),  # noqa: B023
+                )
+                times = (f"{count / median(row[i] for row in found):,.0f}" for i in range(3))
+                ratios = (f"{median(row[i] / row[0] for row in found):.2f}" for i in (1, 2))
+                yield name, str(jobs), *times, *ratios
+            source.unlink()
+
+    table(
+        f"Several outputs** of {count} clouds of 131,072 points: clouds a second, and the time as a multiple of one "
+        "output's",
+        ("source", "jobs", "one", "four (`--scans`)", "one, `--keep-used`", "four, a multiple", "kept, a multiple"),
         rows(),
     )
 

@@ -38,6 +38,22 @@ def test_converting(benchmark: BenchmarkFixture, source: Path, jobs: int, tmp_pa
 
 
 @pytest.mark.benchmark
+@pytest.mark.parametrize("outputs", [1, 4])
+def test_several_outputs(benchmark: BenchmarkFixture, source: Path, outputs: int, tmp_path: Path) -> None:
+    benchmark.group = f"outputs of {source.name}"
+    scans = {f"/scan{n}": {"sources": POINTS, "beams": 360 + 120 * n} for n in range(outputs)}
+
+    def convert() -> pc2scan.Report:
+        path = tmp_path / "scans.mcap"
+        return pc2scan.convert(
+            source, path, scans=scans, only_scans=True, jobs=2, overwrite=True, min_height=-0.5, max_height=1.0
+        )
+
+    report = benchmark(convert)
+    assert [topic.messages_out for topic in report.topics if topic.spec is not None] == [CLOUDS] * outputs
+
+
+@pytest.mark.benchmark
 def test_passing(benchmark: BenchmarkFixture, source: Path, tmp_path: Path) -> None:
     benchmark.group = f"passing {source.name}"
     benchmark.extra_info["bytes"] = CLOUDS * CLOUD_BYTES
