@@ -188,6 +188,16 @@ def test_each_output_has_its_own(tmp_path: Path) -> None:
             assert messages(path, topic) == messages(alone, topic)
 
 
+def test_a_cloud_that_is_skipped_is_skipped_once(tmp_path: Path) -> None:
+    data = encode_pointcloud2(
+        serialization="cdr", sequence=0, stamp_ns=T0, frame_id="lidar", fields=[], point_step=4, data=b"1234"
+    )
+    words = ["convert", str(recorded(tmp_path / "a.mcap", data)), "-o", str(tmp_path / "b.mcap"), "--keep-used", "/u"]
+    done = CliRunner().invoke(application(), words)
+    assert "no field 'x'" in done.output
+    assert "more (" not in done.output
+
+
 def test_a_topic_of_its_own(tmp_path: Path) -> None:
     for topic in ("/scan", "/tf"):
         with pytest.raises(TopicError, match=topic):

@@ -94,6 +94,7 @@ def test_python_has_dicts_and_lists() -> None:
     forms: list[Any] = [
         {"/scan": own, "/low": {}},
         {"scans": {"/scan": own, "/low": {}}, "defaults": {}},
+        {"scans": {"/scan": own, "/low": None}},
         [{"topic": "/scan", **own}, {"topic": "low"}],
         {"scans": [{"topic": "scan", **own}, {"topic": "/low"}]},
     ]

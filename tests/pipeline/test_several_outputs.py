@@ -125,6 +125,7 @@ def test_an_error_is_that_of_one_output(jobs: int, tmp_path: Path) -> None:
     assert report.exit_status == 3
     assert list(messages(tmp_path / "a.mcap")) == ["/found"]
     assert any("nowhere" in entry.reason for entry in report.skipped)
+    assert {entry.targets for entry in report.skipped} == {("/lost",)}
 
 
 def test_nothing_is_written_if_no_output_can_be_made(tmp_path: Path) -> None:

@@ -72,16 +72,18 @@ def show_next(report: Report) -> None:
 
 def _show_skipped(report: Report, limit: int) -> None:
     """List skipped messages by reason, with a hint for the first."""
-    reasons: dict[tuple[str, str], list[Skipped]] = {}
+    reasons: dict[tuple[str, str, tuple[str, ...]], list[Skipped]] = {}
     for entry in report.skipped:
-        reasons.setdefault((entry.topic, entry.reason), []).append(entry)
+        reasons.setdefault((entry.topic, entry.reason, entry.targets), []).append(entry)
     shown = 0
-    for (topic, reason), entries in list(reasons.items())[:limit]:
+    for (topic, reason, _), entries in list(reasons.items())[:limit]:
         first = entries[0]
         when = "unknown" if first.stamp_ns is None else stamp(first.stamp_ns)
         several = f" and {len(entries) - 1} more" if len(entries) > 1 else ""
-        typer.echo(message(f"skipped: {topic}, stamp {when}{several}: {reason}"), err=True)
-        shown += len(entries)
+        to = f" (for {', '.join(first.targets)})" if report.scans[1:] and first.targets else ""
+        typer.echo(message(f"skipped: {topic}, stamp {when}{several}{to}: {reason}"), err=True)
+        # The counts of topics are those of what is missing.
+        shown += sum(max(1, len(entry.targets)) for entry in entries)
     # Topics that are skipped as a whole have their own warning.
     single = sum(topic.skipped for topic in report.topics if topic.action != "skipped")
     if single > shown:

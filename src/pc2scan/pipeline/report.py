@@ -102,6 +102,8 @@ class Skipped(NamedTuple):
         Why, with the numbers.
     hint
         What can be done about it; empty where nothing is known.
+    targets
+        The topics of the destination that lack what it would have become.
     """
 
     topic: str
@@ -109,6 +111,7 @@ class Skipped(NamedTuple):
     stamp_ns: int | None
     reason: str
     hint: str = ""
+    targets: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         when = (

@@ -216,7 +216,8 @@ def _outputs(root: _Entry) -> Iterator[tuple[str, _Entry]]:
         found = "there are none" if scans is None or scans.value in ({}, [], None) else f"got {_found(scans)}"
         raise UsageError(f"{(scans or root).place}: expected outputs under 'scans', {found}", hint=_EXAMPLE)
     seen: dict[str, str] = {}
-    for topic, entry in _named(scans):
+    for topic, given in _named(scans):
+        entry = _Entry({}, given.place) if given.value is None else given
         if not isinstance(entry.value, dict):
             raise UsageError(f"{entry.place}: {topic} must be a mapping, got {_found(entry)}", hint=_EXAMPLE)
         full = topic if topic.startswith(("/", "~")) else f"/{topic}"

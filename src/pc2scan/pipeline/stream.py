@@ -184,16 +184,17 @@ def _write(outcome: _Outcome, writer: Writer, report: Report, on_error: str, lev
             entry.skip(1)
         return
     route.messages += 1
-    errors: list[MessageError] = []
+    # Errors that say the same are one, of all the topics that lack the message.
+    errors: dict[str, tuple[MessageError, list[str]]] = {}
     try:
         if passing is not None:
             writer.write(route.passing_handle, log_time_ns, passing, publish_time_ns, sequence)
     except UnwritableError as err:
         error = err
-    if error is not None:
-        errors.append(error)
     if route.report is not None:
         _count(route.report, error)
+        if error is not None:
+            errors[error.message] = error, [route.report.target or ""]
     for output in route.outputs:
         failed = error
         if failed is None:
@@ -203,17 +204,19 @@ def _write(outcome: _Outcome, writer: Writer, report: Report, on_error: str, lev
             elif output.joint is None:
                 failed = _write_one(made, output, outcome, writer, levels)
         _count(output.report, failed, is_written=output.joint is None)
-        if failed is not None and all(failed.message != other.message for other in errors):
-            errors.append(failed)
+        if failed is not None:
+            errors.setdefault(failed.message, (failed, []))[1].append(output.report.target or "")
     for made in converted:
         if isinstance(made, Converted) and made.sample is not None:
             made.sample.clouds.add(made.sample, made.counts)
     topic = route.connection.topic
-    for each in errors:
+    for each, targets in errors.values():
         each.topic = topic
         if on_error == "fail":
             raise each
-        report.list_skipped(Skipped(topic, log_time_ns, each.stamp_ns, each.message, each.hint or ""))
+        report.list_skipped(
+            Skipped(topic, log_time_ns, each.stamp_ns, each.message, each.hint or "", tuple(filter(None, targets)))
+        )
 
 
 def _arrivals(outcome: _Outcome | StoredChunk | MadeScan) -> tuple[int, int, list[Arrived]]:
