@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 import sys
+from importlib import metadata
 from pathlib import Path
 
 import pytest
@@ -19,7 +20,7 @@ from support import ROOT
 
 FILES = sorted(
     path.relative_to(ROOT).as_posix()
-    for pattern in (".github/**/*.yml", "action.yml", ".pre-commit-hooks.yaml", "CITATION.cff")
+    for pattern in (".github/**/*.yml", "action.yml", ".pre-commit-hooks.yaml", "CITATION.cff", ".ci/conda/*.yaml")
     for path in ROOT.glob(pattern)
 )
 
@@ -33,6 +34,7 @@ def test_there_is_one_version() -> None:
     assert pc2scan.__version__ == __version__
     assert "version =" not in (ROOT / "pyproject.toml").read_text("utf-8").partition("[project]")[2].partition("\n[")[0]
     assert f"\nversion: {__version__}\n" in (ROOT / "CITATION.cff").read_text("utf-8")
+    assert f'\n  version: "{__version__}"\n' in (ROOT / ".ci" / "conda" / "recipe.yaml").read_text("utf-8")
     named = set(re.findall(r"pc2scan@v(\S+)", (ROOT / "docs" / "golden.md").read_text("utf-8")))
     assert named == {__version__}
 
@@ -63,3 +65,16 @@ def test_the_step_of_the_action_shows_the_cases(tmp_path: Path, broken: bool) ->
     assert done.returncode == int(broken), done.stderr
     assert "tf_static" in (tmp_path / "summary.md").read_text("utf-8")
     assert (tmp_path / "golden.xml").is_file()
+
+
+def test_the_conda_recipe_asks_for_what_the_package_asks_for() -> None:
+    recipe = YAML(typ="safe").load((ROOT / ".ci" / "conda" / "recipe.yaml").read_text("utf-8"))
+    conda = {line.replace("python-isal", "isal") for line in recipe["requirements"]["run"]} - {"python"}
+    asked = [line for line in metadata.requires("pc2scan") or () if "extra ==" not in line]
+    assert {parts(line) for line in conda} == {parts(line.partition(";")[0]) for line in asked}
+
+
+def parts(requirement: str) -> tuple[str, frozenset[str]]:
+    """The name of a requirement, and its bounds."""
+    name, bounds = re.fullmatch(r"([\w.]+) ?(.*)", requirement.strip()).groups()  # type: ignore[union-attr]
+    return name, frozenset(bounds.split(","))
