@@ -59,6 +59,11 @@ def test_units_are_the_same_as_plain_numbers(tmp_path: Path, options: list[str],
             "hint: for degrees write --param angle_max:=90deg, which is 1.5708 rad",
         ),
         (
+            ["--angle-max=400deg"],
+            "error: angle_max is 6.981317007977318 rad, more than a full turn (360 degrees are 6.28319 rad) (",
+            "hint: a full circle is --angle-min -180deg, --angle-max 180deg",
+        ),
+        (
             ["--preset=slam_toolbox", "--angle-min=-5", "--angle-max=5"],
             "error: angle_min -5.0 to angle_max 5.0 rad is a sector of 10 rad, more than a full turn",
             "hint: for degrees write --angle-min -5deg, --angle-max 5deg, which is -0.0872665, 0.0872665 rad",

@@ -111,7 +111,7 @@ def test_errors_as_json(arguments: tuple[str | Path, ...], kind: str, status: in
     done = run(*arguments, "--json", cwd=tmp_path)
     document = json.loads(done.stdout)
     assert done.status == document["exit_status"] == status
-    assert document["error"]["kind"] == kind
+    assert document["error"]["class"] == kind
     assert document["error"]["message"] in done.stderr
     assert done.stderr.startswith("error: ")
 

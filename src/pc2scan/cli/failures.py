@@ -51,7 +51,7 @@ def show_failure(err: Pc2ScanError, words: Sequence[str]) -> int:
 
 def _as_dict(err: Pc2ScanError) -> dict[str, Any]:
     return {
-        "kind": type(err).__name__,
+        "class": type(err).__name__,
         "message": as_typed(err.message),
         "path": None if err.path is None else str(err.path),
         "topic": err.topic,

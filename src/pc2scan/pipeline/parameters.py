@@ -374,7 +374,7 @@ def resolve(
             values[name] = value
             origin[name] = setting.origin
             winners[name] = setting
-    refuse_degrees(values, origin)
+    refuse_degrees(values, origin, {name: setting.value for name, setting in winners.items()})
     try:
         params = ProjectionParams(**values)
     except ParameterError as err:
@@ -384,11 +384,20 @@ def resolve(
     return ResolvedParams(params, origin)
 
 
-def refuse_degrees(values: Mapping[str, Any], origin: Mapping[str, str]) -> None:
+def refuse_degrees(
+    values: Mapping[str, Any], origin: Mapping[str, str], written: Mapping[str, object] | None = None
+) -> None:
     """Refuse angles that no sector has: they are nearly always degrees.
 
     A sector may be a whole turn from anywhere, such as 1 to 1 + 2 pi. One of more than a turn is refused where the
     geometry would make a full circle of it.
+
+    Parameters
+    ----------
+    values
+        Radians, by parameter.
+    written
+        The same as they were written: some may be in degrees already.
     """
     names = ("angle_min", "angle_max")
     low, high = (values.get(name, PARAMETERS[name].default) for name in names)
@@ -403,6 +412,12 @@ def refuse_degrees(values: Mapping[str, Any], origin: Mapping[str, str]) -> None
     if not beyond or math.isinf(span):
         return
     places = "; ".join(f"{name} from {origin[name]}" if beyond[1:] else f"from {origin[name]}" for name in beyond)
+    if all(re.search("deg|°", str((written or {}).get(name))) for name in beyond):
+        raise ParameterError(
+            f"{text}, more than a full turn (360 degrees are 6.28319 rad) ({places})",
+            name=beyond[0],
+            hint=f"a full circle is {_where_given('`angle_min=-180deg`, `angle_max=180deg`', origin)}",
+        )
     cures = ", ".join(f"`{name}={in_degrees(values[name])}`" for name in beyond)
     numbers = ", ".join(f"{math.radians(values[name]):.6g}" for name in beyond)
     raise ParameterError(
