@@ -9,6 +9,7 @@ import pytest
 from pc2scan.batch.choices import Choices
 from pc2scan.batch.dataset_file import DatasetFile, Entry, load_dataset_file
 from pc2scan.errors import UsageError
+from support import ROOT
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -161,3 +162,17 @@ def test_wrong_options_name_their_line(tmp_path: Path) -> None:
         with pytest.raises(UsageError) as raised:
             Choices(load(tmp_path, text), {}, {}).of(["x"])
         assert f"{tmp_path / 'dataset.yaml'}, {line}" in str(raised.value), text
+
+
+def test_the_documented_file_is_one(tmp_path: Path) -> None:
+    text = (ROOT / "docs" / "datasets.md").read_text("utf-8")
+    found = load(tmp_path, text.partition("```yaml\n")[2].partition("```")[0])
+    assert found.matching("robot1/day1/a.bag") == (0, 1)
+    assert found.matching("robot2/x_outdoor.bag") == (0, 2)
+    assert found.matching("robot1/calibration_3.mcap") == (0, 1, 3)
+    words, _, skip = found.combined((0, 1, 3))
+    assert skip
+    assert words["topics"] == ("/velodyne_points:=/scan",)
+    choice = Choices(found, {}, {}).of(["robot1/a.bag"])["robot1/a.bag"]
+    assert choice.request is not None
+    assert choice.request.options.frames.static[0].child == "velodyne"

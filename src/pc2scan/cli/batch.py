@@ -106,7 +106,6 @@ class ExportGroup(Group):
     export: Annotated[
         Literal["npz", "csv", "tum", "carmen", "flaser", "pcd", "kitti"] | None,
         typer.Option(
-            metavar="FORMAT",
             help="Instead of recordings, write what pc2scan export writes, into a folder for each recording.",
             rich_help_panel=_EXPORT,
         ),
