@@ -175,7 +175,9 @@ def test_a_scanner_with_a_varying_number_of_beams_gets_a_constant_one(tmp_path: 
     beams = done.topic("/flat")["rebinned"]
     assert beams["beams"] > 2 * 600 * 14
     assert beams["shared"] == beams["beams"] - sum(int(np.isfinite(scan.ranges).sum()) for scan in done.scans)
-    assert f"of {beams['beams']} beams {beams['shared']} share one of the new scans" in " ".join(done.stdout.split())
+    assert f"of {beams['beams']:,} beams {beams['shared']:,} share one of the new scans" in " ".join(
+        done.stdout.split()
+    )
     assert done.topic("/flat")["target"] == "/flat"
     assert "refuse" not in done.stderr
 

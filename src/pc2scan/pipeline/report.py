@@ -403,12 +403,12 @@ class Report(Shown):
         elif counts is not None and topic.action == "joined" and counts.scans_without:
             first, last, number = counts.silence
             self.warnings.append(
-                f"{counts.scans_without} scans on {scans} have nothing of {topic.topic}; {number} of them in a row, "
+                f"{counts.scans_without:,} scans on {scans} have nothing of {topic.topic}; {number:,} of them in a row, "
                 f"from {stamp_text(first)} to {stamp_text(last)}"
             )
         if counts is not None and counts.unmatched:
             self.notes.append(
-                f"{counts.unmatched} of {counts.messages} messages of {topic.topic} are in no scan on {scans}"
+                f"{counts.unmatched:,} of {counts.messages:,} messages of {topic.topic} are in no scan on {scans}"
             )
         if topic.removed_beams:
             returns = topic.removed_beams["returns"]
@@ -416,8 +416,8 @@ class Report(Shown):
                 if name != "returns":
                     self.notes.append(f"{scans}: {number:,} of {returns:,} beams were {name}, and are removed")
         if beams := topic.rebinned:
-            note = f"{scans}: of {beams.beams} beams {beams.shared} share one of the new scans with another"
-            self.notes.append(f"{note}; {beams.between} of the new ones lie between two neighbours, without a return")
+            note = f"{scans}: of {beams.beams:,} beams {beams.shared:,} share one of the new scans with another"
+            self.notes.append(f"{note}; {beams.between:,} of the new ones lie between two neighbours, without a return")
 
     @property
     def rejections(self) -> dict[str, Rejection]:
