@@ -403,7 +403,7 @@ class Report(Shown):
         elif counts is not None and topic.action == "joined" and counts.scans_without:
             first, last, number = counts.silence
             self.warnings.append(
-                f"{counts.scans_without:,} scans on {scans} have nothing of {topic.topic}; {number:,} of them in a row, "
+                f"{counts.scans_without:,} scans on {scans} have nothing of {topic.topic}; {number:,} in a row, "
                 f"from {stamp_text(first)} to {stamp_text(last)}"
             )
         if counts is not None and counts.unmatched:
