@@ -142,6 +142,8 @@ def convert(
     to: str | None = None,
     split: str | None = None,
     repeat_latched: bool = False,
+    scratch: PathText | None = None,
+    scratch_size: str | None = None,
     overwrite: bool = False,
     report: PathText | None = None,
     dry_run: bool = False,
@@ -156,7 +158,7 @@ def convert(
     Parameters
     ----------
     sources
-        A recording, or several that are one: ROS 1 bag, rosbag2 directory, ``.db3`` or ``.mcap``.
+        A recording, or several that are one: ROS 1 bag, rosbag2 directory, ``.db3`` or ``.mcap``; or its URL.
     destination
         ``*.bag``: a ROS 1 bag; ``*.mcap``: an MCAP file; text that ends with a slash: into that folder, named after
         the first source; any other name: a rosbag2 directory. Default: next to the first source, in its format, with
@@ -236,6 +238,8 @@ def convert(
         of each. ``files`` of the report lists them.
     ros_distro
         Whose definitions stand in for those that the recording lacks.
+    scratch, scratch_size
+        Where local copies of what is at URLs are, and how much room they may take there, as ``"20GB"``.
     overwrite
         Whether an existing destination is replaced, and whatever is in the report's place.
     report
@@ -283,7 +287,7 @@ def convert(
     >>> report.exit_status  # doctest: +SKIP
     0
     """
-    from .pipeline.run import OutputOptions, run  # noqa: PLC0415
+    from .pipeline.run import OutputOptions, run, scratch_bytes  # noqa: PLC0415
 
     several = None
     if scans is not None:
@@ -369,6 +373,8 @@ def convert(
         dry_run=dry_run,
         cut=cut,
         report=None if report is None else path_of("report", report),
+        scratch=None if scratch is None else path_of("scratch", scratch),
+        scratch_size=scratch_bytes(scratch_size),
     )
     files = {"`params_file`": params_file, "`static_tf_file`": static_tf_file}
     also_read = {name: path_of(name.strip("`"), file) for name, file in files.items() if file is not None}

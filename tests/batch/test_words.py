@@ -32,7 +32,11 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 #: What `pc2scan.convert` takes for one run.
-OF_ONE_RUN = {"sources", "destination", "report", "dry_run", "jobs", "progress", "parameters"}
+OF_ONE_RUN = {
+    *("sources", "destination", "report", "dry_run", "jobs", "progress", "parameters"),
+    # A batch has local paths.
+    *("scratch", "scratch_size"),
+}
 
 #: Objects, which only Python has; and what only decides whether something is replaced.
 NOT_IN_FILES = {"params", "filters", "frames", "overwrite"}

@@ -45,19 +45,21 @@ ALLOWED = {
     "text_enum": set[str](),
     "threads": set[str](),
     "files": set[str](),
+    "remote": {"files"},
     "core": set[str](),
     "tf": {"core", "messages", "bags", "files"},
-    "bags": {"files"},
+    # `remote.urls`: whether a path is a URL.
+    "bags": {"files", "remote.urls"},
     "messages": {"core"},
-    "pipeline": {"core", "tf", "messages", "bags", "files"},
-    "inspect": {"core", "tf", "messages", "bags"},
+    "pipeline": {"core", "tf", "messages", "bags", "files", "remote"},
+    "inspect": {"core", "tf", "messages", "bags", "remote"},
     "compare": {"messages", "bags", "core", "files"},
     "golden": {"pipeline", "compare", "messages", "bags", "files"},
     "streams": {"pipeline", "core", "tf", "messages", "bags"},
     "export": {"streams", "pipeline", "core", "tf", "messages", "bags", "files"},
     "look": {"streams", "pipeline", "inspect", "compare", "core", "tf", "messages", "bags", "files"},
     # `cli.memory`: worker processes are the command's own.
-    "batch": {"requests", "export", "pipeline", "core", "bags", "files", "cli.memory"},
+    "batch": {"requests", "export", "pipeline", "core", "bags", "files", "cli.memory", "remote.urls"},
     # `cli.in_process`: golden cases run the command. `cli.command_line`: pages show the one that means the same.
     "requests": {"pipeline", "core", "streams", "tf"},
     "api": {
@@ -67,7 +69,7 @@ ALLOWED = {
     # `bags.damage`: results have its data classes. `files.staging`: what is complete when a command is interrupted.
     "cli": {
         *("batch", "pipeline", "inspect", "compare", "golden", "export", "look", "core", "tf"),
-        *("bags.damage", "files.staging", "files.junit"),
+        *("bags.damage", "files.staging", "files.junit", "remote.urls"),
     },
     "pytest_plugin": {"api", "cli", "golden"},
 }
@@ -85,6 +87,7 @@ THIRD_PARTY = {
     "text_enum": set[str](),
     "threads": set[str](),
     "files": {"isal", "lz4", "zstandard", "ruamel"},
+    "remote": {"fsspec"},
     "core": {"numpy"},
     "tf": {"numpy", "ruamel"},
     "messages": {"numpy", "rosbags"},
@@ -207,7 +210,7 @@ def test_libraries_stay_in_their_layers(path: Path) -> None:
     assert outside <= allowed
 
 
-HEAVY = ("numpy", "rosbags", "mcap", "rich.progress", "sqlite3", "ruamel", "lz4", "zstandard")
+HEAVY = ("fsspec", "numpy", "rosbags", "mcap", "rich.progress", "sqlite3", "ruamel", "lz4", "zstandard")
 
 
 @pytest.mark.parametrize(

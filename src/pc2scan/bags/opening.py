@@ -7,11 +7,12 @@ import shlex
 import stat
 from typing import TYPE_CHECKING
 
-from pc2scan.errors import MissingError, RecordingError
+from pc2scan.errors import MissingError, RecordingError, UsageError
 from pc2scan.files.compression import LZ4_MAGIC, ZSTD_MAGIC
 from pc2scan.files.nearby import missing_hint
 from pc2scan.files.source import opened_bytes
 from pc2scan.files.staging import working_names
+from pc2scan.remote.urls import is_url, shown_path
 
 from . import zstd
 from .folders import recordings_in, several_recordings
@@ -63,7 +64,7 @@ def sniff(path: Path) -> str:
     RecordingError
         If it is not permitted to read it, or it is not a recording.
     UsageError
-        If it is a directory with several recordings.
+        If it is a directory with several recordings, or a URL.
     """
     try:
         mode = path.stat().st_mode
@@ -74,6 +75,10 @@ def sniff(path: Path) -> str:
         with opened_bytes(path) as file:
             head = file.read(64)
     except FileNotFoundError as err:
+        if is_url(path):
+            raise UsageError(
+                "only convert, info and tf read URLs", path=shown_path(path), hint="download it and name the copy"
+            ) from err
         suffixes = [entry.suffix for entry in FORMATS.values() if entry.suffix]
         hint = _interrupted(path) or missing_hint(path, suffixes)
         raise MissingError("there is nothing of this name", path=path, hint=hint) from err

@@ -14,6 +14,7 @@ from pc2scan.errors import DestinationError, OutputError, UsageError
 from pc2scan.files.staging import check_place, clean_up, made_folder, note_written, only_run
 from pc2scan.files.text_output import check_text_output, text_output
 from pc2scan.pipeline.scheduler import cores as all_cores
+from pc2scan.remote.urls import is_url, shown_path
 
 from .choices import Choices
 from .dataset_file import DatasetFile, load_dataset_file
@@ -158,6 +159,10 @@ def run_batch(
     watch = watch or Watch()
     if not sources:
         raise UsageError("no source given")
+    for path in (*(Path(source) for source in sources), out):
+        if is_url(path):
+            hint = "convert reads and writes URLs, one recording at a time"
+            raise UsageError("a batch takes local paths, not URLs", path=shown_path(path), hint=hint)
     dataset = DatasetFile() if options.dataset is None else load_dataset_file(options.dataset)
     choices = Choices(dataset, words, origins or {})
     choices.check()

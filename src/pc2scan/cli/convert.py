@@ -10,7 +10,7 @@ import typer
 
 from pc2scan.errors import DestinationError, Pc2ScanError
 
-from .options import ConversionGroup, Destination, OutputGroup, ReportGroup, ros_arguments
+from .options import ConversionGroup, Destination, OutputGroup, ReportGroup, ScratchGroup, ros_arguments
 from .outcome import conclude, show, show_each, show_next, show_outcome
 from .progress import progress_bar
 from .render import warn
@@ -29,13 +29,14 @@ def convert(
         list[Path],
         typer.Argument(
             metavar="SRC...",
-            help="ROS 1 bag, rosbag2 directory, .db3 or .mcap file. Several are merged in time order.",
+            help="ROS 1 bag, rosbag2 directory, .db3 or .mcap file, or a URL of one. Several are merged in time order.",
         ),
     ],
     destination: Destination = None,
     *,
     conversion: ConversionGroup,
     output: OutputGroup,
+    scratch: ScratchGroup,
     reporting: ReportGroup,
 ) -> None:
     """Convert recorded clouds to laser scans, or back.
@@ -49,7 +50,7 @@ def convert(
     from pc2scan.pipeline.options import destination_and_folder
 
     named, folder = destination_and_folder(destination)
-    form = output.options(folder=folder, report=reporting.report)
+    form = scratch.on(output.options(folder=folder, report=reporting.report))
     also_read = conversion.read_files()
     try:
         options, origins = conversion.options(ros_distro=output.ros_distro)
@@ -60,8 +61,9 @@ def convert(
     except Pc2ScanError as err:
         from pc2scan.pipeline.report import Failure
         from pc2scan.pipeline.run import report_failure
+        from pc2scan.remote.urls import shown_path
 
-        report_failure(Failure(err, [str(source) for source in sources], destination), sources, form, also_read)
+        report_failure(Failure(err, [shown_path(source) for source in sources], destination), sources, form, also_read)
         raise
 
     from pc2scan.pipeline.run import run

@@ -45,6 +45,7 @@ __all__ = [
     "OutputGroup",
     "ParameterOptions",
     "ReportGroup",
+    "ScratchGroup",
     "StaticTf",
     "Storage",
     "TfSources",
@@ -909,6 +910,35 @@ class ConversionGroup(Group):
         named["--scans"] = self.projection.scans
         further = {f"{path.name} (from {option})": path for option, path in self.files}
         return {option: path for option, path in named.items() if path is not None} | further
+
+
+class ScratchGroup(Group):
+    """Options about local copies of what is at URLs."""
+
+    scratch: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Folder for local copies of what is at URLs.  [default: the system's for temporary files]",
+            show_default=False,
+            rich_help_panel=_OUTPUT,
+        ),
+    ] = None
+    scratch_size: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SIZE",
+            help="Local copies may take so much there (20GB).  [default: the free room]",
+            show_default=False,
+            rich_help_panel=_OUTPUT,
+        ),
+    ] = None
+
+    def on(self, output: "OutputOptions") -> "OutputOptions":
+        """Return the output's options with these."""
+        from pc2scan.pipeline.run import scratch_bytes
+
+        return output._replace(scratch=self.scratch, scratch_size=scratch_bytes(self.scratch_size))
 
 
 class OutputGroup(Group):

@@ -65,6 +65,8 @@ OPTIONS = {
     "range_cutoff": "--range-cutoff",
     "rebin": "--rebin",
     "repeat_latched": "--repeat-latched",
+    "scratch": "--scratch",
+    "scratch_size": "--scratch-size",
     "report": "--report",
     "resolution": "--resolution",
     "reverse": "--reverse",

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from pc2scan.model import Buffer
 
 
-__all__ = ["FreeIds", "NewFile", "SourceFile", "file_beside", "opened_bytes", "opened_text", "state_of"]
+__all__ = ["FreeIds", "NewFile", "SourceFile", "file_beside", "on_demand", "opened_bytes", "opened_text", "state_of"]
 
 _Result = TypeVar("_Result")
 
@@ -32,6 +32,9 @@ _BORROWED_BYTES = range(1 << 18, 1 << 24)
 
 #: Endings of the files that SQLite keeps beside a database while it is written.
 _LOGS = ("-wal", "-journal")
+
+#: Files whose bytes are put there when they are first read, and what does so: called with their place before each read.
+on_demand: dict[Path, Callable[[int, int], None]] = {}
 
 #: Buffers have multiples of this size, so that one serves chunks of different sizes.
 _ROUNDED_TO = 1 << 20
@@ -119,6 +122,7 @@ class SourceFile:
         self.start = start
         #: Where in the file another recording follows this one.
         self.next_start: int | None = None
+        self._fetch = on_demand.get(path)
         self._descriptor = -1
         self._buffers = _shared.setdefault("", _Buffers())
         try:
@@ -166,6 +170,8 @@ class SourceFile:
         """Read exactly ``length`` bytes."""
         self._expect_inside(offset, length)
         offset += self.start
+        if self._fetch is not None:
+            self._fetch(offset, length)
         try:
             data = read_at(self._descriptor, length, offset)
             # Many bytes take several calls.
@@ -208,6 +214,8 @@ class SourceFile:
 
     def _fill(self, view: memoryview, offset: int) -> None:
         """Fill ``view`` with the bytes at a place of the file."""
+        if self._fetch is not None:
+            self._fetch(offset, len(view))
         done = 0
         try:
             while done < len(view) and (more := os.preadv(self._descriptor, [view[done:]], offset + done)):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,6 +19,7 @@ from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.imu import IMU
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.messages.pointcloud2 import DATATYPES, POINTCLOUD2, decode_pointcloud2
+from pc2scan.remote.urls import is_url
 from pc2scan.shown import Shown, Table, count, listed, size, stamp
 from pc2scan.tf.mounting import mounting
 from pc2scan.tf.options import FrameOptions
@@ -362,6 +363,14 @@ def info(
         If several namespaces have transforms and none was named.
     """
     asked = frames or FrameOptions()
+    if any(map(is_url, (*sources, *asked.tf_from))):
+        from pc2scan.remote.ranges import nearby  # noqa: PLC0415  # loads fsspec
+
+        with nearby([*sources, *asked.tf_from]) as near:
+            here = near.paths[: len(sources)]
+            read = replace(asked, tf_from=tuple(near.paths[len(sources) :]))
+            found: Info = near.names.of(info(here, samples=samples, target_frame=target_frame, frames=read))
+        return found
     with ExitStack() as stack:
         readers = open_recordings(sources, stack)
         reader = as_one(readers)

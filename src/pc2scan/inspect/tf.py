@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.bags.opening import open_recordings
 from pc2scan.errors import TransformError, stamp_text
+from pc2scan.remote.urls import is_url
 from pc2scan.shown import Shown, Table, count, listed
 from pc2scan.tf.options import FrameOptions
 from pc2scan.tf.reading import read_transforms
@@ -133,8 +134,15 @@ def frame_tree(sources: Sequence[Path], options: FrameOptions | None = None) -> 
         If several namespaces have transforms and none was named.
     """
     options = options or FrameOptions()
+    read = [*sources, *options.tf_from]
+    if any(map(is_url, read)):
+        from pc2scan.remote.ranges import nearby  # noqa: PLC0415  # loads fsspec
+
+        with nearby(read) as near:
+            found: FrameTree = near.names.of(frame_tree(near.paths, replace(options, tf_from=())))
+        return found
     with ExitStack() as stack:
-        readers = open_recordings((*sources, *options.tf_from), stack)
+        readers = open_recordings(read, stack)
         buffer, warnings = read_transforms(readers, options)
         damage = tuple(damage for reader in readers for damage in reader.damage)
     return FrameTree(buffer.infos, buffer.trees, tuple(warnings), buffer, damage)

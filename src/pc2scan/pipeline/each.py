@@ -11,6 +11,7 @@ from pc2scan.bags.folders import recordings_in
 from pc2scan.bags.opening import sniff
 from pc2scan.errors import DestinationError, Pc2ScanError, UsageError
 from pc2scan.files.overlap import InputPath, OutputPath, refuse_overlap
+from pc2scan.remote.urls import is_url
 from pc2scan.version import __version__
 
 from .report import Failure
@@ -115,6 +116,8 @@ def run_each(
     """
     if not sources:
         raise UsageError("no source given")
+    if any(map(is_url, (*sources, output.folder, output.report))):
+        raise UsageError("`each` takes local paths, not URLs", hint="convert each URL by itself")
     result = Each(list(_named(sources, output)))
     _refuse_collisions(result.outcomes)
     inputs = [InputPath(outcome.source) for outcome in result.outcomes]

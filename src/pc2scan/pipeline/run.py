@@ -24,6 +24,7 @@ from pc2scan.bags.folders import overlap_warnings
 from pc2scan.bags.formats import chunk_format
 from pc2scan.bags.merged import as_one
 from pc2scan.bags.opening import open_recordings
+from pc2scan.core.quantities import byte_size
 from pc2scan.errors import (
     DamageError,
     DestinationError,
@@ -41,6 +42,7 @@ from pc2scan.files.staging import check_destination, check_parts, made_folder, p
 from pc2scan.files.text_output import check_text_output, text_output
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.model import MAX_ROSBAG2_NS
+from pc2scan.remote.urls import is_url, shown_path
 from pc2scan.tf.options import FrameOptions
 from pc2scan.tf.placing import Frames
 from pc2scan.tf.reading import read_some_transforms, read_transforms
@@ -85,7 +87,7 @@ if TYPE_CHECKING:
     from .scan_spec import ScanSpec
     from .stages.deskew import Deskew
 
-__all__ = ["OutputOptions", "Progress", "prepared", "report_failure", "report_file", "run", "span_of"]
+__all__ = ["OutputOptions", "Progress", "prepared", "report_failure", "report_file", "run", "scratch_bytes", "span_of"]
 
 
 class OutputOptions(NamedTuple):
@@ -117,6 +119,9 @@ class OutputOptions(NamedTuple):
         Whether a named destination has the storage of the source, as one that is named after the source has.
     cut
         Where a new file begins; None for a recording in one file.
+    scratch, scratch_size
+        Where local copies of what is at URLs are, and how many bytes they may take; None: in the system's folder for
+        temporary files, as many as fit.
     """
 
     storage: str | None = None
@@ -130,6 +135,24 @@ class OutputOptions(NamedTuple):
     dry_run: bool = False
     like_source: bool = False
     cut: Cut | None = None
+    scratch: Path | None = None
+    scratch_size: int | None = None
+
+
+def scratch_bytes(text: str | None) -> int | None:
+    """Read a size such as ``20GB``; None for None.
+
+    Raises
+    ------
+    UsageError
+        If it is no size.
+    """
+    if text is None:
+        return None
+    size = byte_size(text)
+    if not size:
+        raise UsageError(f"`scratch_size` is {text!r}, it must be a size above 0", hint="with its unit: 500MB, 20GB")
+    return size
 
 
 def run(
@@ -154,9 +177,17 @@ def run(
     warn
         Called at once with warnings that the first clouds give rise to; they are in the report, too.
     """
-    began = time.monotonic()
     if not sources:
         raise UsageError("no source given")
+    if any(map(is_url, (*sources, *options.frames.tf_from, destination, output.folder, output.report))):
+        if is_url(output.report):
+            raise UsageError("`report` must be a local file", hint="such as `report=report.json`")
+        return _run_at_urls(
+            sources, destination, options, output, origins=origins, also_read=also_read, progress=progress, warn=warn
+        )
+    if output.scratch is not None or output.scratch_size is not None:
+        raise UsageError("`scratch` and `scratch_size` have no effect: no source and no destination is a URL")
+    began = time.monotonic()
     # From here on there is one object for each output.
     options = replace(options, origins=dict(origins or options.origins))
     options = replace(options, scans=options.specs)
@@ -173,6 +204,57 @@ def run(
             raise
         report.seconds = time.monotonic() - began
         files.deliver(report)
+    return report
+
+
+def _run_at_urls(
+    sources: Sequence[Path],
+    destination: Path | None,
+    options: ConvertOptions,
+    output: OutputOptions,
+    *,
+    origins: Mapping[str, str] | None,
+    also_read: Mapping[str, Path] | None,
+    progress: Progress | None,
+    warn: Callable[[str], None] | None,
+) -> Report:
+    """Convert local copies, and upload the result."""
+    from pc2scan.remote.staging import Asked  # noqa: PLC0415  # loads fsspec
+    from pc2scan.remote.staging import staged as copied  # noqa: PLC0415
+
+    asked = Asked(
+        sources,
+        options.frames.tf_from,
+        destination,
+        output.folder,
+        output.scratch,
+        output.scratch_size,
+        output.overwrite,
+        output.dry_run,
+    )
+    with ExitStack() as stack:
+        write_report = report_file(output, stack)
+        try:
+            with copied(asked) as here:
+                done = run(
+                    here.sources,
+                    here.destination,
+                    replace(options, frames=replace(options.frames, tf_from=tuple(here.tf_from))),
+                    output._replace(folder=here.folder, report=None, scratch=None, scratch_size=None),
+                    origins=origins,
+                    also_read=also_read,
+                    progress=progress,
+                    warn=None if warn is None else lambda text: warn(here.names.text(text)),
+                )
+                here.upload()
+                report: Report = here.names.of(done)
+        except Pc2ScanError as err:
+            if write_report is not None:
+                to = None if destination is None else shown_path(destination)
+                write_report(Failure(err, [shown_path(source) for source in sources], to).as_json())
+            raise
+        if write_report is not None:
+            write_report(report.as_json())
     return report
 
 

@@ -1,0 +1,69 @@
+"""What users see: URLs, where local copies of them were read and written."""
+
+from __future__ import annotations
+
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pc2scan.errors import Pc2ScanError
+
+__all__ = ["Names"]
+
+
+class Names:
+    """Replaces local folders by the URLs whose copies they have."""
+
+    def __init__(self) -> None:
+        self._urls: dict[str, str] = {}
+
+    def add(self, folder: Path, url: str) -> None:
+        """Show everything in ``folder`` as what is below ``url``."""
+        self._urls[str(folder)] = url.rstrip("/")
+
+    def text(self, text: str) -> str:
+        """Replace the folders in a text."""
+        for folder, url in self._urls.items():
+            text = text.replace(folder, url)
+        return text
+
+    def of(self, value: Any) -> Any:
+        """Replace the folders in a result: text, paths, lists, dictionaries and, in place, data classes."""
+        if isinstance(value, str):
+            return self.text(value)
+        if isinstance(value, Path):
+            text = self.text(str(value))
+            return value if text == str(value) else _Shown(text)
+        if type(value) is tuple or hasattr(value, "_fields"):
+            items = map(self.of, value)
+            return type(value)(*items) if hasattr(value, "_fields") else tuple(items)
+        if type(value) is list:
+            return [self.of(item) for item in value]
+        if type(value) is dict:
+            return {key: self.of(item) for key, item in value.items()}
+        if is_dataclass(value) and not isinstance(value, type):
+            for each in fields(value):
+                found = getattr(value, each.name)
+                # Numbers need no look, and are most of it.
+                if isinstance(found, str | Path | tuple | list | dict) or is_dataclass(found):
+                    object.__setattr__(value, each.name, self.of(found))
+        return value
+
+    def error(self, err: Pc2ScanError) -> None:
+        """Replace the folders in an error, in place."""
+        err.message = self.text(err.message)
+        err.args = (err.message,)
+        err.path = None if err.path is None else self.text(str(err.path))
+        err.hint = None if err.hint is None else self.text(err.hint)
+
+
+class _Shown(str):
+    """A URL where results have a path."""
+
+    __slots__ = ()
+
+    @property
+    def name(self) -> str:
+        """The last part."""
+        return self.rpartition("/")[2]

@@ -1,0 +1,151 @@
+"""Recordings at URLs of which only what is asked for is read.
+
+Readers need files. Each remote file gets a local one of the same size without content: bytes are fetched and put into
+it when they are first read. Databases and compressed files are fetched whole: their libraries read the file themselves.
+"""
+
+from __future__ import annotations
+
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from threading import Lock
+from typing import TYPE_CHECKING
+
+from pc2scan.errors import Pc2ScanError, RecordingError
+from pc2scan.files.compression import ZSTD_MAGIC
+from pc2scan.files.source import on_demand
+
+from .names import Names
+from .store import Place
+from .urls import is_url
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+__all__ = ["Nearby", "nearby"]
+
+#: Fetched bytes are multiples of this, which is small beside a request's own time.
+_BLOCK = 1 << 16
+
+#: A request is at most so many blocks.
+_MOST_BLOCKS = 1 << 9
+
+#: Files up to this size are fetched whole.
+_SMALL = 1 << 17
+
+_WHOLE = (ZSTD_MAGIC, b"SQLite format 3\0")
+
+
+class Nearby:
+    """Local stand-ins of recordings.
+
+    Attributes
+    ----------
+    paths
+        In the order of the recordings; those that are local are themselves.
+    names
+        Shows URLs for the stand-ins.
+    """
+
+    def __init__(self) -> None:
+        self.paths: list[Path] = []
+        self.names = Names()
+
+
+@contextmanager
+def nearby(paths: Sequence[Path]) -> Iterator[Nearby]:
+    """Make recordings readable as files, as long as the context lasts; errors in it name their URLs.
+
+    Raises
+    ------
+    RecordingError
+        If one cannot be read, or was changed meanwhile.
+    """
+    found = Nearby()
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(TemporaryDirectory(prefix="pc2scan-"))).resolve()
+        read: list[tuple[Place, tuple[str, ...]]] = []
+        for number, path in enumerate(paths):
+            if not is_url(path):
+                found.paths.append(path)
+                continue
+            place = Place(path)
+            here = folder / str(number)
+            here.mkdir()
+            found.names.add(here, place.parent)
+            target = here / place.name
+            found.paths.append(target)
+            files = place.files()
+            if files is None:
+                read.append((place, place.version()))
+                _stand_in(place, target, stack)
+            else:
+                target.mkdir()
+                for name, file in files.items():
+                    read.append((file, file.version()))
+                    _stand_in(file, target / name, stack)
+        try:
+            yield found
+        except Pc2ScanError as err:
+            found.names.error(err)
+            raise
+        for place, version in read:
+            if place.version() != version:
+                raise place.changed()
+
+
+def _stand_in(place: Place, target: Path, stack: ExitStack) -> None:
+    size = place.size()
+    head = place.bytes_at(0, min(size, _BLOCK)) if size else b""
+    if size <= _SMALL or head.startswith(_WHOLE):
+        place.download(target)
+        return
+    fetched = _Fetched(place, target, size)
+    on_demand[target] = fetched.fetch
+    stack.callback(on_demand.pop, target)
+    fetched.keep(0, head)
+
+
+class _Fetched:
+    """A file that is filled as it is read."""
+
+    def __init__(self, place: Place, path: Path, size: int) -> None:
+        self._place = place
+        self._path = path
+        self._size = size
+        self._there = bytearray(-(-size // _BLOCK))
+        self._lock = Lock()
+        try:
+            with path.open("xb") as file:
+                file.truncate(size)
+        except OSError as err:
+            raise self._no_copy(err) from err
+
+    def _no_copy(self, err: OSError) -> RecordingError:
+        hint = "set the environment variable TMPDIR to a folder with room"
+        return RecordingError(f"no local copy can be written: {err.strerror}", path=self._place.shown, hint=hint)
+
+    def fetch(self, offset: int, length: int) -> None:
+        """Make sure that these bytes are there; any thread may call it."""
+        last = min(-(-(offset + length) // _BLOCK), len(self._there))
+        with self._lock:
+            block = self._there.find(0, offset // _BLOCK, last)
+            while block >= 0:
+                stop = self._there.find(1, block, last)
+                stop = min(last if stop < 0 else stop, block + _MOST_BLOCKS)
+                start = block * _BLOCK
+                self.keep(start, self._place.bytes_at(start, min(stop * _BLOCK, self._size)))
+                block = self._there.find(0, stop, last)
+
+    def keep(self, start: int, data: bytes) -> None:
+        """Put bytes into the file."""
+        try:
+            with self._path.open("r+b") as file:
+                file.seek(start)
+                file.write(data)
+        except OSError as err:
+            raise self._no_copy(err) from err
+        blocks = -(-len(data) // _BLOCK)
+        first = start // _BLOCK
+        self._there[first : first + blocks] = b"\1" * blocks

@@ -1,0 +1,198 @@
+"""Conversions from and to URLs: sources are copied here first, and the result is uploaded when it is complete."""
+
+from __future__ import annotations
+
+import shutil
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, NamedTuple
+
+from pc2scan.errors import DestinationError, Pc2ScanError, UsageError
+
+from .names import Names
+from .store import Place
+from .urls import is_url, shown_path
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+__all__ = ["Asked", "Staged", "staged"]
+
+
+class Asked(NamedTuple):
+    """What is read and written, by path or URL.
+
+    Attributes
+    ----------
+    sources, tf_from
+        What is read.
+    destination, folder
+        Where it goes; if both are None, next to the first source.
+    scratch, scratch_size
+        Where local copies are, and how many bytes of them there may be; None: the system's folder, and its free room.
+    overwrite, dry_run
+        As for local conversions.
+    """
+
+    sources: Sequence[Path]
+    tf_from: Sequence[Path]
+    destination: Path | None
+    folder: Path | None
+    scratch: Path | None
+    scratch_size: int | None
+    overwrite: bool
+    dry_run: bool
+
+
+class Staged:
+    """The local paths of a conversion.
+
+    Attributes
+    ----------
+    sources, tf_from, destination, folder
+        As in `Asked`, local.
+    names
+        Shows URLs for the local paths.
+    """
+
+    def __init__(self, asked: Asked, scratch: Path) -> None:
+        self._asked = asked
+        self._scratch = scratch
+        self.names = Names()
+        self._read: list[Place] = []
+        self._out: Place | None = None
+        self._out_folder: Path | None = None
+        self._downloads: list[tuple[Place, Path]] = []
+        self._number = 0
+        self.sources = [self._here(path) for path in asked.sources]
+        self.tf_from = [self._here(path) for path in asked.tf_from]
+        self.destination, self.folder = asked.destination, asked.folder
+        self._place_destination()
+        self._make_room()
+        for place, target in self._downloads:
+            target.parent.mkdir(exist_ok=True)
+            place.download(target)
+
+    def _here(self, path: Path) -> Path:
+        if not is_url(path):
+            return path
+        place = Place(path)
+        folder = self._scratch / str(self._number)
+        self._number += 1
+        folder.mkdir()
+        self.names.add(folder, place.parent)
+        target = folder / place.name
+        self._read.append(place)
+        files = place.files()
+        if files is None:
+            self._downloads.append((place, target))
+        else:
+            self._downloads += ((file, target / name) for name, file in files.items())
+        return target
+
+    def _place_destination(self) -> None:
+        """Find out where the result is uploaded, and refuse what can be refused before anything is read."""
+        asked = self._asked
+        first = asked.sources[0] if asked.sources else None
+        if asked.destination is not None:
+            named = asked.destination if is_url(asked.destination) else None
+        elif asked.folder is not None:
+            named = asked.folder if is_url(asked.folder) else None
+        else:
+            named = first if is_url(first) else None
+        if named is None:
+            return
+        place = Place(named)
+        if place.is_read_only:
+            hint = "name a destination: `destination=scans.mcap`"
+            raise DestinationError(f"{place.scheme}:// can only be read", path=place.shown, hint=hint)
+        if named is asked.destination:
+            if any(place.key == read.key and place.scheme == read.scheme for read in self._read):
+                raise DestinationError("is a source", path=place.shown)
+            if not asked.overwrite and place.exists():
+                raise DestinationError("exists already", path=place.shown, hint="`overwrite=True` replaces it")
+        if named is asked.folder:
+            self._out = place
+            url = place.shown
+        else:
+            self._out, url = Place(named.parent), place.parent
+        if named is first:
+            self._out_folder = self.sources[0].parent
+            return
+        self._out_folder = self._scratch / "out"
+        self._out_folder.mkdir()
+        self.names.add(self._out_folder, url)
+        if named is asked.folder:
+            self.folder = self._out_folder
+        else:
+            self.destination = self._out_folder / place.name
+
+    def _make_room(self) -> None:
+        """Refuse copies that are too large, before the first byte is read."""
+        needed = sum(place.size() for place, _ in self._downloads)
+        free = shutil.disk_usage(self._scratch).free
+        limit, hint = self._asked.scratch_size, "a larger `scratch_size`, or a part of the recordings"
+        if self._out is not None and limit is not None:
+            # The result is here, too; it is hardly ever larger than its sources.
+            limit //= 2
+        if limit is None or free < limit:
+            limit, hint = free, "`scratch` names a folder with more room"
+        if needed > limit:
+            names = ", ".join(dict.fromkeys(place.shown for place, _ in self._downloads[:3]))
+            raise UsageError(
+                f"local copies of the sources take {needed:,} bytes, there may be {limit:,} in {self._scratch.parent}",
+                path=names,
+                hint=hint,
+            )
+
+    def upload(self) -> None:
+        """Upload what was written, complete or not at all."""
+        if self._out is None or self._out_folder is None or self._asked.dry_run:
+            return
+        sources = {*self.sources, *self.tf_from}
+        made = sorted(path for path in self._out_folder.iterdir() if path not in sources)
+        for path in made:
+            if not self._asked.overwrite and self._out.has(path.name):
+                url = self.names.text(str(path))
+                raise DestinationError("exists already", path=url, hint="`overwrite=True` replaces it")
+        done: list[str] = []
+        try:
+            for path in made:
+                if path.is_dir():
+                    self._out.upload(path, path.name, overwrite=self._asked.overwrite)
+                else:
+                    done.append(self._out.upload_file(path, path.name))
+        except BaseException:
+            # Of files that are one recording, none is left.
+            if len(made) > 1:
+                self._out.remove(done)
+            raise
+
+
+@contextmanager
+def staged(asked: Asked) -> Iterator[Staged]:
+    """Copy the sources of a conversion, as long as the context lasts; errors in it name URLs.
+
+    Raises
+    ------
+    RecordingError
+        If a source cannot be read, or changes meanwhile.
+    UsageError
+        If there is no room, or the destination cannot be written or exists.
+    """
+    try:
+        folder = TemporaryDirectory(prefix="pc2scan-", dir=asked.scratch)
+    except OSError as err:
+        where = "temporary files" if asked.scratch is None else shown_path(asked.scratch)
+        raise UsageError(f"`scratch`: {where} cannot be written: {err.strerror}") from err
+    with folder as name:
+        scratch = Path(name).resolve()
+        found: Staged | None = None
+        try:
+            found = Staged(asked, scratch)
+            yield found
+        except Pc2ScanError as err:
+            if found is not None:
+                found.names.error(err)
+            raise

@@ -1,0 +1,68 @@
+"""Paths that are URLs. This module loads quickly: every command asks it."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+from urllib.parse import urlsplit
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+__all__ = ["LIBRARIES", "is_url", "shown_path", "shown_url", "url_of"]
+
+#: The library that fsspec needs for a scheme; empty where it needs none.
+LIBRARIES = {
+    "s3": "s3fs",
+    "s3a": "s3fs",
+    "gs": "gcsfs",
+    "gcs": "gcsfs",
+    "az": "adlfs",
+    "abfs": "adlfs",
+    "abfss": "adlfs",
+    "https": "aiohttp",
+    "http": "aiohttp",
+    "file": "",
+    "memory": "",
+}
+
+#: A Path has one slash where a URL has two.
+_URL = re.compile(rf"({'|'.join(LIBRARIES)}):/+(.*)", re.DOTALL)
+
+
+def is_url(path: Path | None) -> bool:
+    """Whether a path was given as a URL.
+
+    >>> from pathlib import PurePosixPath as Path
+    >>> is_url(Path("s3://bucket/drive.mcap")), is_url(Path("s3/drive.mcap")), is_url(None)
+    (True, False, False)
+    """
+    return path is not None and _URL.match(path.as_posix()) is not None
+
+
+def url_of(path: Path) -> str:
+    """Return the URL that a path was given as.
+
+    >>> from pathlib import PurePosixPath as Path
+    >>> url_of(Path("s3://bucket/drive.mcap")), url_of(Path("file:///tmp/drive.mcap"))
+    ('s3://bucket/drive.mcap', 'file:///tmp/drive.mcap')
+    """
+    found = _URL.match(path.as_posix())
+    assert found is not None  # asked for only where `is_url` is true
+    scheme, rest = found.groups()
+    return f"{scheme}:///{rest}" if scheme == "file" else f"{scheme}://{rest}"
+
+
+def shown_url(url: str) -> str:
+    """Return a URL without what may be secret: user, password, query and fragment.
+
+    >>> shown_url("https://me:secret@example.org/drive.mcap?signature=1")
+    'https://example.org/drive.mcap'
+    """
+    parts = urlsplit(url)
+    return f"{parts.scheme}://{parts.netloc.rpartition('@')[2]}{parts.path}"
+
+
+def shown_path(path: Path) -> str:
+    """Return a path, or a URL as `shown_url` shows it, for messages and reports."""
+    return shown_url(url_of(path)) if is_url(path) else str(path)
