@@ -102,7 +102,9 @@ CORNERS = st.lists(st.tuples(st.floats(-2, 2), st.floats(-2, 2)), min_size=3, ma
 @given(rows=POINTS, corners=CORNERS)
 def test_a_polygon_rejects_what_is_in_it(rows: Any, corners: Any) -> None:
     cloud = points(rows)
-    kept = ExcludePolygon("base", tuple(corners))(cloud).tolist()
+    # As filters are called: of an edge that is nearly level, the quotient may overflow where it does not matter.
+    with np.errstate(all="ignore"):
+        kept = ExcludePolygon("base", tuple(corners))(cloud).tolist()
     x, y, _ = (axis.tolist() for axis in cloud.xyz())
     for place, (px, py) in enumerate(zip(x, y, strict=True)):
         if not (math.isfinite(px) and math.isfinite(py)):
