@@ -431,7 +431,7 @@ def test_links_in_a_golden_folder_are_not_followed(cases: Path) -> None:
 def test_results_are_shown_though_their_file_cannot_be_written(cases: Path) -> None:
     change = f"import shutil; shutil.rmtree({str(cases.parent / 'results')!r})"
     (cases.parent / "results").mkdir()
-    program = f"from pc2scan.golden import junit; junit.junit_xml = lambda _: exec({change!r}) or ''\n"
+    program = f"from pc2scan.files import junit; junit.junit_xml = lambda *_: exec({change!r}) or ''\n"
     program += "from pc2scan.cli import main; main()"
     junit = cases.parent / "results" / "junit.xml"
     command = [COMMAND[0], "-c", program, "golden", str(cases), "--junit", str(junit)]

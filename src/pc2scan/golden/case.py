@@ -160,10 +160,11 @@ def _case_of(folder: Path, settings: dict[str, Any]) -> Case:
 
 def _refuse_misnamed(folder: Path) -> None:
     """Raise if a file's name is nearly one that would be read: without its ``param.yaml``, a case has the defaults."""
-    known = (SETTINGS, _PARAMS, *_INPUTS, *_EXPECTED)
-    for name in sorted(entry.name for entry in folder.iterdir()):
-        near = nearest(name, known) if name not in known else None
-        if near and not (folder / near).exists():
+    there = {entry.name for entry in folder.iterdir()}
+    kinds = ((SETTINGS,), (_PARAMS,), _INPUTS, _EXPECTED)
+    missing = [name for kind in kinds if not there & {*kind} for name in kind]
+    for name in sorted(there - {name for kind in kinds for name in kind}):
+        if near := nearest(name, missing):
             raise UsageError(f"{name} is not read", path=folder, hint=f"did you mean {near}?")
 
 
