@@ -412,6 +412,7 @@ def batch(
     checksum: bool = False,
     fail_fast: bool = False,
     dry_run: bool = False,
+    dask: bool | str = False,
     report: PathText | None = None,
     progress: Callable[[BatchProgress], None] | None = None,
     **words: Any,
@@ -439,6 +440,9 @@ def batch(
         Whether the first recording that fails ends the run.
     dry_run
         Whether nothing is written; outcomes are forecasts, sizes and times estimates.
+    dask
+        True: a Dask cluster on this machine converts; an address, ``tcp://scheduler:8786``: the cluster of that
+        scheduler. Needs ``pc2scan[dask]``. With True, a script needs ``if __name__ == "__main__"``.
     report
         A file to write the summary to: ``.json``, ``.csv`` or ``.md``.
     progress
@@ -477,6 +481,7 @@ def batch(
         force=force,
         fail_fast=fail_fast,
         dry_run=dry_run,
+        dask=dask,
         report=None if report is None else path_of("report", report),
     )
     watch = Watch() if progress is None else Watch(progress=progress)

@@ -96,7 +96,7 @@ THIRD_PARTY = {
     "inspect": {"numpy"},
     "compare": {"numpy"},
     "golden": set(),
-    "batch": set(),
+    "batch": {"dask", "distributed"},
     "streams": {"numpy"},
     "export": {"numpy"},
     "look": {"numpy", "matplotlib"},

@@ -26,7 +26,7 @@ from .plan import History, make_plan
 from .resources import available_bytes, workers_for
 from .summary import BEGINNINGS, BatchReport, Outcome, report_text
 from .work import Job
-from .workers import Began, Died, Ended, Progressed, execute
+from .workers import Began, Died, Ended, Progressed, Told, execute
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
@@ -65,6 +65,8 @@ class BatchOptions:
         Whether the first recording that fails ends the run.
     dry_run
         Whether nothing is written, and only what would be is found out.
+    dask
+        True: the recordings are tasks of a Dask cluster on this machine; an address: of that of this scheduler.
     report
         A file for the report: ``.json``, ``.csv`` or ``.md``; None for none.
     """
@@ -76,12 +78,19 @@ class BatchOptions:
     force: bool = False
     fail_fast: bool = False
     dry_run: bool = False
+    dask: bool | str = False
     report: Path | None = None
 
     def __post_init__(self) -> None:
         for name in ("jobs", "retries"):
             if getattr(self, name) < 0:
                 raise UsageError(f"`{name}` is {getattr(self, name)}, it must not be negative")
+        if isinstance(self.dask, str) and "://" not in self.dask:
+            raise UsageError(f"`dask={self.dask}`: the address of a scheduler is tcp://HOST:PORT")
+        if isinstance(self.dask, str) and self.jobs:
+            raise UsageError(
+                f"`jobs={self.jobs}` has no effect with `dask={self.dask}`", hint="its workers decide; type only one"
+            )
         if self.report is not None and self.report.suffix.lower() not in BEGINNINGS:
             raise UsageError(
                 f"`report={self.report}`: a report of a batch is one of {', '.join('NAME' + end for end in BEGINNINGS)}"
@@ -117,6 +126,8 @@ class Watch:
         With the report of each conversion as text; None if nobody reads it.
     note
         With what a user should know at once.
+    told
+        With what a user wants to know, such as the address of a dashboard.
     """
 
     planned: Callable[[Plan], None] = _nothing
@@ -124,6 +135,7 @@ class Watch:
     done: Callable[[Record], None] = _nothing
     shown: Callable[[str], None] | None = None
     note: Callable[[str], None] = _nothing
+    told: Callable[[str], None] = _nothing
 
 
 def run_batch(
@@ -166,6 +178,8 @@ def run_batch(
     dataset = DatasetFile() if options.dataset is None else load_dataset_file(options.dataset)
     choices = Choices(dataset, words, origins or {})
     choices.check()
+    if options.dask and not options.dry_run:
+        executor = executor or _on_dask("" if options.dask is True else str(options.dask))
     with ExitStack() as stack:
         lock = None
         if options.dry_run:
@@ -192,6 +206,22 @@ def _local(*, workers: int, retries: int, lock: int | None) -> Executor:
         return execute(jobs, workers=workers, cores=all_cores(), retries=retries, lock=lock)
 
     return executor
+
+
+def _on_dask(address: str) -> Callable[..., Executor]:
+    from .cluster import check_dask, execute_on_dask  # noqa: PLC0415  # most batches have no cluster
+
+    check_dask()
+
+    def make(*, workers: int, retries: int, lock: int | None) -> Executor:
+        del lock  # Of this machine.
+
+        def executor(jobs: Sequence[Job]) -> Generator[Event]:
+            return execute_on_dask(jobs, address, workers=workers, cores=all_cores(), retries=retries)
+
+        return executor
+
+    return make
 
 
 def _check_folder(out: Path) -> None:
@@ -379,6 +409,8 @@ class _Batch:
                     case Died(key, why):
                         progress.at(key, 0.0)
                         self._watch.note(f"{key}: {why}; it is tried again")
+                    case Told(text):
+                        self._watch.told(text)
                     case Ended(result):
                         record = _recorded(steps[result.key], result)
                         if record.is_written:

@@ -17,7 +17,7 @@ from collections import deque
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from queue import SimpleQueue
+from queue import Empty, SimpleQueue
 from threading import Thread
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
@@ -29,10 +29,10 @@ from .frames import receive, send
 from .work import Job, Result, died
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Sequence
+    from collections.abc import Callable, Generator, Sequence
     from typing import BinaryIO
 
-__all__ = ["Began", "Died", "Ended", "Event", "Executor", "Progressed", "execute"]
+__all__ = ["Began", "Died", "Ended", "Event", "Executor", "Progressed", "Told", "execute"]
 
 #: Seconds that an interrupted worker has to remove what it has written.
 _PATIENCE = 12.0
@@ -42,6 +42,9 @@ _PROGRAM = f"import json, sys; sys.path[:] = json.loads(sys.argv[1]); from {__pa
 
 #: So many workers may die before they begin.
 _MAX_STILLBORN = 3
+
+#: Seconds between two calls of what asks whether the jobs are still wanted.
+_CHECK_SECONDS = 0.5
 
 #: Characters of a dead worker's standard error that are reported.
 _SAID = 2_000
@@ -74,7 +77,13 @@ class Ended(NamedTuple):
     result: Result
 
 
-Event = Began | Progressed | Died | Ended
+class Told(NamedTuple):
+    """What a user wants to know, such as where to look."""
+
+    text: str
+
+
+Event = Began | Progressed | Died | Ended | Told
 
 
 class Executor(Protocol):
@@ -183,7 +192,13 @@ class _Pool:
 
 
 def execute(
-    jobs: Sequence[Job], *, workers: int, cores: int, retries: int = 1, lock: int | None = None
+    jobs: Sequence[Job],
+    *,
+    workers: int,
+    cores: int,
+    retries: int = 1,
+    lock: int | None = None,
+    check: Callable[[], None] | None = None,
 ) -> Generator[Event]:
     """Do jobs in worker processes.
 
@@ -199,6 +214,8 @@ def execute(
         How often a recording is tried again whose worker died; at the end, by a single thread.
     lock
         The descriptor of the lock that workers inherit.
+    check
+        Called now and then; what it raises ends the jobs.
 
     Yields
     ------
@@ -221,7 +238,12 @@ def execute(
                 worker = idle.popleft()
                 worker.give(replace(job, threads=threads))
                 yield Began(job.key)
-            worker, message = pool.inbox.get()
+            try:
+                worker, message = pool.inbox.get(timeout=None if check is None else _CHECK_SECONDS)
+            except Empty:
+                assert check is not None
+                check()
+                continue
             if message is None:
                 pool.workers.remove(worker)
                 if worker in idle:

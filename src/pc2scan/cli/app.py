@@ -41,6 +41,16 @@ _INTERRUPTED = 128 + signal.SIGINT
 class _Command(TyperCommand):
     """Shows help in sections as plain text; Typer's own sections need rich, whose import is slow."""
 
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Complete ``--dask`` without an address, which Typer's options cannot do without."""
+        if self.name == "batch":
+            following = [*args[1:], ""]
+            args = [
+                "--dask=local" if word == "--dask" and "://" not in after else word
+                for word, after in zip(args, following, strict=True)
+            ]
+        return super().parse_args(ctx, args)
+
     def format_help_text(self, ctx: Any, formatter: Any) -> None:
         """Write the examples, then the description."""
         examples = EXAMPLES.get(str(self.name), ())

@@ -64,6 +64,16 @@ class BatchGroup(Group):
             rich_help_panel=_BATCH,
         ),
     ] = 1
+    dask: Annotated[
+        str,
+        typer.Option(
+            metavar="[ADDRESS]",
+            help="Convert on the Dask cluster of this scheduler, such as tcp://scheduler:8786; without an address, on "
+            "one that is started on this machine. Needs pc2scan[dask].",
+            show_default=False,
+            rich_help_panel=_BATCH,
+        ),
+    ] = ""
     force: Annotated[
         bool, typer.Option("--force", help="Convert also what earlier runs have converted.", rich_help_panel=_BATCH)
     ] = False
@@ -205,6 +215,7 @@ def batch(
         force=running.force,
         fail_fast=running.fail_fast,
         dry_run=dry_run,
+        dask=True if running.dask == "local" else running.dask or False,
         report=running.report,
     )
     with _progress_bar(enabled=not running.quiet) as progress:
@@ -214,6 +225,7 @@ def batch(
             done=lambda record: _show_record(record, quiet=running.quiet, dry_run=dry_run),
             shown=_show_text if running.verbose and not running.quiet else None,
             note=warn,
+            told=lambda text: None if running.quiet else typer.echo(message(text), err=True),
         )
         try:
             report = run_batch(sources, destination, words, options, origins=origins, watch=watch)

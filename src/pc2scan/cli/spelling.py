@@ -89,6 +89,7 @@ OPTIONS = {
     "topics": "--topic",
     "where": "--where",
     "checksum": "--checksum",
+    "dask": "--dask",
     "dataset": "--dataset",
     "fail_fast": "--fail-fast",
     "force": "--force",

@@ -1,0 +1,155 @@
+"""A Dask cluster: real workers, one of which is killed, a scheduler by its address, and workers that cannot be used."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+import pytest
+
+from batch.datasets import HEIGHTS
+from builders import CONTENT, write_mcap, write_rosbag1
+from e2e.command import COMMAND, environment, run
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+psutil = pytest.importorskip("psutil", reason="psutil, which distributed needs, is not installed")
+distributed = pytest.importorskip("distributed", reason="distributed is not installed")
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
+
+
+@pytest.fixture
+def drives(tmp_path: Path) -> Path:
+    folder = tmp_path / "drives"
+    folder.mkdir()
+    for number in range(4):
+        write_rosbag1(folder / f"{number}.bag", CONTENT)
+    write_mcap(folder / "b.mcap", CONTENT)
+    return folder
+
+
+def outputs(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.name != "manifest.jsonl"}
+
+
+def outcomes(folder: Path) -> dict[str, str]:
+    lines = [json.loads(line) for line in (folder / "manifest.jsonl").read_text().splitlines()]
+    return {line["key"]: line["outcome"] for line in lines}
+
+
+@contextmanager
+def cluster(folder: Path, **variables: str) -> Iterator[str]:
+    """A scheduler and a worker, as their own commands start them; yields the address."""
+    file = folder / "scheduler.json"
+    dask = [sys.executable, "-m", "distributed.cli"]
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    started = []
+    scheduler = "dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard"
+    worker = "dask_worker", "--host", "127.0.0.1", "--nthreads", "1", "--no-nanny", "--no-dashboard"
+    try:
+        for program, *options in (scheduler, worker):
+            command = [*dask[:2], f"distributed.cli.{program}", *options, "--scheduler-file", str(file)]
+            env = {**environment(), **(variables if program == "dask_worker" else {})}
+            started.append(subprocess.Popen(command, env=env, cwd=folder, **quiet))  # type: ignore[call-overload]
+            deadline = time.monotonic() + 30
+            while not file.exists() and time.monotonic() < deadline:
+                time.sleep(0.05)
+        yield json.loads(file.read_text())["address"]
+    finally:
+        for process in reversed(started):
+            process.kill()
+            process.wait()
+
+
+def test_a_worker_is_killed_and_everything_is_converted(drives: Path, tmp_path: Path) -> None:
+    here, there = tmp_path / "here", tmp_path / "there"
+    assert run("batch", drives, "-o", here, *HEIGHTS, "--quiet").status == 0
+    command = [*COMMAND, "batch", "--dask", str(drives), "-o", str(there), "--jobs", "2", *HEIGHTS]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, env=environment())
+    killed = None
+    while killed is None and process.poll() is None:
+        # A worker, while it has a conversion below it.
+        for child in psutil.Process(process.pid).children():
+            if any("multiprocessing.spawn" in word for word in child.cmdline()) and child.children():
+                killed = child.pid
+                os.kill(killed, signal.SIGKILL)
+                break
+        time.sleep(0.005)
+    _, said = process.communicate(timeout=60)
+    assert killed is not None
+    assert process.returncode == 0, said
+    assert "Dask's dashboard: http" in said
+    assert "Traceback" not in said
+    assert outputs(there) == outputs(here)
+    assert set(outcomes(there).values()) == {"converted"}
+    attempts = [json.loads(line)["attempts"] for line in (there / "manifest.jsonl").read_text().splitlines()]
+    assert max(attempts) == 2
+
+
+def test_an_interrupted_batch_leaves_complete_recordings_and_goes_on(drives: Path, tmp_path: Path) -> None:
+    for number in range(4, 12):
+        write_rosbag1(drives / f"{number}.bag", CONTENT)
+    out = tmp_path / "out"
+    command = [*COMMAND, "batch", "--dask", str(drives), "-o", str(out), "--jobs", "2", *HEIGHTS]
+    process = subprocess.Popen(
+        command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, env=environment(), start_new_session=True
+    )
+    while process.poll() is None and not (out / "manifest.jsonl").exists():
+        time.sleep(0.01)
+    # As a terminal does: to all of its processes.
+    os.killpg(process.pid, signal.SIGINT)
+    _, said = process.communicate(timeout=14)
+    assert process.returncode == 130, said
+    assert "Traceback" not in said
+    done = set(outcomes(out))
+    assert 0 < len(done) < 13
+    assert not list(out.glob("*.pc2scan-*"))
+    assert run("batch", drives, "-o", out, *HEIGHTS, "--quiet").status == 0
+    assert len(outcomes(out)) == 13
+
+
+def test_a_scheduler_is_reached_by_its_address(drives: Path, tmp_path: Path) -> None:
+    (drives / "bad.bag").write_bytes(b"no recording")
+    out = tmp_path / "out"
+    with cluster(tmp_path) as address:
+        done = run("batch", drives, "-o", out, *HEIGHTS, "--dask", address)
+        assert done.status == 1, done.stderr
+        again = run("batch", drives, "-o", out, *HEIGHTS, "--dask", address)
+    assert outcomes(out) == {**{f"{n}.bag": "converted" for n in range(4)}, "b.mcap": "converted", "bad.bag": "failed"}
+    assert "5 unchanged" in again.stderr
+    assert len(outputs(out)) == 5
+
+
+def test_a_worker_of_another_version_is_refused(drives: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other" / "pc2scan"
+    other.mkdir(parents=True)
+    (other / "__init__.py").touch()
+    (other / "version.py").write_text('__version__ = "0.0.1"\n')
+    with cluster(tmp_path, PYTHONPATH=str(other.parent)) as address:
+        done = run("batch", drives, "-o", tmp_path / "out", *HEIGHTS, "--dask", address)
+    assert done.status == 2, done.stderr
+    assert "has pc2scan 0.0.1, this is " in done.stderr
+    assert "pip install 'pc2scan[dask]==" in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_what_is_missing_or_wrong_is_named(drives: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import pc2scan
+    from pc2scan.errors import UsageError
+
+    with pytest.raises(UsageError, match="the address of a scheduler is tcp://HOST:PORT"):
+        pc2scan.batch(drives, tmp_path / "out", dask="scheduler")
+    with pytest.raises(UsageError, match="has no effect"):
+        pc2scan.batch(drives, tmp_path / "out", dask="tcp://127.0.0.1:1", jobs=2)
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(UsageError, match="needs distributed, which is not installed") as raised:
+        pc2scan.batch(drives, tmp_path / "out", dask=True)
+    assert "pip install 'pc2scan[dask]'" in str(raised.value)
