@@ -149,13 +149,16 @@ def _run(client: Any, jobs: Sequence[Job], retries: int) -> Generator[Event]:
                     result = _result(job, value, seconds)
                     yield Ended(replace(result, attempts=max(1, attempts[key])))
     finally:
+        connected = client.status == "running"
         if left:
-            client.cancel(list(futures.values()), force=True)
-            _wait_for_end(inbox, running)
+            if connected:
+                client.cancel(list(futures.values()), force=True)
+                _wait_for_end(inbox, running)
             for job in left.values():
                 with suppress(Pc2ScanError):
                     clean_up(Path(job.destination))
-        client.unsubscribe_topic(topic)
+        if connected:
+            client.unsubscribe_topic(topic)
 
 
 def _wait_for_end(inbox: SimpleQueue[tuple[str, str, Any]], running: dict[str, float]) -> None:
@@ -292,7 +295,9 @@ def _connected(address: str, workers: int, cores: int, retries: int) -> Iterator
     import dask  # noqa: PLC0415  # an extra
     from distributed import Client, LocalCluster  # noqa: PLC0415
 
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    # Dask gives some of its loggers levels of their own.
+    for name in ("distributed", "distributed.client"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)
     with ExitStack() as stack:
         if not address:
             # What a worker had when it died counts as tried; no second task waits at a worker, and counts with it.
