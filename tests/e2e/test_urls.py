@@ -94,6 +94,14 @@ def test_an_existing_destination_stays(bucket: Any) -> None:
     assert bucket.cat_file("/out/x.bag").startswith(b"#ROSBAG")
 
 
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_a_folder_of_a_store_is_never_replaced(bucket: Any, overwrite: bool) -> None:
+    bucket.pipe_file("/out/mine/thesis.tex", b"mine")
+    with pytest.raises(DestinationError, match="no folder of a store is replaced"):
+        pc2scan.convert("memory://bucket/hall.bag", "memory://out/mine", overwrite=overwrite, **HEIGHTS)
+    assert bucket.find("/out/mine") == ["/out/mine/thesis.tex"]
+
+
 @pytest.mark.usefixtures("bucket")
 def test_a_source_is_never_the_destination() -> None:
     with pytest.raises(DestinationError, match="is a source"):

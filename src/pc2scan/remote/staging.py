@@ -110,8 +110,7 @@ class Staged:
         if named is asked.destination:
             if any(place.key == read.key and place.scheme == read.scheme for read in self._read):
                 raise DestinationError("is a source", path=place.shown)
-            if not asked.overwrite and place.exists():
-                raise DestinationError("exists already", path=place.shown, hint="`overwrite=True` replaces it")
+            Place(named.parent).refuse_existing(place.name, overwrite=asked.overwrite)
         if named is asked.folder:
             self._out = place
             url = place.shown
@@ -153,14 +152,12 @@ class Staged:
         sources = {*self.sources, *self.tf_from}
         made = sorted(path for path in self._out_folder.iterdir() if path not in sources)
         for path in made:
-            if not self._asked.overwrite and self._out.has(path.name):
-                url = self.names.text(str(path))
-                raise DestinationError("exists already", path=url, hint="`overwrite=True` replaces it")
+            self._out.refuse_existing(path.name, overwrite=self._asked.overwrite)
         done: list[str] = []
         try:
             for path in made:
                 if path.is_dir():
-                    self._out.upload(path, path.name, overwrite=self._asked.overwrite)
+                    self._out.upload(path, path.name)
                 else:
                     done.append(self._out.upload_file(path, path.name))
         except BaseException:

@@ -8,7 +8,7 @@ from contextlib import contextmanager, suppress
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Any
 
-from pc2scan.errors import MissingError, OutputError, Pc2ScanError, RecordingError, UsageError
+from pc2scan.errors import DestinationError, MissingError, OutputError, Pc2ScanError, RecordingError, UsageError
 
 from .urls import LIBRARIES, shown_url, url_of
 
@@ -26,6 +26,7 @@ _GRADUAL = ("file", "memory")
 
 _DENIED = 403
 _NO_RIGHTS = "check the credentials that the store's own tools use (environment, configuration files), and their rights"
+_OTHER_NAME = "choose another name, or remove it with the store's own tools"
 _NO_ANSWER = "check the network, the name of the host and, for a store of your own, its endpoint"
 
 
@@ -89,10 +90,6 @@ class Place:
         """Return what changes if the file does."""
         found = self._info(self.key)
         return tuple(str(found.get(name)) for name in _VERSION)
-
-    def exists(self) -> bool:
-        """Whether anything is there, now."""
-        return self._exists(self.key)
 
     def _exists(self, key: str) -> bool:
         with self.reported():
@@ -158,20 +155,14 @@ class Place:
             "was changed while it was read", path=self.shown, hint="wait until the recording is complete, or copy it"
         )
 
-    def upload(self, source: Path, name: str, *, overwrite: bool) -> None:
-        """Copy a file or a directory into this folder, under a name; nobody sees a part of it.
+    def upload(self, source: Path, name: str) -> None:
+        """Copy a directory into this folder, under a name that nothing has yet; nobody sees a part of it.
 
         A directory's metadata.yaml is the last file, and what makes it a recording.
         """
         key = f"{self.key.rstrip('/')}/{name}"
         files = sorted(source.iterdir(), key=lambda file: (file.name == "metadata.yaml", file.name))
         self._makedirs(key)
-        if overwrite and self._exists(key):
-            with self.reported(writes=True):
-                if self._fs.isdir(key):
-                    if self._fs.exists(f"{key}/metadata.yaml"):
-                        self._fs.rm(f"{key}/metadata.yaml")
-                    self._fs.rm(key, recursive=True)
         done: list[str] = []
         try:
             for file in files:
@@ -188,9 +179,18 @@ class Place:
         self._put(source, key)
         return key
 
-    def has(self, name: str) -> bool:
-        """Whether this folder has anything of this name."""
-        return self._exists(f"{self.key.rstrip('/')}/{name}")
+    def refuse_existing(self, name: str, *, overwrite: bool) -> None:
+        """Raise if this folder has something of a name that may not be replaced: a folder never is."""
+        key = f"{self.key.rstrip('/')}/{name}"
+        shown = f"{self.shown.rstrip('/')}/{name}"
+        if not self._exists(key):
+            return
+        with self.reported():
+            is_folder = self._fs.isdir(key)
+        if is_folder:
+            raise DestinationError("is a folder, and no folder of a store is replaced", path=shown, hint=_OTHER_NAME)
+        if not overwrite:
+            raise DestinationError("exists already", path=shown, hint="`overwrite=True` replaces it")
 
     def remove(self, keys: list[str]) -> None:
         """Remove what an upload that failed has left, as far as possible."""
