@@ -97,25 +97,26 @@ def test_a_worker_is_killed_and_everything_is_converted(drives: Path, tmp_path: 
 
 
 def test_an_interrupted_batch_leaves_complete_recordings_and_goes_on(drives: Path, tmp_path: Path) -> None:
-    for number in range(4, 12):
+    for number in range(4, 24):
         write_rosbag1(drives / f"{number}.bag", CONTENT)
     out = tmp_path / "out"
     command = [*COMMAND, "batch", "--dask", str(drives), "-o", str(out), "--jobs", "2", *HEIGHTS]
     process = subprocess.Popen(
         command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, env=environment(), start_new_session=True
     )
-    while process.poll() is None and not (out / "manifest.jsonl").exists():
+    manifest = out / "manifest.jsonl"
+    while process.poll() is None and not (manifest.exists() and manifest.read_bytes().count(b"\n")):
         time.sleep(0.01)
     # As a terminal does: to all of its processes.
     os.killpg(process.pid, signal.SIGINT)
-    _, said = process.communicate(timeout=14)
+    _, said = process.communicate(timeout=60)
     assert process.returncode == 130, said
     assert "Traceback" not in said
     done = set(outcomes(out))
-    assert 0 < len(done) < 13
+    assert 0 < len(done) < 25
     assert not list(out.glob("?*.pc2scan-*"))
     assert run("batch", drives, "-o", out, *HEIGHTS, "--quiet").status == 0
-    assert len(outcomes(out)) == 13
+    assert len(outcomes(out)) == 25
 
 
 def test_a_scheduler_is_reached_by_its_address(drives: Path, tmp_path: Path) -> None:
