@@ -222,15 +222,29 @@ def test_heights_that_suit_the_clouds_are_computed_from_them(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(
+    "options",
+    [("--exclude-box", "base_link -0.4 0.4 -0.3 0.3 0 1"), ("--every", "0.1", "--fixed-frame", "odom")],
+    ids=lambda options: options[0],
+)
+def test_heights_are_advised_with_the_frame_that_they_are_in(options: Sequence[str], tmp_path: Path) -> None:
+    """Transforms that something else needs tell where the body is: its heights do not suit the lidar's frame."""
+    told = run("convert", HALL, "-o", tmp_path / "a.mcap", *options)
+    words = shlex.split(told.stderr.rsplit("below the sensor: ", 1)[1])
+    assert words == ["--target-frame", "base_link", "--min-height", "0.1", "--max-height", "1.5"]
+    done = run("convert", HALL, "-o", tmp_path / "b.mcap", *options, *words)
+    assert (done.status, done.stderr) == (0, "")
+
+
+@pytest.mark.parametrize(
     ("args", "told"),
     [
         (
             ("--min-height", "3", "--max-height", "9"),
-            "of the first 3 clouds are used; min_height is 3 and max_height 9 m, but z in 'lidar' is -0.6",
+            "of the first 3 clouds are used; min_height is 3 m and max_height 9 m, but z in 'lidar' is -0.6",
         ),
         (
             ("--min-height", "-0.3", "--range-min", "50"),
-            "range_min is 50 and range_max without limit m, but the range is ",
+            "range_min is 50 m and range_max without limit, but the range is ",
         ),
         (
             ("--min-height", "300", "--max-height", "1500"),

@@ -233,9 +233,9 @@ class TopicClouds:
         """The options that suit the clouds; empty where no point was seen."""
         if found.heights is None:
             return ""
-        frames = found.options if found.fault else ""
+        # The heights are those of the frame that the options make, which may be another than that of the scans.
         return " ".join(
-            filter(None, (frames, f"`min_height={found.heights.low:g}`", f"`max_height={found.heights.high:g}`"))
+            filter(None, (found.options, f"`min_height={found.heights.low:g}`", f"`max_height={found.heights.high:g}`"))
         )
 
     def _emptiness(self, advice: str) -> str:
@@ -251,7 +251,7 @@ class TopicClouds:
             ("angle", angles, "the angle", "rad", "angle_min", "angle_max"),
         )
         parts = [
-            f"{low} is {_number(getattr(params, low))} and {high} {_number(getattr(params, high))} {unit}, "
+            f"{low} is {_number(getattr(params, low), unit)} and {high} {_number(getattr(params, high), unit)}, "
             f"but {name} is {_percentiles(values, unit)}"
             for reason, values, name, unit, low, high in observed
             if len(values) and counts.rejected[reason] >= _NOTABLE_SHARE * counts.total
@@ -270,7 +270,7 @@ class TopicClouds:
         if not wrong:
             return ""
         z = np.concatenate([sample.placed[:, 2] for sample in self._samples])
-        given = " and ".join(f"{name} is {_number(getattr(params, name))} m" for name in wrong)
+        given = " and ".join(f"{name} is {_number(getattr(params, name), 'm')}" for name in wrong)
         metres = " ".join(f"`{name}={getattr(params, name) / 1000:g}`" for name in wrong)
         return (
             f"{given}, but z on {self._topic} is {_percentiles(z, 'm')}: heights are metres; if these are millimetres, "
@@ -292,11 +292,11 @@ def _clouds(count: int) -> str:
     return "cloud" if count == 1 else f"{count} clouds"
 
 
-def _number(value: float) -> str:
+def _number(value: float, unit: str) -> str:
     """A limit as people read it: upstream's defaults stand for none."""
     if value == ProjectionParams().min_height:
-        return "above 0"
-    return "without limit" if abs(value) > 1e300 else f"{value:g}"
+        return f"above 0 {unit}"
+    return "without limit" if abs(value) > 1e300 else f"{value:g} {unit}"
 
 
 def _percentiles(values: NDArray[np.float64], unit: str) -> str:
