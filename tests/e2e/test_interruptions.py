@@ -23,6 +23,7 @@ from builders import CONTENT, POINTS, T0, Recording, cloud, item, write_db3, wri
 from e2e.command import COMMAND, run
 from pc2scan.bags.opening import open_recording
 from pc2scan.errors import RecordingError
+from support import ROOT
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -179,6 +180,20 @@ def test_a_full_disk(kind: str, large: Path, small_disk: Path) -> None:
     assert str(small_disk / name) in done.stderr
     assert done.stdout == ""
     assert list(small_disk.iterdir()) == []
+
+
+def test_a_full_disk_under_an_export(small_disk: Path) -> None:
+    """Scans that are shorter than what a file buffers: what could not be written is still there at the end."""
+    room = os.statvfs(small_disk)
+    (small_disk / "others").write_bytes(bytes(room.f_bavail * room.f_frsize - 8_192))
+    out = small_disk / "scans.npz"
+    hall = ROOT / "fixtures" / "hall.bag"
+    done = run("export", hall, "-o", out, "--min-height=-1", "--angle-increment", "0.007")
+    assert done.status == 1, done.stderr
+    assert "Traceback" not in done.stderr
+    assert f"error: {out}" in done.stderr
+    assert "No space left" in done.stderr
+    assert [path.name for path in small_disk.iterdir()] == ["others"]
 
 
 def packed(folder: Path) -> Path:

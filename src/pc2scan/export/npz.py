@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import tempfile
 import zipfile
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
@@ -98,7 +98,9 @@ class NpzWriter:
     def abort(self) -> None:
         """Release the files without a name."""
         for array in self._arrays.values():
-            array.close()
+            # Closing writes what is buffered, which fails again where the disk is full, and nobody needs it.
+            with suppress(OSError):
+                array.close()
 
     @contextmanager
     def _writing(self) -> Iterator[None]:
