@@ -18,6 +18,7 @@ from pc2scan.pipeline.scan_spec import ScanSpec, TopicRequest
 from pc2scan.pipeline.scans_file import CHOICES, load_scans, refuse_beside
 from pc2scan.pipeline.stages.height_slope import MinHeightSlope
 from pc2scan.pipeline.stages.where import Where
+from support import ROOT
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -117,6 +118,14 @@ def test_json_and_a_parameter_file_beside_it(tmp_path: Path) -> None:
     assert found.files == (path, tmp_path / "robot.yaml")
 
 
+def test_the_example_of_the_page_is_one(tmp_path: Path) -> None:
+    page = (ROOT / "docs" / "scans-file.md").read_text(encoding="utf-8")
+    example = page.split("```yaml\n", 1)[1].split("```", 1)[0]
+    specs = load_scans(written(tmp_path, example)).specs
+    assert [spec.name for spec in specs] == ["/scan", "/scan_low", "/scan_lidar"]
+    assert specs[2].filters == (Where("ring in (6, 7, 8)"), Where("intensity > 2"))
+
+
 REFUSED = [
     ("", "the file is empty", None),
     ("- 1\n", "expected scans, got a list", None),
@@ -151,6 +160,11 @@ REFUSED = [
         "did you mean middle?",
     ),
     ("scans:\n  /a:\n    min_height_slope: x\n", "line 3: min_height_slope must be a number, got 'x'", None),
+    (
+        "scans:\n  /a:\n    where: [ring in (6, 7, 8), x > 0]\n",
+        "line 3: where must be text, or a list of texts, got a list",
+        "a text with a comma needs quotes",
+    ),
     ("scans:\n  /a:\n    where: ring >\n", "line 3, /a: `where`", None),
     ("scans:\n  /a:\n    preset: slam\n", "line 2, /a: there is no preset 'slam'", None),
     ("scans:\n  /a:\n    node: front\n", "line 3, /a: `node` chooses a section", None),

@@ -352,6 +352,8 @@ def _chosen(key: str, entry: _Entry) -> Any:
             return value
         expected = f"one of {', '.join(words)}" if words else "text"
     near = did_you_mean(value, words) if isinstance(value, str) else ""
+    if kind == "texts" and isinstance(value, list) and value:
+        near = 'in a list, a text with a comma needs quotes: ["ring in (6, 7, 8)", x > 0]'
     raise UsageError(f"{entry.place}: {key} must be {expected}, got {_found(entry)}", hint=near or None)
 
 
