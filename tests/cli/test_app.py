@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 import shlex
 
 import pytest
@@ -70,6 +71,12 @@ def test_help_begins_with_examples(name: str) -> None:
         assert (program, called) == ("pc2scan", name)
         values, _, _ = command.make_parser(typer.Context(command)).parse_args(rest)
         assert values
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_default_is_said_once(name: str) -> None:
+    shown = " ".join(CliRunner().invoke(application(name), [name, "--help"]).stdout.split())
+    assert not re.search(r"\[default: [^]]*\] \[default: ", shown)
 
 
 def test_defaults_are_for_people() -> None:

@@ -266,6 +266,13 @@ def test_what_has_no_effect_draws_a_warning(tmp_path: Path, options: tuple[str, 
     assert said in " ".join(done.stderr.split())
 
 
+def test_a_frame_that_levels_has_an_effect(tmp_path: Path) -> None:
+    source = write_world(tmp_path / "w.mcap", [FLAT], Drive(tilt=float(np.radians(3.0))), seconds=0.4)
+    done = converted(source, "--rebin", "--level", "--fixed-frame", "odom", "--min-height=-1")
+    assert "no effect" not in done.stderr
+    assert "level by odom" in done.stdout
+
+
 def test_what_makes_scans_of_one_cloud_each_says_so(tmp_path: Path) -> None:
     source = write_world(tmp_path / "w.mcap", [FRONT, FLAT], seconds=0.4)
     gathered = ("--topic", "/front", "--accumulate", "0.2", *MOVED, "--min-height", "0.1")

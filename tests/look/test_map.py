@@ -310,7 +310,9 @@ def test_files_that_are_there_stay(source: Path, tmp_path: Path) -> None:
     for name in ("map.yaml", "map.pgm", "map.png"):
         mine = tmp_path / name
         mine.write_text("mine")
-        assert run("map", source, "-o", tmp_path / "map.yaml").status == 2
+        refused = run("map", source, "-o", tmp_path / "map.yaml")
+        assert refused.status == 2
+        assert f"{name}: exists already\n" in refused.stderr
         assert [path.read_text() for path in tmp_path.iterdir()] == ["mine"]
         mine.unlink()
     (tmp_path / "map.pgm").write_text("mine")

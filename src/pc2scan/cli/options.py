@@ -399,7 +399,7 @@ class PointsGroup(Group):
             "--ground",
             metavar="keep|remove",
             help="Reject points on the ground (remove): level, sloped up to 15 degrees, or with kerbs, found in each "
-            "cloud. Needs a frame of the robot whose z axis points up.  [default: keep]",
+            "cloud. Needs a frame of the robot whose z axis points up.",
             rich_help_panel=_POINTS,
         ),
     ] = "keep"

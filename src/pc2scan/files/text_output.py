@@ -121,8 +121,9 @@ def _may_replace(path: Path, beginning: bytes | None, *, overwrite: bool) -> boo
     if path.exists() and not path.is_file() and not path.is_dir():
         raise DestinationError("cannot be written: it is not a file", path=path, hint="choose another name")
     if not overwrite and not _is_ours(path, beginning):
+        # Only texts say by their beginning that pc2scan wrote them.
         raise DestinationError(
-            "exists already, and is not what pc2scan writes there",
+            "exists already" if beginning is None else "exists already, and is not what pc2scan writes there",
             path=path,
             hint="choose another name; or `overwrite=True` replaces it",
         )

@@ -100,7 +100,7 @@ def _combining(spec: ScanSpec) -> list[str]:
             "`accumulate` and `every` without `fixed_frame` put messages together as if the robot had not moved; "
             "with odometry: `fixed_frame=odom`"
         )
-    if spec.fixed_frame and asked.rebin and not (spec.deskew or asked.accumulates or spec.may_share):
+    if spec.fixed_frame and asked.rebin and not (spec.deskew or spec.level or asked.accumulates or spec.may_share):
         found.append("`fixed_frame` has no effect: each scan becomes one; `deskew` places each beam at its own time")
     return found
 
