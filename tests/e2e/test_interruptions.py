@@ -64,7 +64,7 @@ def half_done(process: subprocess.Popen[str], folder: Path) -> bool:
 DESTINATIONS = {
     "bag": ("out.bag", "--compression", "bz2"),
     "mcap": ("out.mcap", "--compression", "zstd", "--angle-increment", "0.00001"),
-    "sqlite3": ("out", "--storage", "sqlite3", "--compression", "zstd", "--angle-increment", "0.00001"),
+    "sqlite3": ("out", "--storage", "sqlite3", "--compression", "zstd", "--angle-increment", "0.000004"),
 }
 
 
