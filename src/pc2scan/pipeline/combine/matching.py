@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from bisect import bisect_left, bisect_right, insort
 from dataclasses import dataclass, field
 from operator import attrgetter
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, Generic, TypeVar
 
 from pc2scan.errors import UsageError, stamp_text
 
@@ -56,7 +56,8 @@ class Entry(Generic[Item]):
     used: bool = False
 
 
-class Group(NamedTuple, Generic[Item]):
+@dataclass(frozen=True, slots=True)
+class Group(Generic[Item]):
     """Messages that become one scan: the one whose time the scan has, and all of them, by source and stamp."""
 
     lead: Entry[Item]
