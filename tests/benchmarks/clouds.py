@@ -128,7 +128,7 @@ def write_recording(folder: Path, form: Form, size_bytes: int, points: int = CLO
     for number in range(max(1, size_bytes // (points * POINT_BYTES))):
         time_ns = _BEGIN_NS + number * _PERIOD_NS
         writer.write(handles[0], time_ns, clouds[number % len(clouds)], time_ns, number)
-    (trifle,) = serialized_clouds(form.serialization, points=256, variety=1)
+    (trifle,) = serialized_clouds(form.serialization, points=1_000, variety=1)
     writer.write(handles[1], time_ns, trifle, time_ns)
     writer.finish()
     return target.path
