@@ -400,7 +400,7 @@ def test_what_cannot_be_written_is_an_output_error(tmp_path: Path) -> None:
 def test_a_full_disk_is_an_output_error(tmp_path: Path) -> None:
     writer = Sqlite3Writer(tmp_path / "x.db3")
     handle = writer.add_connection(CLOUD)
-    writer._database.execute("PRAGMA max_page_count=20")
+    writer._database.execute("PRAGMA max_page_count=10")
 
     def fill() -> None:
         for number in range(100):

@@ -28,6 +28,12 @@ if TYPE_CHECKING:
 Rows = list[tuple[str, int, bytes]]
 
 
+@pytest.fixture(autouse=True)
+def rosbag2_pages(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Databases have pages of the size that rosbag2 gives them."""
+    monkeypatch.setattr("pc2scan.bags.rosbag2.sqlite3_writer._PAGE_BYTES", 4096)
+
+
 def build(path: Path, count: int = 120) -> Rows:
     """A database with messages that fit into a page, and such that go on in several."""
     noise = random.Random(11)
