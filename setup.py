@@ -11,6 +11,8 @@ from setuptools.command.bdist_wheel import bdist_wheel
 # The limited API has had buffers since Python 3.11; from there on, one wheel serves every version.
 ONE_FOR_ALL = sys.version_info >= (3, 11)
 
+LOOPS = Path("src/pc2scan/core/loops")
+
 
 class Wheel(bdist_wheel):
     """A wheel that is named after what is in it."""
@@ -30,7 +32,8 @@ setup(
     ext_modules=[
         Extension(
             "pc2scan.core._kernel",
-            ["src/pc2scan/core/_kernel.c"],
+            sorted(map(Path.as_posix, LOOPS.glob("*.c"))),
+            depends=sorted(map(Path.as_posix, LOOPS.glob("*.h"))),
             optional=True,
             py_limited_api=ONE_FOR_ALL,
             define_macros=[("Py_LIMITED_API", "0x030B0000")] if ONE_FOR_ALL else [],

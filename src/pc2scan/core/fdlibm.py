@@ -2,7 +2,7 @@
 
 These versions return other float32 values than glibc 2.41 and later, which round correctly, for 16 % of points. The
 results depend on the order of the operations, and on none of them being fused: x86-64's glibc has no variant of
-``atan2f`` with fused operations, whatever the processor. ``_kernel.c`` has the same steps for compilers.
+``atan2f`` with fused operations, whatever the processor. ``loops/angles.h`` has the same steps for compilers.
 """
 
 from __future__ import annotations

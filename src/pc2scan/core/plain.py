@@ -1,4 +1,4 @@
-"""The loops over points and beams in NumPy: they run where ``_kernel.c`` is not compiled, and explain it.
+"""The loops over points and beams in NumPy: they run where those in C (``loops/``) are not compiled, and explain them.
 
 Points are compared with the numbers of a rule; see `pc2scan.core.rule`.
 """

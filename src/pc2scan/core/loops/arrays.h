@@ -1,0 +1,28 @@
+/* Arrays from Python: clouds, fields of their points, and contiguous numbers. */
+
+#ifndef PC2SCAN_ARRAYS_H
+#define PC2SCAN_ARRAYS_H
+
+#include "fields.h"
+
+/* Take a contiguous array of numbers of so many bytes; so many of them, unless that is negative. */
+HIDDEN int contiguous(PyObject *object, Py_buffer *view, int flags, Py_ssize_t item, Py_ssize_t count);
+
+/* The coordinates of a cloud: three arrays of one shape. */
+typedef struct {
+    Py_buffer coordinates[3];
+    Axis axis[3];
+    Py_ssize_t rows, columns;
+    int held;
+} Cloud;
+
+HIDDEN int take_coordinates(Cloud *cloud, PyObject *xyz[3]);
+HIDDEN void release_cloud(Cloud *cloud);
+
+/* A field of each point, besides the coordinates. */
+HIDDEN int take_field(const Cloud *cloud, PyObject *array, Py_buffer *view, Axis *axis);
+
+/* Let other threads have the interpreter, unless taking turns takes longer than this many points or beams do. */
+static inline PyThreadState *let_others(Py_ssize_t work) { return work > 16384 ? PyEval_SaveThread() : NULL; }
+
+#endif

@@ -1,0 +1,56 @@
+/* How a sensor moved while it measured a cloud, and where points are at their own times; moving.py describes it. */
+
+#ifndef PC2SCAN_MOVING_H
+#define PC2SCAN_MOVING_H
+
+#include "arrays.h"
+#include "scan.h"
+
+/* Numbers below it can be multiplied and added up without becoming infinite, nor then NaN. */
+#define TAME 1e18f
+
+/* A part of the time in which a cloud was measured. The transform in it is a polynomial of the time: start + s * (rate +
+   s * bend), with s from 0 to 1; each has twelve numbers, the rows of a rotation, then a translation. */
+typedef struct {
+    /* A time belongs to the first part that ends at it or behind it. */
+    double begin, end, scale;
+    /* Whether there is a transform, and whether all of its numbers are below TAME. */
+    int known, tame;
+    double start[12];
+    float rate[12], bend[12];
+} Part;
+
+/* How a sensor moved while it measured a cloud. */
+typedef struct {
+    Py_buffer times_of, nodes, rows;
+    int held;
+    Axis times;
+    /* Seconds are (value - offset) * unit. */
+    double offset, unit;
+    Part *parts;
+    Py_ssize_t count;
+    /* The part of the latest point. */
+    Py_ssize_t part;
+    /* Points with coordinates that have no time, or no transform at their time. */
+    int64_t untimed, nowhere;
+    /* Points whose z is outside of these may have any x and y. */
+    float lowest, highest;
+} Motion;
+
+/* Points of a block, and where they are at their own times. */
+typedef struct {
+    float x[PADDED], y[PADDED], z[PADDED], to_x[PADDED], to_y[PADDED], to_z[PADDED];
+    double times[PADDED];
+} Moved;
+
+/* Take a motion from Python: (times, offset, unit, node_times, rows); see plain.py. Release it even if that failed. */
+HIDDEN int take_motion(Motion *motion, const Cloud *cloud, PyObject *tuple);
+HIDDEN void release_motion(Motion *motion);
+
+/* Project points at their own times. */
+HIDDEN void load_moving(Scan *scan, const Cloud *cloud, Motion *motion);
+
+/* Write the coordinates of points at their own times. */
+HIDDEN void deskew_cloud(const Cloud *cloud, Motion *motion, float *out);
+
+#endif

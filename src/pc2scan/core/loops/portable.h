@@ -1,0 +1,96 @@
+/* What compilers and processors differ in, and how points are taken: a block at a time. */
+
+#ifndef PC2SCAN_PORTABLE_H
+#define PC2SCAN_PORTABLE_H
+
+#define PY_SSIZE_T_CLEAN
+#include <Python.h>
+
+#include <float.h>
+#include <math.h>
+#include <stdint.h>
+#include <string.h>
+
+#if defined(__GNUC__)
+/* Nothing but PyInit__kernel is visible outside of the module: calls between its files need no table. */
+#define HIDDEN __attribute__((visibility("hidden")))
+#else
+#define HIDDEN
+#endif
+
+#if defined(__x86_64__) && defined(__GLIBC__) && defined(__GNUC__) && __GNUC__ >= 12 && !defined(__clang__)
+/* The same loops with wider vectors, chosen when the module is loaded. */
+#define WIDEST __attribute__((target_clones("default", "arch=x86-64-v3", "arch=x86-64-v4")))
+#else
+#define WIDEST
+#endif
+
+#if defined(__GNUC__)
+/* Part of each of the functions that call it, so of their versions for wider vectors too. */
+#define INLINED static inline __attribute__((always_inline))
+#else
+#define INLINED static inline
+#endif
+
+/* Points at a time: few enough for the first-level cache. Some loops write up to eight points behind the last one. */
+enum { BLOCK = 256, PADDED = BLOCK + 8 };
+
+#if defined(__GNUC__)
+/* A cloud is larger than the caches near a core, and their own prefetching ends at each page. */
+#define PREFETCH(from) __builtin_prefetch((const void *)((uintptr_t)(from) + 2048))
+#else
+#define PREFETCH(from)
+#endif
+
+#if defined(__x86_64__) && defined(__GNUC__)
+#include <immintrin.h>
+
+/* Loops over eight points at a time, for processors that have eight_at_once. */
+#define EIGHT
+#define EIGHT_WIDE __attribute__((target("avx2,popcnt")))
+#define EIGHT_INLINED __attribute__((target("avx2,popcnt"), always_inline)) static inline
+
+/* For each set of eight lanes: where its members go when they move together. */
+HIDDEN extern uint64_t together[256];
+HIDDEN extern int eight_at_once;
+
+/* Before any of these loops. */
+HIDDEN void prepare_eight(void);
+
+/* The lanes of a set, moved together. */
+EIGHT_INLINED __m256i lanes_of(int set) {
+    return _mm256_cvtepu8_epi32(_mm_cvtsi64_si128((long long)together[set]));
+}
+
+/* One coordinate of eight points, transformed: a row of the rotation, and its part of the translation. */
+EIGHT_INLINED __m256 turn_eight(__m256 x, __m256 y, __m256 z, const float *row, const float *offset) {
+    __m256 sum = _mm256_mul_ps(x, _mm256_broadcast_ss(row));
+    sum = _mm256_add_ps(sum, _mm256_mul_ps(y, _mm256_broadcast_ss(row + 1)));
+    sum = _mm256_add_ps(sum, _mm256_mul_ps(z, _mm256_broadcast_ss(row + 2)));
+    return _mm256_add_ps(sum, _mm256_broadcast_ss(offset));
+}
+
+EIGHT_INLINED __m256 load_two(const char *one, const char *other) {
+    return _mm256_insertf128_ps(_mm256_castps128_ps256(_mm_loadu_ps((const float *)one)),
+                                _mm_loadu_ps((const float *)other), 1);
+}
+
+/* x, y and z of eight points, which follow each other in each. Four bytes behind each are read, too. */
+EIGHT_INLINED void load_points(const char *from, Py_ssize_t step, __m256 *x, __m256 *y, __m256 *z) {
+    __m256 pair[4];
+    for (int i = 0; i < 4; i++) pair[i] = load_two(from + i * step, from + (i + 4) * step);
+    const __m256 xy = _mm256_unpacklo_ps(pair[0], pair[1]), yx = _mm256_unpacklo_ps(pair[2], pair[3]);
+    const __m256 zs = _mm256_unpackhi_ps(pair[0], pair[1]), sz = _mm256_unpackhi_ps(pair[2], pair[3]);
+    *x = _mm256_shuffle_ps(xy, yx, 0x44);
+    *y = _mm256_shuffle_ps(xy, yx, 0xee);
+    *z = _mm256_shuffle_ps(zs, sz, 0x44);
+}
+
+/* Of the points that are read next. Points of 32 bytes share a processor's lines of 64. */
+EIGHT_INLINED void prefetch_points(const char *from, Py_ssize_t step) {
+    const Py_ssize_t lines = step < 64 ? 64 : step;
+    for (Py_ssize_t line = 0; line < 8 * step; line += lines) PREFETCH(from + line);
+}
+#endif
+
+#endif
