@@ -75,7 +75,7 @@ def test_each_topic_has_its_own_scan_time(tmp_path: Path) -> None:
 def test_one_cloud_has_no_interval(tmp_path: Path) -> None:
     timings, notes = measured(tmp_path, recorded(FRONT, [T0], turning(), NAMES), ProjectionParams(scan_time="auto"))
     assert timings["/front"].scan_time == 0
-    assert notes == ["/front: scan_time is 0, for there are no two different stamps to measure it between"]
+    assert notes == ["/front: scan_time is 0, because there are no two different stamps to measure it between"]
 
 
 def test_only_the_first_clouds_within_the_cut_are_looked_at(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -108,7 +108,7 @@ def test_a_scan_that_begins_elsewhere_is_told_where_to_begin(tmp_path: Path) -> 
     items = recorded(FRONT, [T0 + n * SECOND // 10 for n in range(3)], turning(), NAMES)
     timings, notes = measured(tmp_path, items, AUTO)
     assert (timings["/front"].time_increment, timings["/front"].first_beam_ns) == (0, 0)
-    assert "begin and end inside the scan" in notes[1]
+    assert "the clouds begin inside the scan's sector" in notes[1]
     assert "`angle_min=0.52" in notes[1]
 
 
@@ -129,7 +129,7 @@ def test_beams_are_timed_in_the_scans_frame(tmp_path: Path) -> None:
     ("names", "note"),
     [
         (("x", "y", "z", "intensity"), "the clouds have no field t, time, timestamp, time_stamp, offset_time"),
-        (("x", "y", "z", "t"), "the times of the points (t) do not follow a turning lidar"),
+        (("x", "y", "z", "t"), "the times of points (t) are not of a turning lidar"),
     ],
 )
 def test_without_times_there_is_no_time_increment(tmp_path: Path, names: tuple[str, ...], note: str) -> None:
@@ -137,7 +137,7 @@ def test_without_times_there_is_no_time_increment(tmp_path: Path, names: tuple[s
     points[:, 3] = 0
     timings, notes = measured(tmp_path, recorded(FRONT, [T0], points, names), AUTO)
     assert timings["/front"].time_increment == 0
-    assert notes[1] == f"/front: time_increment is 0, for {note}"
+    assert notes[1] == f"/front: time_increment is 0, because {note}"
 
 
 def test_clouds_that_cannot_be_used_are_passed_over(tmp_path: Path) -> None:

@@ -111,8 +111,8 @@ def test_a_wrong_type_is_said_in_plain_words(name: str, value: object, message: 
 @pytest.mark.parametrize(
     ("name", "value", "hint"),
     [
-        ("range_min", "1.5", "it is in quotes, which makes it text; leave them out"),
-        ("target_frame", 1, "YAML takes it for a number or a truth value; put it in quotes"),
+        ("range_min", "1.5", "the quotes make it text; remove them"),
+        ("target_frame", 1, "YAML reads it as a number or a truth value; put it in quotes"),
         ("range_min", "deg(180)", "write metres (0.5, 0.5m), centimetres (50cm) or millimetres (500mm)"),
         ("angle_min", "5m", "write radians (1.5708, pi/2) or degrees (90deg)"),
         ("scan_time", "1m", "write seconds (0.1, 0.1s) or milliseconds (100ms)"),

@@ -1,4 +1,4 @@
-"""Warnings of scans that those who read them would refuse, or that show what is not there."""
+"""Warnings about scans that consumers would refuse, or that have returns where there is no object."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 __all__ = ["ghosts", "refusal"]
 
 
-#: What a consumer does with scans that it does not accept.
+#: What a consumer does with scans that it does not accept, as part of a sentence.
 _DOES: dict[Outcome, str] = {
     "shifted": "would turn these scans by up to one beam",
     "misplaced": "would misplace these scans",
@@ -27,7 +27,7 @@ _DOES: dict[Outcome, str] = {
 
 
 def ghosts(params: ProjectionParams) -> list[str]:
-    """Warn of parameters that put returns where nothing is."""
+    """Return a warning for each parameter that puts returns where there is no object."""
     if params.reduce != "mean":
         return []
     found = "reduce is mean, which puts returns where nothing is, between a near thing and a far one: "
@@ -35,11 +35,11 @@ def ghosts(params: ProjectionParams) -> list[str]:
 
 
 def refusal(data: Buffer, serialization: str, consumer: str = "") -> str:
-    """Who would ignore scans like this one, or abort: a sentence for a warning; empty if nobody.
+    """Return a warning that names the consumers that would ignore scans like this one, or abort; empty if none would.
 
-    Of a consumer that the scans are made for, everything counts. Of the others only what a scan advertises: what its
-    ranges do is left to `pc2scan check`. Infinite ranges with an infinite range_max, as upstream's own defaults have
-    them, are misplaced by most consumers, and gmapping aborts.
+    The consumer that the scans are made for is checked by all its rules. The others are checked only by what a
+    scan's header advertises; `pc2scan check` judges the ranges. Infinite ranges with an infinite range_max, as
+    upstream's own defaults have them, are misplaced by most consumers, and gmapping aborts.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def refusal(data: Buffer, serialization: str, consumer: str = "") -> str:
     serialization
         ``ros1`` or ``cdr``.
     consumer
-        Whose preset was chosen; empty: nobody's.
+        The consumer whose preset was chosen; empty if none was.
     """
     scan = consumed_scan(decode_laserscan(data, serialization))
     if consumer:
@@ -64,5 +64,5 @@ def refusal(data: Buffer, serialization: str, consumer: str = "") -> str:
 
 
 def _why(verdict: Verdict) -> str:
-    """What a scan has, what it should have, and what to do."""
+    """Return what a scan has, what the consumer allows, and how to change it."""
     return f"{verdict.observed} where it allows {verdict.allowed}. {verdict.cure[:1].upper()}{verdict.cure[1:]}"

@@ -1,4 +1,4 @@
-"""Whether anything can be converted at all, as far as that is known before, or from the first messages."""
+"""Checks whether anything can be converted at all, by the index and by the first messages."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Unconnected", "refuse_no_messages"]
 
-#: The first messages of each connection that have to fail.
+#: How many of the first messages of each connection must fail before the conversion stops.
 _LOOKED_AT = 10
 
 
@@ -25,7 +25,7 @@ def refuse_no_messages(
 ) -> None:
     """Raise if the topics to convert have no messages, or none in the cut.
 
-    What the index says is looked at first, and then whether it is true: recordings with a wrong index exist.
+    The index is read first. If it lists no messages, the recording is read as well, because an index may be wrong.
 
     Raises
     ------
@@ -43,7 +43,7 @@ def refuse_no_messages(
     with closing(reader.messages(converted, start_ns, stop_ns)) as messages:
         if next(messages, None) is not None:
             return
-    # Where there is damage, it is the damage that is to be reported.
+    # Damage is reported by itself.
     if reader.damage:
         return
     if outside is not None:
@@ -57,7 +57,7 @@ def refuse_no_messages(
 
 
 def _outside(reader: Reader, start_ns: int | None, stop_ns: int | None) -> UsageError | None:
-    """The error for a cut outside of the recording; None if it is not, as far as is known."""
+    """Return the error for a cut outside of the recording; None if the cut is inside, or the times are unknown."""
     first_ns, last_ns = reader.summary.start_ns, reader.summary.end_ns
     if first_ns is None or last_ns is None or not reader.summary.message_count:
         return None
@@ -76,9 +76,9 @@ def _outside(reader: Reader, start_ns: int | None, stop_ns: int | None) -> Usage
 
 
 class Unconnected:
-    """Notices, while messages are converted, that no transforms connect their frames with the target frame.
+    """Detects, while messages are converted, that no transforms connect their frames with the target frame.
 
-    That is known when the first messages of every topic to convert have failed for this reason, and none was converted.
+    This is so if the first messages of every topic to convert have failed for this reason, and none was converted.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ class Unconnected:
         self._left = {key: min(count or _LOOKED_AT, _LOOKED_AT) for key, count in counts.items() if count != 0}
 
     def note(self, connection: Connection, error: MessageError | None) -> None:
-        """Take note of what became of a message.
+        """Count whether a message was converted.
 
         Raises
         ------
@@ -109,5 +109,5 @@ class Unconnected:
 
     @property
     def is_possible(self) -> bool:
-        """Whether it may still be that nothing can be converted."""
+        """Whether no message has been converted so far."""
         return bool(self._left)

@@ -1,4 +1,4 @@
-"""Clouds to scans, one message to one message: pure, and safe on several threads at once."""
+"""Converts clouds to scans, one message to one message: pure, and safe on several threads."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ __all__ = ["CloudToScan"]
 
 
 class _Beams:
-    """What the scans of a topic have in common: their beams, and the projection to them."""
+    """What all scans of a topic share: their beams, and the projection to them."""
 
     __slots__ = ("layout", "no_returns", "project")
 
@@ -51,7 +51,7 @@ class _Beams:
 
 
 def _resolved(params: ProjectionParams, measured: Measured) -> ProjectionParams:
-    """The parameters with as many beams as were measured; a topic without clouds has those of ``angle_increment``."""
+    """Return the parameters with the measured number of beams; without clouds that of ``angle_increment`` is used."""
     if params.beams != "auto":
         return params
     step = measured.azimuth_step
@@ -59,7 +59,7 @@ def _resolved(params: ProjectionParams, measured: Measured) -> ProjectionParams:
 
 
 class CloudToScan(Conversion):
-    """Clouds to scans, as upstream's pointcloud_to_laserscan_node.cpp does it, or as the parameters say.
+    """Converts clouds to scans, as upstream's pointcloud_to_laserscan_node.cpp does, or as the parameters say.
 
     Parameters
     ----------
@@ -68,19 +68,20 @@ class CloudToScan(Conversion):
     frames
         The recording's transforms.
     timings
-        What was measured of each source topic. Elsewhere the parameters count, and what they leave to be measured is 0.
+        What was measured for each source topic. Other topics use the parameters; a parameter that is ``auto`` is 0
+        there.
     filters
-        What selects points before they are projected, in order.
+        Filters that select points before the projection, in order.
     deskew
-        What places points at their own times; None: all points of a cloud are placed at its stamp.
+        Places points at their own times; None: all points of a cloud are placed at its stamp.
     output_type
-        What the scans are encoded as: a key of `OF_CLOUDS`.
+        The message type of the scans: a key of `OF_CLOUDS`.
     first_clouds
-        Returns what judges the first clouds of a topic; None if nobody does.
+        Returns the checks of the first clouds of a topic; None for no checks.
     keeps_used
-        Whether results have the points that beams read.
+        Whether results include the points that beams read.
     remove
-        What removes beams of the scans, in order.
+        Filters that remove beams of the scans, in order.
     """
 
     def __init__(
@@ -97,7 +98,7 @@ class CloudToScan(Conversion):
         remove: Sequence[BeamFilter] = (),
     ) -> None:
         self._timings = timings or {}
-        # A scan repeats the cloud's header; what else it has besides ranges and intensities takes less.
+        # The size of a scan: the cloud's header, ranges and intensities. Its other fields take fewer bytes.
         longest = max([_resolved(params, each).length for each in self._timings.values()], default=params.length)
         super().__init__(output_type, OF_CLOUDS[output_type], 1024 + 8 * longest)
         self.params = params
@@ -108,7 +109,7 @@ class CloudToScan(Conversion):
             0.0 if params.time_increment == "auto" else params.time_increment,
         )
         with np.errstate(over="ignore"):
-            # Upstream's default is a float64's largest: once here, it need not be rounded for every scan.
+            # Upstream's default is the largest float64. Rounded here, it need not be rounded for every scan.
             self._range_max = float(np.float32(params.range_max))
         self._place = Place(frames, deskew)
         self._select: Callable[[Placed], Placed] | None = None
@@ -125,7 +126,7 @@ class CloudToScan(Conversion):
         self._beams = _Beams(params) if params.beams != "auto" else None
 
     def decoder(self, source: str, source_type: str) -> Callable[[Buffer], Points]:
-        """Return what decodes clouds; see `Conversion`."""
+        """Return the decoder of clouds; see `Conversion`."""
         return CLOUDS[source_type or POINTCLOUD2](source)
 
     def stages(self, topic: str) -> tuple[Step, ...]:
@@ -141,7 +142,7 @@ class CloudToScan(Conversion):
         scan = self._projected(placed, beams.project)
         params, layout, stamp_ns = self.params, beams.layout, placed.stamp_ns
         if timing.first_beam_ns:
-            # A simulation's time begins at 0, and ROS 1 has none before.
+            # Simulated time begins at 0, and ROS 1 cannot represent a time before it.
             stamp_ns = max(0, stamp_ns + timing.first_beam_ns)
         message = LaserScan(
             placed.points.sequence,
@@ -165,7 +166,7 @@ class CloudToScan(Conversion):
         return Result(message, scan.counts, empty, motion, sample, level, used=used)
 
     def _used(self, placed: Placed, project: Projector) -> UsedPoints:
-        """The points that the beams read, of all that were decoded."""
+        """Return which of the decoded points the beams read."""
         from pc2scan.messages.used_points import UsedPoints  # noqa: PLC0415  # only where they are kept
 
         points, transform = placed.points, placed.target_from_source
@@ -176,7 +177,7 @@ class CloudToScan(Conversion):
         return UsedPoints(placed.whole, numbers, beams)
 
     def _projected(self, placed: Placed, project: Projector) -> ProjectedScan:
-        """Project; the loops over points transform them on the way where that is still to be done."""
+        """Project the points; a transform that is not applied yet is applied in the same loop."""
         points, transform = placed.points, placed.target_from_source
         name = self.params.intensity_field
         intensities = points.field(name) if name else None

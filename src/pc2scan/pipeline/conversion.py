@@ -1,4 +1,4 @@
-"""What every direction of conversion has in common: a decoder, stages between arrays, and an encoder."""
+"""The parts of every conversion: a decoder, stages between arrays, and an encoder."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ if TYPE_CHECKING:
     from .first_clouds import Sample
     from .stages.deskew import Motion
 
-    #: One step of the way from a message to what it becomes.
+    #: One step between the decoded message and the result.
     Step: TypeAlias = Callable[[Any], Any]
 
 __all__ = ["Conversion", "Converted", "Measured", "Result", "converter"]
 
 
-# Never changed, but neither frozen nor named tuples: making these takes two to three times as long, for every message.
+# Instances are never changed. They are neither frozen nor named tuples, because creating those takes two to three times
+# as long, for every message.
 @dataclass(slots=True, eq=False)
 class Result:
-    """What the stages make of one message: the new message as arrays, which the output's type encodes.
+    """The result of the stages for one message: the new message as arrays, which the output's encoder serialises.
 
     ``empty`` is whether it has no return, or no point; ``motion`` is how far the sensor moved, if it was deskewed.
-    ``sample`` is for `FirstClouds`, while it wants any. ``level`` is the transform of its frame, if that is made level.
-    ``rebinned`` is how beams of scans became other beams.
-    ``used`` are the points that beams read, if they are kept.
-    ``removed`` is how many beams each of the filters of beams removed, and how many had ``returns`` before.
+    ``sample`` is for `FirstClouds`, as long as that takes samples. ``level`` is the transform of its frame, if that is
+    made level. ``rebinned`` counts how beams of scans became other beams. ``used`` are the points that beams read, if
+    they are written. ``removed`` is how many beams each beam filter removed, and how many had ``returns`` before.
     """
 
     message: Any
@@ -67,21 +67,21 @@ class Converted:
 
     @property
     def size(self) -> int:
-        """Bytes that it takes."""
+        """Size in bytes."""
         return len(self.data) + len(self.used or b"")
 
 
 class Measured(NamedTuple):
-    """What was measured of the clouds of a topic before their conversion.
+    """What was measured in the first clouds of a topic before the conversion.
 
     Attributes
     ----------
     scan_time, time_increment
         Seconds, as in the message.
     first_beam_ns
-        From the cloud's stamp to the scan's.
+        Nanoseconds from the cloud's stamp to the scan's.
     azimuth_step
-        How finely the lidar samples azimuth, radians; 0 where it was not asked for.
+        How finely the lidar samples azimuth, radians; 0 if it was not measured.
     """
 
     scan_time: float
@@ -91,16 +91,16 @@ class Measured(NamedTuple):
 
 
 class Conversion(ABC):
-    """A direction of conversion.
+    """A conversion between two kinds of messages: clouds to scans, scans to clouds, or scans to scans.
 
     Parameters
     ----------
     output_type
-        What messages become: a ROS type in ROS 2's spelling.
+        The type of the new messages: a ROS type in ROS 2's spelling.
     output
         Its entry in the table of `pc2scan.messages.outputs`.
     shrinks_from
-        Messages of so many bytes and more become smaller ones.
+        A message of this size in bytes, or larger, becomes a smaller one.
     """
 
     def __init__(self, output_type: str, output: OutputType[Any], shrinks_from: int) -> None:
@@ -110,25 +110,26 @@ class Conversion(ABC):
 
     @abstractmethod
     def decoder(self, source: str, source_type: str) -> Callable[[Buffer], Any]:
-        """Return what decodes messages, for all conversions of this direction.
+        """Return the decoder of messages; conversions of one direction share it.
 
         Parameters
         ----------
         source
             The serialisation of the messages: ``ros1`` or ``cdr``.
         source_type
-            Their ROS type; empty means the direction's usual one.
+            Their ROS type; empty for the usual type of this direction.
         """
 
     @abstractmethod
     def stages(self, topic: str) -> tuple[Step, ...]:
         """Return the stages between decoding and encoding of one topic's messages: the last one returns a `Result`.
 
-        Conversions that have equal stages, behind equal ones, share their work on each message.
+        Conversions that begin with equal stages share the work of these on each message.
 
         Notes
         -----
-        They take each message by itself, on any thread. They raise a `MessageError` if a message cannot be converted.
+        Stages process each message by itself, on any thread. They raise a `MessageError` if a message cannot be
+        converted.
         """
 
     def for_topic(self, topic: str, source: str, target: str, source_type: str = "") -> Callable[[Buffer], Converted]:
@@ -145,27 +146,27 @@ class Conversion(ABC):
         return partial(_in_turn, steps)
 
     def encoder(self, target: str) -> Callable[[Result], Converted]:
-        """Return what serialises results as ``ros1`` or ``cdr``."""
+        """Return the encoder that serialises results as ``ros1`` or ``cdr``."""
         return partial(_encoded, self.output.encode, target)
 
 
 def converter(
     conversions: Sequence[Conversion], topic: str, source: str, target: str, source_type: str = ""
 ) -> Callable[[Buffer], Sequence[Converted | MessageError]]:
-    """Return what makes everything that one source topic's messages become, one for each conversion.
+    """Return the function that converts one source topic's messages, with one result for each conversion.
 
     Parameters
     ----------
     conversions
-        Of one direction.
+        All of one direction.
     topic, source, target, source_type
         As for `Conversion.for_topic`.
 
     Returns
     -------
     callable
-        An error of one conversion is in its place, and keeps no other one from its result. It raises the `MessageError`
-        of a message that cannot be decoded, and where there is only one conversion, its error.
+        It returns a result or an error for each conversion: the error of one does not stop the others. It raises the
+        `MessageError` of a message that cannot be decoded, and the error of a conversion that is the only one.
     """
     first = conversions[0]
     if len(conversions) == 1:
@@ -184,7 +185,7 @@ def converter(
 
 
 class _Node(NamedTuple):
-    """A step, the conversions that take it, and their next ones."""
+    """A step, the conversions that need it, and their next steps."""
 
     step: Step
     places: list[int]
@@ -200,13 +201,13 @@ def _all(
 
 
 def _follow(nodes: Sequence[_Node], value: Any, found: list[Any]) -> None:
-    """Take a value through each of some steps, and through the further ones."""
+    """Apply each step to a value, and the steps behind it to the result."""
     for step, places, further in nodes:
         made: Any
         try:
             made = step(value)
         except MessageError as err:
-            made, further = err, []  # noqa: PLW2901  # nothing follows
+            made, further = err, []  # noqa: PLW2901  # no further steps
         if further:
             _follow(further, made, found)
         else:

@@ -1,4 +1,4 @@
-"""The connections of a destination, collected and then declared all at once."""
+"""The connections of a destination, collected and then declared together."""
 
 from __future__ import annotations
 
@@ -21,26 +21,26 @@ _COMMENT = re.compile(rb"#[^\n]*")
 
 
 class Declarations:
-    """What will be declared in a destination, in the order in which it is added."""
+    """The connections to declare in a destination, in the order in which they are added."""
 
     def __init__(self) -> None:
         self._connections: list[Connection] = []
 
     def add(self, connection: Connection) -> int:
-        """Take a connection; returns its place in the list that `declare` returns."""
+        """Add a connection; return its index in the list that `declare` returns."""
         self._connections.append(connection)
         return len(self._connections) - 1
 
     def declare(self, writer: Writer, *, one_a_topic: bool) -> list[int]:
-        """Declare everything, before anything is written.
+        """Declare all connections, before the first message is written.
 
         Parameters
         ----------
         writer
-            Gets the connections.
+            The writer of the destination.
         one_a_topic
-            Whether the publishers of a topic share a connection, as in rosbag2's recordings: what reads these knows a
-            topic by its name, and takes the first one that it finds.
+            Whether the publishers of a topic share a connection, as in rosbag2's recordings: programs that read these
+            find a topic by its name, and use the first connection of this name.
 
         Returns
         -------
@@ -62,9 +62,9 @@ class Declarations:
         return handles
 
     def _by_layout(self, places: Sequence[int]) -> Iterable[list[int]]:
-        """Divide the publishers of a topic by what their messages consist of.
+        """Group the publishers of a topic by the layout of their messages.
 
-        Two definitions may have one name. The messages of one cannot be decoded by the other.
+        Two definitions may have the same name; messages of one cannot be decoded with the other.
         """
         publishers = {place: self._connections[place] for place in places}
         if len({(each.digest, each.definition) for each in publishers.values()}) == 1:
@@ -73,7 +73,7 @@ class Declarations:
         for each in publishers.values():
             if each.digest:
                 digests.setdefault(each.definition, each.digest)
-        # Of those that say nothing, all that is known is that they have the topic and the type of the others.
+        # A connection without a definition has the same topic and type as the others, so it joins the first group.
         digests[Definition()] = ""
         groups: dict[str, list[int]] = {}
         for place, each in publishers.items():
@@ -89,7 +89,7 @@ class Declarations:
 
 
 def _layout(connection: Connection) -> str:
-    """The type's hash, as ROS 2 computes it; if the definition cannot be read its text, without comments and space."""
+    """Return the type's hash, as ROS 2 computes it; of an unreadable definition its text without comments and space."""
     from pc2scan.messages import schema  # noqa: PLC0415  # only where publishers' definitions differ
 
     definition = connection.definition
@@ -101,7 +101,7 @@ def _layout(connection: Connection) -> str:
 
 
 def _merged(publishers: Sequence[Connection]) -> Connection:
-    """One connection for several publishers: the first one's, with the QoS profiles of all."""
+    """Return one connection for several publishers: the first, with the QoS profiles of all."""
     first = publishers[0]
     if len(publishers) == 1:
         return first

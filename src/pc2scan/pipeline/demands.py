@@ -1,4 +1,4 @@
-"""Whether the result of a conversion is worth writing."""
+"""Checks whether the result of a conversion is good enough to be written."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def refuse_nothing(report: Report) -> None:
     Raises
     ------
     ResultError
-        With the most frequent reason.
+        The error names the most frequent reason.
     """
     converted = _converted(report)
     if any(topic.messages_out for topic in converted):
@@ -45,12 +45,12 @@ def refuse_nothing(report: Report) -> None:
 
 
 def refuse_unsatisfied(report: Report, options: ConvertOptions) -> None:
-    """Raise if the result is not as good as the options demand.
+    """Raise if the result does not satisfy `fail_on` or `min_used`.
 
     Raises
     ------
     ResultError
-        With the numbers, and the option.
+        The error has the numbers and the option.
     """
     for topic in _converted(report):
         if options.fail_on and topic.empty_scans:
@@ -80,6 +80,6 @@ def _converted(report: Report) -> list[TopicReport]:
 
 
 def _first(warnings: Sequence[str], part: str) -> str | None:
-    """What a warning says behind its first colon."""
+    """Return the text after the first colon of the first warning that contains ``part``."""
     found = next((warning for warning in warnings if part in warning), "")
     return found.partition(": ")[2] or None

@@ -1,4 +1,4 @@
-"""Several recordings converted one by one, each into a recording of its own."""
+"""Converts several recordings one by one, each into its own recording."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ _STATUSES = (0, 3, 4, 2, 1)
 
 @dataclass(slots=True)
 class Outcome:
-    """What became of one recording: a report, or the error that it failed with.
+    """The result of one recording: a report, or the error that it failed with.
 
     Attributes
     ----------
     source, destination
-        ``destination`` is None where the source is no recording.
+        ``destination`` is None if the source is not a recording.
     """
 
     source: Path
@@ -48,13 +48,13 @@ class Outcome:
 
     @property
     def exit_status(self) -> int:
-        """That of a run with this source alone."""
+        """The exit status of a run with this source alone."""
         if self.error is not None:
             return self.error.exit_status
         return self.report.exit_status if self.report is not None else 0
 
     def as_dict(self) -> dict[str, Any]:
-        """Return it as JSON's types: the keys of a report, or those of a `Failure`."""
+        """Return the result as JSON's types: the keys of a report, or those of a `Failure`."""
         if self.report is not None:
             return self.report.as_dict()
         if self.error is None:
@@ -65,13 +65,13 @@ class Outcome:
 
 @dataclass(slots=True)
 class Each:
-    """What became of several recordings."""
+    """The results of several recordings."""
 
     outcomes: list[Outcome] = field(default_factory=list)
 
     @property
     def exit_status(self) -> int:
-        """The worst of all."""
+        """The worst exit status of all recordings."""
         return max((outcome.exit_status for outcome in self.outcomes), key=_STATUSES.index, default=0)
 
     def as_dict(self) -> dict[str, Any]:
@@ -98,16 +98,16 @@ def run_each(
     Parameters
     ----------
     sources
-        Recordings, and folders that hold several.
+        Recordings, and folders of several recordings.
     output
-        ``folder`` is where they go; None: next to their sources. The report has those of all.
+        ``folder`` is the folder of the destinations; None: next to their sources. One report file describes all.
     done
-        Called with each outcome.
+        Called with each outcome as it is known.
 
     Returns
     -------
     Each
-        A recording that cannot be converted does not keep the others from it.
+        The results in order. The other recordings are converted even if one cannot be.
 
     Raises
     ------
@@ -148,14 +148,14 @@ def run_each(
             if done is not None:
                 done(outcome)
         if deliver is not None:
-            import json  # noqa: PLC0415  # only where it is asked for
+            import json  # noqa: PLC0415  # only for a report file
 
             deliver(json.dumps(result.as_dict(), indent=2) + "\n")
     return result
 
 
 def _named(sources: Sequence[Path], output: OutputOptions) -> Iterator[Outcome]:
-    """The recordings, and what they will be converted to."""
+    """Yield the recordings with their destinations."""
     for source in (path for given in sources for path in _expanded(given)):
         try:
             container = sniff(source).partition("+")[0]
@@ -166,7 +166,7 @@ def _named(sources: Sequence[Path], output: OutputOptions) -> Iterator[Outcome]:
 
 
 def _expanded(source: Path) -> Sequence[Path]:
-    """The recordings in a folder that is none itself; anything else is itself."""
+    """Return the recordings in a folder; of any other path the path itself."""
     if source.is_dir():
         try:
             sniff(source)
@@ -176,7 +176,7 @@ def _expanded(source: Path) -> Sequence[Path]:
 
 
 def _refuse_collisions(outcomes: Sequence[Outcome]) -> None:
-    """Raise if two recordings are one, or would become one."""
+    """Raise if a recording is given twice, or if two would get the same destination."""
     sources: dict[Path, Path] = {}
     destinations: dict[tuple[Path, str], Path] = {}
     for outcome in outcomes:

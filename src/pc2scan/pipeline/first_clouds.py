@@ -1,7 +1,8 @@
-"""What the first clouds tell of a conversion: a wrong frame, limits that leave nothing, wrong units.
+"""Checks of the first clouds of a conversion: wrong frames, limits that reject every point, wrong units.
 
-The threads that convert take some points of each cloud until enough have been judged, in the order of writing, so
-that what is said does not depend on them. A level floor settles it, at the cost of a millisecond.
+The threads that convert take a sample of each cloud until enough samples have been judged. Samples are judged in the
+order of writing, so the warnings do not depend on the number of threads. A level floor in the first cloud ends the
+check within a millisecond.
 """
 
 from __future__ import annotations
@@ -33,26 +34,26 @@ if TYPE_CHECKING:
 
 __all__ = ["FirstClouds", "Sample", "TopicClouds"]
 
-#: Clouds that are judged together where the first one alone does not settle it, and points of each.
+#: How many clouds are judged together if the first one is not enough, and how many points of each.
 _CLOUDS = 3
 _POINTS = 2_000
 
-#: Fewer points than this can be judged by nobody.
+#: With fewer points than this, a cloud is not judged.
 _FEWEST_POINTS = 300
 
-#: A scan with fewer points than this share of its beams is as good as empty. Most of what is seen of a field is ground,
-#: which no scan wants, so the share of the points says nothing.
+#: A scan with fewer points than this share of its beams counts as empty. The share of the cloud's points is no measure:
+#: outdoors most points are ground, which scans reject.
 _NEARLY_EMPTY = 0.02
 
-#: A share of points lost to the default min_height that is worth numbers.
+#: If the default min_height rejects this share of the points, a warning suggests heights.
 _NOTABLE_SHARE = 0.25
 
-#: A height from here on is no height of this world, metres, if the clouds are ten times smaller.
+#: A height limit from here on, metres, is taken for millimetres if the clouds are ten times lower.
 _TALL = 50.0
 
 
 class Sample(NamedTuple):
-    """Some points of a cloud, from the sensor along the axes of the scan's frame, and where the sensor is in it."""
+    """Some points of a cloud, relative to the sensor along the axes of the scan's frame, and the sensor's position."""
 
     clouds: TopicClouds
     frame_id: str
@@ -73,11 +74,11 @@ class FirstClouds:
     Parameters
     ----------
     report
-        Warnings and notes go there.
+        Receives warnings and notes.
     warn
-        Also called with each warning at once, so that nobody waits for the end of a conversion that makes nothing.
+        Also called with each warning immediately, so that a user can stop a conversion that makes empty scans.
     transforms
-        Reads what the recording tells of how the robot is put together, for the few cases that need it.
+        Reads the recording's transforms between the robot's frames, in the few cases that need them.
 
     Attributes
     ----------
@@ -98,11 +99,11 @@ class FirstClouds:
         self._topics: dict[tuple[str, ScanSpec], TopicClouds] = {}
 
     def of(self, spec: ScanSpec, topic: str) -> TopicClouds:
-        """Those of one topic, which several publishers may share, for one output."""
+        """Return the checks of one topic for one output; the publishers of a topic share them."""
         return self._topics.setdefault((topic, spec), TopicClouds(topic, spec, self))
 
     def warn(self, text: str) -> None:
-        """Warn at once, of what concerns several outputs only once."""
+        """Warn immediately, but only once of what concerns several outputs."""
         if text in self.report.warnings:
             return
         self.report.warnings.append(text)
@@ -110,18 +111,18 @@ class FirstClouds:
             self._warn(text)
 
     def finish(self) -> None:
-        """Judge topics that have fewer clouds than it takes."""
+        """Judge topics that have fewer clouds than usual."""
         for clouds in self._topics.values():
             clouds.finish()
 
 
 class TopicClouds:
-    """The first clouds of one topic, as one output has them.
+    """The first clouds of one topic, for one output.
 
     Attributes
     ----------
     full
-        Whether enough have been judged; read by all threads.
+        Whether enough clouds have been judged; all threads read it.
     """
 
     def __init__(self, topic: str, spec: ScanSpec, every: FirstClouds) -> None:
@@ -134,7 +135,7 @@ class TopicClouds:
         self._counts = PointCounts()
 
     def sample(self, points: Points, place: Placement) -> Sample:
-        """Take some points of a cloud; on any thread."""
+        """Return a sample of a cloud's points; on any thread."""
         taken, moved = thinned(*points.xyz(), _POINTS), place.target_from_source
         origin = (0.0, 0.0, 0.0)
         if moved is not None:
@@ -142,7 +143,7 @@ class TopicClouds:
         return Sample(self, points.frame_id, place.frame_id, points.stamp_ns, taken, origin)
 
     def add(self, sample: Sample, counts: PointCounts) -> None:
-        """Take the next cloud, in the order of writing."""
+        """Add the next cloud, in the order of writing."""
         if self.full:
             return
         self._samples.append(sample)
@@ -153,7 +154,7 @@ class TopicClouds:
             self.finish()
 
     def finish(self) -> None:
-        """Judge what there is."""
+        """Judge the clouds added so far."""
         if self.full or not self._samples:
             return
         self.full = True
@@ -162,7 +163,7 @@ class TopicClouds:
                 self._judge()
 
     def _is_fine(self) -> bool:
-        """Whether scans have points, heights need no advice, and the first cloud is level, or too small to tell."""
+        """Whether scans have points, heights need no advice, and the first cloud is level or too small to be judged."""
         if self._is_nearly_empty() or self._needs_heights() or self._mistaken_units():
             return False
         return len(self._samples[0].points) < _FEWEST_POINTS or self._is_level()
@@ -173,10 +174,10 @@ class TopicClouds:
         return len(points) >= _FEWEST_POINTS and level_floor(cells_of(points)) is not None
 
     def _judge(self) -> None:
-        from pc2scan.tf.mounting import mounting  # noqa: PLC0415  # loaded where there is something to say
+        from pc2scan.tf.mounting import mounting  # noqa: PLC0415  # only where there may be a warning
 
         every, first = self._every, self._samples[0]
-        # Where the first cloud is level, it settles the mounting, and heights need no more clouds.
+        # A level first cloud is enough for the mounting and for the heights.
         points = [sample.points for sample in self._samples[: 1 if self._is_level() else None]]
         source = every.report.source_frame or first.frame_id
         judged_in = first.scan_frame if first.scan_frame != source else ""
@@ -223,23 +224,23 @@ class TopicClouds:
         return self._is_default("min_height") and self._is_default("max_height")
 
     def _needs_heights(self) -> bool:
-        """Whether the default min_height drops what users want to keep, or a preset leaves it to them."""
+        """Whether the default min_height rejects many points, or a preset leaves the heights to the user."""
         cut = self._counts.height >= _NOTABLE_SHARE * max(self._counts.total, 1)
         presets = any(map(from_preset, self._spec.origins.values()))
         return (self._is_default("min_height") and cut) or (self._without_heights() and presets)
 
     @staticmethod
     def _advice(found: Mounting) -> str:
-        """The options that suit the clouds; empty where no point was seen."""
+        """Return the options that suit the clouds; empty if there was no point."""
         if found.heights is None:
             return ""
-        # The heights are those of the frame that the options make, which may be another than that of the scans.
+        # The heights apply in the frame that these options make, which may differ from the frame of the scans.
         return " ".join(
             filter(None, (found.options, f"`min_height={found.heights.low:g}`", f"`max_height={found.heights.high:g}`"))
         )
 
     def _emptiness(self, advice: str) -> str:
-        """Say which limits leave nothing, beside what the clouds have; empty if it is none of them."""
+        """Return which limits reject all points, with the clouds' own values; empty if no limit does."""
         params, counts = self._spec.params, self._counts
         placed = np.concatenate([sample.placed for sample in self._samples])
         share = f"{counts.used:,} of the {counts.total:,} points of the first {_clouds(len(self._samples))} are used"
@@ -259,12 +260,12 @@ class TopicClouds:
         if parts and advice and counts.height >= _NOTABLE_SHARE * counts.total:
             parts[0] += f": {advice}"
         if not parts:
-            # Filters, or NaN: the report tells in the end.
+            # The reason is a filter, or NaN: the report has it at the end.
             return ""
         return f"{self._topic}: {share}; {'; '.join(parts)}"
 
     def _mistaken_units(self) -> str:
-        """Heights that are no metres, next to the clouds' own; empty where they may be."""
+        """Return a warning if heights seem to be millimetres, with the clouds' own heights; empty otherwise."""
         params = self._spec.params
         wrong = [name for name in ("min_height", "max_height") if self._is_tall(name)]
         if not wrong:
@@ -293,7 +294,7 @@ def _clouds(count: int) -> str:
 
 
 def _number(value: float, unit: str) -> str:
-    """A limit as people read it: upstream's defaults stand for none."""
+    """Return a limit as text: upstream's defaults mean no limit."""
     if value == ProjectionParams().min_height:
         return f"above 0 {unit}"
     return "without limit" if abs(value) > 1e300 else f"{value:g} {unit}"

@@ -1,4 +1,4 @@
-"""What a conversion would do, found out without writing anything: its topics, and about how many messages and bytes."""
+"""Estimates what a conversion would do, without writing: its topics, and about how many messages and bytes."""
 
 from __future__ import annotations
 
@@ -28,21 +28,21 @@ if TYPE_CHECKING:
 
 __all__ = ["forecast"]
 
-#: The first messages of a topic that are converted, unless they fail, and those that are looked at in all.
+#: How many of the first messages of a topic are converted, not counting those that fail, and how many are read at most.
 _CONVERTED = 3
 _LOOKED_AT = 10
-#: The first messages of all other topics whose sizes count for the rest.
+#: How many of the first messages of all other topics are read to estimate the sizes of the rest.
 _MEASURED = 500
 
 
-#: Bytes that an index takes for a message, the description of a topic, and what else every container has.
+#: Bytes that an index entry takes, the description of a topic, and the fixed parts of a container.
 _INDEXED = 40
 _DECLARED = 1_500
 _FRAME = 4_000
 
 
 class _Size(NamedTuple):
-    """The mean size of a connection's messages: as they are read, as they are passed on, and of what they become."""
+    """The mean size of a connection's messages: as read, as passed on, and as converted."""
 
     read: float
     passed: float
@@ -59,10 +59,10 @@ def forecast(
     stop_ns: int | None,
     report: Report,
 ) -> float:
-    """Fill in a report as a conversion would, as far as indexes and the first messages tell.
+    """Fill in a report as a conversion would, estimated from the indexes and the first messages.
 
-    The points in it are those of the first messages, and what is skipped is among these. Returns about how many bytes
-    the written messages have before compression.
+    Its points and its skipped messages are those of the first messages. Returns about how many bytes the written
+    messages have before compression.
 
     Raises
     ------
@@ -107,7 +107,7 @@ def _converted_sizes(
         with closing(reader.messages([connection], start_ns, stop_ns)) as messages:
             for message in messages:
                 read.append(len(message.data))
-                assert route.convert is not None  # chosen so
+                assert route.convert is not None  # only such routes are chosen
                 converted: Sequence[Converted | MessageError]
                 try:
                     converted = route.convert(message.data)
@@ -128,7 +128,7 @@ def _converted_sizes(
                     result = converted[output.place]
                     if output.joint is not None and not isinstance(result, MessageError):
                         if output.handle < 0:
-                            # The scan that it joins is one of another topic.
+                            # It becomes part of a scan that another topic leads.
                             output.report.messages_out += 1
                             continue
                         result = output.joint.alone(cast("Any", result))
@@ -152,14 +152,14 @@ def _converted_sizes(
 
 
 def _packed(data: bytes) -> int:
-    """The size of a message when it is compressed, about."""
+    """Return about the size of a message after compression."""
     import zlib  # noqa: PLC0415  # dry runs only
 
     return len(zlib.compress(data, 1))
 
 
 def _other_sizes(reader: Reader, connections: Sequence[Connection]) -> dict[int, _Size]:
-    """The same for messages that are not converted, by those at the beginning of the recording."""
+    """Return the mean sizes of messages that are not converted, from the first messages of the recording."""
     found: dict[int, list[int]] = {connection.id: [] for connection in connections}
     if connections:
         with closing(reader.messages(connections)) as messages:
@@ -173,7 +173,7 @@ def _mean(values: Sequence[int]) -> float:
 
 
 def _fill_in(routes: Mapping[int, OpenRoute], counts: Mapping[int, int], report: Report) -> None:
-    """Put the numbers of messages in place of those that were looked at."""
+    """Replace the counts of the sampled messages by the counts of all messages."""
     entries = {id(entry): entry for route in routes.values() for entry in route.reports}
     for entry in entries.values():
         entry.messages_in = entry.messages_out = 0
@@ -197,7 +197,7 @@ def _gathered(
     start_ns: int | None,
     stop_ns: int | None,
 ) -> dict[int, _Size]:
-    """Where there is one scan for each interval, correct the number of scans, and the mean size that comes of it."""
+    """Correct the number of scans, and their mean size, if there is one scan for each interval of time."""
     first_ns, last_ns = reader.summary.start_ns, reader.summary.end_ns
     found: dict[int, _Size] = {}
     if first_ns is None or last_ns is None:
@@ -221,7 +221,7 @@ def _written(
     counts: Mapping[int, int],
     sizes: Mapping[int, _Size],
 ) -> int:
-    """About how many bytes the destination will have, by how well the source is compressed."""
+    """Return about how many bytes the destination will have, by how well the source is compressed."""
     whole = sum((route.connection.message_count or 0) * sizes[key].read for key, route in routes.items())
     ratio = min(1.0, reader.summary.size_bytes / whole) if whole and target.compression != "none" else 1.0
     stored = sum((counts.get(key) or 0) * (size.passed * ratio + size.made + _INDEXED) for key, size in sizes.items())

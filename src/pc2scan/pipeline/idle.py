@@ -1,4 +1,4 @@
-"""Options that are given and have no effect, and values that are probably not what was meant."""
+"""Checks for options that have no effect, and for values that are probably a mistake."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ if TYPE_CHECKING:
 
 __all__ = ["doubts", "refuse_unusable"]
 
-#: Increments from here on, in radians: beams of more than 11 degrees. They are nearly always degrees.
+#: An angle_increment from here on, radians (11 degrees), is nearly always meant in degrees.
 _COARSE = 0.2
 
 
 def refuse_unusable(options: ConvertOptions) -> None:
-    """Raise for what is wrong with an option although it may have no effect.
+    """Raise if an option cannot be used, even if this conversion would not need it.
 
     Raises
     ------
     MissingError
-        If a recording of ``tf_from`` is not there.
+        If a recording of ``tf_from`` does not exist.
     UsageError
-        If ``ros_distro`` is no distribution that is known.
+        If ``ros_distro`` is not a known distribution.
     """
     for path in options.frames.tf_from:
         if not os.path.lexists(path):
@@ -50,7 +50,7 @@ def refuse_unusable(options: ConvertOptions) -> None:
 def doubts(options: ConvertOptions) -> list[str]:
     """Return a warning for each option without an effect, and each value that looks like degrees.
 
-    Only parameters that are given as options are looked at: a parameter file that lists all parameters is normal.
+    Only parameters that are given as options are checked, because a parameter file usually lists all parameters.
     """
     found: list[str] = []
     for spec in options.specs:

@@ -1,7 +1,7 @@
-"""Launch files: the parameters and remappings of the pointcloud_to_laserscan nodes in ROS 1's and ROS 2's XML.
+"""Reads the parameters and remappings of pointcloud_to_laserscan nodes from XML launch files of ROS 1 and ROS 2.
 
-Nothing is launched, and nothing in a file is executed. A file may come from anywhere: it has a bounded size and depth,
-and document types, with which entities could be declared, are refused.
+Nothing is launched, and nothing in a file is executed. Files are untrusted: their size and depth are bounded, and
+document types are refused, because they can declare entities.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ if TYPE_CHECKING:
 
 __all__ = ["LaunchNode", "LaunchParam", "is_launch_xml", "launch_node"]
 
-#: Deeper nesting than any launch file has.
+#: The most levels of nested elements.
 _MAX_DEPTH = 50
 
-#: So many substitutions in one text, one in another, are a mistake.
+#: The most substitutions in one text, counting nested ones.
 _MAX_SUBSTITUTIONS = 100
 
 _SUBSTITUTION = re.compile(r"\$\(([a-z-]+)\s*([^()$]*)\)")
 
-#: Topics whose remappings count.
+#: Topics whose remappings are read.
 _TOPICS: dict[Direction, frozenset[str]] = {
     "pointcloud_to_laserscan": frozenset({"cloud_in", "scan", "tf", "tf_static"}),
     "laserscan_to_pointcloud": frozenset({"scan_in", "cloud", "tf", "tf_static"}),
@@ -55,15 +55,15 @@ class LaunchParam:
     Attributes
     ----------
     name
-        As written; empty for a file or a block of YAML.
+        The name as written; empty for a file or a block of YAML.
     value
-        Text, substituted.
+        The text, after substitution.
     kind
         ``value``; ``yaml``, a block of YAML; or ``file``, the path of one.
     line
-        Of the element.
+        The line of the element.
     type
-        ROS 1's, empty where there is none.
+        ROS 1's type; empty if there is none.
     """
 
     name: str
@@ -80,7 +80,7 @@ class LaunchNode:
     Attributes
     ----------
     name
-        Fully qualified.
+        The fully qualified name.
     direction
         Which of the two nodes it is.
     params
@@ -88,7 +88,7 @@ class LaunchNode:
     remaps
         ``cloud_in:=/points``, as they apply to the node.
     ignored
-        What was not read, with its place: ``include`` elements, since they may set parameters.
+        ``include`` elements, with their places. They are not read, but may set parameters.
     """
 
     name: str
@@ -99,12 +99,12 @@ class LaunchNode:
 
 
 def is_launch_xml(text: str) -> bool:
-    """Whether the text of a parameter file is XML: no YAML of parameters begins like that."""
+    """Whether the text of a parameter file is XML: no YAML file of parameters begins with ``<``."""
     return re.match(r"\s*<[?!a-zA-Z]", text) is not None
 
 
 def launch_node(text: str, path: Path, arguments: Mapping[str, str], node: str | None) -> LaunchNode:
-    """Find the node of a launch file that is replayed.
+    """Read the node of a launch file.
 
     Parameters
     ----------
@@ -118,7 +118,8 @@ def launch_node(text: str, path: Path, arguments: Mapping[str, str], node: str |
     Raises
     ------
     ParameterError
-        If it is no launch file, an argument has no value, there is no node of pointcloud_to_laserscan, or several.
+        If the text is not a launch file, an argument has no value, or there is no node of pointcloud_to_laserscan, or
+        more than one.
     """
     reader = _Reader(path, dict(arguments))
     nodes = list(reader.nodes(_parsed(text, path)))
@@ -157,8 +158,8 @@ def launch_node(text: str, path: Path, arguments: Mapping[str, str], node: str |
 
 
 def _parsed(text: str, path: Path) -> _Element:
-    """The root element. Not ElementTree, which tells neither lines nor, before it is too late, of entities."""
-    from xml.parsers import expat  # noqa: PLC0415  # only where a launch file is given
+    """Return the root element. ElementTree is not used: it has no lines, and expands entities before one can refuse."""
+    from xml.parsers import expat  # noqa: PLC0415  # only for launch files
 
     root = _Element("", {}, 0)
     stack = [root]
@@ -199,7 +200,7 @@ def _parsed(text: str, path: Path) -> _Element:
 
 @dataclass(frozen=True, slots=True)
 class _Scope:
-    """What holds where an element stands."""
+    """The namespace, parameters and remappings that apply to an element."""
 
     namespace: str = ""
     remaps: tuple[str, ...] = ()
@@ -209,7 +210,7 @@ _Found = tuple[str, _Element, _Scope]
 
 
 class _Reader:
-    """Walks a file, with the values of its arguments."""
+    """Walks the elements of a file, and knows the values of its arguments."""
 
     def __init__(self, path: Path, arguments: dict[str, str]) -> None:
         self.path = path
@@ -223,7 +224,7 @@ class _Reader:
         return set(self.arguments)
 
     def nodes(self, parent: _Element, scope: _Scope | None = None) -> Iterator[_Found]:
-        """The nodes of pointcloud_to_laserscan below an element."""
+        """Yield the nodes of pointcloud_to_laserscan below an element."""
         scope = scope or _Scope()
         for element in parent.children:
             tag = element.tag
@@ -259,7 +260,7 @@ class _Reader:
                 params += self._params(child)
             elif child.tag == "rosparam":
                 params.append(self._rosparam(child))
-        # roslaunch's and ros2's arguments: _name:=value, -p name:=value, -r from:=to, from:=to.
+        # Arguments of roslaunch and ros2: _name:=value, -p name:=value, -r from:=to, from:=to.
         words = re.findall(r"(?:(-[pr]|--param|--remap)\s+)?(\S+:=\S*)", self._read(element, "args"))
         for option, word in words:
             left, _, right = word.partition(":=")
@@ -342,7 +343,7 @@ class _Reader:
         return self._substituted(element.attributes.get(attribute, ""), element)
 
     def _substituted(self, text: str, element: _Element) -> str:
-        """Replace ``$(arg ...)`` and its kind, the innermost first."""
+        """Replace substitutions such as ``$(arg ...)``, the innermost first."""
         for _ in range(_MAX_SUBSTITUTIONS):
             found = _SUBSTITUTION.search(text)
             if found is None:
@@ -385,7 +386,7 @@ class _Reader:
         return self._refuse(f"$({kind} {rest})", element)
 
     def _package(self, name: str, element: _Element) -> Path:
-        """Where a package is: the one that the file is in. Others would need a ROS installation."""
+        """Return the folder of the package that the file is in. Other packages would need a ROS installation."""
         for folder in self.path.resolve().parents:
             if folder.name == name or (folder / "package.xml").exists():
                 return folder
@@ -413,13 +414,13 @@ def _direction(element: _Element) -> Direction:
 
 
 def _joined(above: str, name: str) -> str:
-    """A name below a namespace."""
+    """Return a name inside a namespace."""
     if name.startswith("/"):
         return name.rstrip("/")
     return "/".join(filter(None, (above, name.strip("/")))) if above else f"/{name}".rstrip("/")
 
 
 def _resolved(remap: str, namespace: str) -> str:
-    """A remapping whose right side is the whole name."""
+    """Return a remapping with the fully qualified name on its right side."""
     left, _, right = remap.partition(":=")
     return f"{left}:={_joined(namespace, right)}"

@@ -1,4 +1,4 @@
-"""Level scans: who knows which way is up, and the transforms of the level frames, written for every scan."""
+"""Level scans: the sources of the direction of up, and the transforms of the level frames, written for every scan."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ __all__ = ["LevelFrames", "Ups", "tf_connection"]
 
 _TFMESSAGE = "tf2_msgs/msg/TFMessage"
 
-#: tf2's transform broadcaster: keep last 100, reliable, volatile.
+#: The QoS profile of tf2's transform broadcaster: keep last 100, reliable, volatile.
 _QOS = """\
 - history: 1
   depth: 100
@@ -51,7 +51,7 @@ _QOS = """\
 
 
 class Ups:
-    """Who knows which way is up, for each output that is level. Each IMU is read once.
+    """The source of the direction of up, for each level output. Each IMU is read once.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ class Ups:
     buffer
         Their transforms.
     report
-        Gets what was found.
+        Receives what was found, as notes.
     """
 
     def __init__(self, readers: Sequence[Reader], buffer: TransformBuffer, report: Report) -> None:
@@ -71,12 +71,12 @@ class Ups:
         self._sources: dict[tuple[str, str, int], UpSource] = {}
 
     def of(self, spec: ScanSpec, tolerance_ns: int) -> UpSource:
-        """Return who knows it for one output: the same object for all that ask the same.
+        """Return the source for one output; outputs with the same options share one object.
 
         Raises
         ------
         UsageError
-            If an IMU does not show it.
+            If the messages of an IMU do not show which way is up.
         """
         key = (spec.fixed_frame, spec.imu, tolerance_ns)
         if key not in self._sources:
@@ -97,11 +97,11 @@ class Ups:
 
 
 def tf_connection(reader: Reader, frames: FrameOptions, target: Destination) -> Connection:
-    """Make the connection of the level frames: one more publisher of the topic that other moving transforms are on."""
+    """Return the connection of the level frames: one more publisher of the topic that has the moving transforms."""
     moving = [c for c in tf_connections(reader.connections, frames.tf_topics) if not is_static(c.topic)]
     first = moving[0] if moving else None
     if first is not None and first.ros_version == target.ros_version and first.definition.data:
-        # ROS 1 has two types of one layout; a topic has one.
+        # ROS 1 has two types with the same layout; all publishers of a topic have the same type.
         msgtype, text, digest = first.msgtype, first.definition, first.digest
     else:
         msgtype = _TFMESSAGE
@@ -125,11 +125,11 @@ class LevelFrames:
     Attributes
     ----------
     handle
-        The writer's, of `tf_connection`.
+        The writer's handle of `tf_connection`.
     serialization
-        That of the destination.
+        The serialisation of the destination.
     report
-        Counts them.
+        The report's entry that counts them.
     """
 
     handle: int
@@ -143,7 +143,7 @@ class LevelFrames:
         Raises
         ------
         UnwritableError
-            If the destination cannot hold it.
+            If the destination cannot store it.
         """
         _, name, stamp_ns, *_ = level.row
         if (name, stamp_ns) not in self._written:

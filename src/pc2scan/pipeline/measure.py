@@ -1,6 +1,6 @@
-"""What a conversion has to find out before it begins: when scans and beams were measured, how finely, which fields.
+"""Measurements before a conversion: the times of scans and beams, the resolution of the lidar, and the clouds' fields.
 
-Only the first clouds of a topic are looked at, so that a conversion stays a single pass over the recording.
+Only the first clouds of a topic are read, so that a conversion stays a single pass over the recording.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 __all__ = ["measure"]
 
-#: Clouds whose stamps tell the scan time, and those of them whose points tell the time of a beam and its width.
+#: How many clouds the scan time is measured from, and how many the time and the width of a beam.
 FIRST_CLOUDS = 51
 SWEEPS = 11
 
@@ -51,24 +51,23 @@ def measure(
     start_ns: int | None = None,
     stop_ns: int | None = None,
 ) -> tuple[dict[str, Measured], list[str]]:
-    """Look at the first clouds of each topic.
+    """Measure the first clouds of each topic.
 
     Parameters
     ----------
     connections
-        Those to be converted.
+        The connections to convert.
     spec
-        ``scan_time``, ``time_increment`` and ``beams`` that are ``auto`` are measured; fields that are asked for have
-        to be there.
+        ``scan_time``, ``time_increment`` and ``beams`` are measured if they are ``auto``; requested fields must exist.
     frames
-        The scans' frame is the one that beams are measured in.
+        Beams are measured in the frame of the scans.
     start_ns, stop_ns
         The cut, by log time; None: no limit.
 
     Returns
     -------
     dict, list of str
-        The timing of each topic, and what was found, for the user.
+        The timing of each topic, and notes for the user.
 
     Raises
     ------
@@ -91,21 +90,21 @@ def measure(
             try:
                 first.add(decoders[message.connection.id](message.data))
             except MessageError:
-                # What cannot be decoded or transformed is reported when its turn to be converted comes.
+                # An error of decoding or transforming is reported when this message is converted.
                 continue
         first.require_fields(topic, spec)
         if spec.point_time.partition(":")[0] == "azimuth":
-            from .stages.deskew import PointTime  # noqa: PLC0415  # only where points move
+            from .stages.deskew import PointTime  # noqa: PLC0415  # only with deskewing
 
             notes.append(
-                f"{topic}: the times of points are told by their azimuth: {PointTime.parse(spec.point_time).turn}"
+                f"{topic}: the times of points are computed from their azimuth: {PointTime.parse(spec.point_time).turn}"
             )
         timings[topic] = first.timing(topic, notes)
     return timings, notes
 
 
 class _FirstClouds:
-    """What the first clouds of a topic tell."""
+    """The measurements in the first clouds of a topic."""
 
     def __init__(self, params: ProjectionParams, frames: Frames) -> None:
         self._params = params
@@ -116,9 +115,9 @@ class _FirstClouds:
         self._sweeps: list[Sweep] = []
         self._steps: list[float | None] = []
 
-    @np.errstate(all="ignore")  # coordinates and times may be anything: NaNs that signal, the largest numbers
+    @np.errstate(all="ignore")  # coordinates and times may be any numbers: signalling NaN, the largest numbers
     def add(self, cloud: Points) -> None:
-        """Take a cloud."""
+        """Add a cloud."""
         self._stamps.append(cloud.stamp_ns)
         self._fields.update(dict.fromkeys(cloud.fields))
         if len(self._stamps) > SWEEPS:
@@ -129,7 +128,7 @@ class _FirstClouds:
             self._fit(cloud)
 
     def _step(self, cloud: Points) -> float | None:
-        """The azimuth step of a cloud, around the sensor, in the directions of the scan's frame."""
+        """Return the azimuth step of a cloud, around the sensor, along the axes of the scan's frame."""
         x, y, z = cloud.xyz()
         transform = self._frames.place(cloud.frame_id, cloud.stamp_ns).target_from_source
         if transform is not None:
@@ -155,7 +154,7 @@ class _FirstClouds:
             self._sweeps.append(sweep)
 
     def _angles(self, cloud: Points) -> NDArray[np.float64]:
-        """Where the points are seen, in the scan's frame; NaN for those without a direction."""
+        """Return the azimuth of each point in the scan's frame; NaN for points without a direction."""
         points = np.stack([np.ravel(part).astype(np.float64) for part in cloud.xyz()], axis=1)
         nowhere = ~points.any(axis=1) | ~np.isfinite(points).all(axis=1)
         transform = self._frames.place(cloud.frame_id, cloud.stamp_ns).target_from_source
@@ -166,7 +165,7 @@ class _FirstClouds:
         return angles
 
     def require_fields(self, topic: str, spec: ScanSpec) -> None:
-        """Refuse to begin without a field that was asked for."""
+        """Raise if a requested field is missing."""
         if not self._stamps:
             return
         there = f"their fields are: {', '.join(self._fields) or 'none'}"
@@ -192,7 +191,7 @@ class _FirstClouds:
             )
 
     def timing(self, topic: str, notes: list[str]) -> Measured:
-        """What to write into the scans."""
+        """Return the times to write into the scans."""
         step = self._resolution(topic, notes) if self._params.beams == "auto" and self._stamps else 0.0
         layout = (self._params.at_resolution(step) if step else self._params).layout
         scan_time, time_increment, first_beam_ns = self._params.scan_time, self._params.time_increment, 0
@@ -200,7 +199,7 @@ class _FirstClouds:
             interval = median_interval_ns(self._stamps)
             scan_time = (interval or 0) / 1e9
             notes.append(
-                f"{topic}: scan_time is 0, for there are no two different stamps to measure it between"
+                f"{topic}: scan_time is 0, because there are no two different stamps to measure it between"
                 if interval is None
                 else f"{topic}: scan_time is {scan_time:.6g} s, the median interval of "
                 f"{'its' if len(self._stamps) < FIRST_CLOUDS else 'the first'} {len(self._stamps)} stamps"
@@ -211,7 +210,7 @@ class _FirstClouds:
         return Measured(scan_time, time_increment, first_beam_ns, step)
 
     def _resolution(self, topic: str, notes: list[str]) -> float:
-        """How finely the lidar samples azimuth, radians."""
+        """Return how finely the lidar samples azimuth, radians."""
         known = [step for step in self._steps if step is not None]
         if 2 * len(known) <= len(self._steps):
             raise ParameterError(
@@ -229,17 +228,17 @@ class _FirstClouds:
         return step
 
     def _beams(self, layout: BeamLayout) -> tuple[float, int, str]:
-        """Time from beam to beam in seconds, the first beam's after the stamp in nanoseconds, and what to say."""
+        """Return the time between beams in seconds, from the stamp to the first beam in nanoseconds, and a note."""
         if not self._timed:
-            return 0.0, 0, f"time_increment is 0, for the clouds have no field {', '.join(TIME_FIELDS)}"
+            return 0.0, 0, f"time_increment is 0, because the clouds have no field {', '.join(TIME_FIELDS)}"
         field = ", ".join(self._timed)
         if not self._sweeps:
-            return 0.0, 0, f"time_increment is 0, for the times of the points ({field}) do not follow a turning lidar"
+            return 0.0, 0, f"time_increment is 0, because the times of points ({field}) are not of a turning lidar"
         found = [times for sweep in self._sweeps if (times := beam_times(sweep, layout)) is not None]
         if len(found) < len(self._sweeps):
             lowest = statistics.median_low(sweep.lowest for sweep in self._sweeps)
             advice = f"`angle_min={lowest:.4f}` `angle_max={lowest + TURN:.4f}`"
-            note = "time_increment is 0, for the clouds begin and end inside the scan; one that begins there can tell"
+            note = "time_increment is 0, because the clouds begin inside the scan's sector; let the scan begin there"
             return 0.0, 0, f"{note}: {advice}"
         first_beam_ns = round(statistics.median_low(first for first, _ in found) * 1e9)
         increment = statistics.median_low(step for _, step in found)
@@ -248,5 +247,5 @@ class _FirstClouds:
         return (
             increment,
             first_beam_ns,
-            f"{note}; stamps are moved by {stamp_text(first_beam_ns)} s, to the first beam's",
+            f"{note}; stamps are shifted by {stamp_text(first_beam_ns)} s, to the first beam",
         )

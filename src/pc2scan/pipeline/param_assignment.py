@@ -16,15 +16,15 @@ def parse_param(text: str) -> Setting:
     Parameters
     ----------
     text
-        As after ``--ros-args -p`` of ROS 2, where a node's name may come first (``node:name:=value``; it
-        is not compared with anything), or as ROS 1 takes it (``_name:=value``). The value is a YAML
+        ROS 2's form after ``--ros-args -p``, which may begin with a node's name (``node:name:=value``; the name is
+        ignored), or ROS 1's form (``_name:=value``). The value is a YAML
         scalar: ``1``, ``1.0``, ``.inf``, ``true``, ``"text"``; also ROS 1's ``deg(90)`` and
-        ``rad(pi/2)``. Nothing after ``:=`` is the empty text.
+        ``rad(pi/2)``. No text after ``:=`` means the empty text.
 
     Returns
     -------
     Setting
-        Its value is not checked; `resolve` does that.
+        Its value is not checked here; `resolve` does.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The parameters of a conversion out of all the places where they may be given."""
+"""Collects the parameters of a conversion from every place where a user can give them."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class ResolvedSources(NamedTuple):
     reverse
         Whether scans become clouds.
     ignored
-        Where the parameter file has something that is no parameter of the projection.
+        Places in the parameter file that are no parameters of the projection.
     remaps, files
         As those of `pc2scan.pipeline.params_file.ParamsFile`.
     """
@@ -66,22 +66,22 @@ def resolve_sources(
     Parameters
     ----------
     settings
-        Parameters that are given by themselves.
+        Parameters that are given as options or keywords.
     assignments
         As `pc2scan.pipeline.param_assignment.parse_param` reads them; a later one beats an earlier one.
     file, node
-        A parameter file or a launch file, and whose section of it.
+        A parameter file or a launch file, and the node whose section of it is read.
     launch_args
         Arguments of a launch file, ``name:=value``.
     preset
         The name of a consumer.
     reverse
-        Whether scans become clouds. A file whose section is ``laserscan_to_pointcloud`` asks for that too.
+        Whether scans become clouds. A section ``laserscan_to_pointcloud`` of the file has the same effect.
 
     Raises
     ------
     UsageError
-        If a parameter, the file or the preset is not as it must be, or the file is for the other direction.
+        If a parameter, the file or the preset is not valid, or the file is for the other direction.
     """
     if node is not None and file is None:
         raise UsageError(
@@ -89,7 +89,7 @@ def resolve_sources(
         )
     if launch_args and file is None:
         raise UsageError("`launch_args` are those of a launch file, and none is given", hint="`params_file=FILE`")
-    # Only what is given is loaded: a process that converts a small recording spends most of its time on loading.
+    # Modules are imported only if needed: a conversion of a small recording spends most of its time on imports.
     found = list(settings)
     ignored: tuple[str, ...] = ()
     remaps: tuple[str, ...] = ()

@@ -1,4 +1,4 @@
-"""The parameters of a conversion: which there are, and which setting of one wins.
+"""The table of the projection's parameters, and which of several settings of one wins.
 
 Every source (command line, ``--param name:=value``, parameter file) yields `Setting` values, which say where
 they were written. `resolve` lets the stronger setting win, checks names, types and values, and builds
@@ -51,7 +51,7 @@ __all__ = [
     "unknown_parameter",
 ]
 
-#: Upstream's two nodes; the name of the node is the name of the direction.
+#: Upstream's two nodes; each direction is called as its node.
 Direction = Literal["pointcloud_to_laserscan", "laserscan_to_pointcloud"]
 
 
@@ -67,13 +67,13 @@ class Parameter(NamedTuple):
     unit
         ``m``, ``rad``, ``s`` or empty.
     help
-        One or two sentences for ``--help``; they mention neither the unit nor the default.
+        One or two sentences for ``--help``, without the unit and the default.
     default
-        That of `ProjectionParams`.
+        The default of `ProjectionParams`.
     directions
         The nodes that have it.
     words
-        What it may be in words: the choices of a text, or what a number may be besides.
+        The choices of a text parameter, or the words that a number may be instead.
     upstreams
         Whether upstream's node has it.
     """
@@ -94,12 +94,12 @@ class Parameter(NamedTuple):
 
     @property
     def negation(self) -> str:
-        """The command line's spelling of a bool that is false: ``--no-use-inf``."""
+        """The command line's spelling that sets a bool to false: ``--no-use-inf``."""
         return f"--no-{self.name.replace('_', '-')}"
 
 
 class Setting(NamedTuple):
-    """A parameter's value as one source gives it, not yet checked.
+    """The value of a parameter in one source, not checked yet.
 
     Attributes
     ----------
@@ -121,12 +121,12 @@ class Setting(NamedTuple):
 
 
 class ResolvedParams(NamedTuple):
-    """The parameters of a run and where each comes from.
+    """The parameters of a run, and where each was given.
 
     Attributes
     ----------
     params
-        Checked.
+        The checked parameters.
     origin
         For each name of `PARAMETERS`, the origin of the setting that won, or ``default``.
     """
@@ -142,7 +142,7 @@ _HELP: dict[str, tuple[str, str]] = {
         "",
         "Frame that the cloud is transformed into first; the scan is in it. Empty: the cloud's own frame.",
     ),
-    "transform_tolerance": ("s", "How far a stamp may lie outside the recorded transforms."),
+    "transform_tolerance": ("s", "How far a stamp may be outside of the recorded transforms."),
     "min_height": (
         "m",
         (
@@ -168,14 +168,14 @@ _HELP: dict[str, tuple[str, str]] = {
         "What beam i takes: upstream: what begins there; centered: what is around it; half-open, symmetric: the same.",
     ),
     "beams": ("", "How many beams the sector has, instead of angle_increment. auto: as finely as the lidar measures."),
-    "no_return": ("", "What a beam without a return reads. Left out: use_inf tells."),
+    "no_return": ("", "What a beam without a return reads. Default: as use_inf says."),
     "reduce": (
         "",
         "Which of its returns a beam reads: the closest, farthest, mean, median, kth closest, or closest surface.",
     ),
     "kth": ("", "Which one `reduce=kth` takes: 1 is the closest. A beam with fewer returns has none."),
     "surface_depth": ("m", "How far behind the closest return `reduce=surface` takes returns for the same surface."),
-    "surface_slope": ("", "What `reduce=surface` adds to that: so many widths of the beam at the closest return."),
+    "surface_slope": ("", "What `reduce=surface` adds to that: a number of beam widths at the closest return."),
     "min_points": ("", "A beam with fewer returns than this has none."),
     "intensity_field": ("", "Field of the cloud whose values, at the returns shown, become the scan's intensities."),
     "time_increment": (
@@ -192,7 +192,7 @@ _UPSTREAMS = frozenset(list(_HELP)[: list(_HELP).index("geometry")])
 
 
 def _table() -> Mapping[str, Parameter]:
-    """Join the table above with the defaults of `ProjectionParams`, in its order."""
+    """Join the table above with the defaults of `ProjectionParams`, in the order of the latter."""
     both: frozenset[Direction] = frozenset(get_args(Direction))
     rows = {}
     for spec in fields(ProjectionParams):
@@ -211,10 +211,10 @@ def _table() -> Mapping[str, Parameter]:
     return MappingProxyType(rows)
 
 
-#: Every parameter by its ROS name: upstream's in its order, then those that it does not have.
+#: Every parameter by its ROS name: upstream's in upstream's order, then pc2scan's own.
 PARAMETERS: Mapping[str, Parameter] = _table()
 
-#: The origin of parameters that are given in Python.
+#: The origin of parameters that are given as keywords in Python.
 CALL = "the call"
 
 #: ROS 1's names for parameters that ROS 2 renamed.
@@ -224,11 +224,11 @@ ALIASES = {"concurrency_level": "queue_size"}
 #: last two.
 TOPICS = frozenset({"cloud_in", "scan", "scan_in", "cloud", "point_cloud_topic", "scan_topic"})
 
-#: Names that mean a parameter of upstream's nodes wherever they stand. pc2scan's own (``geometry``, ``beams``) are
-#: names that any node may have, for whole groups of parameters too.
+#: Names that identify a section as one of upstream's nodes. pc2scan's own names (``geometry``, ``beams``) do not: any
+#: node may use them, also for groups of parameters.
 SCALAR_PARAMETERS = {name for name, parameter in PARAMETERS.items() if parameter.upstreams} | ALIASES.keys()
 
-#: Parameters that say the same in two ways: the stronger setting of either leaves the other one out.
+#: Pairs of parameters that describe the same thing: the stronger setting of the two wins, the other one is ignored.
 RIVALS = {
     "beams": "angle_increment",
     "angle_increment": "beams",
@@ -238,12 +238,12 @@ RIVALS = {
 
 
 def names_of(direction: Direction | None) -> list[str]:
-    """The parameters of a node; all of them when the direction is not known."""
+    """Return the names of a node's parameters; all names if the direction is not known."""
     return [p.name for p in PARAMETERS.values() if direction is None or direction in p.directions]
 
 
 def unknown_parameter(name: str, origin: str, direction: Direction | None) -> ParameterError:
-    """Say that there is no such parameter, and which there are."""
+    """Return the error for an unknown parameter, with the known ones."""
     known = names_of(direction)
     hint = f"the parameters are {', '.join(known)}"
     if name in TOPICS:
@@ -264,7 +264,7 @@ _EXPECTED = {"float": "a number", "bool": "true or false", "int": "a whole numbe
 
 
 def expected_message(name: str, found: str, origin: str) -> str:
-    """Say what kind of value a parameter has, and what was found instead."""
+    """Return the message that a value is not of the parameter's kind."""
     parameter = PARAMETERS.get(ALIASES.get(name, name))
     expected = _EXPECTED[parameter.kind] if parameter else "a value"
     if parameter and parameter.words:
@@ -273,7 +273,7 @@ def expected_message(name: str, found: str, origin: str) -> str:
 
 
 def shown(value: object) -> str:
-    """A value for a message, at most 80 characters."""
+    """Return a value as text for a message, at most 80 characters."""
     if value is None:
         return "nothing"
     if isinstance(value, bool):
@@ -285,10 +285,10 @@ def shown(value: object) -> str:
 
 
 def _typed(parameter: Parameter, setting: Setting) -> float | bool | str:
-    """Value of a setting in the type of its parameter.
+    """Return the value of a setting in the type of its parameter.
 
-    A whole number is taken for a number; ROS 2 itself insists on ``30.0``. A number may have a unit, or be
-    arithmetic (``180deg``, ``pi/2``, ``50cm``). Nothing else is converted.
+    A whole number is accepted where a float is expected; ROS 2 itself requires ``30.0``. A number may have a unit, or
+    be arithmetic (``180deg``, ``pi/2``, ``50cm``). Nothing else is converted.
     """
     value = setting.value
     kind = parameter.kind
@@ -297,12 +297,12 @@ def _typed(parameter: Parameter, setting: Setting) -> float | bool | str:
     if isinstance(value, str) and (value in parameter.words or (kind == "str" and not parameter.words)):
         return value
     if kind == "str" and isinstance(value, float) and str(value) in parameter.words:
-        # YAML takes the words inf and nan for numbers.
+        # YAML reads the words inf and nan as numbers.
         return str(value)
     if kind == "int" and isinstance(value, int) and not isinstance(value, bool):
         return value
     if kind == "float" and isinstance(value, int | float) and not isinstance(value, bool):
-        # A whole number of 309 digits is no number that a parameter can have.
+        # A whole number of 309 digits does not fit into a float.
         with suppress(OverflowError):
             return float(value)
     if isinstance(value, str) and parameter.unit and isinstance(plain_scalar(value), str):
@@ -322,12 +322,12 @@ def _type_hint(parameter: Parameter, value: object) -> str | None:
     if parameter.words:
         return did_you_mean(str(value), parameter.words) or None
     if parameter.kind == "str" and isinstance(value, bool | int | float):
-        return "YAML takes it for a number or a truth value; put it in quotes"
+        return "YAML reads it as a number or a truth value; put it in quotes"
     if parameter.kind == "bool" and isinstance(value, int):
         return "write true or false"
     quoted = isinstance(value, str) and not isinstance(plain_scalar(value), str | bool | None)
     if parameter.kind in {"float", "int"} and quoted:
-        return "it is in quotes, which makes it text; leave them out"
+        return "the quotes make it text; remove them"
     return None
 
 
@@ -340,21 +340,21 @@ def resolve(
     ----------
     settings_by_precedence
         The strongest first: command-line options, then ``--param`` **from the last to the first**, then
-        the file's, then the preset's. Also those that lose are checked for name and type.
+        the file's, then the preset's. Settings that lose are checked for name and type, too.
     direction
-        The node that is replayed; ``laserscan_to_pointcloud`` has three of the parameters, and the
-        others keep their defaults.
+        The node; ``laserscan_to_pointcloud`` has three of the parameters, and the others keep their
+        defaults.
 
     Returns
     -------
     ResolvedParams
-        What was not set has upstream's default.
+        A parameter that is not set has upstream's default.
 
     Raises
     ------
     ParameterError
-        If a name is not one of the node's, a value has the wrong type or cannot be. The message names the
-        parameter, the value and its origin; of values that contradict each other, both origins.
+        If a name is not one of the node's, or a value has the wrong type or is not allowed. The message names the
+        parameter, the value and its origin; for contradicting values it names both origins.
     """
     known = names_of(direction)
     values: dict[str, Any] = {}
@@ -387,17 +387,17 @@ def resolve(
 def refuse_degrees(
     values: Mapping[str, Any], origin: Mapping[str, str], written: Mapping[str, object] | None = None
 ) -> None:
-    """Refuse angles that no sector has: they are nearly always degrees.
+    """Raise if the angles are too large for a sector: they are nearly always degrees.
 
-    A sector may be a whole turn from anywhere, such as 1 to 1 + 2 pi. One of more than a turn is refused where the
-    geometry would make a full circle of it.
+    A sector may be a whole turn from anywhere, such as 1 to 1 + 2 pi. A sector of more than a turn is refused where the
+    geometry would replace it by a full circle.
 
     Parameters
     ----------
     values
         Radians, by parameter.
     written
-        The same as they were written: some may be in degrees already.
+        The same as the user wrote them; some may be in degrees already.
     """
     names = ("angle_min", "angle_max")
     low, high = (values.get(name, PARAMETERS[name].default) for name in names)
@@ -428,7 +428,7 @@ def refuse_degrees(
 
 
 def preset_settings(consumer: str) -> list[Setting]:
-    """The parameters that suit a consumer of the scans, as settings; they belong at the end of the precedence.
+    """Return the parameters that suit a consumer of the scans, as settings of the lowest precedence.
 
     Raises
     ------
@@ -458,7 +458,7 @@ def in_words(value: float | bool | str) -> str:
 
 
 def default_in_words(parameter: Parameter) -> str:
-    """Return a parameter's default for people, with its unit; empty where there is none to show.
+    """Return a parameter's default for people, with its unit; empty if there is none to show.
 
     >>> default_in_words(PARAMETERS["angle_increment"]), default_in_words(PARAMETERS["range_max"])
     ('pi/180 rad, 1 degree', 'no limit')
@@ -473,22 +473,22 @@ def default_in_words(parameter: Parameter) -> str:
 
 
 def from_preset(origin: str) -> bool:
-    """Whether a parameter with this origin was chosen by a preset."""
+    """Whether the origin of a parameter is a preset."""
     return origin.startswith("--preset ")
 
 
 def preset_of(origin: str) -> str:
-    """The preset in the origin of a parameter that one chose."""
+    """Return the name of the preset in an origin."""
     return origin.removeprefix("--preset ")
 
 
 def from_option(origin: str) -> bool:
-    """Whether a parameter with this origin was given by itself: as an option or ``--param``, not in a file."""
+    """Whether the origin of a parameter is an option or ``--param``, not a file or a preset."""
     return origin.startswith("--") and not from_preset(origin)
 
 
 def _contradiction(setting: Setting, rival: Setting) -> ParameterError:
-    """Say that two settings of equal strength are about the same."""
+    """Return the error that two settings of equal strength contradict each other."""
     return ParameterError(
         f"{rival.name} and {setting.name} say the same in two ways; give one of them "
         f"({rival.name} from {rival.origin}; {setting.name} from {setting.origin})",
@@ -497,10 +497,10 @@ def _contradiction(setting: Setting, rival: Setting) -> ParameterError:
 
 
 def _raise_with_origin(err: ParameterError, origin: Mapping[str, str]) -> NoReturn:
-    """Say where the values that an error is about were given."""
+    """Raise an error again, with the origins of the values that it names."""
     named = [name for name in PARAMETERS if re.search(rf"\b{name}\b", err.message)]
     if all(origin[name] == "default" for name in named):
-        # The default is innocent: what it does not fit is another parameter of its family.
+        # The value is a default, so the cause is another parameter of its family.
         family = err.name.partition("_")[0]
         named = [name for name in origin if name.startswith(family) and origin[name] != "default"]
     if len(named) == 1 and named[0] == err.name:
@@ -514,7 +514,7 @@ def _raise_with_origin(err: ParameterError, origin: Mapping[str, str]) -> NoRetu
 
 
 def _where_given(hint: str, origin: Mapping[str, str]) -> str:
-    """Spell ```range_max=100.0`` in a hint as the user did who gave the parameter with ``--param`` or in a file."""
+    """Spell the parameters in a hint as the user gave them: as an option, with ``--param``, or in a file."""
 
     def spelled(advice: re.Match[str]) -> str:
         name, value = advice.groups()
@@ -523,7 +523,7 @@ def _where_given(hint: str, origin: Mapping[str, str]) -> str:
             return f"{name}={value}" if plain_scalar(value) != value else f'{name}="{value}"'
         if place.startswith("--param "):
             return f"--param {name}:={value}"
-        # A preset and a default are beaten by the option, which is then the shortest way.
+        # The option beats a preset and a default, and is the shortest way to write it.
         return advice[0] if place == "default" or place.startswith("--") else f"{name}: {value} ({place})"
 
     return re.sub(r"`(\w+)=([^`]*)`", spelled, hint)

@@ -1,4 +1,4 @@
-"""Parameter files: reading ROS 2's and ROS 1's, and launch files, and writing ROS 2's."""
+"""Reads parameter files of ROS 2 and ROS 1, and launch files; writes parameter files of ROS 2."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ if TYPE_CHECKING:
 
 __all__ = ["ParamsFile", "load_params_file", "render_params_file"]
 
-#: A parameter file is a page of text. Whatever is larger was given by mistake.
+#: The largest parameter file. A larger file was given by mistake.
 MAX_FILE_BYTES = 1_000_000
 
-#: Deeper nesting than any namespace has; it stops an alias that contains itself.
+#: The most levels of nesting. The limit also stops an alias that contains itself.
 MAX_DEPTH = 50
 
 #: Parameters that every ROS 2 node has.
@@ -48,24 +48,24 @@ _EVERY_NODE = frozenset({"use_sim_time", "start_type_description_service", "qos_
 
 @dataclass(frozen=True, slots=True)
 class ParamsFile:
-    """What `load_params_file` took from a file.
+    """What `load_params_file` read from a file.
 
     Attributes
     ----------
     direction
-        Told by the node's name, or for a renamed node by its parameters; None if neither tells.
+        The direction, by the node's name, or for a renamed node by its parameters; None if it is unknown.
     settings
         One for each parameter, in the order of the file.
     node
-        Fully qualified name of the node (or the wildcard) whose section was taken; ``/`` for the
+        Fully qualified name of the node (or the wildcard) whose section was read; ``/`` for the
         flat mapping of a ROS 1 file.
     ignored
-        Origins of what was read and left aside: names of topics, wildcard parameters that are
-        another node's, a ``concurrency_level`` beside a ``queue_size``. Worth telling the user.
+        Origins of entries that were ignored: names of topics, wildcard parameters of another node, a
+        ``concurrency_level`` beside a ``queue_size``. A warning lists them.
     remaps
-        Of a launch file: ``cloud_in:=/points``, of the node's own topics and of the transforms'.
+        The remappings of a launch file, ``cloud_in:=/points``, of the node's topics and of the transforms'.
     files
-        Further files that a launch file names, and that were read.
+        Other files that a launch file names, and that were read.
     """
 
     direction: Direction | None
@@ -80,34 +80,34 @@ def load_params_file(path: Path, *, node: str | None = None, arguments: Mapping[
     """Read a ROS 2 parameter file, a ROS 1 YAML, or an XML launch file of either.
 
     A file with ``ros__parameters`` in it is ROS 2's: nodes by their names, with namespaces in the name or
-    around it, ``/**`` and ``/*`` as wildcards. Anything else is ROS 1's: parameters, flat or
-    below the name of the node, as ``rosparam load`` takes them, with ``deg(90)`` and ``rad(pi/2)``.
+    around it, ``/**`` and ``/*`` as wildcards. Any other file is ROS 1's: parameters, flat or
+    below the name of the node, as ``rosparam load`` reads them, with ``deg(90)`` and ``rad(pi/2)``.
 
-    The section taken is that of ``node``; or else of the only node with ``pointcloud_to_laserscan`` or
+    The section that is read is that of ``node``; or else of the only node with ``pointcloud_to_laserscan`` or
     ``laserscan_to_pointcloud`` in its name; or else the only section whose parameters are all upstream's.
-    Sections with wildcards that match the node too are merged below it: the specific beats the wildcard
+    Sections with wildcards that match the node are merged below it: the specific beats the wildcard
     (ROS 2 did so until Galactic; since Humble the later one in the file wins). What every ROS 2 node has
-    (``use_sim_time``, ``qos_overrides``) is left out.
+    (``use_sim_time``, ``qos_overrides``) is ignored.
 
     Parameters
     ----------
     path
         The file: UTF-8, at most 1 MB.
     node
-        Name of the node whose section is wanted, with or without its namespace.
+        Name of the node whose section to read, with or without its namespace.
     arguments
-        Of a launch file; see `pc2scan.pipeline.launch_file`.
+        Arguments of a launch file; see `pc2scan.pipeline.launch_file`.
 
     Returns
     -------
     ParamsFile
-        Names are checked and known; types and values are not, `resolve` does that.
+        Names are checked; types and values are not, `resolve` checks them.
 
     Raises
     ------
     ParameterError
-        If the file cannot be read or is not YAML (with line and column), a key is there twice, no section
-        or several could be meant, a parameter is unknown to the node, or a value is not a scalar.
+        If the file cannot be read or is not YAML (with line and column), a key appears twice, no section
+        or several could be meant, the node has no such parameter, or a value is not a scalar.
     """
     if path.suffix == ".py":
         raise ParameterError(
@@ -118,7 +118,7 @@ def load_params_file(path: Path, *, node: str | None = None, arguments: Mapping[
     if is_launch_xml(text):
         return _from_launch(text, path, node, arguments or {})
     if arguments:
-        raise ParameterError(f"{path}: only XML launch files have arguments", hint="leave `launch_args` out")
+        raise ParameterError(f"{path}: only XML launch files have arguments", hint="remove `launch_args`")
     return _from_yaml(text, path, node)
 
 
@@ -132,7 +132,7 @@ def _from_yaml(text: str, path: Path, node: str | None) -> ParamsFile:
     leaves = []
     for leaf in _leaves(root, path, ()):
         leaves.append(leaf)
-        if len(leaves) > len(text):  # impossible without aliases of aliases
+        if len(leaves) > len(text):  # only aliases of aliases can do this
             raise ParameterError(f"{path}: its aliases multiply to more values than the file has characters")
     ros1 = not any(_MARK in leaf.path for leaf in leaves)
     sections = _ros1_sections(leaves) if ros1 else _ros2_sections(leaves, path)
@@ -143,7 +143,7 @@ def _from_yaml(text: str, path: Path, node: str | None) -> ParamsFile:
 
 
 def _from_launch(text: str, path: Path, node: str | None, arguments: Mapping[str, str]) -> ParamsFile:
-    """Read a node's parameters out of a launch file; of two values for one, the later counts."""
+    """Read a node's parameters from a launch file; a later value replaces an earlier one."""
     found = launch_node(text, path, arguments, node)
     settings: dict[str, Setting] = {}
     ignored = list(found.ignored)
@@ -187,7 +187,7 @@ def _from_launch(text: str, path: Path, node: str | None, arguments: Mapping[str
 
 
 def _section_for(node: str, text: str, file: Path) -> ParamsFile:
-    """The section of a node that a launch file starts, or what would be taken without a launch file."""
+    """Return the section of a node that a launch file starts, or the section that is read without a launch file."""
     try:
         return _from_yaml(text, file, node)
     except ParameterError:
@@ -206,7 +206,7 @@ def _launch_value(param: LaunchParam) -> object:
 
 
 def _as_bool(name: str, value: object) -> object:
-    """Take 0 and 1 for a truth value, as roscpp does."""
+    """Read 0 and 1 as truth values, as roscpp does."""
     if PARAMETERS[name].kind == "bool" and isinstance(value, int) and value in {0, 1}:
         return bool(value)
     return value
@@ -243,19 +243,19 @@ _MARK = "ros__parameters"
 
 @dataclass(frozen=True, slots=True)
 class _Leaf:
-    """A value in the file: the keys above it, its YAML node, and for the user its place."""
+    """A value in the file: the keys above it, its YAML node, and its place as text."""
 
     path: tuple[str, ...]
     node: Any
     origin: str
 
 
-#: Parameters by name, for each node by its fully qualified name (or pattern).
+#: For each node, by its fully qualified name or pattern: its parameters by name.
 _Sections = dict[str, dict[str, _Leaf]]
 
 
 def _leaves(mapping: Any, file: Path, above: tuple[str, ...]) -> Iterator[_Leaf]:
-    """Every value below a mapping. Empty mappings count as values, and so does all that a parameter holds."""
+    """Yield every value below a mapping. An empty mapping is a value, and so is whatever a parameter holds."""
     if len(above) > MAX_DEPTH:
         raise ParameterError(f"{file}, {place_of(mapping)}: nested more than {MAX_DEPTH} levels deep")
     first_lines: dict[str, int] = {}
@@ -277,7 +277,7 @@ def _leaves(mapping: Any, file: Path, above: tuple[str, ...]) -> Iterator[_Leaf]
 
 
 def _qualified(parts: Iterable[str]) -> str:
-    """Fully qualified name of a node from the keys that lead to it."""
+    """Return the fully qualified name of a node from the keys above it."""
     return "/" + "/".join(token for part in parts for token in part.split("/") if token)
 
 
@@ -305,7 +305,7 @@ def _ros2_sections(leaves: Iterable[_Leaf], file: Path) -> _Sections:
 
 
 def _ros1_sections(leaves: Iterable[_Leaf]) -> _Sections:
-    """ROS 1 makes no difference between ``a: {b: 1}`` and ``a/b: 1``; the last part is the parameter."""
+    """Return the sections of a ROS 1 file, where ``a: {b: 1}`` equals ``a/b: 1``; the last part is the parameter."""
     sections: _Sections = {}
     for leaf in leaves:
         full = _qualified(key.removeprefix("~") for key in leaf.path)
@@ -318,7 +318,7 @@ def _ros1_sections(leaves: Iterable[_Leaf]) -> _Sections:
 
 
 def _with_nested(sections: _Sections, target: str) -> _Sections:
-    """Add to a ROS 1 node what lies in namespaces below it: parameters too, by names with slashes."""
+    """Add to a ROS 1 node the parameters in namespaces below it, whose names have slashes."""
     below = target.rstrip("/") + "/"
     own = dict(sections[target])
     for full, parameters in sections.items():
@@ -329,7 +329,7 @@ def _with_nested(sections: _Sections, target: str) -> _Sections:
 
 
 def _chosen(sections: _Sections, node: str | None, file: Path) -> str:
-    """Name of the node to take the parameters of: a key of ``sections``, or a name that wildcards match."""
+    """Return the name of the node to read: a key of ``sections``, or a name that wildcards match."""
     if node is not None:
         return _asked_for(sections, node, file)
     named = _most_specific([full for full in sections if _direction_of(full)])
@@ -341,7 +341,7 @@ def _chosen(sections: _Sections, node: str | None, file: Path) -> str:
     upstreams = _most_specific([full for full, names in own.items() if _only_upstreams(names)])
     if len(upstreams) == 1:
         return upstreams[0]
-    # Alone in the file and partly right, it is the one that was meant; its unknown names are told later.
+    # The only section, with some right names, is the one that was meant; its unknown names are reported later.
     if len(own) == 1:
         [(only, names)] = own.items()
         if len(_foreign(names)) < len(names) or not names:
@@ -353,7 +353,7 @@ def _chosen(sections: _Sections, node: str | None, file: Path) -> str:
 
 
 def _raise_several(message: str, nodes: list[str]) -> NoReturn:
-    """Say that several nodes could be meant; as nodes of one conversion, if all make scans of clouds."""
+    """Raise because several nodes could be meant. The error lists them as nodes of one conversion if all make scans."""
     hint = f"choose one, for example `node={nodes[0]}`"
     if any("*" in node or _direction_of(node) == "laserscan_to_pointcloud" for node in nodes):
         raise ParameterError(message, hint=hint)
@@ -405,14 +405,14 @@ def _only_upstreams(names: Collection[str]) -> bool:
 
 
 def _direction_of(full: str) -> Direction | None:
-    """The direction that a node's name tells, whatever stands before or after upstream's name."""
+    """Return the direction of a node whose name contains the name of one of upstream's nodes."""
     directions: tuple[Direction, ...] = get_args(Direction)
     last = full.rpartition("/")[2]
     return next((direction for direction in directions if direction in last), None)
 
 
 def _vagueness(pattern: str) -> tuple[int, int, int]:
-    """Sorts patterns: the less they say, the larger."""
+    """Return a sort key of patterns: larger for less specific ones."""
     tokens = pattern.split("/")
     any_number, one = tokens.count("**"), tokens.count("*")
     return any_number, one, any_number + one - len(tokens)
@@ -429,7 +429,7 @@ def _matches(pattern: str, full: str) -> bool:
 
 
 def _most_specific(patterns: Collection[str]) -> list[str]:
-    """The names without the wildcards that cover another of them."""
+    """Return the names without wildcards that match another name."""
     return [
         one
         for one in patterns
@@ -438,8 +438,8 @@ def _most_specific(patterns: Collection[str]) -> list[str]:
 
 
 def _merged(sections: _Sections, target: str, *, ros1: bool) -> ParamsFile:
-    """Merge what is meant for a node, wildcards below, and check the names."""
-    # Stable, so that of two equally specific sections the later one wins, as in ROS 2.
+    """Merge the sections that apply to a node, wildcards below, and check the names."""
+    # The sort is stable, so that of two equally specific sections the later one wins, as in ROS 2.
     applying = sorted((s for s in sections if _matches(s, target)), key=_vagueness, reverse=True)
     direction = _direction_of(target)
     if direction is None and any(
@@ -457,7 +457,7 @@ def _merged(sections: _Sections, target: str, *, ros1: bool) -> ParamsFile:
         for written in _own_names(parameters):
             leaf = parameters[written]
             name = ALIASES.get(written, written)
-            # In a section for several nodes, a name that upstream's does not have is another node's.
+            # In a section for several nodes, an unknown name belongs to another node.
             named = section == applying[-1] or _direction_of(section) is not None
             ours = name in known and (named or PARAMETERS[name].upstreams)
             if ours and (name == written or name not in parameters):
@@ -472,7 +472,7 @@ def _merged(sections: _Sections, target: str, *, ros1: bool) -> ParamsFile:
 
 def _file_setting(name: str, leaf: _Leaf, *, ros1: bool) -> Setting:
     value = scalar_value(leaf.node, name, leaf.origin, ros1=ros1)
-    # rclcpp refuses 0 and 1 for a bool.
+    # roscpp reads 0 and 1 as a bool, rclcpp does not.
     return Setting(name, _as_bool(name, value) if ros1 else value, leaf.origin, "file")
 
 
@@ -482,16 +482,16 @@ def render_params_file(params: ProjectionParams, *, direction: Direction = "poin
     Parameters
     ----------
     params
-        Every value is written out, except a ``queue_size`` of 0 (for pc2scan and, left out, for
-        upstream it means the number of processor cores), the defaults of what upstream does not have, and of two
-        that say the same the weaker one: ``beams`` became an increment, ``no_return`` beats ``use_inf``.
+        Every value is written, except: a ``queue_size`` of 0, which is pc2scan's default (upstream's default is the
+        number of processor cores); the defaults of parameters that upstream does not have; and of two parameters that
+        set the same the weaker one (``beams`` became an increment, ``no_return`` beats ``use_inf``).
     direction
-        Names the node, and leaves out what that node does not have.
+        The node; only its parameters are written.
 
     Returns
     -------
     str
-        YAML that reads the same under YAML 1.1 and 1.2; floats keep every bit.
+        YAML with the same meaning in YAML 1.1 and 1.2; floats keep every bit.
     """
     lines = [f"{direction}:", "  ros__parameters:"]
     for name in names_of(direction):

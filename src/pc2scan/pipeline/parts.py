@@ -1,4 +1,4 @@
-"""Recordings in several files: what is asked for, and what was written."""
+"""Destinations in several files: reads `split`, and lists the files."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def cut_of(split: str | None, *, repeat_latched: bool) -> Cut | None:
     Raises
     ------
     UsageError
-        If it is no time and no size, or there are no files in which anything could be repeated.
+        If it is no time and no size, or `repeat_latched` is given without it.
     """
     if split is None:
         if repeat_latched:
@@ -39,7 +39,7 @@ def cut_of(split: str | None, *, repeat_latched: bool) -> Cut | None:
 
 
 def expected_files(cut: Cut, target: Destination, last_ns: int, size: float) -> list[str]:
-    """Return about which files there will be.
+    """Return the names of the expected files; their number is an estimate.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def expected_files(cut: Cut, target: Destination, last_ns: int, size: float) -> 
     target
         The destination.
     last_ns
-        The last log time.
+        The last log time, nanoseconds.
     size
         Bytes of the messages before compression.
     """

@@ -1,4 +1,4 @@
-"""What goes where: a route for every connection of the source. Decides, and touches no file."""
+"""Plans a conversion: a route for every connection of the source. It only decides, and opens no file."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Combination:
     spec
         The output.
     sources
-        The first one leads: the scans have its stamps.
+        The topics. The first one leads: the scans have its stamps.
     target
         The scans' topic.
     """
@@ -45,9 +45,9 @@ class Combination:
 
 
 class Task(NamedTuple):
-    """Something to be made of a message, and the topics that it goes to.
+    """One conversion of a message, and the topics that its result goes to.
 
-    ``combination`` is what the message is a part of; None if it becomes a scan by itself.
+    ``combination`` are the topics that the message becomes a scan with; None if it becomes a scan by itself.
     """
 
     spec: ScanSpec
@@ -56,7 +56,7 @@ class Task(NamedTuple):
 
     @property
     def key(self) -> ScanSpec | Combination:
-        """What messages are converted for."""
+        """The output, or the combination, that messages are converted for."""
         return self.combination or self.spec
 
 
@@ -66,9 +66,9 @@ class Route(NamedTuple):
     Attributes
     ----------
     tasks
-        What its messages are converted to; none if they are not.
+        The conversions of its messages; empty if they are not converted.
     passes
-        Whether its own messages go to the destination.
+        Whether its messages are also written as they are.
     """
 
     connection: Connection
@@ -77,12 +77,12 @@ class Route(NamedTuple):
 
     @property
     def targets(self) -> tuple[str, ...]:
-        """The topics that its converted messages go to; none if it is not converted."""
+        """The topics that its converted messages go to; empty if it is not converted."""
         return tuple(target for task in self.tasks for target in task.targets)
 
 
 class Plan(NamedTuple):
-    """The routes in the order of the source's connections, the outputs, and what is worth a warning."""
+    """The routes in the order of the source's connections, the outputs, and warnings."""
 
     routes: tuple[Route, ...]
     specs: tuple[ScanSpec, ...] = ()
@@ -91,20 +91,20 @@ class Plan(NamedTuple):
 
 
 def make_plan(connections: Sequence[Connection], options: ConvertOptions) -> Plan:
-    """Decide what is converted, what passes through and what is left out.
+    """Decide which topics are converted, which pass through, and which are skipped.
 
     Parameters
     ----------
     connections
-        All of the source.
+        All connections of the source.
     options
-        What was asked for.
+        The options of the conversion.
 
     Raises
     ------
     TopicError
-        If there is nothing to convert, a topic asked for is missing or of another type, or an output topic
-        is already in the source.
+        If there is nothing to convert, a requested topic is missing or of another type, or an output topic
+        already exists in the source.
     """
     specs = () if options.repair else options.specs
     targets = {spec: _placed_targets(connections, spec, options) for spec in specs}
@@ -132,7 +132,7 @@ def make_plan(connections: Sequence[Connection], options: ConvertOptions) -> Pla
 def _tasks(
     spec: ScanSpec, topic: str, kind: str, targets: Sequence[str], combinations: Sequence[Combination]
 ) -> list[Task]:
-    """What is made of the messages of a type on a topic."""
+    """Return the conversions of the messages of a type on a topic."""
     joined = [each for each in combinations if topic in each.sources]
     alone = tuple(target for target in targets if all(target != each.target for each in joined))
     tasks = [Task(spec, alone)] if alone and kind in spec.source_types else []
@@ -142,7 +142,7 @@ def _tasks(
 def _combinations(
     spec: ScanSpec, targets: Mapping[str, Sequence[str]], types: dict[str, set[str]], options: ConvertOptions
 ) -> list[Combination]:
-    """The topics whose messages become scans together."""
+    """Return the topics whose messages become scans together."""
     if spec.reverse:
         return []
     with _about(spec):
@@ -160,7 +160,7 @@ def _together(
     found = []
     for target, topics in sources.items():
         if len(topics) == 1 and not (asked.accumulates or asked.rebin):
-            # Only a topic that shares its target may be of another type than clouds.
+            # Only topics that share a target may have scans instead of clouds.
             find_topic(topics[0], types, [topic for topic in types if topic in targets], *spec.source_types)
             continue
         if len(topics) > 1 and not (spec.params.target_frame or options.frames.source_frame):
@@ -175,7 +175,7 @@ def _together(
 
 
 def _led(topics: Sequence[str], spec: ScanSpec, types: dict[str, set[str]]) -> list[str]:
-    """The topics of a scan, the leading one first."""
+    """Return the topics of a scan, the leading one first."""
     if not spec.combining.lead:
         return list(topics)
     lead = find_topic(spec.combining.lead, types, list(topics), *spec.named_types)
@@ -187,14 +187,14 @@ def _led(topics: Sequence[str], spec: ScanSpec, types: dict[str, set[str]]) -> l
 def _placed_targets(
     connections: Sequence[Connection], spec: ScanSpec, options: ConvertOptions
 ) -> dict[str, tuple[str, ...]]:
-    """The same as `_targets`; an error says which output it is about."""
+    """Return `_targets` of an output; an error names the output."""
     with _about(spec):
         return _targets(connections, spec, options)
 
 
 @contextmanager
 def _about(spec: ScanSpec) -> Generator[None]:
-    """Say of errors which output they are about."""
+    """Add the name of an output to errors."""
     try:
         yield
     except TopicError as err:
@@ -204,7 +204,7 @@ def _about(spec: ScanSpec) -> Generator[None]:
 
 
 def _targets(connections: Sequence[Connection], spec: ScanSpec, options: ConvertOptions) -> dict[str, tuple[str, ...]]:
-    """The topics to convert and the topics that their scans go to."""
+    """Return the topics to convert, and the topics that their scans go to."""
     types = _types_by_topic(connections)
     convertible = spec.named_types if spec.topics else spec.source_types
     candidates = [topic for topic, kinds in types.items() if not kinds.isdisjoint(convertible)]
@@ -234,14 +234,14 @@ def _targets(connections: Sequence[Connection], spec: ScanSpec, options: Convert
             return f"{topic}_rebinned" if options.keep_clouds else topic
         return target or (f"/{name}" if single else f"{topic.rstrip('/')}/{name}")
 
-    # Asked for twice is asked for once.
+    # A topic that is requested twice is converted once.
     return {
         topic: tuple(dict.fromkeys(named(topic, target) for target in targets)) for topic, targets in requests.items()
     }
 
 
 def _asked(name: str, types: dict[str, set[str]], candidates: list[str], spec: ScanSpec) -> list[str]:
-    """The topics that are asked for by a name or a glob."""
+    """Return the topics that a name or a glob matches."""
     try:
         return find_topics(name, types, candidates, *spec.named_types)
     except TopicError as err:
@@ -260,7 +260,7 @@ def _nothing_to_convert(types: dict[str, set[str]], candidates: list[str], conve
 
 
 def _other_direction(types: dict[str, set[str]], spec: ScanSpec) -> str | None:
-    """What may have been meant where there is nothing to convert."""
+    """Return a hint if the recording can be converted in the other direction."""
     there = {kind for kinds in types.values() for kind in kinds}
     if spec.reverse and (clouds := [kind for kind in CLOUDS if kind in there]):
         return f"it has {short_types(clouds)} topics; without `reverse` they become scans"
@@ -270,21 +270,21 @@ def _other_direction(types: dict[str, set[str]], spec: ScanSpec) -> str | None:
 
 
 def _refuse_used(task: Task, routes: Sequence[Route]) -> None:
-    """Refuse to keep points where that cannot be."""
+    """Raise if `keep_used` cannot be applied."""
     topic = task.spec.keep_used
     if not topic:
         return
     if task.combination is not None:
         raise TopicError(
             f"`keep_used={topic}` keeps points of single clouds, but {', '.join(task.targets)} is made of several",
-            hint="leave `keep_used` out, or convert the clouds one by one",
+            hint="remove `keep_used`, or convert the clouds one by one",
         )
     if any(topic in route.targets for route in routes):
-        raise TopicError(f"{topic} is the topic of a scan, `keep_used` needs one of its own")
+        raise TopicError(f"{topic} is the topic of a scan, `keep_used` needs a different topic")
 
 
 def _refuse_collisions(routes: Sequence[Route]) -> None:
-    """No scan may share a topic with another scan or with what passes through."""
+    """Raise if a scan would share a topic with another scan, or with messages that pass through."""
     passing = {route.connection.topic for route in routes if route.passes}
     origin: dict[str, tuple[str, Task]] = {}
     made = [
@@ -315,14 +315,14 @@ def _refuse_collisions(routes: Sequence[Route]) -> None:
             how = "" if any(request.source == source for request in spec.topics) else " (the default)"
             raise TopicError(
                 f"the recording already has a topic {target}, which {source} would be converted to{how}",
-                hint=f"choose a free one: `topics={source}:={free}`, or leave the old one out: `drop={target}`",
+                hint=f"choose a free one: `topics={source}:={free}`, or drop the existing one: `drop={target}`",
             )
 
 
 def _idle_patterns(
     connections: Sequence[Connection], options: ConvertOptions, converted: AbstractSet[str]
 ) -> list[str]:
-    """A pattern that matches nothing is nearly always a typing error."""
+    """Return warnings about patterns that match no topic: they are nearly always typing errors."""
     topics = {connection.topic for connection in connections}
     idle = []
     for name, patterns in (("keep", options.keep), ("drop", options.drop)):
@@ -351,7 +351,7 @@ def _types_by_topic(connections: Sequence[Connection]) -> dict[str, set[str]]:
 
 
 def _kind(connection: Connection) -> str:
-    """The type, and how it is serialised if ROS did not do it (MCAP files also hold JSON and Protobuf)."""
+    """Return the type, and the encoding if it is not ROS's (MCAP files also hold JSON and Protobuf)."""
     if connection.ros_version is None:
         return f"{connection.msgtype or 'untyped'} in {connection.serialization or 'no encoding'}"
     return connection.ros_type

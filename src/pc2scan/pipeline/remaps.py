@@ -1,4 +1,4 @@
-"""ROS's remappings, ``cloud_in:=/points``, as the topics of a conversion."""
+"""Reads ROS's remappings, ``cloud_in:=/points``, as the topics of a conversion."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ if TYPE_CHECKING:
 
 __all__ = ["Remapped", "meant_for", "remapped"]
 
-#: What the nodes call the topic that they read and the one that they write, by whether scans become clouds.
+#: The nodes' names for the topic that they read and the topic that they write, by whether scans become clouds.
 _NAMES = {False: ("cloud_in", "scan"), True: ("scan_in", "cloud")}
 
-#: Where transforms may be moved.
+#: The topics of transforms, which may be remapped.
 _TF = ("tf", "tf_static")
 
 
 @dataclass(frozen=True, slots=True)
 class Remapped:
-    """What remappings ask for: topics to convert, and the topics of the transforms."""
+    """The result of remappings: topics to convert, and the topics of the transforms."""
 
     topics: tuple[str, ...] = ()
     tf_topics: tuple[str, ...] = ()
 
 
 def meant_for(texts: Iterable[str], node: str) -> list[str]:
-    """Return those remappings that are for a node: without a node in front, or with this one.
+    """Return the remappings that apply to a node: those without a node's name in front, or with this one's.
 
     >>> meant_for(["front:scan:=/a", "/rear:scan:=/b", "cloud_in:=/points"], "/robot/front")
     ['front:scan:=/a', 'cloud_in:=/points']
@@ -50,20 +50,20 @@ def remapped(texts: Iterable[str], *, reverse: bool = False) -> Remapped:
     Parameters
     ----------
     texts
-        ``cloud_in:=/points``, ``scan:=/front/scan``, ``/tf:=/robot/tf``; a node's name in front is ignored. Of
-        ``laserscan_to_pointcloud`` the names are ``scan_in`` and ``cloud``.
+        ``cloud_in:=/points``, ``scan:=/front/scan``, ``/tf:=/robot/tf``; a node's name in front is ignored. The names
+        of ``laserscan_to_pointcloud`` are ``scan_in`` and ``cloud``.
     reverse
         Whether scans become clouds.
 
     Returns
     -------
     Remapped
-        With ``scan`` alone every PointCloud2 topic is meant, of which there must then be one.
+        A remapping of ``scan`` alone applies to the only PointCloud2 topic.
 
     Raises
     ------
     UsageError
-        If one is no remapping, or of a topic that the node does not have.
+        If a text is not a remapping, or the node has no such topic.
     """
     source_name, target_name = _NAMES[reverse]
     found: dict[str, str] = {}
@@ -88,7 +88,7 @@ def remapped(texts: Iterable[str], *, reverse: bool = False) -> Remapped:
         source, target = found.get(source_name, "*"), found.get(target_name)
         topics = (str(source) if target is None else f"{source}:={target}",)
         TopicRequest.parse(topics[0])
-    # Whoever moves one of the two still means the other.
+    # If only one of the two is remapped, the other keeps its name.
     moved = [found[name] for name in _TF if name in found]
     tf_topics = tuple(found.get(name, f"/{name}") for name in _TF) if len(moved) == 1 else tuple(moved)
     return Remapped(topics, tf_topics)

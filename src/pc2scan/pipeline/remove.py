@@ -1,4 +1,4 @@
-"""Removing beams of scans, between the projection and the encoder."""
+"""Removes beams of scans, between the projection and the encoder."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ __all__ = ["Remove"]
 
 
 class Remove:
-    """Removes beams of scans: they have no return then. Equal filters make equal ones.
+    """Removes beams of scans: a removed beam has no return. Instances with equal filters are equal.
 
     Parameters
     ----------
     filters
-        In their order; each sees what those before it have left.
+        The filters in order; each one sees the result of those before it.
     empty_range
-        What a beam without a return reads, metres.
+        The range of a beam without a return, metres.
     """
 
     __slots__ = ("_empty", "_filters")
@@ -47,7 +47,7 @@ class Remove:
         """Remove beams of a scan."""
         scan = result.message
         seen = np.array(scan.ranges)
-        # Some scans read a number where there is no return; no filter is to take it for one.
+        # Some scans have a number where there is no return; filters must not see it as a return.
         seen[seen == self._empty] = np.inf
         returns = np.isfinite(seen)
         counts = {"returns": int(np.count_nonzero(returns))}

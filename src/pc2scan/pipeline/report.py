@@ -1,4 +1,4 @@
-"""What happened in a conversion: one structure that the table, the JSON file and the exit status all read."""
+"""The report of a conversion: one structure that the table, the JSON file and the exit status read."""
 
 from __future__ import annotations
 
@@ -30,44 +30,45 @@ if TYPE_CHECKING:
 
 __all__ = ["BEGINNING", "Failure", "Report", "Skipped", "TopicReport"]
 
-#: What every report begins with as JSON: such a file may be replaced by another report.
+#: The beginning of every report as JSON: such a file may be replaced by another report.
 BEGINNING = b'{\n  "pc2scan": "'
 
-#: Skipped messages are listed one by one up to here; all of them are counted.
+#: How many skipped messages are listed one by one; all of them are counted.
 MAX_LISTED = 100
 
-#: Damaged places, and skipped messages, that are shown as text.
+#: How many damaged places, and skipped messages, are shown as text.
 _MAX_SHOWN = 5
 
-#: Attributes of a topic's entry that JSON has in another form, or not.
+#: Attributes of a topic's entry that JSON has in another form, or does not have.
 _NOT_AS_THEY_ARE = {"points", "motions", "tilts", "spec", "joined", "rebinned"}
 
-#: Topics that are listed in the warning of skipped ones.
+#: How many topics the warning about skipped ones lists.
 _MAX_WARNED = 5
 
-#: A share of points that a default rejects that is worth a warning.
+#: If a default rejects this share of the points, a warning names it.
 _NOTABLE_SHARE = 0.25
 
 
-#: Seconds between two transforms that deskewing should not bridge in silence: odometry has ten a second and more.
+#: If the seconds between two transforms exceed this, deskewing warns: odometry has ten transforms a second and more.
 _NOTABLE_GAP = 0.25
 
-#: Degrees from which a robot has rather a wrong mount than a tilt, and below which it has none; and scans that tell it.
+#: Tilts in degrees: above the first the mount is probably wrong, below the second there is no tilt; and how many scans
+#: are needed to judge it.
 _NOTABLE_TILT = 45.0
 _NO_TILT = 1e-4
 _SEVERAL = 10
 
-#: A change of the increment, as a share of it, that is more than a rounding.
+#: A relative change of the increment that is more than rounding.
 _NOTABLE_STEP = 1e-5
 
 
 class Failure(NamedTuple):
-    """A conversion that failed before anything was known but what was asked for.
+    """A conversion that failed before its options were resolved.
 
     Attributes
     ----------
     error
-        Why.
+        The error.
     sources, destination
         Paths as they were given; None for no destination.
     """
@@ -97,13 +98,13 @@ class Skipped(NamedTuple):
     Attributes
     ----------
     topic, log_time_ns, stamp_ns
-        Which one; ``stamp_ns`` is None where even the header cannot be read.
+        The message; ``stamp_ns`` is None if its header cannot be read.
     reason
-        Why, with the numbers.
+        The reason, with numbers.
     hint
-        What can be done about it; empty where nothing is known.
+        What the user can do; empty if unknown.
     targets
-        The topics of the destination that lack what it would have become.
+        The topics of the destination that miss its result.
     """
 
     topic: str
@@ -131,38 +132,38 @@ class TopicReport:
     topic, msgtype
         In the source.
     target
-        Where it went: the scan's topic if converted, its own if it passed through, None if it was skipped.
+        The topic in the destination: the scan's if converted, the same if it passed through, None if it was skipped.
     action
         ``converted``, ``joined`` (its messages are in the scans of another topic), ``passed``, ``re-encoded``,
         ``skipped``, or ``added`` (transforms given by the user).
     note
         Why it was skipped, or another note; empty otherwise.
     messages_in, messages_out, skipped
-        Messages in the source (within ``--start`` and ``--end``), written, and those that should have been written but
-        are missing. Messages of a topic that the user dropped are not missing.
+        Messages in the source (within ``--start`` and ``--end``), messages written, and messages that are missing in
+        the destination. Messages of a topic that the user dropped are not missing.
     points
-        Of all converted clouds: how many points are used, and how many are rejected for which reason.
+        Points of all converted clouds: how many are used, and how many are rejected for which reason.
     empty_scans
         Scans without a single return.
     motions
-        Of deskewed clouds: how far the sensor was from its pose at the scan's time, at most, metres and radians, and
-        the longest time that transforms were interpolated over, seconds.
+        One for each deskewed cloud: the largest distance of the sensor from its pose at the scan's time, metres and
+        radians, and the longest time between interpolated transforms, seconds.
     tilts
-        Of level scans: between the z axis of the target frame and up, radians.
+        One for each level scan: the angle between the z axis of the target frame and up, radians.
     joined
-        Of a topic whose messages become scans together with others: what became of them; None for all others.
+        Counts of a topic whose messages become scans together with others; None for all other topics.
     removed_beams
-        Of scans whose beams are filtered: how many had ``returns`` before, and how many each filter removed.
+        Beams of filtered scans: how many had ``returns`` before, and how many each filter removed.
     rebinned
-        Of scans made of scans only: how their beams became other beams; None for all others.
+        Counts of beams, for scans that are made of scans; None for all others.
     clouds_kept
-        Whether the converted clouds were written too.
+        Whether the converted clouds were written, too.
     lost
-        Whether the topic was asked for but cannot be carried over; ``note`` says why.
+        Whether the topic should have been written but cannot be; ``note`` has the reason.
     advice
-        Options with heights that suit the clouds, in a frame that is level; empty where none were needed.
+        Options with heights that suit the clouds, in a level frame; empty if none are needed.
     spec
-        What the output is made of and how; None if the topic is not converted.
+        The request that the output was made by; None if the topic is not converted.
     """
 
     topic: str
@@ -190,7 +191,7 @@ class TopicReport:
         """The largest and the median of the motions, and the longest gap; None if nothing was deskewed."""
         if not self.motions:
             return None
-        from statistics import median_low  # noqa: PLC0415  # only conversions that deskew pay for loading it
+        from statistics import median_low  # noqa: PLC0415  # only with deskewing
 
         metres, radians, gaps = zip(*self.motions, strict=True)
         return {
@@ -224,7 +225,7 @@ class TopicReport:
             self.removed_beams[name] = self.removed_beams.get(name, 0) + number
 
     def skip(self, count: int) -> None:
-        """Count messages of a topic that is left out; they are missing unless the user dropped the topic."""
+        """Count messages of a topic that is not written; they are missing unless the user dropped the topic."""
         self.messages_in += count
         if self.lost:
             self.skipped += count
@@ -232,39 +233,40 @@ class TopicReport:
 
 @dataclass(slots=True, repr=False)
 class Report(Shown):
-    """What happened in a conversion.
+    """The report of a conversion.
 
     Attributes
     ----------
     sources, destination
-        Paths as they were given; no destination where it was not known yet when the run failed.
+        Paths as they were given; empty if the run failed before the destination was known.
     error
-        Why the run failed and wrote nothing; None if it did not.
+        The error of a run that failed and wrote nothing; None if it did not fail.
     dry_run
-        Whether nothing was written: counts and sizes are estimates, and points those of the first messages.
+        Whether it was a dry run: counts and sizes are estimates, and points are those of the first messages.
     container, ros_version
-        Of the destination: ``rosbag1``, ``rosbag2`` or ``mcap``, and 1 or 2; empty and 0 where they are not known yet.
+        Container and ROS version of the destination: ``rosbag1``, ``rosbag2`` or ``mcap``, and 1 or 2; empty and 0 as
+        long as they are not known.
     scans
-        What each output was made of and how; nearly always there is only one.
+        The request of each output; nearly always there is only one.
     source_frame
-        The frame that all clouds are in, whatever they say; empty for their own.
+        The frame that replaces the clouds' ``frame_id``; empty if none does.
     topics
         One entry for each source topic and each topic that it goes to, in the source's order.
     skipped
         The first `MAX_LISTED` messages that were not converted.
     warnings
-        Whatever a user should know though nothing failed.
+        Problems that did not stop the conversion.
     notes
-        What was measured, or chosen without being asked for.
+        Values that were measured, or chosen by default.
     damage
-        Damaged places of the sources, as far as they were read.
+        Damaged places in the parts of the sources that were read.
     messages_read
-        Messages of the sources that were read, of all topics that are not left out.
+        How many messages of the sources were read, of all topics that are not skipped.
     messages_declared
-        How many messages the sources say they have, of all topics that are not left out; None where they do not say,
-        or only a part was asked for.
+        How many messages the sources declare, of all topics that are not skipped; None if they do not declare it, or
+        if only a part was requested.
     undelivered
-        Whether the report was to be written as a file and could not be; the recording is written all the same.
+        Whether the report's file could not be written; the recording is written nevertheless.
     """
 
     sources: list[str]
@@ -290,33 +292,33 @@ class Report(Shown):
 
     @property
     def params(self) -> ProjectionParams:
-        """The projection's parameters, of the first output."""
+        """The projection's parameters of the first output."""
         return self.scans[0].params
 
     @property
     def origins(self) -> Mapping[str, str]:
-        """Where each parameter's value came from, by name, of the first output; ``default`` if from nowhere."""
+        """The origin of each parameter of the first output, by name; ``default`` if it was not given."""
         return self.scans[0].origins
 
     @property
     def written_to(self) -> str:
-        """The destination as text: of several files the first and the last one, and how many there are."""
+        """The destination as text; for several files the first, the last and their number."""
         if len(self.files) < 2:  # several
             return self.files[0] if self.files and self.container != "rosbag2" else self.destination
         return f"{self.destination}: {len(self.files)} files, {self.files[0]} to {self.files[-1]}"
 
     @property
     def skipped_count(self) -> int:
-        """Messages that are missing in the destination, of all its topics, listed or not."""
+        """How many messages are missing in the destination, in all topics, listed or not."""
         return sum(topic.skipped for topic in self.topics)
 
     @property
     def exit_status(self) -> int:
         """The exit status of the run.
 
-        0 if all is well; 4 if the recording is written, but none of its scans has a return; 3 if it is written, but a
-        source is damaged, messages of it are missing in the destination, or the report is not written. The status of
-        the error if the run failed.
+        0 for success; 4 if the recording is written, but none of its scans has a return; 3 if it is written, but a
+        source is damaged, messages are missing in the destination, or the report is not written. If the run failed: the
+        status of its error.
         """
         if self.error is not None:
             return self.error.exit_status
@@ -326,22 +328,22 @@ class Report(Shown):
 
     @property
     def all_empty(self) -> bool:
-        """Whether messages were converted, and none of them has a return or a point."""
+        """Whether messages were converted, and no result has a return or a point."""
         converted = [topic for topic in self.topics if topic.action == "converted"]
         made = sum(topic.messages_out for topic in converted)
         return made > 0 and sum(topic.empty_scans for topic in converted) == made
 
     def _lost_topics(self) -> list[TopicReport]:
-        """Topics of which messages are missing because they cannot be carried over."""
+        """Topics whose messages are missing because they cannot be written."""
         return [topic for topic in self.topics if topic.lost and topic.messages_in]
 
     def list_skipped(self, skipped: Skipped) -> None:
-        """List a skipped message while there is room."""
+        """Add a skipped message to the list, unless it is full."""
         if len(self.skipped) < MAX_LISTED:
             self.skipped.append(skipped)
 
     def conclude(self) -> None:
-        """Add what only the whole conversion can tell."""
+        """Add the warnings and notes that depend on the whole conversion."""
         for spec in self.scans:
             self.notes += (note for note in _param_notes(spec) if note not in self.notes)
         if lost := self._lost_topics():
@@ -352,7 +354,7 @@ class Report(Shown):
                 self.warnings.append(f"no message of {topic.topic} {why}")
             elif topic.action == "converted":
                 self.warnings += self._point_warnings(topic)
-            self._say_joined(topic)
+            self._report_joined(topic)
             if motion := topic.motion:
                 deskewed = topic.spec is not None and topic.spec.deskew
                 within = "deskewed; within a cloud" if deskewed else "placed through `fixed_frame`; within a scan"
@@ -368,10 +370,10 @@ class Report(Shown):
                     )
 
             if tilt := topic.tilt:
-                self._tell_tilt(topic, tilt)
+                self._report_tilt(topic, tilt)
 
-    def _tell_tilt(self, topic: TopicReport, tilt: Mapping[str, float]) -> None:
-        """Note how far the target frame was from level, and warn of what cannot be."""
+    def _report_tilt(self, topic: TopicReport, tilt: Mapping[str, float]) -> None:
+        """Note how far the target frame was from level, and warn if that is implausible."""
         spec = topic.spec
         frame = (spec.params.target_frame if spec else "") or self.source_frame or "the clouds' frame"
         by = (spec.imu or spec.fixed_frame) if spec else ""
@@ -392,8 +394,8 @@ class Report(Shown):
                 f"(median {median:.3g})"
             )
 
-    def _say_joined(self, topic: TopicReport) -> None:
-        """Say what became of messages that become scans together, and of beams that become others."""
+    def _report_joined(self, topic: TopicReport) -> None:
+        """Report messages that become scans together, and beams that become other beams."""
         counts, scans = topic.joined, topic.target
         if counts is not None and topic.action == "joined" and counts.messages and not counts.used:
             self.warnings.append(
@@ -426,7 +428,7 @@ class Report(Shown):
         return {each.name: each for each in (*REJECTIONS, *further)}
 
     def _point_warnings(self, topic: TopicReport) -> list[str]:
-        """Name the parameter to blame for scans without returns, and for the default that surprises most."""
+        """Return warnings that name the cause of scans without returns, and of points that a default rejects."""
         points = topic.points
         if topic.empty_scans:
             empty = f"{topic.empty_scans} of {topic.messages_out} scans on {topic.target} have no return at all"
@@ -442,7 +444,7 @@ class Report(Shown):
         return warnings
 
     def _surprises(self, topic: TopicReport, rejection: Rejection) -> bool:
-        """Whether a parameter that nobody gave has a default that rejects more than users expect."""
+        """Whether a parameter that was not given rejects more points by its default than users expect."""
         name, _ = rejection.by_default
         spec = topic.spec or self.scans[0]
         if not name or spec.origins.get(name, "default") != "default":
@@ -450,7 +452,7 @@ class Report(Shown):
         return bool(getattr(spec.params, name) == getattr(ProjectionParams(), name))
 
     def _blame(self, topic: TopicReport) -> str:
-        """The most frequent reason, and its parameters."""
+        """Return the most frequent reason, and its parameters."""
         points = topic.points
         explained = Counter[str]()
         for name, rejection in self.rejections.items():
@@ -466,7 +468,7 @@ class Report(Shown):
         return f"<Report on {self.destination!r}: {converted:,} messages converted, exit status {self.exit_status}>"
 
     def tables(self) -> Iterator[str | Table]:
-        """Yield what becomes of topics and points, and the notes."""
+        """Yield the table of topics, the table of points, and the notes."""
         yield Table(
             ("topic", "to", "in", "out", "skipped", "what"),
             [
@@ -556,10 +558,10 @@ class Report(Shown):
 
 
 def _param_notes(spec: ScanSpec) -> Iterator[str]:
-    """What is notable about parameters."""
+    """Yield notes about parameters."""
     params = spec.params
     layout, asked = params.layout, params.angle_increment
-    # Where beams are measured, a note says how many there are.
+    # If beams are measured, another note has their number.
     if params.beams != "auto" and layout.full_circle and abs(layout.angle_increment - asked) > _NOTABLE_STEP * asked:
         yield (
             f"angle_increment is {layout.angle_increment:.7g} rad instead of {asked:.7g}: "
@@ -568,13 +570,13 @@ def _param_notes(spec: ScanSpec) -> Iterator[str]:
     origin = spec.origins.get("range_max", "")
     if from_preset(origin):
         yield (
-            f"range_max is {params.range_max:g} m, chosen by {origin}: returns beyond are left out; "
+            f"range_max is {params.range_max:g} m, chosen by {origin}: returns beyond are ignored; "
             "`range_max` chooses another"
         )
 
 
 def _spec_as_dict(spec: ScanSpec) -> dict[str, Any]:
-    """What an output is made with, as JSON's types."""
+    """Return the parameters and options of an output as JSON's types."""
     return {
         "params": json_value(asdict(spec.params)),
         "param_origins": dict(spec.origins),
@@ -589,7 +591,7 @@ def _json(document: dict[str, Any]) -> str:
 
 
 def _loss_warning(topics: Sequence[TopicReport]) -> str:
-    """Say how many messages of which topics are missing, and why."""
+    """Return the warning of how many messages of which topics are missing, and why."""
     count = sum(topic.messages_in for topic in topics)
     listed = [f"{topic.topic} ({topic.messages_in:,}: {topic.note})" for topic in topics[:_MAX_WARNED]]
     more = len(topics) - len(listed)

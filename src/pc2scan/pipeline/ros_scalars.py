@@ -1,4 +1,4 @@
-"""Values as ROS writes them in plain text: numbers and truth values."""
+"""Reads values as ROS writes them in plain text: numbers and truth values."""
 
 from __future__ import annotations
 
@@ -42,5 +42,5 @@ def _integer(text: str) -> int | str:
     base = 16 if digits[:2] in {"0x", "0X"} else 8 if digits[0] == "0" else 10
     try:
         return int(text, base)
-    except ValueError:  # more digits than Python converts
+    except ValueError:  # more digits than Python reads
         return text

@@ -1,4 +1,4 @@
-"""Where the messages of each source connection go: what is declared in the destination, and the work on the way."""
+"""The routes of a conversion: what is declared in the destination, and what is done with each connection's messages."""
 
 from __future__ import annotations
 
@@ -44,7 +44,8 @@ __all__ = [
     "write_static",
 ]
 
-#: A field takes about a millisecond and 7 kB. Large robots have some thousand.
+#: The most fields that are compiled for re-encoding. Each takes about a millisecond and 7 kB; large robots have
+#: thousands.
 _MAX_COMPILED_FIELDS = 20_000
 
 
@@ -52,9 +53,9 @@ _MAX_COMPILED_FIELDS = 20_000
 class Output:
     """A topic of the destination that the converted messages of a route go to.
 
-    ``handle`` is the writer's; -1 where another topic leads the scans. ``place`` is that of its messages in what
-    ``convert`` makes. ``used`` is whether these are the points that beams read. ``sample`` is the first message; all
-    others have its geometry. ``joint`` makes one scan of several messages; None where each is one.
+    ``handle`` is the writer's; -1 if another topic leads the scans. ``place`` is the index of its messages in the
+    result of ``convert``. ``used`` is whether these are the points that beams read. ``sample`` is the first message;
+    all others have the same geometry. ``joint`` makes one scan of several messages; None if each message is one scan.
     """
 
     handle: int
@@ -67,11 +68,12 @@ class Output:
 
 @dataclass(slots=True)
 class OpenRoute:
-    """Where the messages of one source connection go, declared in the destination.
+    """The route of one source connection's messages, declared in the destination.
 
-    ``convert`` and ``encode`` are the work; None where there is none. What ``convert`` makes goes to ``outputs``, an
-    error in its place to none. Messages of ``shrinks_from`` bytes and more become smaller ones by it. ``report`` is
-    the entry of what is not converted, each output has its own. ``messages`` counts those that were read.
+    ``convert`` and ``encode`` are the work on a message; None if there is none. Results of ``convert`` go to
+    ``outputs``; an error goes to none. Messages of ``shrinks_from`` bytes and more become smaller by it. ``report`` is
+    the entry of messages that are not converted; each output has another one. ``messages`` counts the messages that
+    were read.
     """
 
     connection: Connection
@@ -85,17 +87,17 @@ class OpenRoute:
 
     @property
     def reports(self) -> Sequence[TopicReport]:
-        """The entries that count its messages."""
+        """The report's entries that count its messages."""
         return [output.report for output in self.outputs] if self.report is None else [self.report]
 
     @property
     def writes(self) -> bool:
-        """Whether anything goes to the destination; otherwise messages are only counted."""
+        """Whether messages go to the destination; otherwise they are only counted."""
         return self.passing_handle >= 0 or bool(self.outputs)
 
     @property
     def lasts(self) -> bool:
-        """Whether messages from before the cut are still valid in it."""
+        """Whether its messages are latched, so that those from before the cut are still valid in it."""
         return self.connection.latching or is_static(self.connection.topic)
 
 
@@ -108,10 +110,10 @@ def open_routes(
     declared: Declarations,
     report: Report,
 ) -> dict[int, OpenRoute]:
-    """Collect the connections of the destination, and prepare the work on each of the source's.
+    """Collect the connections of the destination, and prepare the work on each source connection.
 
-    ``same_kind`` is whether the source is in the same kind of container as the destination. The routes' handles are
-    places in ``declared`` until `bind` is called.
+    ``same_kind`` is whether the source is in the same kind of container as the destination. Until `bind` is called, the
+    routes' handles are indices in ``declared``.
     """
     opened: dict[int, OpenRoute] = {}
     compiled: dict[tuple[str, Definition], int] = {}
@@ -119,7 +121,7 @@ def open_routes(
     joints: dict[Combination, Joint] = {}
 
     def shared(entry: TopicReport) -> TopicReport:
-        """The entry of the report: publishers of one topic share it if the same becomes of their messages."""
+        """Return the report's entry; publishers of one topic share it if their messages are handled alike."""
         key = (entry.topic, entry.msgtype, entry.target, entry.action, entry.note, entry.spec)
         return entries.setdefault(key, entry)
 
@@ -160,7 +162,7 @@ def open_routes(
 
 
 def _joint(joints: dict[Combination, Joint], task: Task, conversion: Conversion, serialization: str) -> Joint | None:
-    """What makes one scan of several messages: one for all routes of a combination."""
+    """Return what makes one scan of several messages; all routes of a combination share it."""
     if task.combination is None:
         return None
     from .combine.conversion import CombineToScan  # noqa: PLC0415  # few scans are made of several messages
@@ -174,7 +176,7 @@ def _joint(joints: dict[Combination, Joint], task: Task, conversion: Conversion,
 
 
 def bind(routes: Iterable[OpenRoute], handles: Sequence[int]) -> None:
-    """Give the routes the writer's handles, once everything is declared."""
+    """Replace the routes' indices by the writer's handles, after everything is declared."""
     for route in routes:
         if route.passing_handle >= 0:
             route.passing_handle = handles[route.passing_handle]
@@ -186,16 +188,16 @@ def bind(routes: Iterable[OpenRoute], handles: Sequence[int]) -> None:
 def count_skipped(
     routes: Mapping[int, OpenRoute], reader: Reader, start_ns: int | None, stop_ns: int | None
 ) -> dict[int, OpenRoute]:
-    """Count the messages of the routes that write nothing, as far as the source's index has their numbers.
+    """Count the messages of routes that write nothing, if the source's index has their numbers.
 
     Returns
     -------
     dict[int, OpenRoute]
-        All other routes: those that write, and those whose messages have to be read to be counted.
+        All other routes: those that write, and those whose messages must be read to be counted.
     """
     skipped = [route for route in routes.values() if not route.writes]
     counted: dict[int, int] = {}
-    # Latched messages from before the cut would have been written too.
+    # Latched messages from before the cut would have been written, too.
     for lasts in (False, True):
         chosen = [route.connection for route in skipped if route.lasts is lasts]
         if chosen:
@@ -217,17 +219,17 @@ def _prepare_passing(
 ) -> None:
     """Declare a connection that passes through, re-encoded if the destination is of the other ROS version.
 
-    ``compiled`` collects the fields of the types that were compiled for re-encoding, and bounds them.
+    ``compiled`` collects the fields of all types that were compiled for re-encoding; their number is bounded.
     """
     connection = route.connection
     foreign = connection.ros_version is None
-    # A container holds whatever the same kind of container held: nothing of it needs to be understood.
+    # The same kind of container can store the message as it is, even if its type is unknown.
     as_it_is = (same_kind and (foreign or options.repair)) or (foreign and target.format.holds_any)
     defined_already = connection.definition.data or options.repair
     if as_it_is or (connection.ros_version == target.ros_version and defined_already):
         route.passing_handle = declared.add(connection)
         return
-    # Only recordings that lack definitions, or change ROS version, pay for loading this.
+    # Imported only for recordings without definitions, or for another ROS version.
     from pc2scan.messages.transcode import DEFAULT_DISTRO, defined, transcoder  # noqa: PLC0415
 
     distro = options.ros_distro or DEFAULT_DISTRO
@@ -263,12 +265,12 @@ def _prepare_passing(
 
 
 def _holding_any() -> str:
-    """The suffixes of files that hold messages of every encoding."""
+    """Return the suffixes of files that hold messages of every encoding."""
     return " or ".join(entry.suffix for entry in FORMATS.values() if entry.holds_any)
 
 
 def _converted_connection(source: Connection, topic: str, conversion: Conversion, target: Destination) -> Connection:
-    """The connection of converted messages: published as their source was."""
+    """Return the connection of converted messages, with the QoS profile and latching of their source."""
     return _published_as(source, topic, conversion.output_type, conversion.output.define, target)
 
 
@@ -279,7 +281,7 @@ def _published_as(
     define: Callable[[str, int], tuple[Definition, str]],
     target: Destination,
 ) -> Connection:
-    """A connection of the destination that is published as a source's is."""
+    """Return a connection of the destination with the QoS profile, latching and caller id of a source's."""
     text, digest = define(msgtype, target.ros_version)
     same = source.ros_version == target.ros_version
     return Connection(
@@ -296,7 +298,7 @@ def _published_as(
 
 
 def chunk_rule(routes: Mapping[int, OpenRoute], target: Destination, writer: Writer) -> ChunkRule:
-    """Which of the source's chunks can be copied whole, when everything has been declared in the destination."""
+    """Return which of the source's chunks can be copied whole, after everything is declared in the destination."""
     untouched = frozenset(
         route.connection.id
         for route in routes.values()
@@ -306,7 +308,7 @@ def chunk_rule(routes: Mapping[int, OpenRoute], target: Destination, writer: Wri
 
 
 def carry_extras(reader: Reader, target: Destination, writer: Writer, report: Report) -> None:
-    """Carry MCAP's attachments and metadata records where the destination has them."""
+    """Copy MCAP's attachments and metadata records if the destination can store them."""
     carries = target.file_format.has_extras
     lost = 0
     for attachment in reader.attachments():
@@ -315,7 +317,7 @@ def carry_extras(reader: Reader, target: Destination, writer: Writer, report: Re
         else:
             lost += 1
     for record in reader.metadata():
-        # rosbag2 keeps a copy of metadata.yaml under this name; its writer makes a true one.
+        # rosbag2 stores a copy of metadata.yaml under this name; the writer of the destination creates a new one.
         if record.name == "rosbag2" and not target.format.has_extras:
             continue
         if carries:
@@ -324,12 +326,12 @@ def carry_extras(reader: Reader, target: Destination, writer: Writer, report: Re
             lost += 1
     if lost:
         report.warnings.append(
-            f"{lost} MCAP attachments and metadata records are left out: the destination has no place for them"
+            f"{lost} MCAP attachments and metadata records are not copied: the destination cannot store them"
         )
 
 
 def static_connection(target: Destination) -> Connection:
-    """Make the connection of the added transforms: one more latched publisher of /tf_static."""
+    """Return the connection of the added transforms: one more latched publisher of /tf_static."""
     msgtype = "tf2_msgs/msg/TFMessage"
     text, digest = definition(msgtype, target.ros_version)
     return Connection(

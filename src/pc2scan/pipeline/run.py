@@ -1,4 +1,4 @@
-"""Stream a recording through a conversion: read, work, write in order."""
+"""Runs one conversion from beginning to end: opens the sources, plans, streams, and writes the report."""
 
 from __future__ import annotations
 
@@ -91,37 +91,37 @@ __all__ = ["OutputOptions", "Progress", "prepared", "report_failure", "report_fi
 
 
 class OutputOptions(NamedTuple):
-    """How the destination is written; None means that container's default.
+    """Options of the destination; None means the container's default.
 
     Attributes
     ----------
     storage
-        Of a rosbag2 directory: ``mcap`` or ``sqlite3``.
+        The storage of a rosbag2 directory: ``mcap`` or ``sqlite3``.
     compression
-        ``none``, ``lz4``, ``zstd`` or ``bz2``, as the container allows. With None, chunks that are copied whole keep
-        theirs.
+        ``none``, ``lz4``, ``zstd`` or ``bz2``, as the container allows. With None, chunks that are copied
+        whole keep their compression.
     profile
-        Of an ``.mcap`` file: ``ros1`` or ``ros2``.
+        The profile of an ``.mcap`` file: ``ros1`` or ``ros2``.
     metadata_version
-        Of a rosbag2 directory.
+        The metadata version of a rosbag2 directory.
     overwrite
-        Whether an existing destination is replaced, and whatever is in the report's place.
+        Whether an existing destination, and an existing file at the report's path, are replaced.
     report
-        Where the report is written as JSON; None for nowhere.
+        Path of the report as JSON; None for no file.
     folder
-        Where the destination is, if it is named after the source; None: next to the source. It is made if it does not
+        Folder of a destination that is named after the source; None: next to the source. It is created if it does not
         exist.
     to
-        Format of the destination: ``bag``, ``mcap`` or ``rosbag2``; None: as it is named, or the source's.
+        Format of the destination: ``bag``, ``mcap`` or ``rosbag2``; None: by its name, or the source's.
     dry_run
-        Whether nothing is written, the report neither, and only what would be is found out.
+        Whether nothing is written, not even the report: the result is only estimated.
     like_source
-        Whether a named destination has the storage of the source, as one that is named after the source has.
+        Whether a named destination has the storage of the source, like a destination that is named after the source.
     cut
         Where a new file begins; None for a recording in one file.
     scratch, scratch_size
-        Where local copies of what is at URLs are, and how many bytes they may take; None: in the system's folder for
-        temporary files, as many as fit.
+        Folder of the local copies of URLs, and how many bytes they may take; None: the system's folder for temporary
+        files, without a limit.
     """
 
     storage: str | None = None
@@ -145,7 +145,7 @@ def scratch_bytes(text: str | None) -> int | None:
     Raises
     ------
     UsageError
-        If it is no size.
+        If the text is not a size.
     """
     if text is None:
         return None
@@ -171,11 +171,11 @@ def run(
     Parameters
     ----------
     origins
-        Where the parameters come from, for the report.
+        The origin of each parameter, for the report.
     also_read
-        Files that were read for the request, by option: nothing is written over them.
+        Files that were read for the request, by option: the destination must not overwrite them.
     warn
-        Called at once with warnings that the first clouds give rise to; they are in the report, too.
+        Called immediately with warnings about the first clouds; the report has them, too.
     """
     if not sources:
         raise UsageError("no source given")
@@ -188,7 +188,7 @@ def run(
     if output.scratch is not None or output.scratch_size is not None:
         raise UsageError("`scratch` and `scratch_size` have no effect: no source and no destination is a URL")
     began = time.monotonic()
-    # From here on there is one object for each output.
+    # `options.specs` creates the outputs; they are compared by identity from here on.
     options = replace(options, origins=dict(origins or options.origins))
     options = replace(options, scans=options.specs)
     report = Report([str(source) for source in sources], str(destination or ""), options.scans)
@@ -218,7 +218,7 @@ def _run_at_urls(
     progress: Progress | None,
     warn: Callable[[str], None] | None,
 ) -> Report:
-    """Convert local copies, and upload the result."""
+    """Convert local copies of URLs, and upload the result."""
     from pc2scan.remote.staging import Asked  # noqa: PLC0415  # loads fsspec
     from pc2scan.remote.staging import staged as copied  # noqa: PLC0415
 
@@ -266,12 +266,12 @@ def report_failure(
 
 
 class _Files:
-    """What a run reads and writes by name, and its report.
+    """The files that a run reads and writes, and its report.
 
     Attributes
     ----------
     sources, destination
-        ``destination`` is None until it is known.
+        Paths; ``destination`` is None until it is known.
     """
 
     def __init__(
@@ -289,12 +289,12 @@ class _Files:
         self._inputs = [*map(InputPath, sources), *(InputPath(file, f"file of {option}") for option, file in named)]
         self._states = [state_of(path) for path in self.read]
         self._output = output
-        #: Files beside the destination that it replaces, too: parts of a recording of its name.
+        #: Other files that the destination replaces: parts of a recording of the same name.
         self.parts: Sequence[Path] = ()
         self._write_report: Callable[[str], None] | None = None
 
     def open_report(self, stack: ExitStack) -> None:
-        """Make sure that nothing that is read is written over, and that the report can be written."""
+        """Raise if an input would be overwritten, or if the report cannot be written."""
         report = [] if self._output.report is None else [OutputPath(self._output.report, "`report`")]
         paths = [] if self.destination is None else [self.destination, *self.parts]
         destination = [OutputPath(path) for path in paths]
@@ -302,7 +302,7 @@ class _Files:
         self._write_report = report_file(self._output, stack)
 
     def deliver(self, report: Report) -> None:
-        """Write the report. The recording is there by now, and stays; that its report is not there is reported."""
+        """Write the report. If that fails, the recording stays, and the exit status and a warning say so."""
         if self._write_report is None:
             return
         try:
@@ -312,11 +312,11 @@ class _Files:
             report.warnings.append(f"{err.path}: the report is not written: {err.message}; {report.destination} is")
 
     def deliver_failure(self, report: Report | Failure) -> None:
-        """Write the report of a run that failed, if that is possible: the user knows of the error in any case."""
+        """Write the report of a run that failed, if possible; the error itself is raised in any case."""
         if self._output.report is None or self._output.dry_run:
             return
         if report.error is not None and report.error.path == self._output.report:
-            # It cannot be written there.
+            # The error is that this file cannot be written.
             return
         with suppress(DestinationError, OutputError), ExitStack() as stack:
             if self._write_report is None:
@@ -325,7 +325,7 @@ class _Files:
                 self._write_report(report.as_json())
 
     def refuse_changed(self) -> None:
-        """Raise if a source was changed: what was read while it was written may be a bit of both."""
+        """Raise if a source changed during the run: the result may mix its old and new bytes."""
         for source, state in zip(self.read, self._states, strict=True):
             if state_of(source) != state:
                 raise RecordingError(
@@ -344,7 +344,7 @@ def _run(
     progress: Progress | None,
     warn: Callable[[str], None] | None,
 ) -> None:
-    """Do everything but the report's file."""
+    """Convert; everything except writing the report's file."""
     _refuse_missing_destination(files.sources, files.destination, output)
     refuse_unusable(options)
     readers = open_recordings(files.sources, stack, verify=options.verify, strict=options.strict)
@@ -455,7 +455,7 @@ def _run(
 
 
 def _transforms_of(sources: Sequence[Path], options: ConvertOptions, span: Span) -> TransformBuffer | None:
-    """Read how the robot is put together, apart from the conversion that is running."""
+    """Read the transforms between the robot's frames, with readers that are separate from the running conversion."""
     with suppress(Pc2ScanError), ExitStack() as stack:
         reader = as_one(open_recordings(sources, stack, verify=options.verify))
         return read_some_transforms(reader, options.frames, span.first_ns)
@@ -463,7 +463,7 @@ def _transforms_of(sources: Sequence[Path], options: ConvertOptions, span: Span)
 
 
 def _refuse_missing_destination(sources: Sequence[Path], destination: Path | None, output: OutputOptions) -> None:
-    """Raise if the last of several sources does not exist: as with `cp`, it may be the destination that is meant."""
+    """Raise if the last of several sources does not exist: it may be meant as the destination, as with `cp`."""
     *others, last = sources
     if not others or destination or output.folder or os.path.lexists(last) or not all(map(os.path.lexists, others)):
         return
@@ -473,9 +473,9 @@ def _refuse_missing_destination(sources: Sequence[Path], destination: Path | Non
 
 
 def report_file(output: OutputOptions, stack: ExitStack) -> Callable[[str], None] | None:
-    """Make sure that the report can be written, before anything else is; returns what writes it.
+    """Check that the report can be written, before anything else is; return the function that writes it.
 
-    None if there is none, and in a dry run.
+    None if no report is requested, and in a dry run.
     """
     if output.report is None:
         return None
@@ -490,7 +490,7 @@ def report_file(output: OutputOptions, stack: ExitStack) -> Callable[[str], None
 
 
 def _plan(reader: Reader, options: ConvertOptions) -> Plan:
-    """Decide what goes where; of a damaged recording it may be the damage that leaves nothing to convert."""
+    """Plan the conversion; if a recording is damaged, errors about missing topics mention it."""
     damage = reader.damage
     if options.repair and damage and not reader.connections:
         raise DamageError(f"nothing of it can be recovered: {damage[0].what}", path=damage[0].path)
@@ -498,8 +498,8 @@ def _plan(reader: Reader, options: ConvertOptions) -> Plan:
         return make_plan(reader.connections, options)
     except TopicError as err:
         if damage:
-            told = f"the recording is damaged, and topics may be missing: {damage[0].path}: {damage[0].what}"
-            err.hint = f"{err.hint}; {told}" if err.hint else told
+            note = f"the recording is damaged, and topics may be missing: {damage[0].path}: {damage[0].what}"
+            err.hint = f"{err.hint}; {note}" if err.hint else note
         raise
 
 
@@ -511,7 +511,7 @@ def _target(
     options: ConvertOptions,
     output: OutputOptions,
 ) -> Destination:
-    """Decide the destination's form; that of a repaired recording is its source's where its name allows."""
+    """Decide the destination's format; a repaired recording has its source's format if its name allows it."""
     ros_version = _ros_version(reader.connections)
     storage, compression = default_storage(path, summaries) if not is_named else None, None
     if options.repair:
@@ -524,16 +524,16 @@ def _target(
         metadata_version=output.metadata_version,
         source_ros_version=ros_version,
     )
-    # A recording without any message of ROS is of neither profile.
+    # A recording without ROS messages has no ROS profile.
     if options.repair and ros_version is None and target.format.profiles and output.profile is None:
         return target._replace(profile=summaries[0].profile)
     return target
 
 
 def _compare_counts(reader: Reader, routes: Mapping[int, OpenRoute], options: ConvertOptions, report: Report) -> None:
-    """Compare how many messages were read with how many the sources declare, connection by connection.
+    """Compare how many messages were read with how many the sources declare, for each connection.
 
-    Where damage is known already that explains a difference, the report has both numbers.
+    If known damage explains a difference, the report only has both numbers.
     """
     if options.start is not None or options.end is not None:
         return
@@ -543,7 +543,7 @@ def _compare_counts(reader: Reader, routes: Mapping[int, OpenRoute], options: Co
         for route in written
         if route.connection.message_count is not None
     ]
-    # MCAP's writers may leave out the counts by channel, and keep the sum.
+    # MCAP's writers may omit the counts by channel, and store the sum.
     declared = reader.summary.message_count if len(written) == len(reader.connections) else None
     if declared is None and len(counts) == len(written):
         declared = sum(count for _, count, _ in counts)
@@ -570,9 +570,9 @@ def prepared(
     report: Report,
     firsts: FirstClouds | None = None,
 ) -> tuple[Mapping[ScanSpec | Combination, Conversion], Sequence[Reader]]:
-    """The conversion of each output, with all that has to be known before the first message is converted.
+    """Prepare the conversion of each output: read transforms, and measure what is ``auto``.
 
-    The other recordings that transforms were taken from are returned too.
+    Returns the conversions, and the other recordings that transforms were read from.
     """
     asked = options.frames
     others: list[Reader] = []
@@ -612,7 +612,7 @@ def prepared(
 def _level_frames(
     reader: Reader, plan: Plan, target: Destination, options: ConvertOptions, declared: Declarations, report: Report
 ) -> LevelFrames | None:
-    """What writes the transforms of level frames, declared; None where no scan is level."""
+    """Declare and return the writer of the level frames' transforms; None if no scan is level."""
     if not any(spec.level for spec in plan.specs):
         return None
     from .levelling import LevelFrames, tf_connection  # noqa: PLC0415  # only where scans are level
@@ -626,7 +626,7 @@ def _level_frames(
 def _deskew(spec: ScanSpec, frames: Frames) -> Deskew | None:
     if not spec.deskew:
         return None
-    from .stages.deskew import Deskew, PointTime  # noqa: PLC0415  # only where points move
+    from .stages.deskew import Deskew, PointTime  # noqa: PLC0415  # only with deskewing
 
     where = PointTime.parse(spec.point_time) if spec.point_time else PointTime()
     return Deskew(frames, spec.fixed_frame, where, spec.stamp)
@@ -680,7 +680,7 @@ def _combined(
 def _measured(
     reader: Reader, plan: Plan, spec: ScanSpec, frames: Frames, span: Span, report: Report
 ) -> Mapping[str, Measured]:
-    from .measure import measure  # noqa: PLC0415  # only where something is left to be measured
+    from .measure import measure  # noqa: PLC0415  # only if something is to be measured
 
     converted = [route.connection for route in plan.routes if any(task.key is spec for task in route.tasks)]
     with _about(spec):
@@ -692,7 +692,7 @@ def _measured(
 
 @contextmanager
 def _about(spec: ScanSpec) -> Generator[None]:
-    """Say of errors which output they are about, and where the parameter comes from."""
+    """Add the name of an output, and the origin of a parameter, to errors."""
     try:
         yield
     except UsageError as err:
@@ -703,18 +703,18 @@ def _about(spec: ScanSpec) -> Generator[None]:
 
 
 def _ros_version(connections: Iterable[Connection]) -> int | None:
-    """The source's ROS version; None for a source without any message of ROS."""
+    """Return the source's ROS version; None for a source without ROS messages."""
     return next((c.ros_version for c in connections if c.ros_version is not None), None)
 
 
 def _threads(options: ConvertOptions, stack: ExitStack) -> Threads | None:
-    """The threads that read, decompress, convert and compress, until the stack is left; None for one job."""
+    """Return the threads of the conversion, closed with the stack; None for one job."""
     jobs = options.jobs or cores()
     return stack.enter_context(Threads(jobs)) if jobs > 1 else None
 
 
 def span_of(reader: Reader, options: ConvertOptions) -> Span:
-    """Resolve the cut against the recording's beginning."""
+    """Return the cut in log times; relative times count from the recording's beginning."""
     beginning = reader.summary.start_ns
     if beginning is None:
         first = next(reader.messages(), None)
@@ -727,7 +727,7 @@ def span_of(reader: Reader, options: ConvertOptions) -> Span:
 
 
 def _refusals(routes: Iterable[OpenRoute], serialization: str) -> list[str]:
-    """Who would refuse the scans that were written, topics of one answer together."""
+    """Return warnings about consumers that would refuse the written scans; topics with the same warning share it."""
     topics: dict[str, dict[str, None]] = {}
     for output in (output for route in routes for output in route.outputs):
         spec = output.report.spec
@@ -740,10 +740,10 @@ def _refusals(routes: Iterable[OpenRoute], serialization: str) -> list[str]:
 
 
 def _size(path: Path) -> int:
-    """Bytes of a file, or of the files in a folder."""
+    """Return the size in bytes of a file, or of all files in a folder."""
     try:
         if path.is_dir():
             return sum(file.stat().st_size for file in path.iterdir())
         return path.stat().st_size
     except OSError as err:
-        raise OutputError(f"is gone: {err.strerror}", path=path) from err
+        raise OutputError(f"cannot be read after it was written: {err.strerror}", path=path) from err

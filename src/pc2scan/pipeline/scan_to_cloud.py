@@ -1,4 +1,4 @@
-"""LaserScan to PointCloud2, one message to one message: pure, and safe on several threads at once."""
+"""Converts LaserScan to PointCloud2, one message to one message: pure, and safe on several threads."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ __all__ = ["ScanToCloud"]
 
 
 class ScanToCloud(Conversion):
-    """LaserScan to PointCloud2, as upstream's laserscan_to_pointcloud_node.cpp does it with laser_geometry.
+    """Converts LaserScan to PointCloud2, as upstream's laserscan_to_pointcloud_node.cpp does with laser_geometry.
 
     Parameters
     ----------
     channels
-        Which fields the cloud has, and the range cutoff; None means the defaults.
+        The fields of the cloud, and the range cutoff; None means the defaults.
     frames
         The recording's transforms.
     deskewed
         Whether every beam is transformed by the pose at its own time instead of the scan's stamp.
     output_type
-        What the clouds are encoded as: a key of `OF_SCANS`.
+        The message type of the clouds: a key of `OF_SCANS`.
     """
 
     def __init__(
@@ -56,7 +56,7 @@ class ScanToCloud(Conversion):
         self._deskewed = deskewed
 
     def decoder(self, source: str, source_type: str) -> Callable[[Buffer], LaserScan]:  # noqa: ARG002
-        """Return what decodes scans, of which there is one type; see `Conversion`."""
+        """Return the decoder of scans, which have one type; see `Conversion`."""
         return partial(decode_laserscan, serialization=source)
 
     def stages(self, topic: str) -> tuple[Step, ...]:  # noqa: ARG002
@@ -90,7 +90,7 @@ class ScanToCloud(Conversion):
         return Result(message, counts, empty=not len(points.points))
 
     def _placed(self, scan: LaserScan, points: UnprojectedScan) -> tuple[_Header, UnprojectedScan]:
-        """The cloud's header, and the points in its frame."""
+        """Return the cloud's header, and the points in its frame."""
         place = self._frames.place(scan.frame_id, scan.stamp_ns)
         own = _Header(scan.sequence, scan.stamp_ns, place.frame_id)
         start = place.target_from_source
@@ -104,7 +104,7 @@ class ScanToCloud(Conversion):
         return _Header(0, stamp_ns, place.frame_id), moved
 
     def _end(self, scan: LaserScan) -> Rigid | None:
-        """Where the sensor was when the last beam was measured."""
+        """Return the transform at the time of the last beam."""
         try:
             end_ns = scan.stamp_ns + last_beam_ns(len(scan.ranges), scan.time_increment)
             if end_ns < 0:

@@ -1,4 +1,4 @@
-"""Several outputs of one conversion, as a file (``scans.yaml``) or Python's dicts and lists describe them."""
+"""Reads the outputs of one conversion from a file (``scans.yaml``), or from Python's dicts and lists."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ if TYPE_CHECKING:
 
 __all__ = ["CHOICES", "Choice", "ScansFile", "load_scans", "refuse_beside"]
 
-#: Deeper nesting than any such file has.
+#: The most levels of nesting.
 _MAX_DEPTH = 20
 
 
 class Choice(NamedTuple):
-    """What an output may have besides the parameters of the projection.
+    """A key of an output that is not a parameter of the projection.
 
     ``kind`` is ``text``, ``texts`` (one or a list), ``flag``, ``number`` or ``time`` (seconds, or text); ``words`` are
-    the only texts that are possible; ``help`` is for the JSON schema.
+    the allowed texts, if not all are; ``help`` is for the JSON schema.
     """
 
     kind: Literal["text", "texts", "flag", "number", "time"]
@@ -37,12 +37,12 @@ class Choice(NamedTuple):
     words: tuple[str, ...] = ()
 
 
-#: By key. Those that are attributes of `ScanSpec` are taken over; `_filters` and `_spec` read the others.
+#: The choices by key. Keys that are attributes of `ScanSpec` are copied; `_filters` and `_spec` read the others.
 CHOICES: Mapping[str, Choice] = {
     "sources": Choice("texts", "Topic, or topics, that become this output. Default: the only topic with clouds."),
     "preset": Choice("text", "A consumer of the scans: parameters that suit it."),
     "params_file": Choice("text", "A ROS parameter file, relative to this file. It beats the preset."),
-    "node": Choice("text", "Whose section of the parameter file is taken."),
+    "node": Choice("text", "The node whose section of the parameter file is read."),
     "where": Choice("texts", "Use only points whose fields fulfil this: ring in (3, 4) and intensity > 10."),
     "exclude_box": Choice("texts", "Reject points in a box: frame x0 x1 y0 y1 z0 z1."),
     "exclude_polygon": Choice("texts", "Reject points in a polygon: frame x0 y0 x1 y1 x2 y2 ..."),
@@ -54,18 +54,18 @@ CHOICES: Mapping[str, Choice] = {
     "stamp": Choice("text", "The time of a deskewed scan.", ("header", "start", "middle", "end")),
     "level": Choice("flag", "Make scans in a frame without the roll and pitch of the target frame."),
     "lead": Choice("text", "Of several sources, the one whose stamps the scans have. Default: the first."),
-    "window": Choice("time", "Stamps of the other sources may be so far from it. Default: half the median period."),
+    "window": Choice("time", "How far stamps of the other sources may be from it. Default: half the median period."),
     "accumulate": Choice("time", "All points of the last seconds in each scan; or of the last clouds: 10clouds."),
-    "every": Choice("time", "One scan for each so many seconds, instead of one for each cloud."),
+    "every": Choice("time", "One scan for each interval of this many seconds, instead of one for each cloud."),
     "rebin": Choice("flag", "Sources are LaserScans instead of clouds."),
     "remove": Choice("texts", "Remove beams that are shadows or speckles: shadows, speckles filter_window=3."),
     "keep_used": Choice("text", "Topic for the points that the scan's beams read, with the beam's number."),
-    "imu": Choice("text", "With level: the IMU that knows which way is up, as TOPIC or TOPIC:FRAME."),
+    "imu": Choice("text", "With level: the IMU that measures which way is up, as TOPIC or TOPIC:FRAME."),
 }
 
 _TOP = ("defaults", "scans")
 
-#: Attributes of `ScanSpec` that are taken over as they are.
+#: Keys that are copied to attributes of `ScanSpec` as they are.
 _OWN = ScanSpec.__dataclass_fields__.keys() - {"remove"}
 
 #: The keys of `Combining`.
@@ -74,16 +74,16 @@ _COMBINING = ("lead", "window", "accumulate", "every", "rebin")
 
 @dataclass(frozen=True, slots=True)
 class ScansFile:
-    """What `load_scans` read.
+    """The result of `load_scans`.
 
     Attributes
     ----------
     specs
-        The outputs, in their order.
+        The outputs, in order.
     files
         All files that were read.
     ignored
-        Where parameter files have something that is no parameter of the projection.
+        Places in parameter files that are no parameters of the projection.
     """
 
     specs: tuple[ScanSpec, ...]
@@ -92,7 +92,7 @@ class ScansFile:
 
 
 class _Entry(NamedTuple):
-    """A value: a dict or a list of further ones, or a scalar; and where it is, for people."""
+    """A value (a dict or a list of entries, or a scalar), and its place as text."""
 
     value: Any
     place: str
@@ -104,21 +104,21 @@ def load_scans(asked: Path | Mapping[str, Any] | Sequence[Any], overriding: Sequ
     Parameters
     ----------
     asked
-        A YAML or JSON file, or what such a file has: a mapping with ``scans`` and perhaps ``defaults``. ``scans`` is a
-        mapping from topics to what they have, or a list of mappings with a ``topic`` each. Of a mapping or a list that
-        has not these keys, the outputs themselves.
+        A YAML or JSON file, or the same as Python's objects: a mapping with ``scans`` and optionally ``defaults``.
+        ``scans`` is a mapping from topics to outputs, or a list of mappings with a ``topic`` each. A mapping or a list
+        without these keys is read as ``scans``.
     overriding
-        Parameters that count for all outputs, and beat what is written there; the strongest first.
+        Parameters of all outputs, which beat those of the file; the strongest first.
 
     Returns
     -------
     ScansFile
-        Everything is checked that can be without the recording.
+        Checked, except for what depends on the recording.
 
     Raises
     ------
     UsageError
-        With the place, if something is not as it must be.
+        If something is not valid; the error has its place.
     """
     if isinstance(asked, Path):
         root, base = _read(asked), asked.parent
@@ -149,7 +149,7 @@ _EXAMPLE = "write scans: {/scan: {min_height: 0.1}, /scan_low: {max_height: 0.1}
 
 
 def _read(path: Path) -> _Entry:
-    from .params_file import read_text  # noqa: PLC0415  # only where a file is given
+    from .params_file import read_text  # noqa: PLC0415  # only for a file
     from .yaml_nodes import compose  # noqa: PLC0415
 
     text = read_text(path)
@@ -160,15 +160,15 @@ def _read(path: Path) -> _Entry:
 
 
 class _Reader:
-    """Turns the nodes of a file into entries; there are at most as many as the file has characters."""
+    """Converts the nodes of a file to entries; there are at most as many as the file has characters."""
 
     def __init__(self, path: Path, most: int) -> None:
         self._path = path
         self._left = most + 1
 
     def entry(self, node: Any, name: str, depth: int, line: int = 1) -> _Entry:
-        """Read a node; its place is ``line``, the one of its key."""
-        from .yaml_nodes import is_empty, is_mapping, is_scalar, scalar_value  # noqa: PLC0415  # loaded by now
+        """Read a node; its place is ``line``, the line of its key."""
+        from .yaml_nodes import is_empty, is_mapping, is_scalar, scalar_value  # noqa: PLC0415  # `_read` has imported it
 
         place = f"{self._path}, line {line}"
         self._left -= 1
@@ -210,7 +210,7 @@ def _of_python(value: Any, place: str, depth: int) -> _Entry:
 
 
 def _outputs(root: _Entry) -> Iterator[tuple[str, _Entry]]:
-    """Each output's topic, and what it has."""
+    """Yield the topic and the entry of each output."""
     scans = root.value.get("scans")
     if scans is None or not isinstance(scans.value, dict | list) or not scans.value:
         found = "there are none" if scans is None or scans.value in ({}, [], None) else f"got {_found(scans)}"
@@ -243,7 +243,7 @@ def _named(scans: _Entry) -> Iterator[tuple[str, _Entry]]:
 def _spec(
     topic: str, entry: _Entry, defaults: _Entry, overriding: Sequence[Setting], base: Path
 ) -> tuple[ScanSpec, Iterable[Path], Iterable[str]]:
-    """One output: key by key what it has itself, or else what the defaults have."""
+    """Return one output; keys that it does not have are read from the defaults."""
     settings = list(overriding)
     chosen: dict[str, _Entry] = {}
     for each, source in ((entry, "output"), (defaults, "defaults")):
@@ -308,13 +308,13 @@ def _topic(source: str) -> str:
 
 @contextmanager
 def _placed(entry: _Entry, topic: str, chosen: Mapping[str, _Entry]) -> Iterator[None]:
-    """Say in errors which output they are about, and where it is."""
+    """Add an output's topic and place to errors."""
     try:
         yield
     except UsageError as err:
-        # Whoever is blamed by name has a line of its own.
-        told = ((f"`{key}`", f"'{key}'", found) for key, found in chosen.items())
-        named = next((found for *names, found in told if any(name in err.message for name in names)), entry)
+        # If the error names a key, its line is the place.
+        named_keys = ((f"`{key}`", f"'{key}'", found) for key, found in chosen.items())
+        named = next((found for *names, found in named_keys if any(name in err.message for name in names)), entry)
         if not err.message.startswith(named.place):
             err.message = f"{named.place}, {topic}: {err.message}"
         raise
@@ -327,7 +327,7 @@ def _scalar(entry: _Entry, key: str) -> Any:
 
 
 def _chosen(key: str, entry: _Entry) -> Any:
-    """The value of a choice, of its kind."""
+    """Return the value of a choice, checked to be of its kind."""
     kind, _, words = CHOICES[key]
     value = entry.value
     if kind == "texts":
@@ -362,12 +362,12 @@ def _found(entry: _Entry) -> str:
 
 
 def refuse_beside(others: Mapping[str, object]) -> None:
-    """Raise if something is asked for beside ``scans`` that only the file may have.
+    """Raise if an argument is given beside ``scans`` that only the file may have.
 
     Parameters
     ----------
     others
-        Such arguments by Python's names; None, False and what is empty are not given.
+        Such arguments by name; None, False and empty values count as not given.
 
     Raises
     ------

@@ -1,6 +1,6 @@
-"""The JSON schema of files with several outputs, made of the tables that such files are read by.
+"""The JSON schema of files with several outputs, made from the tables that such files are read by.
 
-``python -m pc2scan.pipeline.scans_schema`` prints it; ``scans.schema.json`` has it for editors.
+``python -m pc2scan.pipeline.scans_schema`` prints it; ``scans.schema.json`` is a copy for editors.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def schema() -> dict[str, Any]:
         "title": "Several scans of one recording (pc2scan convert --scans)",
         "type": "object",
         "properties": {
-            "defaults": {"description": "What outputs have that they do not say themselves.", **output},
+            "defaults": {"description": "Values of all outputs that do not have their own.", **output},
             "scans": {
                 "description": "The outputs, by their topics.",
                 "anyOf": [

@@ -1,7 +1,7 @@
-"""The scheduler: units are loaded and their messages worked on by all threads; the results come in order.
+"""The scheduler: all threads load units and work on their messages; results are returned in order.
 
-A thread that loads a unit also works on its messages, before the unit is handed on: a cloud of 4 MB is in no core's own
-cache by the time another thread has it, and a chunk is free again as soon as its scans are there.
+A thread that loads a unit also works on its messages, before it returns the unit. So a cloud of 4 MB is still in the
+core's own cache, and a chunk's memory is free again as soon as its scans exist.
 """
 
 from __future__ import annotations
@@ -27,33 +27,35 @@ if TYPE_CHECKING:
 
 __all__ = ["Later", "cores", "schedule"]
 
-#: So much is loaded ahead of its turn for every thread, and one unit more than threads of those up to the second size.
+#: How many bytes are loaded ahead for every thread. Of units up to the second size, always one more than threads is
+#: loaded.
 AHEAD_BYTES = 12 << 20
 LARGEST_AHEAD = 20 << 20
 
-#: Messages that are handed to another thread together have so many bytes: fewer take less time than handing them over.
+#: How many bytes of messages are given to another thread together: working on fewer takes less time than giving them
+#: away.
 _PIECE_BYTES = 1 << 20
 
 
 class Later(NamedTuple):
-    """A message that a callback leaves as it is until its turn, because its result takes more memory."""
+    """A message that a callback postpones until its turn, because its result takes more memory."""
 
     message: RawMessage
     work: Callable[[RawMessage], Any]
 
     @property
     def log_time_ns(self) -> int:
-        """When the message was recorded."""
+        """The log time of the message."""
         return self.message.log_time_ns
 
     @property
     def size(self) -> int:
-        """Bytes of the message."""
+        """The size of the message in bytes."""
         return self.message.size
 
 
 def cores() -> int:
-    """Processor cores that this process may use."""
+    """Return how many processor cores this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -70,27 +72,28 @@ def schedule(
     Parameters
     ----------
     units
-        What is loaded, by start.
+        The units to load, sorted by start.
     callback
-        Makes the items of messages, each for itself and on any thread; see `pc2scan.bags.units.Load`.
+        Makes an item of a message, on any thread; see `pc2scan.bags.units.Load`.
     threads
-        All of them, or None for none but the caller's. The items are the same.
+        All threads, or None for the caller's alone. The items do not depend on it.
     window
-        How many units may be loaded ahead of their turn; None: as many as memory allows.
+        How many units may be loaded ahead; None: as many as memory allows.
     path
-        The recording, for errors.
+        The recording, for error messages.
 
     Yields
     ------
     Item | StoredChunk
-        By log time, whatever the number of threads. An exception of the callback is raised when its turn comes.
+        Sorted by log time, whatever the number of threads. An exception of the callback is raised in the place of its
+        item.
     """
     loading = when_due if threads is None else partial(_ahead, threads, window)
     items = in_time_order(units, callback, loading=loading, path=path)
     try:
         for item in items:
             yield item.work(item.message) if isinstance(item, Later) else item
-            # This frame must not keep an item in memory while the next one is made.
+            # This frame must not hold an item in memory while the next one is made.
             del item
     finally:
         items.close()
@@ -99,7 +102,7 @@ def schedule(
 def _ahead(
     threads: Threads, window: int | None, units: Iterable[Unit], callback: Callable[[RawMessage], Item]
 ) -> Generator[Handle]:
-    """Load units on other threads ahead of their turn."""
+    """Load units ahead, on other threads."""
     waiting: deque[Unit] = deque()
     results: InOrder[Loaded[Any]] = InOrder(threads, AHEAD_BYTES, threads.jobs + 1, window)
     try:
@@ -120,7 +123,7 @@ def _ahead(
 
 
 def _together(threads: Threads, unit: Unit, callback: Callable[[RawMessage], Item]) -> Loaded[Item]:
-    """Load a unit on this thread, and work on its messages on all of them."""
+    """Load a unit on this thread, and work on its messages on all threads."""
     found = loaded(unit, owned, whole=unit.may_be_whole)
     if isinstance(found, StoredChunk):
         return found

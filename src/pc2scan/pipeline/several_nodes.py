@@ -1,4 +1,4 @@
-"""Several nodes of one parameter or launch file: each is an output."""
+"""Makes one conversion of several nodes of a parameter or launch file: each node is an output."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ __all__ = ["options_of_nodes", "refuse_topics"]
 
 
 def refuse_topics(topics: object, nodes: Sequence[str], file: Path) -> None:
-    """Raise if topics are named that do not say of which node they are.
+    """Raise if topics are given, because they do not say which node they are for.
 
     Raises
     ------
     UsageError
-        If there are any.
+        If topics are given.
     """
     if topics:
         raise UsageError(
@@ -37,20 +37,20 @@ def refuse_topics(topics: object, nodes: Sequence[str], file: Path) -> None:
 
 
 def options_of_nodes(nodes: Sequence[str], options: Sequence[ConvertOptions], file: Path) -> ConvertOptions:
-    """Make one conversion of those that the nodes alone would be.
+    """Return one conversion that does what each node would do alone.
 
     Parameters
     ----------
     nodes
-        Fully qualified names.
+        Fully qualified names of the nodes.
     options
-        Of each node, as if it were the only one.
+        The options of each node, as if it were the only one.
 
     Returns
     -------
     ConvertOptions
-        A node that does not say where its scans go publishes ``scan`` in its namespace, or, where several nodes would,
-        under its own name. One that does not say what it reads has the only topic with clouds.
+        A node without a topic for its scans publishes ``scan`` in its namespace; if several nodes would do this, below
+        its own name. A node without a source reads the only topic with clouds.
     """
     requests = [next(iter(each.specs[0].topics), TopicRequest("*")) for each in options]
     usual = [f"{node.rpartition('/')[0]}/scan" for node in nodes]

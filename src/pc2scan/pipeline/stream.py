@@ -1,4 +1,4 @@
-"""The stream of a conversion: messages are read, worked on by several threads, and written in the order of reading."""
+"""The stream of a conversion: reads messages, works on them on several threads, and writes in the order of reading."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ if TYPE_CHECKING:
 
 __all__ = ["Progress", "Span", "stream"]
 
-#: Called now and then with bytes read so far, bytes in all, and messages read so far.
+#: Called regularly with the bytes read so far, the bytes in all, and the messages read so far.
 Progress = Callable[[int, int, int], None]
 
-#: Messages between two calls of the progress function.
+#: How many messages are between two calls of the progress function.
 _PROGRESS_EVERY = 64
 
 
 class _Outcome(NamedTuple):
-    """What became of a message; an error takes the place of what could not be made."""
+    """The results of a message; an error is in the place of a result that could not be made."""
 
     route: OpenRoute
     log_time_ns: int
@@ -51,7 +51,7 @@ class _Outcome(NamedTuple):
 
     @property
     def size(self) -> int:
-        """Bytes of what is written."""
+        """The size of the results in bytes."""
         size = len(self.passing or b"")
         for made in self.converted:
             if not isinstance(made, MessageError):
@@ -60,13 +60,13 @@ class _Outcome(NamedTuple):
 
     @property
     def failure(self) -> MessageError | None:
-        """Why nothing was made of the message; None where something was."""
+        """The error of a message without any result; None if it has one."""
         errors = [made for made in self.converted if isinstance(made, MessageError)]
         return errors[0] if errors and len(errors) == len(self.converted) else self.error
 
 
 class Span(NamedTuple):
-    """The cut in log times: ``start_ns <= t < stop_ns`` (None: no limit), and the first time that matters."""
+    """The cut in log times: ``start_ns <= t < stop_ns`` (None: no limit), and its first time."""
 
     start_ns: int | None
     stop_ns: int | None
@@ -85,7 +85,10 @@ def stream(
     progress: Progress | None,
     levels: LevelFrames | None = None,
 ) -> None:
-    """Read, work on several threads, and write in the order of reading; ``levels`` writes the frames of level scans."""
+    """Convert all messages of the cut, and write them in the order of reading.
+
+    ``levels`` writes the frames of level scans.
+    """
     total = reader.summary.size_bytes
     outcomes: Generator[_Outcome | StoredChunk | MadeScan] = _outcomes(reader, routes, options, span, rule, pool)
     joints = list(dict.fromkeys(o.joint for route in routes.values() for o in route.outputs if o.joint is not None))
@@ -95,7 +98,7 @@ def stream(
         outcomes = with_scans(outcomes, _arrivals, joints, pool)
     steps = 0
     unconnected = Unconnected(route.connection for route in routes.values() if route.convert is not None)
-    # Closed before the pool is waited for, so that an error gives up what has not begun.
+    # Closed before the threads are joined, so that work that has not begun is cancelled after an error.
     with closing(outcomes):
         for outcome in outcomes:
             if isinstance(outcome, StoredChunk):
@@ -124,7 +127,7 @@ def _outcomes(
     rule: ChunkRule | None,
     pool: Threads | None,
 ) -> Generator[_Outcome | StoredChunk]:
-    """What becomes of the messages of the cut, after the latched ones from before it."""
+    """Return the results of the messages in the cut, after those of latched messages from before it."""
     work = partial(_outcome_or_later, routes)
     window = min((spec.params.queue_size for spec in options.specs if spec.params.queue_size), default=None)
     for units in _cut(reader, routes, span, rule):
@@ -134,7 +137,7 @@ def _outcomes(
 def _cut(
     reader: Reader, routes: Mapping[int, OpenRoute], span: Span, rule: ChunkRule | None
 ) -> Iterator[Iterable[Unit]]:
-    """The units of the cut, after those with the latched messages from before it."""
+    """Return the units of the cut, after those with the latched messages from before it."""
     wanted = [route.connection for route in routes.values()]
     start, stop, _ = span
     lasting = [route.connection for route in routes.values() if route.lasts]
@@ -144,7 +147,7 @@ def _cut(
 
 
 def _outcome_or_later(routes: Mapping[int, OpenRoute], message: RawMessage) -> _Outcome | Later:
-    """Work on a message, unless its result takes more memory until its turn; runs on any thread."""
+    """Work on a message; postpone it if its result takes more memory than itself. Runs on any thread."""
     route = routes[message.connection.id]
     if route.convert is not None and len(message.data) < route.shrinks_from:
         return Later(owned(message), partial(_outcome, route))
@@ -152,7 +155,7 @@ def _outcome_or_later(routes: Mapping[int, OpenRoute], message: RawMessage) -> _
 
 
 def _outcome(route: OpenRoute, message: RawMessage) -> _Outcome:
-    """All the work on one message."""
+    """Convert or re-encode one message."""
     converted: Sequence[Converted | MessageError] = ()
     passing = error = None
     try:
@@ -166,7 +169,7 @@ def _outcome(route: OpenRoute, message: RawMessage) -> _Outcome:
 
 
 def _write_chunk(chunk: StoredChunk, routes: Mapping[int, OpenRoute], writer: Writer) -> None:
-    """Copy a chunk and account for its messages."""
+    """Copy a chunk, and count its messages."""
     writer.write_chunk(chunk)
     for connection_id, entries in chunk.index.items():
         route = routes[connection_id]
@@ -177,14 +180,14 @@ def _write_chunk(chunk: StoredChunk, routes: Mapping[int, OpenRoute], writer: Wr
 
 
 def _write(outcome: _Outcome, writer: Writer, report: Report, on_error: str, levels: LevelFrames | None) -> None:
-    """Write what a message became, and account for it."""
+    """Write the results of a message, and count them."""
     route, log_time_ns, publish_time_ns, sequence, converted, passing, error = outcome
     if not route.writes:
         for entry in route.reports:
             entry.skip(1)
         return
     route.messages += 1
-    # Errors that say the same are one, of all the topics that lack the message.
+    # Equal errors are reported once, with all topics that miss the message.
     errors: dict[str, tuple[MessageError, list[str]]] = {}
     try:
         if passing is not None:
@@ -220,7 +223,7 @@ def _write(outcome: _Outcome, writer: Writer, report: Report, on_error: str, lev
 
 
 def _arrivals(outcome: _Outcome | StoredChunk | MadeScan) -> tuple[int, int, list[Arrived]]:
-    """The log time of an outcome, its bytes, and what it has for scans of several messages."""
+    """Return the log time of an outcome, its bytes, and its parts of scans of several messages."""
     from .combine.joint import Arrived  # noqa: PLC0415  # few scans are made of several messages
 
     if isinstance(outcome, StoredChunk):
@@ -236,7 +239,7 @@ def _arrivals(outcome: _Outcome | StoredChunk | MadeScan) -> tuple[int, int, lis
 
 
 def _write_scan(scan: MadeScan, writer: Writer, report: Report, on_error: str, levels: LevelFrames | None) -> None:
-    """Write a scan of several messages, and account for it."""
+    """Write a scan of several messages, and count it."""
     output, log_time_ns, stamp_ns, sequence, made = scan
     error = made if isinstance(made, MessageError) else None
     if not isinstance(made, MessageError):
@@ -263,14 +266,14 @@ def _write_scan(scan: MadeScan, writer: Writer, report: Report, on_error: str, l
 def _write_one(
     made: Converted, output: Output, outcome: _Outcome, writer: Writer, levels: LevelFrames | None
 ) -> MessageError | None:
-    """Write what a message became to one topic, and account for it; return why that cannot be."""
+    """Write the result of a message to one topic, and count it; return the error if that fails."""
     try:
         if output.used:
             if made.used is not None:
                 writer.write(output.handle, outcome.log_time_ns, made.used, outcome.publish_time_ns, outcome.sequence)
             return None
         if levels is not None and made.level is not None:
-            # Before the scan, so that whoever replays the recording knows its frame.
+            # Before the scan, so that its frame is known when the recording is replayed.
             levels.write(made.level, outcome.log_time_ns, outcome.publish_time_ns, writer)
         writer.write(output.handle, outcome.log_time_ns, made.data, outcome.publish_time_ns, outcome.sequence)
     except UnwritableError as err:
@@ -280,7 +283,7 @@ def _write_one(
 
 
 def _account(made: Converted, output: Output) -> None:
-    """Account for a message that was written."""
+    """Count a message that was written."""
     output.sample = output.sample or made.data
     output.report.points += made.counts
     output.report.empty_scans += made.empty

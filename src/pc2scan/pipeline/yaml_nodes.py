@@ -1,4 +1,4 @@
-"""YAML as nodes that know their lines, and their scalars as ROS reads them."""
+"""Parses YAML to nodes with their lines; scalars are read as ROS does."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["compose", "is_empty", "is_mapping", "is_scalar", "place_of", "scalar
 
 _YAML_TAG = "tag:yaml.org,2002:"
 
-#: What YAML itself makes of plain text; every other tag was written by hand.
+#: Tags that YAML gives to plain text; any other tag was written by the user.
 _PLAIN_TAGS = frozenset(
     _YAML_TAG + kind for kind in ("str", "int", "float", "bool", "null", "timestamp", "merge", "value")
 )
@@ -24,18 +24,18 @@ _ROS1_ANGLE_TAGS = {"!degrees": "deg", "!radians": "rad"}
 
 
 def compose(text: str, place: str) -> Any:
-    """Parse YAML into ruamel's nodes, which know their lines; None for an empty document.
+    """Parse YAML to ruamel's nodes, which have their lines; None for an empty document.
 
-    Nodes instead of values: aliases stay shared (no expansion), tags construct nothing, and scalars
+    Nodes are used instead of values, so that aliases are not expanded, tags construct nothing, and scalars
     are read by ROS's rules.
     """
     from ruamel.yaml import YAML  # noqa: PLC0415 - imported when a file or --param is given
     from ruamel.yaml.error import YAMLError  # noqa: PLC0415
 
-    # ROS 2's parser takes tabs between tokens, ruamel does not; in indentation both refuse them.
+    # ROS 2's parser accepts tabs between tokens, ruamel does not; in indentation both refuse them.
     spaced = re.sub(r"(?m)(?<=[^ \t\n])[ \t]*\t[ \t]*", lambda tabs: " " * len(tabs.group()), text)
     yaml = YAML(typ="safe", pure=True)
-    # An anchor that is used again is legal, and no business of the user of one section.
+    # An anchor that is defined twice is legal, so ruamel's warning is ignored.
     yaml.composer.warn_double_anchors = False
     try:
         return yaml.compose(spaced)
@@ -49,7 +49,7 @@ def compose(text: str, place: str) -> Any:
 
 
 def _yaml_position(err: Exception, text: str) -> str:
-    """`line 3, column 5` of a YAML error: most carry a mark, unreadable characters only an index."""
+    """Return `line 3, column 5` of a YAML error: most have a mark, unreadable characters have an index."""
     mark = getattr(err, "problem_mark", None)
     if mark is not None:
         return f"line {mark.line + 1}, column {mark.column + 1}"
@@ -58,7 +58,7 @@ def _yaml_position(err: Exception, text: str) -> str:
 
 
 def place_of(node: Any) -> str:
-    """``line 3, column 5`` of a node."""
+    """Return the place of a node as ``line 3, column 5``."""
     return f"line {node.start_mark.line + 1}, column {node.start_mark.column + 1}"
 
 
@@ -73,17 +73,17 @@ def is_scalar(node: Any) -> bool:
 
 
 def is_empty(node: Any) -> bool:
-    """Whether nothing, or an empty mapping, was written."""
+    """Whether it is an empty mapping or null."""
     return (is_mapping(node) and not node.value) or (is_scalar(node) and not node.style and not node.value)
 
 
 def scalar_value(node: Any, name: str, origin: str, *, ros1: bool) -> object:
-    """Value of a scalar node.
+    """Return the value of a scalar node.
 
     Raises
     ------
     ParameterError
-        If it is a list or a mapping, or bears a tag that means more than plain text.
+        If it is a list or a mapping, or has a tag that is not one of plain text.
     """
     if not is_scalar(node):
         found = "a mapping" if is_mapping(node) else "a list"

@@ -1,4 +1,4 @@
-"""Filters of beams, by the rules of laser_filters: shadows and speckles."""
+"""Beam filters by the rules of laser_filters: shadows and speckles."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _TRUE = {"true": True, "false": False}
 
 @dataclass(frozen=True, slots=True)
 class Shadows:
-    """``ScanShadowsFilter``: returns between an edge and what is behind it, that are on neither.
+    """``ScanShadowsFilter``: finds returns between an edge and the object behind it, which are on neither.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ class Shadows:
 
 @dataclass(frozen=True, slots=True)
 class Speckles:
-    """``LaserScanSpeckleFilter``: returns with too few others near them.
+    """``LaserScanSpeckleFilter``: finds returns with too few other returns near them.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ BeamFilter = Shadows | Speckles
 _FILTERS: dict[str, type[Shadows | Speckles]] = {kind.name: kind for kind in (Shadows, Speckles)}
 
 
-def _check(holds: bool, name: str, value: object, allowed: str) -> None:  # it is what is checked
+def _check(holds: bool, name: str, value: object, allowed: str) -> None:  # the result of the check
     if not holds:
         raise UsageError(f"`remove`: {name} is {value}, it must be {allowed}")
 
@@ -129,7 +129,7 @@ def beam_filter(text: str) -> BeamFilter:
 
 
 def _read(name: str, key: str, value: str, default: object) -> object:
-    """A value of the default's type."""
+    """Return a value of the same type as the default."""
     try:
         if isinstance(default, bool):
             return _TRUE[value.lower()]

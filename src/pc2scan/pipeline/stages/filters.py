@@ -1,4 +1,4 @@
-"""What a filter is: a class that rejects points for a reason of its own."""
+"""The protocol of filters: classes that reject points for one reason."""
 
 from __future__ import annotations
 
@@ -18,42 +18,42 @@ __all__ = ["Filter", "Frame", "as_dict", "rejection_of"]
 
 
 class Frame(Enum):
-    """The frames that every conversion has; a filter may also work in any other one, by its name."""
+    """The frames that every conversion has; a filter may use any other frame by its name."""
 
     SOURCE = "source"
     TARGET = "target"
 
 
 class Filter(Protocol):
-    """Which points of a cloud are kept: a frozen dataclass whose attributes are its parameters, and these.
+    """Selects points of a cloud: a frozen dataclass with its parameters, and these attributes.
 
-    A filter depends on the cloud that it is called with and on nothing else; threads share it.
+    The result of a filter depends only on the cloud; threads share the filter.
     """
 
     @property
     def name(self) -> str:
-        """The name of the count of what it rejects: a Python identifier."""
+        """The name of the count of rejected points: a Python identifier."""
         ...
 
     @property
     def explanation(self) -> str:
-        """What the rejected points are, for a user whose scans are empty: completes "40% of all points were"."""
+        """Why points are rejected, for a user whose scans are empty: completes "40% of all points were"."""
         ...
 
     @property
     def fields(self) -> tuple[str, ...]:
-        """The fields that it needs besides ``x``, ``y`` and ``z``; the conversion does not begin without them."""
+        """The fields that it needs besides ``x``, ``y`` and ``z``; if one is missing, the conversion does not begin."""
         ...
 
     @property
     def frame(self) -> Frame | str:
-        """The frame that it needs the coordinates in."""
+        """The frame of the coordinates that it needs."""
         ...
 
     def __call__(self, points: Points) -> NDArray[np.bool_]:
         """Return which points are kept, in the shape of the points' fields.
 
-        Points that it cannot judge, such as those with NaN coordinates, are kept: the projection rejects and counts
+        It keeps points that it cannot judge, such as those with NaN coordinates: the projection rejects and counts
         them. NumPy's floating-point warnings are off.
         """
         ...
@@ -61,7 +61,7 @@ class Filter(Protocol):
 
 def rejection_of(chosen: Filter) -> Rejection:
     """Return the reason of a filter's rejections."""
-    # Of most filters it is no surprise that they reject nothing; so few have this.
+    # Few filters have a warning for the case that they reject nothing.
     return Rejection(chosen.name, chosen.explanation, absent=getattr(chosen, "absent", ""))
 
 

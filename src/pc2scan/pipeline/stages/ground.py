@@ -1,4 +1,4 @@
-"""A filter that removes the ground, be it level, sloped, or with kerbs."""
+"""A filter that removes the ground: level, sloped, or with kerbs."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ if TYPE_CHECKING:
 
 __all__ = ["GROUND", "RemoveGround"]
 
-#: What may be asked for.
+#: The values of `ground`.
 GROUND = ("keep", "remove")
 
 
 @dataclass(frozen=True, slots=True)
 class RemoveGround:
-    """Rejects points on the ground, as `pc2scan.core.terrain` finds it in each cloud by itself.
+    """Rejects points on the ground, which `pc2scan.core.terrain` finds in each cloud.
 
-    It needs a frame of the robot whose z axis points up. Where a cloud shows no ground, nothing is rejected.
+    It needs a frame of the robot whose z axis points up. In a cloud without ground it rejects nothing.
     """
 
     name = "ground"

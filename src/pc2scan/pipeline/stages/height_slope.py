@@ -27,9 +27,9 @@ class MinHeightSlope:
     Parameters
     ----------
     min_height
-        The limit where the scan's frame is, metres.
+        The limit at the origin of the scan's frame, metres.
     slope
-        How much it grows with range, metres a metre: the tangent of an angle, 0.05 for about 3 degrees.
+        How much it grows with range, metres per metre: the tangent of an angle, 0.05 for about 3 degrees.
 
     Raises
     ------
@@ -49,7 +49,7 @@ class MinHeightSlope:
         if not 0 <= self.slope < math.inf:
             raise UsageError(
                 f"`min_height_slope` is {self.slope}, it must be 0 or more, and finite",
-                hint="it is in metres a metre: `min_height_slope=0.05` for about 3 degrees",
+                hint="it is in metres per metre: `min_height_slope=0.05` for about 3 degrees",
             )
         if not math.isfinite(self.min_height):
             raise UsageError(f"`min_height_slope` needs a finite min_height, which is {self.min_height}")
@@ -57,6 +57,6 @@ class MinHeightSlope:
     def __call__(self, points: Points) -> NDArray[np.bool_]:
         """Return which points are not below the limit; see `pc2scan.pipeline.stages.filters.Filter`."""
         x, y, z = (axis.astype(np.float64) for axis in points.xyz())
-        # NumPy's hypot takes ten times as long, and guards against squares that no float32 has.
+        # NumPy's hypot takes ten times as long; squares of float32 cannot overflow in float64.
         below: NDArray[np.bool_] = z < self.min_height + self.slope * np.sqrt(x * x + y * y)
         return ~below

@@ -1,4 +1,4 @@
-"""Placing: which frame a cloud goes to, at which time, and where its points are if they are deskewed."""
+"""Placing: the frame that a cloud is converted in, the scan's time, and the motion of a deskewed cloud."""
 
 from __future__ import annotations
 
@@ -20,27 +20,28 @@ __all__ = ["Place", "Placed"]
 _NOTHING: Mapping[str, int] = {}
 
 
-# Never changed, but neither frozen nor a named tuple: making these takes two to three times as long, for every message.
+# Instances are never changed. They are neither frozen nor named tuples, because creating those takes two to three times
+# as long, for every message.
 @dataclass(slots=True, eq=False)
 class Placed:
-    """A cloud on its way to a scan.
+    """A cloud between its decoder and the projection.
 
     Attributes
     ----------
     points
-        Those that were not rejected.
+        The points that were not rejected.
     stamp_ns
-        The scan's.
+        The scan's stamp.
     place
-        Where the cloud goes.
+        The frame that the cloud is converted in, and the transform to it.
     moving
-        Its motion; None if it is not deskewed.
+        The motion of its sensor; None if it is not deskewed.
     target_from_source
         The transform that is still to be applied to ``points``.
     rejected
         How many points were rejected so far, by reason.
     whole
-        All points, as they were decoded.
+        All points of the message, as decoded.
     motion
         The transform that is still to be applied to ``points``, each at its own time; not ``target_from_source``.
     """
@@ -56,14 +57,14 @@ class Placed:
 
 
 class Place:
-    """Finds out where clouds go. Two that do it alike are equal.
+    """Places clouds: looks up the frame and the transform of each. Instances with equal arguments are equal.
 
     Parameters
     ----------
     frames
         The recording's transforms.
     deskew
-        What places points at their own times; None: all points of a cloud are placed at its stamp.
+        Places points at their own times; None: all points of a cloud are placed at its stamp.
     """
 
     __slots__ = ("deskew", "frames")

@@ -32,7 +32,7 @@ class ExcludeBox:
     frame
         The frame of the box.
     x, y, z
-        Its limits, metres; may be infinite.
+        The limits of the box, metres; they may be infinite.
 
     Raises
     ------
@@ -67,7 +67,7 @@ class ExcludeBox:
         Raises
         ------
         UsageError
-            If it is something else, or no box.
+            If the text cannot be read, or is not a box.
         """
         frame, numbers = _numbers("exclude_box", text, _BOX)
         if len(numbers) != 6:
@@ -93,7 +93,7 @@ class ExcludePolygon:
     frame
         The frame of the polygon.
     corners
-        x and y of each corner in order, metres; the last one is joined to the first.
+        x and y of each corner in order, metres; the last one is connected to the first.
 
     Raises
     ------
@@ -127,7 +127,7 @@ class ExcludePolygon:
         Raises
         ------
         UsageError
-            If it is something else, or no polygon.
+            If the text cannot be read, or is not a polygon.
         """
         frame, numbers = _numbers("exclude_polygon", text.translate(str.maketrans("[]()", "    ")), _POLYGON)
         if len(numbers) % 2:
@@ -150,7 +150,7 @@ class ExcludePolygon:
 
 
 def _numbers(option: str, text: str, usage: str) -> tuple[str, list[float]]:
-    """Read a frame and numbers behind it."""
+    """Read a frame and the numbers after it."""
     words = text.replace(",", " ").split()
     numbers = []
     for word in words[1:]:

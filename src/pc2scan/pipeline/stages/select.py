@@ -1,4 +1,4 @@
-"""Selecting points: filters are applied one after the other, and what each rejects is counted under its name."""
+"""Selects points: filters are applied one after the other, and rejected points are counted by filter."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ __all__ = ["Select", "Selected"]
 
 
 class Selected(NamedTuple):
-    """The points that are kept, the transform that is still to be applied, and how many points each filter rejected.
+    """The selected points, the transform that is still to be applied, and how many points each filter rejected.
 
-    ``motion`` is the transform if they are to be placed at their own times.
+    ``motion`` is this transform if points are placed at their own times.
     """
 
     points: Points
@@ -43,23 +43,25 @@ class Selected(NamedTuple):
 
 
 class _Seen:
-    """The points that are kept, in each frame that was asked for."""
+    """The points that are kept so far, in each frame that a filter needed."""
 
     def __init__(self, points: Points) -> None:
         self.by_frame: dict[Frame | str, Points] = {Frame.SOURCE: points}
 
     def keep(self, kept: NDArray[np.bool_]) -> None:
-        """Drop all others."""
+        """Keep only these points."""
         self.by_frame = {frame: points.select(kept) for frame, points in self.by_frame.items()}
 
 
 class Select:
-    """Applies filters one after the other: each sees what those before it have kept. Equal filters make equal ones.
+    """Applies filters one after the other. Each sees the points that those before it have kept.
+
+    Instances with equal filters are equal.
 
     Parameters
     ----------
     filters
-        In their order.
+        The filters in order.
     frames
         The recording's transforms.
     numbered
@@ -82,7 +84,7 @@ class Select:
         return hash(tuple(chosen.name for chosen in self._filters))
 
     def __call__(self, placed: Placed) -> Placed:
-        """Select points of a cloud on its way to a scan; see `apply`."""
+        """Select points of a placed cloud; see `apply`."""
         points = placed.points
         if self._numbered:
             shape = points.xyz()[0].shape
@@ -96,11 +98,11 @@ class Select:
         Parameters
         ----------
         place
-            Where it goes.
+            The frame that it is converted in.
         moving
-            Its motion, if it is deskewed. Filters in the target frame then come last, and see the points where they
-            were at their own times; all others see the cloud as it was recorded, so that what is fixed to the robot
-            stays where it is.
+            The motion of its sensor, if it is deskewed. Then filters in the target frame come last, and see the points
+            placed at their own times. All others see the cloud as it was recorded, so that parts of the robot are where
+            they belong.
 
         Raises
         ------
@@ -136,7 +138,7 @@ class Select:
     def _place(
         self, seen: _Seen, frame: Frame | str, place: Placement, moving: Moving | None, rejected: dict[str, int]
     ) -> None:
-        """Add another frame."""
+        """Return the points in another frame."""
         points = seen.by_frame[Frame.SOURCE]
         if moving is not None and frame is Frame.TARGET:
             seen.by_frame[frame], kept, lost = moving.place(points)

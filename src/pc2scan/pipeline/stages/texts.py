@@ -1,4 +1,4 @@
-"""Filters as users write them."""
+"""Reads filters from the texts of options."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def filters_from(
     min_height: float,
     ground: str = "keep",
 ) -> Iterator[Filter]:
-    """Yield the filters that are asked for; a conversion without any does not load them.
+    """Yield the requested filters; their modules are imported only if needed.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def filters_from(
     if ground != "keep":
         from .ground import RemoveGround  # noqa: PLC0415
 
-        # Before the limits of height: what these reject would be missing where the ground is followed.
+        # Before the limits of height, because finding the ground needs the points that these reject.
         yield RemoveGround.parse(ground)
     if min_height_slope is not None:
         from .height_slope import MinHeightSlope  # noqa: PLC0415

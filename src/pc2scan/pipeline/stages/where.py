@@ -39,7 +39,7 @@ __all__ = ["Where"]
 
 _EXAMPLE = "such as `where='ring in (3, 4, 5) and intensity > 10'`"
 
-#: Nobody writes longer conditions, nor deeper ones: they would take all of the stack.
+#: The longest condition, and the deepest nesting: deeper ones could overflow the stack.
 _LONGEST = 2_000
 _DEEPEST = 50
 
@@ -49,7 +49,7 @@ _TOKEN = re.compile(
 )
 _WORDS = {"and", "or", "not", "in", "abs"}
 
-#: What other languages write.
+#: Signs of other languages, and what to write instead.
 _INSTEAD = {"=": "for equality write ==", "&": "write and", "|": "write or", "!": "write not"}
 
 _COMPARISONS: Mapping[str, Callable[[Any, Any], Any]] = {
@@ -75,7 +75,7 @@ class Where:
 
     Fields have their values as the cloud has them, ``x``, ``y`` and ``z`` in the cloud's own frame. Numbers are
     computed and compared as float64; a field of float32 is compared with a number as float32, so that ``== 0.1`` is
-    what it seems. NaN fulfils no comparison but ``!=``.
+    true for a float32 of 0.1. NaN fulfils no comparison but ``!=``.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ class Where:
 
     @property
     def fields(self) -> tuple[str, ...]:
-        """The fields that the condition names, in its order."""
+        """The fields in the condition, in its order."""
         return self._names
 
     def __call__(self, points: Points) -> NDArray[np.bool_]:
@@ -123,7 +123,7 @@ class _Node:
     number: float | None = None
 
     def __call__(self, points: Points) -> Any:
-        """Return its value for every point: float64, or bool of a condition."""
+        """Return its value for every point: float64, or bool for a condition."""
         if self.function is not None:
             return self.function(*(part(points) for part in self.parts))
         return np.float64(self.number) if self.number is not None else points.field(self.field).astype(np.float64)
@@ -139,7 +139,7 @@ class _Comparison(_Node):
 
 
 def _operand(part: _Node, other: _Node, points: Points) -> Any:
-    """A side of a comparison: float32 where a field of float32 is compared with a number."""
+    """Return the values of a side of a comparison: float32 if a field of float32 is compared with a number."""
     named, number = (part, other) if part.field else (other, part)
     if named.field and number.number is not None:
         values = points.field(named.field)
@@ -149,7 +149,7 @@ def _operand(part: _Node, other: _Node, points: Points) -> Any:
 
 
 def _joined(function: Callable[..., Any], conditions: Sequence[_Node]) -> _Node:
-    """One condition of several."""
+    """Return one condition that joins several."""
     first, *others = conditions
     for other in others:
         first = _Node(first.column, function, (first, other), True)
@@ -177,7 +177,7 @@ class _Parser:
         self.fields: dict[str, None] = {}
 
     def whole(self) -> _Node:
-        """Read all of it."""
+        """Read the whole condition."""
         condition = self._condition(self._either())
         if self._next.kind != "end":
             raise self._error(self._next.column, f"expected and, or, or the end, not {self._shown}")
@@ -270,7 +270,7 @@ class _Parser:
         return _Node(column, np.logical_not, (found,), True) if is_negated else found
 
     def _numbers(self) -> list[_Node]:
-        """The numbers in parentheses behind ``in``."""
+        """Return the numbers in parentheses after ``in``."""
         self._expect("(")
         numbers = [self._literal()]
         while self._take(",") and self._next.text != ")":
@@ -319,7 +319,7 @@ class _Parser:
         return replace(node, column=token.column)
 
     def _deeper(self, read: Callable[[], _Node]) -> _Node:
-        """Read what is inside of something else."""
+        """Read a nested part; raise if it is too deep."""
         if self._depth >= _DEEPEST:
             raise self._error(self._next.column, f"more than {_DEEPEST} levels of parentheses, signs and nots")
         self._depth += 1
