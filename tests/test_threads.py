@@ -26,11 +26,15 @@ def test_others_work_meanwhile() -> None:
         assert release.wait(30)
         return current_thread().name
 
+    def let_go() -> Thread:
+        release.set()
+        return current_thread()
+
     with Threads(2) as pool:
         slow = pool.submit(hold)
         assert begun.wait(30)
-        more = [pool.submit(current_thread) for _ in range(3)]
-        more[2].add_done_callback(lambda _: release.set())
+        more = [pool.submit(current_thread) for _ in range(2)]
+        more.append(pool.submit(let_go))
         # The only other thread is busy until all that is left to do is done by the one that waits.
         assert slow.result() == "pc2scan_0"
         assert [task.result() for task in more] == [main_thread()] * 3

@@ -227,6 +227,63 @@ def test_starting_is_cheap(code: str) -> None:
     assert done.stdout.splitlines()[-1] == "loaded:"
 
 
+#: All that a conversion of a ROS 1 bag to MCAP loads of pc2scan, without an option that is about more than parameters.
+#: What only an option, an error or another container needs is imported where it is needed: a module costs as much time
+#: as some thousand points.
+LOADED_BY_CONVERT = {
+    "pc2scan": (
+        "arguments bags callable_package cli core errors files json_types messages model names pipeline "
+        "remote shown text_enum tf threads version"
+    ),
+    "pc2scan.bags": (
+        "chunked damage destinations formats many mcap merged opening parts reader rosbag1 topics units zstd"
+    ),
+    "pc2scan.bags.chunked": "entries salvaged segments spans",
+    "pc2scan.bags.mcap": "records writer",
+    "pc2scan.bags.rosbag1": "chunks copies counts entries index lz4_frames reader records",
+    "pc2scan.cli": (
+        "app completion convert damage fitting groups interrupts memory next_command options outcome progress "
+        "render screen spelling usage"
+    ),
+    "pc2scan.core": "consumers counts kernel layout level moving params points presets project reduce rule",
+    "pc2scan.files": "compression crc32 limits overlap source staging system temporary text_output write_ahead",
+    "pc2scan.messages": "clouds consumed definitions laserscan outputs pointcloud2 tfmessage wire",
+    "pc2scan.pipeline": (
+        "acceptance beforehand cloud_to_scan combine conversion declarations demands first_clouds idle "
+        "options param_sources parameters plan report ros_scalars routes run scan_spec scheduler stages "
+        "stream"
+    ),
+    "pc2scan.pipeline.combine": "asked",
+    "pc2scan.pipeline.stages": "place texts",
+    "pc2scan.remote": "urls",
+    "pc2scan.tf": "options placing reading",
+}
+
+#: Parts of the standard library that are slow to load, and that a conversion does without.
+SLOW_TO_LOAD = {"concurrent.futures", "logging"}
+
+
+def test_a_plain_conversion_loads_only_what_it_uses(tmp_path: Path) -> None:
+    code = """
+import atexit, sys
+atexit.register(lambda: print("loaded:", *sys.modules))
+from pc2scan.cli import main
+main()
+"""
+    command = [*(sys.executable, "-c", code), *("convert", str(ROOT / "fixtures" / "hall.bag"))]
+    command += [*("-o", str(tmp_path / "scans.mcap")), *("--min-height", "-0.3")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stderr
+    loaded = set(done.stdout.splitlines()[-1].split()[1:])
+    allowed = {f"{package}.{name}" for package, names in LOADED_BY_CONVERT.items() for name in names.split()}
+    # The loops over points, compiled or not.
+    allowed |= {"pc2scan", "pc2scan.core._kernel", "pc2scan.core.plain"}
+    own = {name for name in loaded if name.split(".")[0] == "pc2scan"}
+    assert own - allowed == set()
+    assert allowed - own <= {"pc2scan.core._kernel", "pc2scan.core.plain"}
+    assert loaded & SLOW_TO_LOAD == set()
+
+
 def test_public_names_exist() -> None:
     assert pc2scan.__all__ == sorted(pc2scan.__all__)
     assert all(getattr(pc2scan, name).__doc__ for name in pc2scan.__all__)

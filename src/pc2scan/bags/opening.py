@@ -9,13 +9,10 @@ from typing import TYPE_CHECKING
 
 from pc2scan.errors import MissingError, RecordingError, UsageError
 from pc2scan.files.compression import LZ4_MAGIC, ZSTD_MAGIC
-from pc2scan.files.nearby import missing_hint
 from pc2scan.files.source import opened_bytes
 from pc2scan.files.staging import working_names
 from pc2scan.remote.urls import is_url, shown_path
 
-from . import zstd
-from .folders import recordings_in, several_recordings
 from .formats import FORMATS, ReadOptions, and_list
 
 if TYPE_CHECKING:
@@ -79,12 +76,16 @@ def sniff(path: Path) -> str:
             raise UsageError(
                 "only convert, info and tf read URLs", path=shown_path(path), hint="download it and name the copy"
             ) from err
+        from pc2scan.files.nearby import missing_hint  # noqa: PLC0415  # only for errors
+
         suffixes = [entry.suffix for entry in FORMATS.values() if entry.suffix]
         hint = _interrupted(path) or missing_hint(path, suffixes)
         raise MissingError("there is nothing of this name", path=path, hint=hint) from err
     except OSError as err:
         raise RecordingError(f"cannot be read: {err.strerror}", path=path) from err
     if head.startswith(ZSTD_MAGIC):
+        from . import zstd  # noqa: PLC0415  # few recordings are compressed as a whole
+
         return f"{_recognised(zstd.unpacked_head(path), path, ' (after zstd decompression)')}+zstd"
     return _recognised(head, path)
 
@@ -144,6 +145,8 @@ def _sniff_directory(path: Path) -> str:
     for name, entry in FORMATS.items():
         if entry.is_in is not None and entry.is_in(path) and (entry.is_one is None or entry.is_one(path)):
             return name
+    from .folders import recordings_in, several_recordings  # noqa: PLC0415  # only folders need it
+
     held = recordings_in(path)
     if len(held) > 1:
         raise several_recordings(path, held)

@@ -16,7 +16,7 @@ __all__ = ["latches", "merged_qos", "parsed_qos", "respelled_qos"]
 #: A profile takes some 400 characters, and a topic has one for each publisher. Reading more takes seconds.
 MAX_CHARACTERS = 64_000
 
-_TRANSIENT_LOCAL = re.compile(r"""\bdurability["']?[ \t]*:[ \t]*["']?(?:1|transient_local)\b""", re.IGNORECASE)
+_TRANSIENT_LOCAL = r"""\bdurability["']?[ \t]*:[ \t]*["']?(?:1|transient_local)\b"""
 
 # rmw/types.h: the place in the list is the value of the enumeration.
 _NAMES = {
@@ -59,7 +59,7 @@ def latches(qos: str) -> bool:
     >>> latches("- history: 1\n  durability: 1"), latches("- durability: volatile")
     (True, False)
     """
-    return _TRANSIENT_LOCAL.search(qos) is not None
+    return re.search(_TRANSIENT_LOCAL, qos, re.IGNORECASE) is not None
 
 
 def parsed_qos(text: str) -> list[dict[str, Any]] | None:

@@ -24,7 +24,6 @@ def _run() -> None:
     # NumPy's linear algebra would start threads, which takes longer than many a conversion, and nothing here uses them.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from .app import application
-    from .failures import end_without_output
     from .memory import keep_freed_memory
     from .screen import Screen, StdoutError
 
@@ -37,6 +36,8 @@ def _run() -> None:
     try:
         application(*sys.argv[1:2])(prog_name="pc2scan")
     except StdoutError as err:
+        from .failures import end_without_output
+
         sys.exit(end_without_output(err.args[0], sys.argv[1:]))
     finally:
         # Before it ends, the interpreter would look for garbage in all that was loaded: a fifth of a short run.

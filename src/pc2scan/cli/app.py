@@ -12,8 +12,6 @@ from typer.core import TyperCommand, TyperGroup
 
 from pc2scan.errors import Pc2ScanError, name_list
 
-from .examples import EXAMPLES
-from .failures import show_failure
 from .groups import flat
 from .interrupts import interruptible
 from .usage import NoArgsIsHelpError, TyperUsageError, in_our_words
@@ -53,6 +51,8 @@ class _Command(TyperCommand):
 
     def format_help_text(self, ctx: Any, formatter: Any) -> None:
         """Write the examples, then the description."""
+        from .examples import EXAMPLES
+
         examples = EXAMPLES.get(str(self.name), ())
         if examples:
             formatter.write_paragraph()
@@ -93,6 +93,8 @@ class _Group(TyperGroup):
             with interruptible(), _usage_errors(words):
                 return super().invoke(ctx)
         except Pc2ScanError as err:
+            from .failures import show_failure
+
             raise typer.Exit(show_failure(err, words)) from err
         except KeyboardInterrupt:
             typer.echo(f"interrupted: {_what_was_written()}", err=True)
@@ -112,6 +114,8 @@ def _usage_errors(typed: Sequence[str]) -> Iterator[None]:
     except NoArgsIsHelpError:
         raise
     except TyperUsageError as err:
+        from .failures import show_failure
+
         raise typer.Exit(show_failure(in_our_words(err, typed), typed)) from err
 
 

@@ -1,19 +1,18 @@
 """What the shell offers: presets and choices, and the topics and frames of the recording that was typed.
 
 A shell waits for it at each Tab: it takes at most a second, and whatever goes wrong, it offers nothing.
-"""
 
-from __future__ import annotations
+No ``from __future__ import annotations`` here: at every start Typer reads the annotations of each of these functions,
+and would compile text.
+"""
 
 import itertools
 import os
 import signal
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+from typing import Any
 
 __all__ = ["choices", "frames", "presets", "topics"]
 

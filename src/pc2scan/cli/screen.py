@@ -17,16 +17,16 @@ _NARROWEST = 40
 
 _RED, _YELLOW, _GREEN, _BOLD, _PLAIN = "\x1b[31m", "\x1b[33m", "\x1b[32m", "\x1b[1m", "\x1b[0m"
 
-#: What lines begin with, and the colours of that.
+#: What lines begin with, and the colours of that. Compiled when they are first used: most output is not coloured.
 _COLOURS = (
-    (re.compile(r"\s*(?:error|defect|aborts|different|not ok|failed|FAILED)\b:?"), _BOLD + _RED),
-    (re.compile(r"\s*(?:warning|notice|skipped|damaged|misplaced|ignored|empty):"), _BOLD + _YELLOW),
-    (re.compile(r"(?:ok|same|passed)\b:?"), _BOLD + _GREEN),
-    (re.compile(r"(?:hint|next|note|recovered):"), _BOLD),
+    (r"\s*(?:error|defect|aborts|different|not ok|failed|FAILED)\b:?", _BOLD + _RED),
+    (r"\s*(?:warning|notice|skipped|damaged|misplaced|ignored|empty):", _BOLD + _YELLOW),
+    (r"(?:ok|same|passed)\b:?", _BOLD + _GREEN),
+    (r"(?:hint|next|note|recovered):", _BOLD),
 )
 
 #: Verdicts of ``check``, behind the name of a consumer.
-_VERDICT = re.compile(r"  \w+ +(accepted|misplaced|ignored|aborts)\b")
+_VERDICT = r"  \w+ +(accepted|misplaced|ignored|aborts)\b"
 _VERDICTS = {"accepted": _GREEN, "misplaced": _YELLOW, "ignored": _RED, "aborts": _RED}
 
 
@@ -126,12 +126,12 @@ def _wrapped(line: str, width: int) -> str:
 
 
 def _coloured(line: str) -> str:
-    verdict = _VERDICT.match(line)
+    verdict = re.match(_VERDICT, line)
     if verdict:
         start, end = verdict.span(1)
         return f"{line[:start]}{_VERDICTS[verdict[1]]}{line[start:end]}{_PLAIN}{line[end:]}"
     for pattern, colour in _COLOURS:
-        found = pattern.match(line)
+        found = re.match(pattern, line)
         if found:
             return f"{colour}{found[0]}{_PLAIN}{line[found.end() :]}"
     return line

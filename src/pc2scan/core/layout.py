@@ -11,6 +11,7 @@ import struct
 from dataclasses import dataclass, replace
 
 __all__ = [
+    "FULL_TURN",
     "TURN",
     "BeamLayout",
     "beam_count",
@@ -22,6 +23,9 @@ __all__ = [
 ]
 
 TURN = 2 * math.pi
+
+#: No angle is larger, radians. Digits of pi may be missing: 6.2832 is a full turn, and so is -3.15 to 3.15.
+FULL_TURN = TURN * 1.01
 
 #: Parts of a beam that a sector may lack for its last one, and a circle for its closing: angles are written with few
 #: digits, and quotients such as pi / (pi / 180) are off by some roundings.

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 __all__ = [
     "ANGLE",
     "EXAMPLES",
-    "FULL_TURN",
     "angle_value",
     "byte_size",
     "duration_ns",
@@ -28,9 +27,6 @@ __all__ = [
 
 #: ROS 1's notation of angles.
 ANGLE = re.compile(r"(deg|rad)\((.*)\)")
-
-#: No angle is larger, radians. Digits of pi may be missing: 6.2832 is a full turn, and so is -3.15 to 3.15.
-FULL_TURN = 2 * math.pi * 1.01
 
 #: What may be written, by the unit that it becomes.
 EXAMPLES = {

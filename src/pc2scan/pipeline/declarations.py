@@ -6,7 +6,6 @@ import re
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from pc2scan.bags.qos import merged_qos
 from pc2scan.errors import MessageError
 from pc2scan.model import Definition
 
@@ -17,7 +16,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Declarations"]
 
-_COMMENT = re.compile(rb"#[^\n]*")
+_COMMENT = rb"#[^\n]*"
 
 
 class Declarations:
@@ -97,7 +96,7 @@ def _layout(connection: Connection) -> str:
         structs = schema.parse(definition, connection.msgtype)
         return schema.rihs01(schema.closure(schema.canonical(connection.msgtype), structs.get))
     except MessageError:
-        return b" ".join(_COMMENT.sub(b"", definition.data).split()).decode("utf-8", "replace")
+        return b" ".join(re.sub(_COMMENT, b"", definition.data).split()).decode("utf-8", "replace")
 
 
 def _merged(publishers: Sequence[Connection]) -> Connection:
@@ -105,6 +104,8 @@ def _merged(publishers: Sequence[Connection]) -> Connection:
     first = publishers[0]
     if len(publishers) == 1:
         return first
+    from pc2scan.bags.qos import merged_qos  # noqa: PLC0415  # few topics have several publishers
+
     return replace(
         first,
         definition=next((each.definition for each in publishers if each.definition.data), first.definition),

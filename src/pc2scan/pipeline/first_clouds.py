@@ -15,7 +15,6 @@ import numpy as np
 from pc2scan.core.counts import PointCounts
 from pc2scan.core.level import cells_of, level_floor, thinned
 from pc2scan.core.params import ProjectionParams
-from pc2scan.core.percentiles import percentiles
 
 from .parameters import from_preset
 
@@ -285,6 +284,8 @@ class TopicClouds:
         # 100, 1000 and 999 are ways to say "no limit".
         if math.log10(value).is_integer() or set(f"{value:g}") == {"9"}:
             return False
+        from pc2scan.core.percentiles import percentiles  # noqa: PLC0415  # few heights are doubtful
+
         z = np.concatenate([sample.placed[:, 2] for sample in self._samples])
         return len(z) > 0 and 10 * max(map(abs, percentiles(z, 1, 99))) < value
 
@@ -301,5 +302,7 @@ def _number(value: float, unit: str) -> str:
 
 
 def _percentiles(values: NDArray[np.float64], unit: str) -> str:
+    from pc2scan.core.percentiles import percentiles  # noqa: PLC0415  # only for warnings
+
     low, middle, high = percentiles(values, 5, 50, 95)
     return f"{low:.2f} to {high:.2f} {unit} (5 and 95 %; median {middle:.2f})"

@@ -6,9 +6,8 @@ import math
 import os
 from typing import TYPE_CHECKING
 
-from pc2scan.core.quantities import FULL_TURN
+from pc2scan.core.layout import FULL_TURN
 from pc2scan.errors import MissingError, UsageError
-from pc2scan.files.nearby import missing_hint
 from pc2scan.names import did_you_mean
 
 from .parameters import from_option
@@ -35,6 +34,8 @@ def refuse_unusable(options: ConvertOptions) -> None:
     """
     for path in options.frames.tf_from:
         if not os.path.lexists(path):
+            from pc2scan.files.nearby import missing_hint  # noqa: PLC0415  # only for errors
+
             raise MissingError("there is nothing of this name (from `tf_from`)", path=path, hint=missing_hint(path))
     if options.ros_distro:
         from pc2scan.messages.transcode import DISTROS  # noqa: PLC0415  # few conversions name one

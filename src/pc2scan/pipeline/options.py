@@ -38,9 +38,9 @@ _ABSOLUTE_SECONDS = 100_000_000
 #: And from here on they are nanoseconds: as seconds they would lie beyond the year 5000.
 _ABSOLUTE_NANOSECONDS = 100_000_000_000
 
-_SECONDS = re.compile(r"@?(\d+\.?\d*|\.\d+) ?(s|ms)?")
+_SECONDS = r"@?(\d+\.?\d*|\.\d+) ?(s|ms)?"
 #: A date and time, with a time zone or without. After it: the seconds' fraction, the time zone.
-_DATE_AND_TIME = re.compile(r"(\d{4}-\d\d-\d\d[T ][\d:]+?)(?:[.,](\d+))?(Z|[+-]\d\d(?::?\d\d)?)?")
+_DATE_AND_TIME = r"(\d{4}-\d\d-\d\d[T ][\d:]+?)(?:[.,](\d+))?(Z|[+-]\d\d(?::?\d\d)?)?"
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 
@@ -72,7 +72,7 @@ class TimeBound(NamedTuple):
         """
         from decimal import Decimal, InvalidOperation  # noqa: PLC0415  # only a conversion with a cut pays for it
 
-        written = _SECONDS.fullmatch(text.strip())
+        written = re.fullmatch(_SECONDS, text.strip())
         if written:
             try:
                 value = Decimal(written[1])
@@ -180,7 +180,7 @@ def _not_negative(value: object, number: _Number) -> _Number:
 
 def _moment(text: str) -> tuple[datetime, int]:
     """Read a date and time in ISO 8601, and the nanoseconds of a second's fraction, which no `datetime` holds."""
-    written = _DATE_AND_TIME.fullmatch(text.strip())
+    written = re.fullmatch(_DATE_AND_TIME, text.strip())
     if not written:
         return datetime.fromisoformat(text), 0
     start, fraction, zone = written.groups(default="")

@@ -15,9 +15,9 @@ from dataclasses import fields
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, NoReturn, get_args
 
+from pc2scan.core.layout import FULL_TURN
 from pc2scan.core.params import CHOICES, MEASURED, ProjectionParams
 from pc2scan.core.presets import PRESETS
-from pc2scan.core.quantities import EXAMPLES, FULL_TURN, in_degrees, quantity
 from pc2scan.errors import ParameterError
 from pc2scan.names import did_you_mean, nearest
 
@@ -306,6 +306,8 @@ def _typed(parameter: Parameter, setting: Setting) -> float | bool | str:
         with suppress(OverflowError):
             return float(value)
     if isinstance(value, str) and parameter.unit and isinstance(plain_scalar(value), str):
+        from pc2scan.core.quantities import quantity  # noqa: PLC0415  # most are plain numbers
+
         number = quantity(value, parameter.unit)
         if number is not None:
             return number
@@ -318,6 +320,8 @@ def _typed(parameter: Parameter, setting: Setting) -> float | bool | str:
 
 def _type_hint(parameter: Parameter, value: object) -> str | None:
     if isinstance(value, str) and parameter.unit and isinstance(plain_scalar(value), str):
+        from pc2scan.core.quantities import EXAMPLES  # noqa: PLC0415  # only for errors
+
         return EXAMPLES[parameter.unit]
     if parameter.words:
         return did_you_mean(str(value), parameter.words) or None
@@ -418,6 +422,8 @@ def refuse_degrees(
             name=beyond[0],
             hint=f"a full circle is {_where_given('`angle_min=-180deg`, `angle_max=180deg`', origin)}",
         )
+    from pc2scan.core.quantities import in_degrees  # noqa: PLC0415  # only for errors
+
     cures = ", ".join(f"`{name}={in_degrees(values[name])}`" for name in beyond)
     numbers = ", ".join(f"{math.radians(values[name]):.6g}" for name in beyond)
     raise ParameterError(

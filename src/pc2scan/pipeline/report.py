@@ -16,7 +16,6 @@ from pc2scan.shown import Shown, Table, count, listed, size
 from pc2scan.version import __version__
 
 from .parameters import from_preset
-from .stages.filters import as_dict
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -577,6 +576,8 @@ def _param_notes(spec: ScanSpec) -> Iterator[str]:
 
 def _spec_as_dict(spec: ScanSpec) -> dict[str, Any]:
     """Return the parameters and options of an output as JSON's types."""
+    from .stages.filters import as_dict  # noqa: PLC0415  # only reports in JSON need it
+
     return {
         "params": json_value(asdict(spec.params)),
         "param_origins": dict(spec.origins),

@@ -12,11 +12,11 @@ _FALSE = frozenset(["n", "N", "no", "No", "NO", "false", "False", "FALSE", "off"
 
 _NULL = frozenset({"", "~", "null", "Null", "NULL"})
 
-_INTEGER = re.compile(r"[-+]?([1-9][0-9]*|0[0-7]*|0[xX][0-9a-fA-F]+)")
+_INTEGER = r"[-+]?([1-9][0-9]*|0[0-7]*|0[xX][0-9a-fA-F]+)"
 
-_FLOAT = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
+_FLOAT = r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?"
 
-_SPECIAL = re.compile(r"([-+]?)\.?(inf|Inf|INF|nan|NaN|NAN)")
+_SPECIAL = r"([-+]?)\.?(inf|Inf|INF|nan|NaN|NAN)"
 
 
 def plain_scalar(text: str) -> bool | int | float | str | None:
@@ -29,11 +29,11 @@ def plain_scalar(text: str) -> bool | int | float | str | None:
         return text in _TRUE
     if text in _NULL:
         return None
-    if _INTEGER.fullmatch(text):
+    if re.fullmatch(_INTEGER, text):
         return _integer(text)
-    if _FLOAT.fullmatch(text):
+    if re.fullmatch(_FLOAT, text):
         return float(text)
-    special = _SPECIAL.fullmatch(text)
+    special = re.fullmatch(_SPECIAL, text)
     return float("".join(special.groups())) if special else text
 
 

@@ -20,11 +20,9 @@ from pc2scan.bags.destinations import (
     open_writer,
     plan_destination,
 )
-from pc2scan.bags.folders import overlap_warnings
 from pc2scan.bags.formats import chunk_format
 from pc2scan.bags.merged import as_one
 from pc2scan.bags.opening import open_recordings
-from pc2scan.core.quantities import byte_size
 from pc2scan.errors import (
     DamageError,
     DestinationError,
@@ -149,6 +147,8 @@ def scratch_bytes(text: str | None) -> int | None:
     """
     if text is None:
         return None
+    from pc2scan.core.quantities import byte_size  # noqa: PLC0415  # few conversions are of URLs
+
     size = byte_size(text)
     if not size:
         raise UsageError(f"`scratch_size` is {text!r}, it must be a size above 0", hint="with its unit: 500MB, 20GB")
@@ -361,7 +361,11 @@ def _run(
     check_to(path, output.to)
     target = _target(path, is_named, reader, summaries, options, output)
     report.container, report.ros_version = target.container, target.ros_version
-    report.warnings += (*overlap_warnings(readers), *plan.warnings, *doubts(options))
+    if readers[1:]:
+        from pc2scan.bags.folders import overlap_warnings  # noqa: PLC0415  # most recordings are one
+
+        report.warnings += overlap_warnings(readers)
+    report.warnings += (*plan.warnings, *doubts(options))
     in_parts = output.cut is not None and not target.storage
     files.parts = parts_beside(path) if in_parts else ()
     if output.dry_run:

@@ -14,7 +14,6 @@ from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.messages.outputs import OF_CLOUDS, OF_SCANS
 
 from .combine.asked import Combining
-from .stages.filters import rejection_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -242,7 +241,11 @@ class ScanSpec:
     @property
     def rejections(self) -> tuple[Rejection, ...]:
         """Why points may be rejected, other than by the projection itself."""
-        further = tuple(map(rejection_of, self.filters))
+        further: tuple[Rejection, ...] = ()
+        if self.filters:
+            from .stages.filters import rejection_of  # noqa: PLC0415  # only where points are filtered
+
+            further = tuple(map(rejection_of, self.filters))
         if not self.deskew or self.reverse:
             return further
         from .stages.deskew import NO_TIME, NO_TRANSFORM  # noqa: PLC0415  # only where points move

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
@@ -26,9 +25,6 @@ LIBRARIES = {
     "memory": "",
 }
 
-#: A Path has one slash where a URL has two.
-_URL = re.compile(rf"({'|'.join(LIBRARIES)}):/+(.*)", re.DOTALL)
-
 
 def is_url(path: Path | None) -> bool:
     """Whether a path was given as a URL.
@@ -37,7 +33,11 @@ def is_url(path: Path | None) -> bool:
     >>> is_url(Path("s3://bucket/drive.mcap")), is_url(Path("s3/drive.mcap")), is_url(None)
     (True, False, False)
     """
-    return path is not None and _URL.match(path.as_posix()) is not None
+    if path is None:
+        return False
+    # A Path has one slash where a URL has two.
+    scheme, _, rest = path.as_posix().partition(":")
+    return rest.startswith("/") and scheme in LIBRARIES
 
 
 def url_of(path: Path) -> str:
@@ -47,9 +47,8 @@ def url_of(path: Path) -> str:
     >>> url_of(Path("s3://bucket/drive.mcap")), url_of(Path("file:///tmp/drive.mcap"))
     ('s3://bucket/drive.mcap', 'file:///tmp/drive.mcap')
     """
-    found = _URL.match(path.as_posix())
-    assert found is not None  # asked for only where `is_url` is true
-    scheme, rest = found.groups()
+    scheme, _, rest = path.as_posix().partition(":")
+    rest = rest.lstrip("/")
     return f"{scheme}:///{rest}" if scheme == "file" else f"{scheme}://{rest}"
 
 

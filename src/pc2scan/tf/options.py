@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from pc2scan.core.quantities import FULL_TURN
+from pc2scan.core.layout import FULL_TURN
 from pc2scan.errors import ParameterError, UsageError
 
 if TYPE_CHECKING:

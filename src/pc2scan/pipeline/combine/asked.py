@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
 from datetime import timedelta
 from numbers import Real
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
-from pc2scan.core.quantities import EXAMPLES, quantity
 from pc2scan.errors import UsageError
 
 __all__ = ["Combining", "Duration"]
@@ -21,11 +19,10 @@ Duration: TypeAlias = "str | float | timedelta"
 _LONGEST = 86_400.0
 _MOST = 100_000
 
-_CLOUDS = re.compile(r"(\d+) ?(?:clouds?|scans?|messages?)")
+_CLOUDS = r"(\d+) ?(?:clouds?|scans?|messages?)"
 
 
-@dataclass(frozen=True, slots=True)
-class Combining:
+class Combining(NamedTuple):
     """Which messages become one scan.
 
     Attributes
@@ -45,7 +42,7 @@ class Combining:
     lead: str = ""
     window_ns: int | None = None
     span_ns: int = 0
-    count: int = 0
+    count: int = 0  # type: ignore[assignment]  # instead of the tuple's method
     every_ns: int = 0
     rebin: bool = False
 
@@ -72,7 +69,7 @@ class Combining:
             If something cannot be read, or cannot be.
         """
         count = span_ns = 0
-        if isinstance(accumulate, str) and (written := _CLOUDS.fullmatch(accumulate.strip())):
+        if isinstance(accumulate, str) and (written := re.fullmatch(_CLOUDS, accumulate.strip())):
             count = int(written[1])
             if not 1 <= count <= _MOST:
                 raise UsageError(f"`accumulate` is {accumulate!r}, it must be 1 to {_MOST:,} clouds")
@@ -92,6 +89,8 @@ class Combining:
 
 def _nanoseconds(name: str, value: Duration, more: str = "") -> int:
     """Read a time."""
+    from pc2scan.core.quantities import EXAMPLES, quantity  # noqa: PLC0415  # most scans are made of one message
+
     seconds: float | None
     if isinstance(value, str):
         seconds = quantity(value, "s")
