@@ -127,6 +127,39 @@ def test_points_are_projected_where_they_are_at_their_own_times(dtype: str, pack
             assert (counts[0] - sum(lost), *counts[1:], *lost) == one
 
 
+@pytest.mark.skipif(not kernel.COMPILED, reason="there was no C compiler")
+@pytest.mark.parametrize("times_type", ["<u4", "<f4", "<f8", "<u8"])
+@pytest.mark.parametrize("tilt", [0.0, 1e-3, 0.3])
+@pytest.mark.parametrize("share", [0.05, 0.5, 1.0])
+def test_points_beside_the_heights_are_rejected_without_their_times(times_type: str, tilt: float, share: float) -> None:
+    rng = np.random.default_rng(int(100 * share))
+    for shape in ((9,), (17,), (5000,), (3, 2500)):
+        record = np.dtype([(name, "<f4") for name in "xyz"] + [("t", times_type), ("pad", "V8")])
+        cloud = np.zeros(shape, record)
+        for name, width in (("x", 30.0), ("y", 30.0), ("z", 0.5 / share)):
+            cloud[name] = rng.normal(size=shape) * width
+        cloud["z"] *= 10.0 ** rng.integers(-3, 2, shape)
+        for name in "xyz":
+            cloud[name][rng.random(shape) < 0.03] = np.nan
+            cloud[name][rng.random(shape) < 0.01] = rng.choice([np.inf, -np.inf, 3e38, -3e38, 1e17])
+        cloud["t"] = np.linspace(1000, 900_000, cloud.size).reshape(shape)
+        nodes = np.linspace(0.0, 1.0, 40)
+        angles = rng.normal(size=40) * tilt
+        transforms = np.zeros((40, 12))
+        transforms[:, 4] = 1.0
+        transforms[:, 0] = transforms[:, 8] = np.cos(angles)
+        transforms[:, 6], transforms[:, 2] = np.sin(angles), -np.sin(angles)
+        transforms[:, 9:] = rng.normal(size=(40, 3)) * [1, 1, tilt]
+        motion = MovingTransform(cloud["t"], 0.0, 1e-6, nodes, straight(transforms), timed=True)
+        x, y, z = (cloud[name] for name in "xyz")
+        for low, high in ((-0.5, 0.5), (-0.01, 0.3), (-math.inf, 0.0), (1e6, math.inf), (-1e9, 1e9)):
+            rule = rule_of(ProjectionParams(min_height=low, max_height=high, range_min=0.1))
+            ranges = np.zeros((2, 90), np.float32)
+            one = kernel.project(x, y, z, rule, motion, ranges[0], math.inf, 9.0)
+            assert one == plain.project(x, y, z, rule, motion, ranges[1], math.inf, 9.0)
+            np.testing.assert_array_equal(ranges[0], ranges[1])
+
+
 @pytest.mark.parametrize("dtype", ["<f4", ">f8", "<i2"])
 def test_the_span_of_values(dtype: str) -> None:
     rng = np.random.default_rng(3)
@@ -139,6 +172,9 @@ def test_the_span_of_values(dtype: str) -> None:
                 values[rng.random(shape) < 0.2] = np.nan
                 values[rng.random(shape) < 0.1] = np.inf
             assert kernel.span(x, values) == plain.span(x, values)
+            points = np.zeros(shape, np.dtype([("x", dtype), ("y", "V8"), ("values", kind), ("pad", "V4")]))
+            points["x"], points["values"] = x, values
+            assert kernel.span(points["x"], points["values"]) == plain.span(x, values)
 
 
 def test_a_frame_is_followed_as_numpy_follows_it() -> None:

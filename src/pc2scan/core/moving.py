@@ -30,6 +30,9 @@ class MovingTransform(NamedTuple):
     rows
         (2 N - 1, 12): at the nodes, and in the middle between each and the next one: the rows of the rotation, then the
         translation, in metres; NaN where there is no transform.
+    timed
+        Whether every point with coordinates has a time between the first and the last node. The compiled loops then
+        need no times of points that are too high or too low wherever the sensor was.
     """
 
     times: NDArray[Any]
@@ -37,3 +40,4 @@ class MovingTransform(NamedTuple):
     unit: float
     node_times: NDArray[np.float64]
     rows: NDArray[np.float64]
+    timed: bool = False

@@ -347,7 +347,13 @@ def _filled(stamps_ns: NDArray[np.int64], step_ns: int) -> NDArray[np.int64]:
     """Times, of which the first two are the ends, and so many evenly spaced ones that none is farther from the next."""
     begin_ns, end_ns = stamps_ns[:2].tolist()
     count = -(-(end_ns - begin_ns) // step_ns)
-    return np.unique(np.concatenate([stamps_ns, begin_ns + np.arange(1, count) * (end_ns - begin_ns) // count]))
+    found = np.concatenate([stamps_ns, begin_ns + np.arange(1, count) * (end_ns - begin_ns) // count])
+    found.sort()
+    # Twice as fast as unique.
+    kept = np.empty(found.size, np.bool_)
+    kept[0] = True
+    np.not_equal(found[1:], found[:-1], out=kept[1:])
+    return found[kept]
 
 
 def _with_middles(stamps_ns: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -42,7 +42,7 @@ def longest_gap_ns(chain: Chain, begin_ns: int, end_ns: int) -> int:
             first = int(link.stamps_ns.searchsorted(begin_ns, "right"))
             last = int(link.stamps_ns.searchsorted(end_ns, "left"))
             around = link.stamps_ns[max(first - 1, 0) : last + 1]
-            longest = max(longest, int(np.diff(around).max(initial=0)))
+            longest = max(longest, int((around[1:] - around[:-1]).max(initial=0)))
     return longest
 
 

@@ -18,9 +18,33 @@ static void fit_part(Part *part, double begin, double end, const double *first) 
     }
 }
 
+/* The row and the errors of z. A polynomial moves away from its start by at most the sum of its other coefficients. */
+static void bound_z(Motion *motion) {
+    double widest = 0, largest = 0;
+    motion->whole = 1;
+    for (Py_ssize_t i = 0; i < motion->count; i++) motion->whole &= motion->parts[i].known & motion->parts[i].tame;
+    for (int k = 0; k < 4; k++) {
+        const int at = k < 3 ? 6 + k : 11;
+        double low = INFINITY, high = -INFINITY;
+        for (Py_ssize_t i = 0; i < motion->count && motion->whole; i++) {
+            const Part *part = &motion->parts[i];
+            const double away = fabs((double)part->rate[at]) + fabs((double)part->bend[at]);
+            low = fmin(low, part->start[at] - away);
+            high = fmax(high, part->start[at] + away);
+        }
+        motion->row[k] = (float)((low + high) / 2);
+        /* What float32 rounds, here and where points are moved, is far below four millionths of the summands. */
+        const double error = (high - low) / 2 + 4e-6 * fmax(fabs(low), fabs(high));
+        if (k == 3) motion->level = (float)(1.000001 * error + FLT_MIN);
+        widest = k < 3 ? fmax(widest, (high - low) / 2) : widest;
+        largest = k < 3 ? fmax(largest, fmax(fabs(low), fabs(high))) : largest;
+    }
+    motion->slope = (float)(1.000001 * (widest + 4e-6 * largest));
+}
+
 int take_motion(Motion *motion, const Cloud *cloud, PyObject *tuple) {
     PyObject *times, *nodes, *rows;
-    if (!PyArg_ParseTuple(tuple, "OddOO", &times, &motion->offset, &motion->unit, &nodes, &rows)) return -1;
+    if (!PyArg_ParseTuple(tuple, "OddOOp", &times, &motion->offset, &motion->unit, &nodes, &rows, &motion->timed)) return -1;
     if (take_field(cloud, times, &motion->times_of, &motion->times) < 0) return -1;
     motion->held = 1;
     if (contiguous(nodes, &motion->nodes, PyBUF_SIMPLE, 8, -1) < 0) return -1;
@@ -40,6 +64,7 @@ int take_motion(Motion *motion, const Cloud *cloud, PyObject *tuple) {
     motion->count = count;
     const double *ends = motion->nodes.buf, *transforms = motion->rows.buf;
     for (Py_ssize_t k = 0; k < count; k++) fit_part(&motion->parts[k], ends[k], ends[k + 1], transforms + 24 * k);
+    bound_z(motion);
     return 0;
 }
 
@@ -246,6 +271,14 @@ WIDEST static void to_seconds(double *times, int count, double offset, double un
     for (int i = 0; i < count; i++) times[i] = (times[i] - offset) * unit;
 }
 
+/* Move points that have been read with their times. */
+static void move_filled(Motion *motion, Moved *block, int count) {
+    to_seconds(block->times, count, motion->offset, motion->unit);
+    /* Moved as well, up to eight at a time. */
+    for (int i = count; i < count + 8; i++) block->x[i] = block->y[i] = block->z[i] = 0, block->times[i] = 0;
+    move_block(motion, block, count);
+}
+
 /* Read points of one row, and move them. */
 static void move_points(Motion *motion, const Axis axis[3], const int common, Py_ssize_t row, Py_ssize_t column, int count,
                         Moved *block) {
@@ -263,12 +296,86 @@ static void move_points(Motion *motion, const Axis axis[3], const int common, Py
         else
             for (int i = taken; i < count; i++) to[k][i] = (float)read_any(from[k] + i * axis[k].step, &axis[k]);
     const Axis *field = &motion->times;
-    const double offset = motion->offset, unit = motion->unit;
     read_values(field, field->data + row * field->row_step + column * field->step, count, block->times);
-    to_seconds(block->times, count, offset, unit);
-    /* Moved as well, up to eight at a time. */
-    for (int i = count; i < count + 8; i++) block->x[i] = block->y[i] = block->z[i] = 0, block->times[i] = 0;
-    move_block(motion, block, count);
+    move_filled(motion, block, count);
+}
+
+/* Points of a row between two decisions whether many of them are too high or too low. */
+enum { STRETCH = 8 * BLOCK };
+
+#ifdef EIGHT
+/* Move the points that were chosen of a row whose times begin here, and project them. */
+static void move_chosen(Scan *scan, Motion *motion, Moved *block, const char *times) {
+    const Axis *field = &motion->times;
+    const Py_ssize_t step = field->step;
+    const int count = block->filled;
+    if (field->kind == 'f' && field->size == 8 && !field->swapped)
+        for (int i = 0; i < count; i++) block->times[i] = read_double(times + block->number[i] * step);
+    else if (field->swapped || field->size != 4 || field->kind == 'i')
+        for (int i = 0; i < count; i++) block->times[i] = read_any(times + block->number[i] * step, field);
+    else if (field->kind == 'f')
+        for (int i = 0; i < count; i++) block->times[i] = read_float(times + block->number[i] * step);
+    else
+        for (int i = 0; i < count; i++) block->times[i] = read_unsigned(times + block->number[i] * step);
+    move_filled(motion, block, count);
+    append_eight(scan, block->to_x, block->to_y, block->to_z, count);
+    block->filled = 0;
+}
+
+/* Project points of one row, eight at a time: a stretch of it, and as long as what is read of them stays in front of the
+   last one; returns how many. Those that are too high or too low wherever the sensor was are not moved. */
+EIGHT_WIDE static Py_ssize_t load_moving_eight(Scan *scan, Motion *motion, const char *from, Py_ssize_t step,
+                                               const char *times, Py_ssize_t count, Moved *block) {
+    const __m256 lowest = _mm256_set1_ps((float)scan->rule.lowest), highest = _mm256_set1_ps((float)scan->rule.highest);
+    const __m256 absolute = _mm256_castsi256_ps(_mm256_set1_epi32(0x7fffffff)), tame = _mm256_set1_ps(TAME);
+    const __m256 slope = _mm256_set1_ps(motion->slope), level = _mm256_set1_ps(motion->level);
+    const __m256i lanes = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
+    Py_ssize_t taken = 0;
+    int64_t nans = 0, levels = 0;
+    block->filled = 0;
+    for (; taken + 8 < count && taken < STRETCH; taken += 8, from += 8 * step) {
+        __m256 x, y, z;
+        prefetch_points(from, step);
+        load_points(from, step, &x, &y, &z);
+        const __m256 nan = _mm256_or_ps(_mm256_cmp_ps(x, y, _CMP_UNORD_Q), _mm256_cmp_ps(z, z, _CMP_UNORD_Q));
+        const __m256 size = _mm256_add_ps(_mm256_and_ps(x, absolute), _mm256_add_ps(_mm256_and_ps(y, absolute), _mm256_and_ps(z, absolute)));
+        const __m256 about = turn_eight(x, y, z, motion->row, motion->row + 3);
+        const __m256 error = _mm256_add_ps(_mm256_mul_ps(size, slope), level);
+        const __m256 above = _mm256_cmp_ps(_mm256_sub_ps(about, error), highest, _CMP_GT_OQ);
+        const __m256 below = _mm256_cmp_ps(_mm256_add_ps(about, error), lowest, _CMP_LT_OQ);
+        const __m256 away = _mm256_and_ps(_mm256_or_ps(above, below), _mm256_cmp_ps(size, tame, _CMP_LE_OQ));
+        const int gone = _mm256_movemask_ps(_mm256_or_ps(nan, away)), keep = gone ^ 255;
+        if (gone) {
+            const int unknown = __builtin_popcount((unsigned)_mm256_movemask_ps(nan));
+            nans += unknown;
+            levels += __builtin_popcount((unsigned)gone) - unknown;
+            if (!keep) continue;
+        }
+        if (block->filled > BLOCK - 8) move_chosen(scan, motion, block, times);
+        const int filled = block->filled;
+        const __m256i to = lanes_of(keep), number = _mm256_add_epi32(lanes, _mm256_set1_epi32((int32_t)taken));
+        _mm256_storeu_ps(block->x + filled, _mm256_permutevar8x32_ps(x, to));
+        _mm256_storeu_ps(block->y + filled, _mm256_permutevar8x32_ps(y, to));
+        _mm256_storeu_ps(block->z + filled, _mm256_permutevar8x32_ps(z, to));
+        _mm256_storeu_si256((__m256i *)(block->number + filled), _mm256_permutevar8x32_epi32(number, to));
+        block->filled += __builtin_popcount((unsigned)keep);
+    }
+    if (block->filled) move_chosen(scan, motion, block, times);
+    scan->nan += nans;
+    scan->height += levels;
+    return taken;
+}
+#endif
+
+/* Whether points that are too high or too low can be told before they are moved: 1, else 0. */
+static int can_choose(const Scan *scan, const Cloud *cloud, const Motion *motion) {
+#ifdef EIGHT
+    return eight_at_once && in_common(cloud->axis) == FLOATS && scan->smallest && motion->timed && motion->whole &&
+           are_packed(cloud->axis);
+#else
+    (void)scan, (void)cloud, (void)motion;
+    return 0;
+#endif
 }
 
 void load_moving(Scan *scan, const Cloud *cloud, Motion *motion) {
@@ -276,11 +383,28 @@ void load_moving(Scan *scan, const Cloud *cloud, Motion *motion) {
     Moved block;
     motion->lowest = (float)scan->rule.lowest;
     motion->highest = (float)scan->rule.highest;
+    const Axis *axis = cloud->axis;
+    int choosing = can_choose(scan, cloud, motion);
     for (Py_ssize_t row = 0; row < cloud->rows; row++)
-        for (Py_ssize_t column = 0; column < cloud->columns; column += BLOCK) {
-            const int count = cloud->columns - column < BLOCK ? (int)(cloud->columns - column) : BLOCK;
-            move_points(motion, cloud->axis, common, row, column, count, &block);
-            append(scan, block.to_x, block.to_y, block.to_z, (int64_t)row * cloud->columns + column, count);
+        for (Py_ssize_t column = 0, taken; column < cloud->columns; column += taken) {
+            const Py_ssize_t left = cloud->columns - column;
+            const int64_t rejected = scan->height;
+            taken = 0;
+#ifdef EIGHT
+            if (choosing > 0) {
+                const char *from = axis[0].data + row * axis[0].row_step + column * axis[0].step;
+                const char *times = motion->times.data + row * motion->times.row_step + column * motion->times.step;
+                taken = load_moving_eight(scan, motion, from, axis[0].step, times, left, &block);
+            }
+#endif
+            for (; taken < left && taken < STRETCH;) {
+                const int count = left - taken < BLOCK ? (int)(left - taken) : BLOCK;
+                move_points(motion, axis, common, row, column + taken, count, &block);
+                append(scan, block.to_x, block.to_y, block.to_z, (int64_t)row * cloud->columns + column + taken, count);
+                taken += count;
+            }
+            /* Choosing points takes time, too. */
+            if (choosing) choosing = 4 * (scan->height - rejected) > taken ? 1 : -1;
         }
     if (scan->filled) project_block(scan);
     /* They have no coordinates any more, and were taken for points without. */

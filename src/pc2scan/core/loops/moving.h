@@ -35,12 +35,20 @@ typedef struct {
     int64_t untimed, nowhere;
     /* Points whose z is outside of these may have any x and y. */
     float lowest, highest;
+    /* Whether all points have times between those of the nodes, and all parts are known and tame. */
+    int timed, whole;
+    /* z of all points at all times: a row times the point and a part of the translation, with an error of at most
+       slope * (|x| + |y| + |z|) + level. */
+    float row[4], slope, level;
 } Motion;
 
 /* Points of a block, and where they are at their own times. */
 typedef struct {
     float x[PADDED], y[PADDED], z[PADDED], to_x[PADDED], to_y[PADDED], to_z[PADDED];
     double times[PADDED];
+    /* How many there are, and which points of their row, if they are chosen ones. */
+    int filled;
+    int32_t number[PADDED];
 } Moved;
 
 /* Take a motion from Python: (times, offset, unit, node_times, rows); see plain.py. Release it even if that failed. */

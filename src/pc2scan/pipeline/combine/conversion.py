@@ -331,7 +331,7 @@ class CombineToScan(Conversion):
         motion: Motion | None = None
         if lead.target_from_fixed is not None and member.track is not None:
             track = member.track._replace(points=member.points)
-            moving = track.seen_from(lead.target_from_fixed, mount or _NOWHERE, lead.frame_id, lead.reference_ns)
+            moving = track.seen_from(lead.target_from_fixed, (mount or _NOWHERE,), lead.frame_id, lead.reference_ns)
             motion = moving.motion
         elif lead.target_from_fixed is not None and member.fixed_from_source is not None:
             # At one time the transform is that between the two frames, to the bit.

@@ -44,11 +44,19 @@ _LONGEST = 60.0
 #: Seconds below which the times of all points are the same.
 _SHORTEST = 1e-9
 
-#: Nodes between which transforms are interpolated: at most so far apart, nanoseconds and radians. The rotation between
-#: two of them is off by 0.008 times the third power of that angle: at most 0.8 micrometres at 100 m.
-_STEP_NS = 1_000_000
+#: Nodes between which transforms are interpolated: at most so far apart, nanoseconds and radians. Transforms are looked
+#: up in the middle between two of them as well, so every millisecond. The rotation is off by 0.008 times the third
+#: power of that angle: at most 0.8 micrometres at 100 m.
+_STEP_NS = 2_000_000
 _STEP = 0.01
 _MOST_NODES = 20_000
+
+#: A time, and the stamps of a transform that is valid at any.
+_ONCE, _ALWAYS = np.zeros(1, np.int64), np.empty(0, np.int64)
+#: The row of a transform that changes nothing.
+_IDENTITY = np.array([[1.0, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0]])
+#: Sums of a row's last three numbers, and of the others.
+_SUMS = np.repeat([[0.0, 1.0], [1.0, 0.0]], [9, 3], axis=0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -268,6 +276,8 @@ class Track(NamedTuple):
         See `Moving` and `MovingTransform`; the rows take points to the fixed frame.
     gap_ns
         The longest time that transforms were interpolated over.
+    timed
+        See `MovingTransform`.
     """
 
     points: Points
@@ -278,11 +288,12 @@ class Track(NamedTuple):
     node_times: NDArray[np.float64]
     rows: NDArray[np.float64]
     gap_ns: int
+    timed: bool
 
     def seen_from(
         self,
         target_from_fixed: Rigid,
-        reference: Rigid,
+        reference: tuple[Rigid, ...],
         frame_id: str,
         stamp_ns: int,
         rows: NDArray[np.float64] | None = None,
@@ -294,7 +305,7 @@ class Track(NamedTuple):
         target_from_fixed
             That frame, at the scan's time.
         reference
-            target_from_sensor; how far the sensor moved is its distance from this.
+            target_from_sensor, by transforms that follow each other: how far the sensor moved is measured from there.
         frame_id, stamp_ns
             The frame's name, and the scan's time.
         rows
@@ -302,9 +313,9 @@ class Track(NamedTuple):
         """
         rows = self.rows.copy() if rows is None else rows
         any_time = np.zeros(len(rows), np.int64)
-        kernel.follow(any_time, any_time[:0], np.array([target_from_fixed.pose]), rows)
+        kernel.follow(any_time, _ALWAYS, np.array([target_from_fixed.pose]), rows)
         values = self.points.field(self.time_field)
-        transform = MovingTransform(values, self.offset, self.unit, self.node_times, rows)
+        transform = MovingTransform(values, self.offset, self.unit, self.node_times, rows, self.timed)
         motion = _motion(rows, reference, self.gap_ns)
         return Moving(self.points, stamp_ns, transform, self.time_field, frame_id, motion)
 
@@ -356,9 +367,9 @@ class Deskew:
         buffer, tolerance_ns, reference_ns = self._known(), self._frames.tolerance_ns, track.reference_ns
         source = self._frames.source_frame or points.frame_id
         target, from_fixed = self._frames.from_fixed(self._fixed, points.frame_id, reference_ns)
-        reference = from_fixed.product(buffer.lookup(self._fixed, source, reference_ns, tolerance_ns))
+        reference = buffer.lookup(self._fixed, source, reference_ns, tolerance_ns)
         # Nobody else has the rows.
-        return track.seen_from(from_fixed, reference, target, reference_ns, track.rows)
+        return track.seen_from(from_fixed, (from_fixed, reference), target, reference_ns, track.rows)
 
     def track(self, points: Points) -> Track | None:
         """Look up where a cloud's sensor was in the fixed frame; None for a cloud without a point.
@@ -408,7 +419,8 @@ class Deskew:
             _raise_why(buffer, self._fixed, source, begin_ns)
         times = (stamps_ns - stamp_ns) / 1e9
         timed = points if given else points.replace(_Times(points, name, offset, unit), points.frame_id)
-        return Track(timed, reference_ns, name, offset, unit, times, rows, gap_ns)
+        all_timed = not unknown and bool(times[0] <= low and high <= times[-1])
+        return Track(timed, reference_ns, name, offset, unit, times, rows, gap_ns, all_timed)
 
     def _known(self) -> TransformBuffer:
         if self._frames.buffer is None:
@@ -443,8 +455,9 @@ def _raise_why(buffer: TransformBuffer, fixed: str, source: str, time_ns: int) -
 
 def _step_ns(stamps_ns: NDArray[np.int64], rows: NDArray[np.float64]) -> int:
     """How far nodes may be apart, given some."""
-    differences = np.diff(rows[:, :9], axis=0)
-    largest = float(np.nanmax(np.einsum("ni,ni->n", differences, differences), initial=0.0))
+    differences = rows[1:, :9] - rows[:-1, :9]
+    # fmax ignores NaN.
+    largest = float(np.fmax.reduce(np.einsum("ni,ni->n", differences, differences), initial=0.0))
     # A rotation by an angle changes its matrix by the root of 8 times the sine of half of that.
     angle = 2 * math.asin(min(1.0, math.sqrt(largest / 8)))
     if angle <= _STEP:
@@ -460,9 +473,12 @@ def _angles(differences: NDArray[np.float64]) -> NDArray[np.float64]:
     return angles
 
 
-def _motion(rows: NDArray[np.float64], reference: Rigid, gap_ns: int) -> Motion:
-    differences = rows - np.concatenate([reference.matrix.reshape(9), reference.translation])
-    away, turned = (np.einsum("ni,ni->n", part, part) for part in (differences[:, 9:], differences[:, :9]))
+def _motion(rows: NDArray[np.float64], reference: tuple[Rigid, ...], gap_ns: int) -> Motion:
+    row = _IDENTITY.copy()
+    for transform in reversed(reference):
+        kernel.follow(_ONCE, _ALWAYS, np.array([transform.pose]), row)
+    squares = rows - row
+    squares *= squares
     # fmax ignores NaN.
-    distance, angle = (math.sqrt(float(np.fmax.reduce(squares))) for squares in (away, turned))
+    distance, angle = (math.sqrt(float(np.fmax.reduce(part))) for part in (squares @ _SUMS).T)
     return Motion(distance, 2 * math.asin(min(1.0, angle / math.sqrt(8))), gap_ns / 1e9)
