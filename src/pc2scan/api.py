@@ -413,6 +413,8 @@ def batch(
     fail_fast: bool = False,
     dry_run: bool = False,
     dask: bool | str = False,
+    scratch: PathText | None = None,
+    scratch_size: str | None = None,
     report: PathText | None = None,
     progress: Callable[[BatchProgress], None] | None = None,
     **words: Any,
@@ -423,9 +425,10 @@ def batch(
     ----------
     sources
         Folders, which are searched; recordings; globs; text files with a path a line. Recordings are found by content.
+        Any of them may be a URL (``s3://``, ``gs://``, ``az://``; single files at ``https://``).
     destination
         The folder for the results, in the tree of the sources, and for ``manifest.jsonl``. A second call does only what
-        is missing, changed or failed.
+        is missing, changed or failed. It may be a URL.
     dataset
         A dataset file: options that differ between recordings. ``words`` override it.
     jobs
@@ -443,6 +446,9 @@ def batch(
     dask
         True: a Dask cluster on this machine converts; an address, ``tcp://scheduler:8786``: the cluster of that
         scheduler. Needs ``pc2scan[dask]``. With True, a script needs ``if __name__ == "__main__"``.
+    scratch, scratch_size
+        As for `pc2scan.convert`: the folder for local copies of what is at URLs, and what all of them may take there.
+        With ``dask`` each worker has a folder, and so much room, of its own.
     report
         A file to write the summary to: ``.json``, ``.csv`` or ``.md``.
     progress
@@ -472,6 +478,7 @@ def batch(
     {'failed': 2, 'converted': 998}
     """
     from .batch.run import BatchOptions, Watch, run_batch  # noqa: PLC0415
+    from .pipeline.run import scratch_bytes  # noqa: PLC0415
 
     options = BatchOptions(
         dataset=None if dataset is None else path_of("dataset", dataset),
@@ -483,6 +490,8 @@ def batch(
         dry_run=dry_run,
         dask=dask,
         report=None if report is None else path_of("report", report),
+        scratch=None if scratch is None else path_of("scratch", scratch),
+        scratch_size=scratch_bytes(scratch_size),
     )
     watch = Watch() if progress is None else Watch(progress=progress)
     names = [str(path) for path in paths_in("sources", sources)]

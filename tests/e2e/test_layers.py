@@ -59,7 +59,7 @@ ALLOWED = {
     "export": {"streams", "pipeline", "core", "tf", "messages", "bags", "files"},
     "look": {"streams", "pipeline", "inspect", "compare", "core", "tf", "messages", "bags", "files"},
     # `cli.memory`: worker processes are the command's own.
-    "batch": {"requests", "export", "pipeline", "core", "bags", "files", "cli.memory", "remote.urls"},
+    "batch": {"requests", "export", "pipeline", "core", "bags", "files", "cli.memory", "remote"},
     # `cli.in_process`: golden cases run the command. `cli.command_line`: pages show the one that means the same.
     "requests": {"pipeline", "core", "streams", "tf"},
     "api": {

@@ -179,8 +179,6 @@ def test_nothing_there_and_other_commands() -> None:
         pc2scan.info("memory://bucket/none.bag")
     with pytest.raises(UsageError, match="only convert, info and tf read URLs"):
         pc2scan.check("https://me:secret@example.org/a.bag?token=1")
-    with pytest.raises(UsageError, match="a batch takes local paths"):
-        pc2scan.batch("memory://bucket", "out")
 
 
 def run(*words: str, environment: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:

@@ -20,8 +20,10 @@ from uuid import uuid4
 
 from pc2scan.errors import OutputError, Pc2ScanError, UsageError
 from pc2scan.files.staging import clean_up
+from pc2scan.remote.urls import is_url
 from pc2scan.version import __version__
 
+from .staged import jobs_here
 from .work import Result, died
 from .workers import Began, Ended, Progressed, Told, execute
 
@@ -203,9 +205,9 @@ def _convert(job: Job, version: str, topic: str) -> _Answer:
     host = socket.gethostname()
     if version != __version__:
         return _Answer(host, version=__version__)
-    unseen = tuple(path for path in job.sources if not os.path.lexists(path))
+    unseen = tuple(path for path in job.sources if not is_url(Path(path)) and not os.path.lexists(path))
     folder = os.path.dirname(job.destination)  # noqa: PTH120  # text stays text
-    if not os.path.isdir(folder):  # noqa: PTH112
+    if not is_url(Path(folder)) and not os.path.isdir(folder):  # noqa: PTH112
         return _Answer(host, unseen=(folder, *unseen))
     worker = get_worker()
     key = worker.get_current_task()
@@ -235,7 +237,10 @@ def _convert(job: Job, version: str, topic: str) -> _Answer:
 
 def _converted(job: Job, threads: int, check: Any, tell: Any) -> Result:
     last = 0.0
-    with closing(execute([job], workers=1, cores=threads, retries=0, check=check)) as events:
+    with (
+        jobs_here([job], workers=1) as queue,
+        closing(execute(queue, workers=1, cores=threads, retries=0, check=check)) as events,
+    ):
         for event in events:
             if isinstance(event, Ended):
                 return event.result
@@ -248,7 +253,8 @@ def _converted(job: Job, threads: int, check: Any, tell: Any) -> Result:
 
 def _check_workers(client: Any, jobs: Sequence[Job]) -> None:
     """Make sure that the workers have this version of pc2scan, and see what is read and written."""
-    paths = sorted({path for job in jobs for path in (*job.sources, os.path.dirname(job.destination))})  # noqa: PTH120
+    named = {path for job in jobs for path in (*job.sources, os.path.dirname(job.destination))}  # noqa: PTH120
+    paths = sorted(path for path in named if not is_url(Path(path)))
 
     # A function in a function is sent as it is: a worker without pc2scan can run it, too.
     def look(paths: list[str]) -> tuple[str, str, list[str]]:

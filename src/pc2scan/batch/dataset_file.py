@@ -16,6 +16,7 @@ from pc2scan.names import did_you_mean
 from pc2scan.pipeline.parameters import RIVALS
 from pc2scan.pipeline.ros_scalars import plain_scalar
 from pc2scan.pipeline.yaml_nodes import compose, is_empty, is_mapping, is_scalar
+from pc2scan.remote.urls import is_url
 
 from .words import WORDS, Word
 
@@ -224,7 +225,7 @@ class _Reader:
 
     def _located(self, text: str) -> str:
         """A path, relative to the file."""
-        return str(self._path.parent / Path(text).expanduser())
+        return text if is_url(Path(text)) else str(self._path.parent / Path(text).expanduser())
 
     def _unexpected(self, node: Any, name: str, kind: str) -> UsageError:
         found = {"mapping": "a mapping", "sequence": "a list"}.get(node.id) or repr(str(node.value)[:80])

@@ -14,11 +14,15 @@ from pc2scan.bags.opening import open_recording, sniff
 from pc2scan.errors import Pc2ScanError, RecordingError, UsageError
 from pc2scan.files.source import opened_bytes
 from pc2scan.files.staging import working_names
+from pc2scan.remote.urls import is_url
 
 from .identity import Identity, identity_of
+from .stores import Stores
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
+
+    from pc2scan.bags.reader import Reader
 
     #: Returns the container of a recording that is known by its first path and its files; empty if it is not.
     Known = Callable[[Path, Identity], str]
@@ -78,25 +82,35 @@ class _Search:
     known: Known
     #: Files that batches have written: they are no sources.
     outputs: frozenset[Path]
+    stores: Stores
     #: Folders by device and inode, because links may lead around in circles; files by their paths without links.
     folders: set[tuple[int, int]] = field(default_factory=set)
     files: set[str] = field(default_factory=set)
 
 
-def find(sources: Sequence[str], out: Path, *, known: Known | None = None, outputs: Iterable[Path] = ()) -> list[Found]:
+def find(
+    sources: Sequence[str],
+    out: Path,
+    *,
+    known: Known | None = None,
+    outputs: Iterable[Path] = (),
+    stores: Stores | None = None,
+) -> list[Found]:
     """Find recordings.
 
     Parameters
     ----------
     sources
         Folders, which are searched; recordings; globs (``**`` for any folders); text files with a path a line, relative
-        to the file's folder.
+        to the file's folder. Or URLs of these.
     out
         Where the batch writes: not searched.
     known
         Returns the container of what an earlier run has found, by path and identity, so that it need not be opened.
     outputs
         What earlier runs have written.
+    stores
+        What is at URLs: their paths are those of stand-ins.
 
     Returns
     -------
@@ -110,9 +124,10 @@ def find(sources: Sequence[str], out: Path, *, known: Known | None = None, outpu
     UsageError
         If a folder to be searched is in ``out``, a glob matches nothing, or two recordings would have one key.
     """
-    search = _Search(_id(out), known or (lambda _path, _identity: ""), frozenset(map(_absolute, outputs)))
+    stores = Stores(None) if stores is None else stores
+    search = _Search(_id(out), known or (lambda _path, _identity: ""), frozenset(map(_absolute, outputs)), stores)
     found: list[Found] = []
-    for places in _gathered(sources, out):
+    for places in _gathered(sources, out, stores):
         named: dict[Path, list[Found]] = {}
         for place in places:
             if place.named:
@@ -124,10 +139,11 @@ def find(sources: Sequence[str], out: Path, *, known: Known | None = None, outpu
     return sorted(_distinct(found), key=lambda each: _natural(each.key))
 
 
-def _gathered(sources: Sequence[str], out: Path) -> Iterator[Iterable[_Place]]:
+def _gathered(sources: Sequence[str], out: Path, stores: Stores) -> Iterator[Iterable[_Place]]:
     """What is named, in places with one root: single files share the folder that all of them are in."""
     files: list[Path] = []
-    for text in sources:
+    for source in sources:
+        text = stores.located(source)
         path = Path(text)
         if path.is_dir():
             _refuse_inside(path, out)
@@ -135,14 +151,14 @@ def _gathered(sources: Sequence[str], out: Path) -> Iterator[Iterable[_Place]]:
                 [_Place(path, path, named=False)] if not _is_rosbag2(path) else [_Place(path, path.parent, named=True)]
             )
         elif path.exists():
-            if (listed := _listed(path)) is None:
+            if (listed := _listed(path, stores)) is None:
                 files.append(path)
             else:
-                yield from _paths(listed, out, searching=f"{path}: ")
+                yield from _at_all(listed, out, stores, searching=f"{path}: ")
         elif _GLOB & set(text):
             matches = sorted(glob.glob(text, recursive=True))  # noqa: PTH207  # the text may be absolute
             if not matches:
-                raise UsageError(f"{text!r} matches nothing")
+                raise UsageError(f"{source!r} matches nothing")
             yield [
                 _Place(Path(match), _literal_part(text), named=not os.path.isdir(match))  # noqa: PTH112
                 for match in matches
@@ -151,7 +167,13 @@ def _gathered(sources: Sequence[str], out: Path) -> Iterator[Iterable[_Place]]:
         else:
             # Raises, with what may be meant.
             sniff(path)
-    yield from _paths(files, out)
+    yield from _at_all(files, out, stores)
+
+
+def _at_all(paths: Sequence[Path], out: Path, stores: Stores, searching: str = "") -> Iterator[list[_Place]]:
+    """Places for paths that were named one by one, those at URLs by themselves."""
+    for remote in (False, True):
+        yield from _paths([path for path in paths if stores.is_remote(path) == remote], out, searching)
 
 
 def _paths(paths: Sequence[Path], out: Path, searching: str = "") -> Iterator[list[_Place]]:
@@ -186,7 +208,7 @@ def _literal_part(pattern: str) -> Path:
     return Path(*parts)
 
 
-def _listed(path: Path) -> list[Path] | None:
+def _listed(path: Path, stores: Stores) -> list[Path] | None:
     """The paths in a text file; None if it is no list of paths."""
     if is_named_as_recording(path.name):
         return None
@@ -199,7 +221,11 @@ def _listed(path: Path) -> list[Path] | None:
     except (OSError, UnicodeDecodeError):
         return None
     lines = [line.strip() for line in text.splitlines()]
-    paths = [path.parent / line for line in lines if line and not line.startswith("#")]
+    named = [line for line in lines if line and not line.startswith("#")]
+    if any(is_url(Path(line)) for line in named) or stores.is_remote(path):
+        # Nothing else looks like a URL. That of a folder ends with a slash as well as not.
+        return [Path(stores.located(stores.beside(path, line))) for line in named]
+    paths = [path.parent / line for line in named]
     # A list has at least one path that leads somewhere; anything else is a text given by mistake.
     return paths if any(map(os.path.lexists, paths)) else None
 
@@ -258,7 +284,7 @@ def _judged(path: Path, key: str, search: _Search, *, named: bool) -> Iterator[F
         container = sniff(path).partition("+")[0]
         if container == "sqlite3" and not named:
             # Other programs have databases, too.
-            open_recording(path).close()
+            _opened(path, search).close()
     except Pc2ScanError as err:
         if named:
             yield Found(key, (path,), "", identity, err)
@@ -294,7 +320,7 @@ def _chains(group: Sequence[Found], search: _Search) -> Iterator[list[Found]]:
         for each in group:
             reader = None
             with suppress(Pc2ScanError):
-                reader = open_recording(each.paths[0])
+                reader = _opened(each.paths[0], search)
             if chain and not (last and reader and continues(chain[-1].paths[0], last, each.paths[0], reader)):
                 yield chain
                 chain = []
@@ -306,6 +332,11 @@ def _chains(group: Sequence[Found], search: _Search) -> Iterator[list[Found]]:
         if last is not None:
             last.close()
     yield chain
+
+
+def _opened(path: Path, search: _Search) -> Reader:
+    search.stores.complete(path)
+    return open_recording(path)
 
 
 def _known_chains(group: Sequence[Found], search: _Search) -> list[list[Found]]:

@@ -13,7 +13,10 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
     from pathlib import Path
 
-__all__ = ["Identity", "checksum_of", "identity_of"]
+__all__ = ["Identity", "checksum_of", "identity_of", "versions"]
+
+#: What a store says of the version of a file that is a copy, or a stand-in, of one of its own; by absolute path.
+versions: dict[str, str] = {}
 
 _PIECE_BYTES = 1 << 20
 
@@ -23,9 +26,12 @@ _MOST = 100
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """The files of a recording: the name, size and time of modification (ns) of each; none if it is not there."""
+    """The files of a recording: the name, size and time of modification (ns) of each; none if it is not there.
 
-    files: tuple[tuple[str, int, int], ...] = ()
+    Of what is in a store, the version that it has there, such as its ETag, instead of a time.
+    """
+
+    files: tuple[tuple[str, int, int | str], ...] = ()
 
     @property
     def size_bytes(self) -> int:
@@ -43,7 +49,9 @@ class Identity:
     @classmethod
     def from_json(cls, files: Iterable[Sequence[Any]]) -> Identity:
         """Read what `as_json` returned."""
-        return cls(tuple((str(name), int(size), int(time)) for name, size, time in files))
+        return cls(
+            tuple((str(name), int(size), time if isinstance(time, str) else int(time)) for name, size, time in files)
+        )
 
 
 def identity_of(paths: Iterable[Path]) -> Identity:
@@ -58,20 +66,20 @@ def identity_of(paths: Iterable[Path]) -> Identity:
     return Identity(tuple(found))
 
 
-def _file(name: str, status: os.stat_result) -> tuple[str, int, int]:
-    return name, status.st_size, status.st_mtime_ns
+def _file(name: str, status: os.stat_result, path: str) -> tuple[str, int, int | str]:
+    return name, status.st_size, versions.get(path, status.st_mtime_ns)
 
 
-def _alone(path: Path) -> list[tuple[str, int, int]]:
+def _alone(path: Path) -> list[tuple[str, int, int | str]]:
     """A file, and the logs beside a database: a recorder that still runs may write only to these."""
-    found = [_file(path.name, os.stat(path))]  # noqa: PTH116
+    found = [_file(path.name, os.stat(path), str(path))]  # noqa: PTH116
     if path.suffix.lower() == ".db3":
         logs = filter(None, (file_beside(path, suffix) for suffix in ("-wal", "-journal")))
-        found += [_file(log.name, log.stat()) for log in logs if log.stat().st_size]
+        found += [_file(log.name, log.stat(), str(log)) for log in logs if log.stat().st_size]
     return found
 
 
-def _in_folder(folder: Path) -> list[tuple[str, int, int]]:
+def _in_folder(folder: Path) -> list[tuple[str, int, int | str]]:
     """The files in a folder and in those below it; of very many (one for each cloud) what all are together."""
     found = []
     for place, folders, names in os.walk(folder):
@@ -81,10 +89,19 @@ def _in_folder(folder: Path) -> list[tuple[str, int, int]]:
         for name in sorted(name for name in names if not name.endswith("-shm")):
             # A link may lead nowhere.
             with suppress(OSError):
-                found.append(_file(os.path.normpath(os.path.join(below, name)), os.stat(os.path.join(place, name))))  # noqa: PTH116, PTH118
+                path = os.path.join(place, name)  # noqa: PTH118
+                found.append(_file(os.path.normpath(os.path.join(below, name)), os.stat(path), path))  # noqa: PTH116, PTH118
     if len(found) <= _MOST:
         return found
-    return [(f"{len(found)} files", sum(size for _, size, _ in found), max(time for _, _, time in found))]
+    times = [time for _, _, time in found]
+    last = max((time for time in times if isinstance(time, int)), default=0)
+    if any(isinstance(time, str) for time in times):
+        import hashlib  # noqa: PLC0415  # few recordings have so many files
+
+        return [
+            (f"{len(found)} files", sum(size for _, size, _ in found), hashlib.sha256(repr(times).encode()).hexdigest())
+        ]
+    return [(f"{len(found)} files", sum(size for _, size, _ in found), last)]
 
 
 def checksum_of(paths: Iterable[Path]) -> str:

@@ -266,4 +266,7 @@ def _changed(found: Found, record: Record, checksum: Callable[[Found], str] | No
         return f"the source was changed: it has {size(now.size_bytes)}, it had {size(before.size_bytes)}"
     if checksum is not None and record.sha256 is not None:
         return "" if checksum(found) == record.sha256 else "the source was changed: another checksum"
-    return "" if now == before else "the source was changed: another time of modification"
+    if now == before:
+        return ""
+    of_store = any(isinstance(version, str) for _, _, version in now.files)
+    return f"the source was changed: another {'version' if of_store else 'time of modification'}"

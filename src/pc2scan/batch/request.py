@@ -21,9 +21,10 @@ from pc2scan.pipeline.options import ConvertOptions
 from pc2scan.pipeline.param_sources import ResolvedSources, resolve_sources
 from pc2scan.pipeline.parameters import CALL, Setting
 from pc2scan.pipeline.run import OutputOptions
+from pc2scan.remote.urls import is_url
 from pc2scan.requests import beam_filters_of, channels_of, filters_of, frames_of, parameter_names, resolved_parameters
 
-from .identity import identity_of
+from .identity import Identity, identity_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -110,11 +111,24 @@ class Request:
         }
         if self.output.cut is not None:
             output["cut"] = asdict(self.output.cut)
-        others = [identity_of([path]).as_json() for path in options.frames.tf_from]
+        others = [_identity(path).as_json() for path in options.frames.tf_from]
         if self.export is not None:
             output["export"] = _canonical(replace(self.export, overwrite=False))
         whole = json_value({"options": _canonical(options), "output": output, "tf_from": others})
         return hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()[:32]
+
+
+def _identity(path: Path) -> Identity:
+    """Of a recording that transforms are taken from."""
+    if not is_url(path):
+        return identity_of([path])
+    from pc2scan.remote.store import Place  # noqa: PLC0415  # loads fsspec
+
+    place = Place(path)
+    files = place.files()
+    return Identity(
+        tuple((name, *each.stated()) for name, each in ({place.name: place} if files is None else files).items())
+    )
 
 
 def words_known() -> frozenset[str]:
@@ -265,7 +279,7 @@ def _export(asked: Mapping[str, Any], others: Mapping[str, Any]) -> ExportOption
 
 
 def _absolute(path: Path) -> Path:
-    return Path(os.path.abspath(path))  # noqa: PTH100  # links keep their names
+    return path if is_url(path) else Path(os.path.abspath(path))  # noqa: PTH100  # links keep their names
 
 
 def _cut(asked: Mapping[str, Any], to: object) -> Cut | None:

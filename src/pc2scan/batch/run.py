@@ -14,7 +14,8 @@ from pc2scan.errors import DestinationError, OutputError, UsageError
 from pc2scan.files.staging import check_place, clean_up, made_folder, note_written, only_run
 from pc2scan.files.text_output import check_text_output, text_output
 from pc2scan.pipeline.scheduler import cores as all_cores
-from pc2scan.remote.urls import is_url, shown_path
+from pc2scan.remote.names import ShownUrl
+from pc2scan.remote.urls import is_url, shown_path, url_of
 
 from .choices import Choices
 from .dataset_file import DatasetFile, load_dataset_file
@@ -24,6 +25,8 @@ from .identity import checksum_of, identity_of
 from .manifest import MANIFEST, Manifest, Record, forget_begun, read_begun, read_manifest, write_begun
 from .plan import History, make_plan
 from .resources import available_bytes, workers_for
+from .staged import jobs_here
+from .stores import Stores
 from .summary import BEGINNINGS, BatchReport, Outcome, report_text
 from .work import Job
 from .workers import Began, Died, Ended, Progressed, Told, execute
@@ -34,6 +37,7 @@ if TYPE_CHECKING:
     from .find import Found, Known
     from .identity import Identity
     from .plan import Choice, Plan, Step
+    from .stores import Output
     from .workers import Event, Executor
 
 __all__ = ["BatchOptions", "BatchProgress", "Watch", "run_batch"]
@@ -69,6 +73,9 @@ class BatchOptions:
         True: the recordings are tasks of a Dask cluster on this machine; an address: of that of this scheduler.
     report
         A file for the report: ``.json``, ``.csv`` or ``.md``; None for none.
+    scratch, scratch_size
+        Where local copies of what is at URLs are, and how many bytes of them there may be; None: the system's folder,
+        and its free room.
     """
 
     dataset: Path | None = None
@@ -80,6 +87,8 @@ class BatchOptions:
     dry_run: bool = False
     dask: bool | str = False
     report: Path | None = None
+    scratch: Path | None = None
+    scratch_size: int | None = None
 
     def __post_init__(self) -> None:
         for name in ("jobs", "retries"):
@@ -91,6 +100,10 @@ class BatchOptions:
             raise UsageError(
                 f"`jobs={self.jobs}` has no effect with `dask={self.dask}`", hint="its workers decide; type only one"
             )
+        if is_url(self.report):
+            raise UsageError("`report` must be a local file", hint="such as `report=report.csv`")
+        if is_url(self.dataset):
+            raise UsageError("`dataset` must be a local file", hint="what it matches may be at URLs")
         if self.report is not None and self.report.suffix.lower() not in BEGINNINGS:
             raise UsageError(
                 f"`report={self.report}`: a report of a batch is one of {', '.join('NAME' + end for end in BEGINNINGS)}"
@@ -171,24 +184,29 @@ def run_batch(
     watch = watch or Watch()
     if not sources:
         raise UsageError("no source given")
-    for path in (*(Path(source) for source in sources), out):
-        if is_url(path):
-            hint = "convert reads and writes URLs, one recording at a time"
-            raise UsageError("a batch takes local paths, not URLs", path=shown_path(path), hint=hint)
     dataset = DatasetFile() if options.dataset is None else load_dataset_file(options.dataset)
     choices = Choices(dataset, words, origins or {})
     choices.check()
     if options.dask and not options.dry_run:
         executor = executor or _on_dask("" if options.dask is True else str(options.dask))
     with ExitStack() as stack:
-        lock = None
-        if options.dry_run:
+        stores = Stores(options.scratch)
+        stack.callback(stores.close)
+        stack.enter_context(stores.naming())
+        lock, store = None, None
+        if is_url(out):
+            store = stores.output(url_of(out))
+            if not options.dry_run:
+                stack.enter_context(store.locked())
+            store.pull()
+        elif options.dry_run:
             _check_folder(out)
         else:
             stack.enter_context(made_folder(out))
             lock = stack.enter_context(_lock(out))
-        batch = _Batch(sources, Path(os.path.realpath(out)), options, choices, watch)
-        batch.report.destination = out
+        folder = Path(os.path.realpath(out)) if store is None else store.folder
+        batch = _Batch(sources, folder, options, choices, watch, stores, store)
+        batch.report.destination = out if store is None else ShownUrl(shown_path(out))
         deliver = batch.open_report(stack)
         batch.plan()
         watch.planned(batch.made)
@@ -203,7 +221,8 @@ def run_batch(
 
 def _local(*, workers: int, retries: int, lock: int | None) -> Executor:
     def executor(jobs: Sequence[Job]) -> Generator[Event]:
-        return execute(jobs, workers=workers, cores=all_cores(), retries=retries, lock=lock)
+        with jobs_here(jobs, workers) as queue:
+            yield from execute(queue, workers=workers, cores=all_cores(), retries=retries, lock=lock)
 
     return executor
 
@@ -281,13 +300,23 @@ class _Batch:
     """A batch that runs."""
 
     def __init__(
-        self, sources: Sequence[str], out: Path, options: BatchOptions, choices: Choices, watch: Watch
+        self,
+        sources: Sequence[str],
+        out: Path,
+        options: BatchOptions,
+        choices: Choices,
+        watch: Watch,
+        stores: Stores,
+        store: Output | None,
     ) -> None:
         self._sources = sources
         self._out = out
         self._options = options
         self._choices = choices
         self._watch = watch
+        self._stores = stores
+        #: Where the folder is at a URL; then `_out` has what is to be uploaded of it.
+        self._store = store
         records = read_manifest(out / MANIFEST)
         # What is in the manifest by now was completed.
         begun = read_begun(out) - {record.output for record in records.values()}
@@ -320,7 +349,11 @@ class _Batch:
     def plan(self) -> None:
         """Find the recordings, and decide what is done with each."""
         found = find(
-            self._sources, self._out, known=_known(self._history), outputs=[self._out / o for o in self._history.owned]
+            self._sources,
+            self._out,
+            known=_known(self._history, self._stores),
+            outputs=[self._out / o for o in self._history.owned],
+            stores=self._stores,
         )
         if not found:
             raise UsageError(f"no recording is in {', '.join(self._sources)}")
@@ -335,9 +368,26 @@ class _Batch:
             checksum=_checksum if self._options.checksum else None,
             force=self._options.force,
         )
+        for step in self.made.steps:
+            if step.error is not None:
+                self._stores.names.error(step.error)
+        self._stores.forget()
+        self._refuse_idle()
         self.report.warnings += [*self._choices.warnings(keys), *self.made.warnings]
 
+    def _refuse_idle(self) -> None:
+        """Raise for options that go with URLs, or do not."""
+        if self._stores.are_used:
+            if self._options.checksum:
+                raise UsageError(
+                    "`checksum` is for local recordings", hint="a store says by itself whether an object has changed"
+                )
+        elif self._options.scratch is not None or self._options.scratch_size is not None:
+            raise UsageError("`scratch` and `scratch_size` have no effect: no source and no destination is a URL")
+
     def _present(self, output: str) -> Identity:
+        if self._store is not None:
+            return self._store.present(output)
         return identity_of([self._out / output])
 
     def clean_up(self) -> None:
@@ -357,13 +407,14 @@ class _Batch:
         executor = make(workers=wanted, retries=self._options.retries, lock=lock)
         if self._options.dry_run:
             for step in self.made.of("refuse"):
-                self._note(_refused(step))
+                self._note(self._refused(step))
             with TemporaryDirectory(prefix="pc2scan-") as folder:
                 # Nothing is written there either: only the folders of outputs may not exist yet.
                 self._run(executor, [self._job(step, Path(folder), flat=True) for step in steps], by_key, self._note)
             self.report.estimate_seconds = estimated_seconds(jobs, list(self._history.records.values()), wanted)
             return
         with ExitStack() as stack:
+            stack.callback(self._push, at_once=True)
             manifest: Manifest | None = None
 
             def note(record: Record) -> None:
@@ -371,10 +422,11 @@ class _Batch:
                 if manifest is None:
                     manifest = stack.enter_context(Manifest(self._out / MANIFEST))
                 manifest.append(record)
+                self._push()
                 self._note(record)
 
             for step in self.made.of("refuse"):
-                record = _refused(step)
+                record = self._refused(step)
                 if step.record is None or not _says_the_same(step.record, record):
                     note(record)
                 else:
@@ -382,6 +434,14 @@ class _Batch:
             if jobs and not (self._options.fail_fast and self.made.of("refuse")):
                 with self._begun(steps) as begin, self._folders(steps):
                     self._run(executor, jobs, by_key, note, begin)
+
+    def _push(self, *, at_once: bool = False) -> None:
+        """Upload the manifest, if the folder is at a URL."""
+        if self._store is not None:
+            self._store.push(at_once=at_once)
+
+    def _is_there(self, output: str) -> bool:
+        return os.path.lexists(self._out / output) if self._store is None else self._store.exists(output)
 
     def _note(self, record: Record) -> None:
         self._records[record.key] = record
@@ -412,8 +472,8 @@ class _Batch:
                     case Told(text):
                         self._watch.told(text)
                     case Ended(result):
-                        record = _recorded(steps[result.key], result)
-                        if record.is_written:
+                        record = self._recorded(steps[result.key], result)
+                        if record.is_written and self._store is None:
                             note_written(self._out / record.output)
                         note(record)
                         if result.text and self._watch.shown is not None:
@@ -432,6 +492,7 @@ class _Batch:
         outputs = {step.output for step in steps}
         earlier = self._history.begun
         write_begun(self._out, outputs | earlier)
+        self._push(at_once=True)
         running: set[str] = set()
         ended: set[str] = set()
 
@@ -442,7 +503,7 @@ class _Batch:
             yield begin
         finally:
             # What is not there is nobody's.
-            left = {output for output in (earlier | running) - ended if os.path.lexists(self._out / output)}
+            left = {output for output in (earlier | running) - ended if self._is_there(output)}
             with suppress(OutputError):
                 if left:
                     write_begun(self._out, left)
@@ -476,14 +537,52 @@ class _Batch:
         assert step.choice.request is not None
         return Job(
             key=step.found.key,
-            sources=tuple(os.path.abspath(path) for path in step.found.paths),  # noqa: PTH100  # links keep their names
-            destination=str(folder / (Path(step.output).name if flat else step.output)),
+            sources=tuple(self._stores.url_of(path) for path in step.found.paths),
+            destination=self._stores.url_of(folder / (Path(step.output).name if flat else step.output)),
             request=step.choice.request,
             size_bytes=step.found.identity.size_bytes,
             replaces=step.replaces,
             checksum=self._options.checksum and not self._options.dry_run,
             dry_run=self._options.dry_run,
             shown=self._watch.shown is not None,
+            scratch=None if self._options.scratch is None else os.path.abspath(self._options.scratch),  # noqa: PTH100
+            scratch_size=self._options.scratch_size,
+        )
+
+    def _record(self, step: Step, **known: Any) -> Record:
+        choice: Choice = step.choice
+        paths = tuple(map(self._stores.shown, step.found.paths))
+        return Record(key=step.found.key, sources=paths, container=step.found.container, options=choice.digest, **known)
+
+    def _refused(self, step: Step) -> Record:
+        """The line of a recording that cannot be converted."""
+        assert step.error is not None
+        earlier = step.record.output if step.record is not None else ""
+        status = step.error.exit_status
+        return self._record(
+            step,
+            identity=step.found.identity,
+            outcome="failed",
+            exit_status=status,
+            error=step.error.as_dict(),
+            output=earlier,
+        )
+
+    def _recorded(self, step: Step, result: Any) -> Record:
+        """The line of a recording that was converted, or not."""
+        names = (
+            "identity",
+            "sha256",
+            "outcome",
+            "exit_status",
+            "error",
+            "output_identity",
+            "started",
+            "seconds",
+            "attempts",
+        )
+        return self._record(
+            step, **{name: getattr(result, name) for name in names}, output=step.output, report=result.report
         )
 
     def conclude(self, began: float) -> None:
@@ -494,7 +593,7 @@ class _Batch:
         self.report.seconds = time.monotonic() - began
 
 
-def _known(history: History) -> Known:
+def _known(history: History, stores: Stores) -> Known:
     """What earlier runs have found, by path and identity."""
     containers: dict[tuple[str, Any], str] = {}
     for record in history.records.values():
@@ -504,7 +603,7 @@ def _known(history: History) -> Known:
         if len(record.sources) == len(record.identity.files) > 1:
             for path, file in zip(record.sources, record.identity.files, strict=True):
                 containers[path, (file,)] = record.container
-    return lambda path, identity: containers.get((str(path), identity.files), "")
+    return lambda path, identity: containers.get((stores.shown(path), identity.files), "")
 
 
 def _checksum(found: Found) -> str:
@@ -513,43 +612,6 @@ def _checksum(found: Found) -> str:
     except OSError:
         # The conversion reports it.
         return ""
-
-
-def _record(step: Step, **known: Any) -> Record:
-    choice: Choice = step.choice
-    paths = tuple(os.path.abspath(path) for path in step.found.paths)  # noqa: PTH100  # links keep their names
-    return Record(key=step.found.key, sources=paths, container=step.found.container, options=choice.digest, **known)
-
-
-def _refused(step: Step) -> Record:
-    """The line of a recording that cannot be converted."""
-    assert step.error is not None
-    earlier = step.record.output if step.record is not None else ""
-    status = step.error.exit_status
-    return _record(
-        step,
-        identity=step.found.identity,
-        outcome="failed",
-        exit_status=status,
-        error=step.error.as_dict(),
-        output=earlier,
-    )
-
-
-def _recorded(step: Step, result: Any) -> Record:
-    """The line of a recording that was converted, or not."""
-    names = (
-        "identity",
-        "sha256",
-        "outcome",
-        "exit_status",
-        "error",
-        "output_identity",
-        "started",
-        "seconds",
-        "attempts",
-    )
-    return _record(step, **{name: getattr(result, name) for name in names}, output=step.output, report=result.report)
 
 
 def _says_the_same(record: Record, other: Record) -> bool:

@@ -191,7 +191,7 @@ class BatchReport(Shown):
         What a user should know though nothing failed.
     """
 
-    destination: Path
+    destination: Path | str
     outcomes: list[Outcome] = field(default_factory=list)
     dry_run: bool = False
     seconds: float = 0.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from pc2scan.bags.opening import open_recordings
 from pc2scan.errors import Pc2ScanError, RecordingError
 from pc2scan.pipeline.run import run
+from pc2scan.remote.urls import is_url
 
 from .identity import Identity, checksum_of, identity_of
 
@@ -38,7 +39,7 @@ class Job:
     key
         Its name in the dataset.
     sources, destination
-        Absolute paths.
+        Absolute paths, or URLs.
     request
         What is asked for.
     size_bytes
@@ -53,11 +54,16 @@ class Job:
         Whether nothing is written, and the result is a forecast.
     shown
         Whether the result has the report as text, too.
+    scratch, scratch_size
+        Where local copies of what is at URLs are, and how many bytes of them there may be.
+    room
+        The folder of the copies and of a result that is uploaded, and how many bytes may be in it; None for any.
     """
 
     key: str
-    sources: tuple[str, ...]
-    destination: str
+    # URLs may have secrets in them, and jobs are shown in the logs of a cluster.
+    sources: tuple[str, ...] = field(repr=False)
+    destination: str = field(repr=False)
     request: Request
     size_bytes: int = 0
     replaces: bool = False
@@ -65,6 +71,9 @@ class Job:
     checksum: bool = False
     dry_run: bool = False
     shown: bool = False
+    scratch: str | None = None
+    scratch_size: int | None = None
+    room: tuple[str, int] | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -101,6 +110,8 @@ def convert_one(job: Job, progress: Callable[[int, int, int], None] | None = Non
     progress
         See `pc2scan.convert`.
     """
+    if any(is_url(Path(path)) for path in (*job.sources, job.destination)):
+        return _at_urls(job, progress)
     began = time.monotonic()
     started = datetime.now(timezone.utc).isoformat(timespec="milliseconds")
     sources = [Path(path) for path in job.sources]
@@ -112,7 +123,15 @@ def convert_one(job: Job, progress: Callable[[int, int, int], None] | None = Non
     try:
         if job.checksum:
             sha256 = _checksum(sources)
+        limit = None
+        if job.room is not None:
+            from pc2scan.remote.scratch import Limit  # noqa: PLC0415  # few jobs have URLs
+
+            limit = Limit(Path(job.room[0]), job.room[1])
+            progress = limit.watching(progress)
         done = _done(job, sources, destination, progress)
+        if limit is not None:
+            limit.check()
         report, status = done.as_dict(), done.exit_status
         text = str(done) if job.shown else ""
     except Pc2ScanError as err:
@@ -132,6 +151,24 @@ def convert_one(job: Job, progress: Callable[[int, int, int], None] | None = Non
         error=error,
         text=text,
     )
+
+
+def _at_urls(job: Job, progress: Callable[[int, int, int], None] | None) -> Result:
+    """Look into recordings of which only ranges are read: a dry run; all else is copied before it comes here."""
+    from pc2scan.remote.ranges import nearby  # noqa: PLC0415  # loads fsspec
+
+    assert job.dry_run
+    others = job.request.options.frames.tf_from
+    try:
+        with nearby([*map(Path, job.sources), *others]) as here:
+            paths = here.paths[: len(job.sources)]
+            frames = replace(job.request.options.frames, tf_from=tuple(here.paths[len(job.sources) :]))
+            request = replace(job.request, options=replace(job.request.options, frames=frames))
+            result = convert_one(replace(job, sources=tuple(map(str, paths)), request=request), progress)
+            shown: Result = here.names.of(result)
+            return shown
+    except Pc2ScanError as err:
+        return Result(key=job.key, outcome="failed", exit_status=err.exit_status, error=err.as_dict())
 
 
 def _done(
@@ -157,7 +194,16 @@ def _done(
     from pc2scan.export.run import run as export  # noqa: PLC0415  # most batches write recordings
 
     form = replace(request.export, overwrite=job.replaces)
-    return export(sources, destination, options, form, in_folder=True, origins=request.origins, also_read=request.files)
+    return export(
+        sources,
+        destination,
+        options,
+        form,
+        in_folder=True,
+        origins=request.origins,
+        also_read=request.files,
+        progress=progress,
+    )
 
 
 def _looked_into(job: Job, sources: list[Path]) -> ExportReport:

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Sequence
     from typing import BinaryIO
 
-__all__ = ["Began", "Died", "Ended", "Event", "Executor", "Progressed", "Told", "execute"]
+__all__ = ["Began", "Died", "Ended", "Event", "Executor", "Progressed", "Queue", "Told", "execute"]
 
 #: Seconds that an interrupted worker has to remove what it has written.
 _PATIENCE = 12.0
@@ -94,6 +94,45 @@ class Executor(Protocol):
         ...
 
 
+class Queue:
+    """Jobs in the order in which they begin.
+
+    Parameters
+    ----------
+    jobs
+        Those that workers can begin.
+    """
+
+    def __init__(self, jobs: Sequence[Job]) -> None:
+        self._ready = deque(jobs)
+        self._post: Callable[[Event | None], None] = lambda _event: None
+
+    def __len__(self) -> int:
+        """Jobs that no worker has."""
+        return len(self._ready)
+
+    @property
+    def is_open(self) -> bool:
+        """Whether there is anything left to do beside what workers do."""
+        return bool(self._ready)
+
+    def begin(self, post: Callable[[Event | None], None]) -> None:
+        """Note where events go that are not of workers; None: another job is ready."""
+        self._post = post
+
+    def take(self) -> Job | None:
+        """Return the next job; None while none is ready."""
+        return self._ready.popleft() if self._ready else None
+
+    def again(self, job: Job, *, first: bool = False) -> None:
+        """Put a job back."""
+        (self._ready.appendleft if first else self._ready.append)(job)
+
+    def done(self, result: Result) -> Result | None:
+        """Take a worker's result, and return it; None if something is left to be done with it."""
+        return result
+
+
 @dataclass(slots=True)
 class _Worker:
     """A worker process, and the job that it has."""
@@ -141,7 +180,7 @@ class _Pool:
     lock: int | None
     stillborn: int = 0
     workers: list[_Worker] = field(default_factory=list)
-    inbox: SimpleQueue[tuple[_Worker, Any]] = field(default_factory=SimpleQueue)
+    inbox: SimpleQueue[tuple[_Worker | None, Any]] = field(default_factory=SimpleQueue)
 
     def add(self) -> _Worker:
         said = tempfile.TemporaryFile()  # noqa: SIM115  # closed with the worker
@@ -192,7 +231,7 @@ class _Pool:
 
 
 def execute(
-    jobs: Sequence[Job],
+    jobs: Sequence[Job] | Queue,
     *,
     workers: int,
     cores: int,
@@ -222,16 +261,16 @@ def execute(
     Event
         `Ended` once for every job.
     """
-    pending: deque[Job] = deque(jobs)
+    pending = jobs if isinstance(jobs, Queue) else Queue(jobs)
     attempts: dict[str, int] = {}
     pool = _Pool(lock)
+    pending.begin(lambda event: pool.inbox.put((None, event)))
     idle: deque[_Worker] = deque()
     try:
         for _ in range(min(workers, len(pending))):
             idle.append(pool.add())
-        while pending or any(worker.job for worker in pool.workers):
-            while pending and idle:
-                job = pending.popleft()
+        while pending.is_open or any(worker.job for worker in pool.workers) or not pool.inbox.empty():
+            while idle and (job := pending.take()) is not None:
                 tried = attempts[job.key] = attempts.get(job.key, 0) + 1
                 busy = sum(worker.job is not None for worker in pool.workers)
                 threads = 1 if tried > 1 else max(1, cores // min(workers, busy + len(pending) + 1))
@@ -239,11 +278,16 @@ def execute(
                 worker.give(replace(job, threads=threads))
                 yield Began(job.key)
             try:
-                worker, message = pool.inbox.get(timeout=None if check is None else _CHECK_SECONDS)
+                sender, message = pool.inbox.get(timeout=None if check is None else _CHECK_SECONDS)
             except Empty:
                 assert check is not None
                 check()
                 continue
+            if sender is None:
+                if message is not None:
+                    yield message
+                continue
+            worker = sender
             if message is None:
                 pool.workers.remove(worker)
                 if worker in idle:
@@ -262,7 +306,8 @@ def execute(
                 case ("result", result):
                     worker.job = None
                     idle.append(worker)
-                    yield Ended(replace(result, attempts=attempts[result.key]))
+                    if (done := pending.done(replace(result, attempts=attempts[result.key]))) is not None:
+                        yield Ended(done)
                 case ("unreadable", why):
                     raise _unsendable(why)
     finally:
@@ -270,7 +315,7 @@ def execute(
 
 
 def _after_death(
-    worker: _Worker, pool: _Pool, pending: deque[Job], attempts: dict[str, int], retries: int
+    worker: _Worker, pool: _Pool, pending: Queue, attempts: dict[str, int], retries: int
 ) -> Generator[Event]:
     """Try again what a dead worker was converting, or give it up."""
     why = worker.ended()
@@ -281,18 +326,19 @@ def _after_death(
             raise Pc2ScanError(f"no worker process can be started: {why}")
         if job is not None:
             attempts[job.key] -= 1
-            pending.appendleft(job)
+            pending.again(job, first=True)
         return
     if job is None:
         return
     with suppress(Pc2ScanError):
         clean_up(Path(job.destination))
     if attempts[job.key] <= retries:
-        pending.append(job)
+        pending.again(job)
         yield Died(job.key, why)
     else:
         seconds = time.monotonic() - worker.began
-        yield Ended(died(job, why, attempts=attempts[job.key], seconds=seconds))
+        if (done := pending.done(died(job, why, attempts=attempts[job.key], seconds=seconds))) is not None:
+            yield Ended(done)
 
 
 def _unsendable(why: object) -> Pc2ScanError:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from .groups import Group
-from .options import ConversionGroup, OutputGroup
+from .options import ConversionGroup, OutputGroup, ScratchGroup
 from .render import message, printable, show_parts, size, warn
 from .words import typed_words
 
@@ -180,7 +180,7 @@ def batch(
         list[str],
         typer.Argument(
             metavar="SRC...",
-            help="Folders, which are searched; recordings; globs in quotes; text files with a path a line.",
+            help="Folders, which are searched; recordings; globs in quotes; text files with a path a line; URLs.",
         ),
     ],
     destination: Annotated[
@@ -189,7 +189,7 @@ def batch(
             "--output",
             "-o",
             metavar="OUT",
-            help="Folder for the results, in the tree of the sources, and for manifest.jsonl.",
+            help="Folder for the results, in the tree of the sources, and for manifest.jsonl. May be a URL.",
         ),
     ],
     *,
@@ -197,6 +197,7 @@ def batch(
     exporting: ExportGroup,
     conversion: _Conversion,
     output: _Output,
+    scratch: ScratchGroup,
 ) -> None:
     """Convert every recording of a dataset, each by itself, in several processes.
 
@@ -204,6 +205,7 @@ def batch(
     changed or failed; OUT/manifest.jsonl says what became of each recording. After an interruption, run it again.
     """
     from pc2scan.batch.run import BatchOptions, Watch, run_batch
+    from pc2scan.pipeline.run import scratch_bytes
 
     words, origins = typed_words(exporting, conversion, output)
     dry_run = bool(words.pop("dry_run", False))
@@ -217,6 +219,8 @@ def batch(
         dry_run=dry_run,
         dask=True if running.dask == "local" else running.dask or False,
         report=running.report,
+        scratch=scratch.scratch,
+        scratch_size=scratch_bytes(scratch.scratch_size),
     )
     with _progress_bar(enabled=not running.quiet) as progress:
         watch = Watch(

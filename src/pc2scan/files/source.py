@@ -36,6 +36,9 @@ _LOGS = ("-wal", "-journal")
 #: Files whose bytes are put there when they are first read, and what does so: called with their place before each read.
 on_demand: dict[Path, Callable[[int, int], None]] = {}
 
+#: Bytes of such a file that are there when it is opened as a whole: its beginning says what it is.
+_HEAD_BYTES = 1 << 17
+
 #: Buffers have multiples of this size, so that one serves chunks of different sizes.
 _ROUNDED_TO = 1 << 20
 
@@ -73,6 +76,8 @@ def opened_bytes(path: Path) -> BinaryIO:
     OSError
         If it does not exist, may not be read, or is neither a file nor a directory.
     """
+    if on_demand and (fetch := on_demand.get(path)) is not None:
+        fetch(0, _HEAD_BYTES)
     return open(path, "rb", opener=_open_regular)
 
 

@@ -243,7 +243,7 @@ def _run_at_urls(
                     output._replace(folder=here.folder, report=None, scratch=None, scratch_size=None),
                     origins=origins,
                     also_read=also_read,
-                    progress=progress,
+                    progress=progress if here.limit is None else here.limit.watching(progress),
                     warn=None if warn is None else lambda text: warn(here.names.text(text)),
                 )
                 here.upload()

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from pc2scan.errors import Pc2ScanError
 
-__all__ = ["Names"]
+__all__ = ["Names", "ShownUrl"]
 
 
 class Names:
@@ -34,7 +34,7 @@ class Names:
             return self.text(value)
         if isinstance(value, Path):
             text = self.text(str(value))
-            return value if text == str(value) else _Shown(text)
+            return value if text == str(value) else ShownUrl(text)
         if type(value) is tuple or hasattr(value, "_fields"):
             items = map(self.of, value)
             return type(value)(*items) if hasattr(value, "_fields") else tuple(items)
@@ -58,7 +58,7 @@ class Names:
         err.hint = None if err.hint is None else self.text(err.hint)
 
 
-class _Shown(str):
+class ShownUrl(str):
     """A URL where results have a path."""
 
     __slots__ = ()

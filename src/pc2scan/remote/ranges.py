@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from pc2scan.errors import Pc2ScanError, RecordingError
 from pc2scan.files.compression import ZSTD_MAGIC
-from pc2scan.files.source import on_demand
+from pc2scan.files.source import on_demand, opened_bytes
 
 from .names import Names
 from .store import Place
@@ -23,7 +23,9 @@ from .urls import is_url
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-__all__ = ["Nearby", "nearby"]
+    from .store import Object
+
+__all__ = ["Nearby", "complete", "nearby", "stand_in"]
 
 #: Fetched bytes are multiples of this, which is small beside a request's own time.
 _BLOCK = 1 << 16
@@ -65,7 +67,7 @@ def nearby(paths: Sequence[Path]) -> Iterator[Nearby]:
     found = Nearby()
     with ExitStack() as stack:
         folder = Path(stack.enter_context(TemporaryDirectory(prefix="pc2scan-"))).resolve()
-        read: list[tuple[Place, tuple[str, ...]]] = []
+        read: list[tuple[Place, Object]] = []
         for number, path in enumerate(paths):
             if not is_url(path):
                 found.paths.append(path)
@@ -78,25 +80,49 @@ def nearby(paths: Sequence[Path]) -> Iterator[Nearby]:
             found.paths.append(target)
             files = place.files()
             if files is None:
-                read.append((place, place.version()))
+                read.append((place, place.stated()))
                 _stand_in(place, target, stack)
             else:
                 target.mkdir()
                 for name, file in files.items():
-                    read.append((file, file.version()))
+                    read.append((file, file.stated()))
                     _stand_in(file, target / name, stack)
         try:
             yield found
         except Pc2ScanError as err:
             found.names.error(err)
             raise
-        for place, version in read:
-            if place.version() != version:
+        for place, stated in read:
+            if place.stated() != stated:
                 raise place.changed()
 
 
+def stand_in(place: Place, target: Path, size: int) -> None:
+    """Put a file of this size at a path, of which nothing is fetched before it is read; `on_demand` has it from now on.
+
+    Raises
+    ------
+    RecordingError
+        If it cannot be written.
+    """
+    on_demand[target] = _Fetched(place, target, size).fetch
+
+
+def complete(path: Path) -> None:
+    """Fetch all of a file whose library reads it by itself: before such a file is opened as a recording."""
+    files = [file for file in on_demand if file.parent == path] if path.is_dir() else [path]
+    for file in files:
+        fetch = on_demand.get(file)
+        if fetch is None:
+            continue
+        with opened_bytes(file) as opened:
+            head = opened.read(_BLOCK)
+        if head.startswith(_WHOLE):
+            fetch(0, file.stat().st_size)
+
+
 def _stand_in(place: Place, target: Path, stack: ExitStack) -> None:
-    size = place.size()
+    size = place.stated().size
     head = place.bytes_at(0, min(size, _BLOCK)) if size else b""
     if size <= _SMALL or head.startswith(_WHOLE):
         place.download(target)

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import shutil
 from contextlib import contextmanager
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.errors import DestinationError, Pc2ScanError, UsageError
+from pc2scan.errors import DestinationError, Pc2ScanError
 
 from .names import Names
+from .scratch import Limit, Room, scratch_folder
 from .store import Place
-from .urls import is_url, shown_path
+from .urls import is_url
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
+    from pathlib import Path
 
 __all__ = ["Asked", "Staged", "staged"]
 
@@ -69,7 +68,8 @@ class Staged:
         self.tf_from = [self._here(path) for path in asked.tf_from]
         self.destination, self.folder = asked.destination, asked.folder
         self._place_destination()
-        self._make_room()
+        #: What the result may take beside the copies; None where it is not here, or may take all.
+        self.limit = self._make_room()
         for place, target in self._downloads:
             target.parent.mkdir(exist_ok=True)
             place.download(target)
@@ -127,30 +127,26 @@ class Staged:
         else:
             self.destination = self._out_folder / place.name
 
-    def _make_room(self) -> None:
-        """Refuse copies that are too large, before the first byte is read."""
-        needed = sum(place.size() for place, _ in self._downloads)
-        free = shutil.disk_usage(self._scratch).free
-        limit, hint = self._asked.scratch_size, "a larger `scratch_size`, or a part of the recordings"
-        if self._out is not None and limit is not None:
-            # The result is here, too; it is hardly ever larger than its sources.
-            limit //= 2
-        if limit is None or free < limit:
-            limit, hint = free, "`scratch` names a folder with more room"
-        if needed > limit:
-            names = ", ".join(dict.fromkeys(place.shown for place, _ in self._downloads[:3]))
-            raise UsageError(
-                f"local copies of the sources take {needed:,} bytes, there may be {limit:,} in {self._scratch.parent}",
-                path=names,
-                hint=hint,
-            )
+    def _make_room(self) -> Limit | None:
+        """Refuse copies that are too large, before the first byte is read; return the limit of copies and result."""
+        asked = self._asked
+        room = Room(self._scratch, asked.scratch_size)
+        needed = sum(place.stated().size for place, _ in self._downloads)
+        if needed > room.total:
+            error = room.refusal(needed, self._scratch.parent)
+            error.path = ", ".join(dict.fromkeys(place.shown for place, _ in self._downloads[:3]))
+            raise error
+        return None if self._out is None or asked.scratch_size is None else Limit(self._scratch, asked.scratch_size)
 
     def upload(self) -> None:
         """Upload what was written, complete or not at all."""
         if self._out is None or self._out_folder is None or self._asked.dry_run:
             return
         sources = {*self.sources, *self.tf_from}
-        made = sorted(path for path in self._out_folder.iterdir() if path not in sources)
+        if self.limit is not None:
+            self.limit.check()
+        # The first of several parts appears last: where it is, all are.
+        made = sorted((path for path in self._out_folder.iterdir() if path not in sources), reverse=True)
         for path in made:
             self._out.refuse_existing(path.name, overwrite=self._asked.overwrite)
         done: list[str] = []
@@ -178,13 +174,7 @@ def staged(asked: Asked) -> Iterator[Staged]:
     UsageError
         If there is no room, or the destination cannot be written or exists.
     """
-    try:
-        folder = TemporaryDirectory(prefix="pc2scan-", dir=asked.scratch)
-    except OSError as err:
-        where = "temporary files" if asked.scratch is None else shown_path(asked.scratch)
-        raise UsageError(f"`scratch`: {where} cannot be written: {err.strerror}") from err
-    with folder as name:
-        scratch = Path(name).resolve()
+    with scratch_folder(asked.scratch) as scratch:
         found: Staged | None = None
         try:
             found = Staged(asked, scratch)

@@ -5,21 +5,23 @@ from __future__ import annotations
 import errno
 import secrets
 from contextlib import contextmanager, suppress
-from pathlib import PurePosixPath
-from typing import TYPE_CHECKING, Any
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.errors import DestinationError, MissingError, OutputError, Pc2ScanError, RecordingError, UsageError
 
 from .urls import LIBRARIES, shown_url, url_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
+    from collections.abc import Callable, Iterator
 
-__all__ = ["Place"]
+__all__ = ["Object", "Place"]
 
-#: What tells one version of an object from another; stores differ in which of these they have.
-_VERSION = ("size", "ETag", "etag", "md5Hash", "generation", "mtime", "LastModified", "last_modified", "created")
+#: What tells one version of an object from another, the best first; stores differ in which of these they have.
+_VERSION = (
+    *("ETag", "etag", "md5Hash", "generation", "mtime", "LastModified", "last_modified", "Last-Modified"),
+    *("Content-MD5", "created"),
+)
 
 #: Stores in which an upload is visible before it is complete, unless it gets its name afterwards.
 _GRADUAL = ("file", "memory")
@@ -27,7 +29,15 @@ _GRADUAL = ("file", "memory")
 _DENIED = 403
 _NO_RIGHTS = "check the credentials that the store's own tools use (environment, configuration files), and their rights"
 _OTHER_NAME = "choose another name, or remove it with the store's own tools"
+_AGAIN = "try it again; where it stays so, check the network and the store"
 _NO_ANSWER = "check the network, the name of the host and, for a store of your own, its endpoint"
+
+
+class Object(NamedTuple):
+    """A file of a store: its size, and what changes if the file does; empty where the store says nothing of it."""
+
+    size: int
+    version: str
 
 
 class Place:
@@ -86,10 +96,80 @@ class Place:
         """Whether nothing can be written there."""
         return self.scheme in {"http", "https"}
 
-    def version(self) -> tuple[str, ...]:
-        """Return what changes if the file does."""
+    def stated(self) -> Object:
+        """Return the size of the file, and its version."""
         found = self._info(self.key)
-        return tuple(str(found.get(name)) for name in _VERSION)
+        if found.get("size") is None:
+            raise RecordingError(
+                "the server does not say how large it is", path=self.shown, hint="download it and name the copy"
+            )
+        return _object(found)
+
+    def below(self) -> dict[str, Object]:
+        """Return all files below a folder, by their paths relative to it; empty if there is nothing."""
+        with self.reported():
+            self._fs.invalidate_cache()
+            try:
+                found = self._fs.find(self.key, detail=True)
+            except FileNotFoundError:
+                if self._has_bucket():
+                    return {}
+                raise
+        if not found and not self._has_bucket():
+            raise MissingError("there is no such bucket", path=self.shown, hint=_NO_RIGHTS)
+        start = self.key.strip("/")
+        objects = {}
+        for key, entry in found.items():
+            below = str(key).strip("/").removeprefix(start).lstrip("/")
+            if below and not str(key).endswith("/") and entry.get("type") == "file":
+                objects[below] = _object(entry)
+        return objects
+
+    def _has_bucket(self) -> bool:
+        """Whether the bucket is there, where a store has buckets."""
+        if self.scheme in _GRADUAL:
+            return True
+        with self.reported():
+            return bool(self._fs.exists(self.key.strip("/").partition("/")[0]))
+
+    def is_folder(self) -> bool:
+        """Whether the key is what others begin with; True for nothing at all."""
+        with self.reported():
+            self._fs.invalidate_cache()
+            return not self._fs.isfile(self.key)
+
+    def child(self, below: str) -> Place:
+        """Return what is at a path relative to this folder."""
+        return self._at(f"{self.key.rstrip('/')}/{below}", f"{self.shown.rstrip('/')}/{below}")
+
+    def read(self) -> bytes | None:
+        """Return a small file as a whole; None if there is none."""
+        with self.reported():
+            self._fs.invalidate_cache()
+            try:
+                return bytes(self._fs.cat_file(self.key))
+            except FileNotFoundError:
+                return None
+
+    def write(self, data: bytes, *, is_new: bool = False) -> bool:
+        """Write a small file as a whole; False if ``is_new`` is asked for, and there is one."""
+        with self.reported(writes=True):
+            self._makedirs(self.key.rpartition("/")[0])
+            try:
+                self._fs.pipe_file(self.key, data, mode="create" if is_new else "overwrite")
+            except FileExistsError:
+                return False
+            except OSError as err:
+                # S3 says that a condition is not fulfilled.
+                if is_new and ("PreconditionFailed" in str(err) or "At least one of the pre-conditions" in str(err)):
+                    return False
+                raise
+        return True
+
+    def delete(self) -> None:
+        """Remove a file, if it is there."""
+        with self.reported(writes=True), suppress(FileNotFoundError):
+            self._fs.rm_file(self.key)
 
     def _exists(self, key: str) -> bool:
         with self.reported():
@@ -115,18 +195,12 @@ class Place:
         return found
 
     def _sibling(self, key: str) -> Place:
-        other: Place = object.__new__(Place)
-        other.__dict__.update(self.__dict__, key=key, shown=f"{self.shown.rstrip('/')}/{key.rpartition('/')[2]}")
-        return other
+        return self._at(key, f"{self.shown.rstrip('/')}/{key.rpartition('/')[2]}")
 
-    def size(self) -> int:
-        """Return how many bytes the file has."""
-        size = self._info(self.key).get("size")
-        if size is None:
-            raise RecordingError(
-                "the server does not say how large it is", path=self.shown, hint="download it and name the copy"
-            )
-        return int(size)
+    def _at(self, key: str, shown: str) -> Place:
+        other: Place = object.__new__(Place)
+        other.__dict__.update(self.__dict__, key=key, shown=shown)
+        return other
 
     def bytes_at(self, start: int, stop: int) -> bytes:
         """Read a range, and no more if the server can do that."""
@@ -141,13 +215,24 @@ class Place:
             )
         return data
 
-    def download(self, target: Path) -> None:
-        """Copy the file; an error if it changes meanwhile, or not all of it arrives."""
-        before, size = self.version(), self.size()
+    def download(self, target: Path, check: Callable[[], None] | None = None) -> Object:
+        """Copy the file, and return what it is; an error if it changes meanwhile, or not all of it arrives.
+
+        ``check`` is called now and then; what it raises ends the copying.
+        """
+        before = self.stated()
         with self.reported():
-            self._fs.get_file(self.key, str(target))
-        if target.stat().st_size != size or self.version() != before:
+            self._fs.get_file(self.key, str(target), **_called(check))
+        if self.stated() != before:
             raise self.changed()
+        arrived = target.stat().st_size
+        if arrived != before.size:
+            raise RecordingError(
+                f"the download was cut off: {arrived:,} of {before.size:,} bytes arrived",
+                path=self.shown,
+                hint=_AGAIN,
+            )
+        return before
 
     def changed(self) -> RecordingError:
         """Make the error for a source that is not what it was."""
@@ -155,29 +240,40 @@ class Place:
             "was changed while it was read", path=self.shown, hint="wait until the recording is complete, or copy it"
         )
 
-    def upload(self, source: Path, name: str) -> None:
+    def upload(self, source: Path, name: str, check: Callable[[], None] | None = None) -> None:
         """Copy a directory into this folder, under a name that nothing has yet; nobody sees a part of it.
 
         A directory's metadata.yaml is the last file, and what makes it a recording.
         """
         key = f"{self.key.rstrip('/')}/{name}"
-        files = sorted(source.iterdir(), key=lambda file: (file.name == "metadata.yaml", file.name))
-        self._makedirs(key)
+        files = sorted(
+            (path for path in source.rglob("*") if path.is_file()),
+            key=lambda file: (file.name == "metadata.yaml", file),
+        )
         done: list[str] = []
         try:
             for file in files:
-                done.append(f"{key}/{file.name}")
-                self._put(file, done[-1])
+                done.append(f"{key}/{file.relative_to(source).as_posix()}")
+                self._makedirs(done[-1].rpartition("/")[0])
+                self._put(file, done[-1], check)
         except BaseException:
             self.remove(done)
             raise
 
-    def upload_file(self, source: Path, name: str) -> str:
+    def upload_file(self, source: Path, name: str, check: Callable[[], None] | None = None) -> str:
         """Copy a file into this folder, under a name; nobody sees a part of it. Returns its key."""
         key = f"{self.key.rstrip('/')}/{name}"
         self._makedirs(self.key)
-        self._put(source, key)
+        self._put(source, key, check)
         return key
+
+    def remove_below(self) -> None:
+        """Remove a folder of our own: what makes it a recording first."""
+        for below in sorted(self.below(), key=lambda name: (name != "metadata.yaml", name)):
+            self.child(below).delete()
+        if self.scheme in _GRADUAL:
+            with suppress(Exception):
+                self._fs.rm(self.key, recursive=True)
 
     def refuse_existing(self, name: str, *, overwrite: bool) -> None:
         """Raise if this folder has something of a name that may not be replaced: a folder never is."""
@@ -203,11 +299,11 @@ class Place:
             with self.reported(writes=True):
                 self._fs.makedirs(key, exist_ok=True)
 
-    def _put(self, source: Path, key: str) -> None:
+    def _put(self, source: Path, key: str, check: Callable[[], None] | None = None) -> None:
         """Copy a file; an object store shows it when it is complete."""
         with self.reported(writes=True):
             if self.scheme not in _GRADUAL:
-                self._fs.put_file(str(source), key)
+                self._fs.put_file(str(source), key, **_called(check))
                 return
             folder, _, name = key.rpartition("/")
             partial = f"{folder}/.pc2scan-{secrets.token_hex(4)}-{name}"
@@ -244,3 +340,23 @@ class Place:
             why = f"status {status}" if status else name
             does = "written" if writes else "read"
             raise kind(f"cannot be {does}: {why}", path=self.shown, hint=_NO_ANSWER) from None
+
+
+def _object(entry: dict[str, Any]) -> Object:
+    found = next((str(entry[name]) for name in _VERSION if entry.get(name) is not None), "")
+    return Object(int(entry.get("size") or 0), found.strip('"'))
+
+
+def _called(check: Callable[[], None] | None) -> dict[str, Any]:
+    """The argument of fsspec that calls a function while it copies."""
+    if check is None:
+        return {}
+    from fsspec.callbacks import Callback  # noqa: PLC0415  # only an extra
+
+    called = check
+
+    class Called(Callback):  # type: ignore[misc, unused-ignore]
+        def call(self, *_names: object, **_values: object) -> None:
+            called()
+
+    return {"callback": Called()}

@@ -1,0 +1,346 @@
+"""Jobs whose sources or results are at URLs: copied here before a worker gets them, uploaded after.
+
+While workers convert, the next recordings are downloaded and the last results uploaded. What all of this takes on the
+local disk is set aside before it begins: the copies of a recording, and as much again for a result that is uploaded. A
+recording whose result needs more is tried again with all the room there is.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections import deque
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, replace
+from datetime import datetime, timezone
+from pathlib import Path
+from threading import RLock, Thread
+from typing import TYPE_CHECKING
+
+from pc2scan.errors import DestinationError, OutputError, Pc2ScanError
+from pc2scan.remote.names import Names
+from pc2scan.remote.scratch import Room, ScratchError, scratch_folder
+from pc2scan.remote.urls import is_url
+
+from .identity import Identity, identity_of, versions
+from .stores import identity_in
+from .work import Result
+from .workers import Ended, Queue
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from pc2scan.remote.store import Object
+
+    from .work import Job
+    from .workers import Event
+
+__all__ = ["jobs_here"]
+
+#: Bytes that a result may have beyond those of its sources: an index, definitions.
+_BESIDE = 1_000_000
+
+#: Seconds for copies to end, after which the folder is removed nevertheless.
+_PATIENCE = 5.0
+
+#: What jobs of several tasks in one process share, by folder and size.
+_rooms: dict[tuple[Path | None, int | None], Room] = {}
+_rooms_lock = RLock()
+
+
+class _StoppedError(Exception):
+    """Nobody wants the copy."""
+
+
+@contextmanager
+def jobs_here(jobs: Sequence[Job], workers: int) -> Iterator[Queue]:
+    """Yield the queue of jobs; those at URLs are copied, and their results uploaded, as long as the context lasts.
+
+    Parameters
+    ----------
+    jobs
+        In the order in which they begin.
+    workers
+        How many convert; so many recordings are copied ahead.
+    """
+    if not any(is_remote(job) and not job.dry_run for job in jobs):
+        yield Queue(jobs)
+        return
+    scratch, most = jobs[0].scratch, jobs[0].scratch_size
+    with scratch_folder(None if scratch is None else Path(scratch)) as folder:
+        key = folder.parent, most
+        with _rooms_lock:
+            room = _rooms.setdefault(key, Room(folder, most))
+        queue = _StagedQueue(jobs, workers, folder, room)
+        try:
+            yield queue
+        finally:
+            queue.close()
+
+
+def is_remote(job: Job) -> bool:
+    """Whether a job reads or writes anything at a URL."""
+    others = job.request.options.frames.tf_from
+    return any(map(is_url, (*map(Path, job.sources), Path(job.destination), *others)))
+
+
+@dataclass(slots=True, eq=False)
+class _Copy:
+    """A job, and what of it is here."""
+
+    job: Job
+    folder: Path
+    reserved: int = 0
+    #: Whether it has all the room there is.
+    alone: bool = False
+    identity: Identity | None = None
+    names: Names = field(default_factory=Names)
+
+
+class _StagedQueue(Queue):
+    """Copies jobs ahead of the workers."""
+
+    def __init__(self, jobs: Sequence[Job], workers: int, folder: Path, room: Room) -> None:
+        super().__init__(())
+        self._folder = folder
+        self._room = room
+        self._ahead = max(1, workers)
+        self._waiting = deque(_Copy(job, folder / str(number)) for number, job in enumerate(jobs))
+        self._copies: dict[str, _Copy] = {}
+        self._loading = 0
+        self._uploading = 0
+        self._closed = False
+        self._lock = RLock()
+        self._threads: list[Thread] = []
+        self._sizes: dict[Path, int] = {}
+
+    def __len__(self) -> int:
+        with self._lock:
+            return len(self._waiting) + self._loading + len(self._ready)
+
+    @property
+    def is_open(self) -> bool:
+        """Whether there is anything left to do here."""
+        with self._lock:
+            return bool(len(self) or self._uploading)
+
+    def begin(self, post: Callable[[Event | None], None]) -> None:
+        """Start copying; ``post`` is called by any thread with what happens, None to look again."""
+        super().begin(post)
+        self._room.listeners.append(self.look)
+        self.look()
+
+    def take(self) -> Job | None:
+        """Return the next job that is here; None while there is none."""
+        with self._lock:
+            job = super().take()
+        self.look()
+        return job
+
+    def done(self, result: Result) -> Result | None:
+        """Upload a result; None until that is done."""
+        copy = self._copies[result.key]
+        if (result.error or {}).get("class") == ScratchError.__name__ and not copy.alone:
+            with self._lock:
+                self._release(copy)
+                self._waiting.append(_Copy(copy.job, copy.folder.with_name(f"{copy.folder.name}_alone"), alone=True))
+            self.look()
+            return None
+        if result.error is not None or not is_url(Path(copy.job.destination)):
+            return self._ended(copy, result)
+        with self._lock:
+            self._uploading += 1
+        self._start(self._upload, copy, result)
+        return None
+
+    def close(self) -> None:
+        """End all copying."""
+        self._closed = True
+        with suppress(ValueError):
+            self._room.listeners.remove(self.look)
+        for thread in self._threads:
+            thread.join(_PATIENCE)
+        with self._lock:
+            for copy in list(self._copies.values()):
+                self._release(copy)
+
+    def look(self) -> None:
+        """Copy the next ones, as far as there is room."""
+        with self._lock:
+            while self._waiting and not self._closed and self._loading + len(self._ready) < self._ahead:
+                copy = self._waiting[0]
+                try:
+                    needed, result = self._needed(copy.job)
+                except Pc2ScanError as err:
+                    self._waiting.popleft()
+                    self._post(Ended(_failed(copy, err)))
+                    continue
+                if needed > self._room.total:
+                    self._waiting.popleft()
+                    self._post(Ended(_failed(copy, self._room.refusal(needed, self._folder.parent))))
+                    continue
+                wanted = self._room.total if copy.alone else min(needed + result, self._room.total)
+                if not self._room.reserve(wanted):
+                    return
+                self._waiting.popleft()
+                copy.reserved = wanted
+                self._copies[copy.job.key] = copy
+                self._loading += 1
+                self._start(self._load, copy)
+
+    def _needed(self, job: Job) -> tuple[int, int]:
+        """Bytes of the copies of a job, and those that are set aside for its result."""
+        from pc2scan.remote.store import Place  # noqa: PLC0415  # loads fsspec
+
+        needed = job.size_bytes if any(is_url(Path(path)) for path in job.sources) else 0
+        for path in job.request.options.frames.tf_from:
+            if is_url(path) and path not in self._sizes:
+                files = Place(path).files()
+                places = [Place(path)] if files is None else list(files.values())
+                self._sizes[path] = sum(place.stated().size for place in places)
+            needed += self._sizes.get(path, 0)
+        return needed, job.size_bytes + _BESIDE if is_url(Path(job.destination)) else 0
+
+    def _start(self, work: Callable[..., None], *args: object) -> None:
+        self._threads = [thread for thread in self._threads if thread.is_alive()]
+        thread = Thread(target=work, args=args, daemon=True)
+        self._threads.append(thread)
+        thread.start()
+
+    def _check(self) -> None:
+        if self._closed:
+            raise _StoppedError
+
+    def _load(self, copy: _Copy) -> None:
+        """Copy a recording: runs in a thread."""
+        try:
+            job = self._copied(copy)
+            self._check()
+        except _StoppedError:
+            return
+        except Exception as err:  # noqa: BLE001  # one recording must not end the others
+            error = (
+                err if isinstance(err, Pc2ScanError) else OutputError(f"its local copy: {type(err).__name__}: {err}")
+            )
+            result = self._ended(copy, _failed(copy, error))
+            with self._lock:
+                self._loading -= 1
+                self._post(Ended(result))
+            self.look()
+            return
+        with self._lock:
+            self._loading -= 1
+            self._ready.append(job)
+            self._post(None)
+
+    def _copied(self, copy: _Copy) -> Job:
+        from pc2scan.remote.store import Place  # noqa: PLC0415  # loads fsspec
+
+        job, number = copy.job, 0
+
+        def here(text: str | Path) -> Path:
+            nonlocal number
+            if not is_url(Path(text)):
+                return Path(text)
+            place = Place(Path(text))
+            folder = copy.folder / "in" / str(number)
+            number += 1
+            folder.mkdir(parents=True)
+            copy.names.add(folder, place.parent)
+            target = folder / place.name
+            files = place.files()
+            if files is not None:
+                target.mkdir()
+            for name, file in ({"": place} if files is None else files).items():
+                path = target / name if name else target
+                versions[str(path)] = file.download(path, self._check).version
+            return target
+
+        sources = [here(path) for path in job.sources]
+        frames = job.request.options.frames
+        frames = replace(frames, tf_from=tuple(here(path) for path in frames.tf_from))
+        request = replace(job.request, options=replace(job.request.options, frames=frames))
+        copy.identity = identity_of(sources)
+        destination, most = job.destination, None
+        if is_url(Path(destination)):
+            place = Place(Path(destination))
+            # Those of a killed worker, which tries it again.
+            (copy.folder / "out").mkdir(parents=True)
+            copy.names.add(copy.folder / "out", place.parent)
+            destination, most = str(copy.folder / "out" / place.name), (str(copy.folder), copy.reserved)
+        return replace(job, sources=tuple(map(str, sources)), destination=destination, request=request, room=most)
+
+    def _upload(self, copy: _Copy, result: Result) -> None:
+        """Upload a result: runs in a thread."""
+        try:
+            result = replace(result, output_identity=self._uploaded(copy))
+        except _StoppedError:
+            return
+        except Exception as err:  # noqa: BLE001  # one recording must not end the others
+            error = err if isinstance(err, Pc2ScanError) else OutputError(f"{type(err).__name__}: {err}")
+            result = replace(
+                _failed(copy, error), started=result.started, seconds=result.seconds, attempts=result.attempts
+            )
+        result = self._ended(copy, result)
+        with self._lock:
+            self._uploading -= 1
+            self._post(Ended(result))
+
+    def _uploaded(self, copy: _Copy) -> Identity:
+        """Upload what was written, complete or not at all; return its identity."""
+        from pc2scan.remote.store import Place  # noqa: PLC0415  # loads fsspec
+
+        target = Place(Path(copy.job.destination))
+        folder = Place(Path(copy.job.destination.rstrip("/").rpartition("/")[0]))
+        made = sorted((copy.folder / "out").iterdir(), reverse=True)
+        objects: dict[str, Object] = {}
+        done: list[str] = []
+        try:
+            for path in made:
+                place = folder.child(path.name)
+                if path.is_dir():
+                    if place.below():
+                        if not copy.job.replaces:
+                            raise DestinationError(
+                                "exists already", path=place.shown, hint="`overwrite=True` replaces it"
+                            )
+                        place.remove_below()
+                    folder.upload(path, path.name, self._check)
+                    objects |= {f"{path.name}/{name}": found for name, found in place.below().items()}
+                else:
+                    folder.refuse_existing(path.name, overwrite=copy.job.replaces)
+                    done.append(folder.upload_file(path, path.name, self._check))
+                    objects[path.name] = place.stated()
+        except BaseException:
+            # Of files that are one recording, none is left.
+            if len(made) > 1:
+                folder.remove(done)
+            raise
+        return identity_in(objects, target.name)
+
+    def _ended(self, copy: _Copy, result: Result) -> Result:
+        """Remove the copies, and show URLs in a result."""
+        shown: Result = copy.names.of(replace(result, identity=copy.identity or result.identity))
+        with self._lock:
+            self._release(copy)
+        self.look()
+        return shown
+
+    def _release(self, copy: _Copy) -> None:
+        self._copies.pop(copy.job.key, None)
+        shutil.rmtree(copy.folder, ignore_errors=True)
+        for path in [path for path in versions if path.startswith(f"{copy.folder}/")]:
+            with suppress(KeyError):
+                del versions[path]
+        self._room.release(copy.reserved)
+        copy.reserved = 0
+
+
+def _failed(copy: _Copy, err: Pc2ScanError) -> Result:
+    copy.names.error(err)
+    return Result(
+        key=copy.job.key,
+        outcome="failed",
+        exit_status=err.exit_status,
+        error=err.as_dict(),
+        started=datetime.now(timezone.utc).isoformat(timespec="milliseconds"),
+    )

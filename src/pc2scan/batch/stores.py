@@ -1,0 +1,369 @@
+"""A batch at URLs: local stand-ins in which recordings are found, and the folder of the results in a store.
+
+Recordings are found, and plans made, in a tree of files of which only what is looked at is fetched: there
+``s3://drives/a.bag`` is ``<folder>/s3/drives/a.bag``. The folder of the results is in the tree, too, and has the
+manifest.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import time
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from secrets import token_hex
+from threading import Event, Thread
+from typing import TYPE_CHECKING
+from urllib.parse import urlsplit
+
+from pc2scan.errors import DestinationError, Pc2ScanError, RecordingError, UsageError
+from pc2scan.files.source import on_demand
+from pc2scan.remote.names import Names
+from pc2scan.remote.urls import is_url, shown_url, url_of
+
+from .identity import Identity, versions
+from .manifest import BEGUN, MANIFEST
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from pc2scan.remote.store import Object, Place
+
+__all__ = ["Output", "Stores"]
+
+_GLOB = frozenset("*?[")
+
+#: The lock of a folder in a store.
+_LOCK = ".pc2scan-lock"
+
+#: Seconds between two signs of life of the run that holds it, and after which one without is taken for killed.
+_ALIVE_SECONDS = 20.0
+_DEAD_SECONDS = 70.0
+
+#: Seconds between two uploads of the manifest, at least.
+_PUSH_SECONDS = 10.0
+
+
+class Stores:
+    """The tree of what is at URLs.
+
+    Parameters
+    ----------
+    scratch
+        Where local copies are; None: in the system's folder for temporary files.
+
+    Attributes
+    ----------
+    names
+        Shows URLs for what is in the tree.
+    """
+
+    def __init__(self, scratch: Path | None) -> None:
+        self._scratch = scratch
+        self._stack = ExitStack()
+        self._tree: Path | None = None
+        #: With all that is secret in them, by the path in the tree.
+        self._urls: dict[Path, str] = {}
+        self._made: list[Path] = []
+        self._out: Path | None = None
+        self.names = Names()
+
+    @property
+    def are_used(self) -> bool:
+        """Whether anything is at a URL."""
+        return self._tree is not None
+
+    def close(self) -> None:
+        """Remove the tree."""
+        self.forget()
+        self._stack.close()
+
+    def located(self, text: str) -> str:
+        """Return the path of a source: that in the tree for a URL, with stand-ins of what is there.
+
+        Raises
+        ------
+        MissingError, RecordingError
+            If nothing is there, or it cannot be listed.
+        """
+        return self._listed(url_of(Path(text))) if is_url(Path(text)) else text
+
+    def beside(self, path: Path, name: str) -> str:
+        """Return what a relative path in a file means: a URL, if the file is at one."""
+        if is_url(Path(name)) or not self.is_remote(path):
+            return name if is_url(Path(name)) else str(path.parent / name)
+        return f"{self.url_of(path).partition('?')[0].rpartition('/')[0]}/{name}"
+
+    def url_of(self, path: Path) -> str:
+        """Return the URL of a path in the tree, secrets included; another path is made absolute."""
+        absolute = Path(os.path.abspath(path))  # noqa: PTH100  # links keep their names
+        for folder in (absolute, *absolute.parents):
+            if url := self._urls.get(folder):
+                below = absolute.relative_to(folder).as_posix()
+                return url if below == "." else f"{url.rstrip('/')}/{below}"
+        return str(absolute)
+
+    def shown(self, path: Path) -> str:
+        """Return the URL of a path in the tree as users see it; another path is made absolute."""
+        url = self.url_of(path)
+        return shown_url(url) if is_url(Path(url)) else url
+
+    def is_remote(self, path: Path) -> bool:
+        """Whether a path is in the tree."""
+        return self._tree is not None and path.is_relative_to(self._tree)
+
+    def complete(self, path: Path) -> None:
+        """Fetch what must be there as a whole before a recording is opened."""
+        if self._tree is not None:
+            from pc2scan.remote.ranges import complete  # noqa: PLC0415  # loads fsspec
+
+            complete(path)
+
+    @contextmanager
+    def naming(self) -> Iterator[None]:
+        """Show URLs in the errors of the body."""
+        try:
+            yield
+        except Pc2ScanError as err:
+            self.names.error(err)
+            raise
+
+    def forget(self) -> None:
+        """Remove the stand-ins: once recordings are found, nothing reads them."""
+        for path in self._made:
+            on_demand.pop(path, None)
+            versions.pop(str(path), None)
+            path.unlink(missing_ok=True)
+        self._made.clear()
+
+    def output(self, url: str) -> Output:
+        """Return the folder of the results at a URL."""
+        from pc2scan.remote.store import Place  # noqa: PLC0415  # loads fsspec
+
+        place = Place(Path(url))
+        if place.is_read_only:
+            raise DestinationError(f"{place.scheme}:// can only be read", path=place.shown)
+        self._out = self._path_of(place, url)
+        self._out.mkdir(parents=True, exist_ok=True)
+        return Output(place, self._out)
+
+    def folder(self) -> Path:
+        """Return a folder for local copies."""
+        if self._tree is None:
+            from pc2scan.remote.scratch import scratch_folder  # noqa: PLC0415  # few batches have URLs
+
+            self._tree = self._stack.enter_context(scratch_folder(self._scratch)) / "tree"
+        return self._tree.parent
+
+    def _path_of(self, place: Place, url: str) -> Path:
+        """The path in the tree for a URL, which is noted."""
+        parts = urlsplit(place.shown)
+        root = self.folder() / "tree" / parts.scheme / (parts.netloc or "_")
+        self.names.add(root, f"{parts.scheme}://{parts.netloc}")
+        path = Path(os.path.normpath(root / parts.path.strip("/")))
+        self._urls[path] = url
+        return path
+
+    def _listed(self, url: str) -> str:
+        """Make stand-ins of all that a source may be."""
+        from pc2scan.remote.store import Place  # noqa: PLC0415  # loads fsspec
+
+        base, pattern = url, ""
+        if not url.startswith("http") and _GLOB & set(url):
+            cut = url.rindex("/", 0, min(url.index(sign) for sign in _GLOB if sign in url))
+            base, pattern = url[:cut], url[cut:]
+        place = Place(Path(base))
+        path = self._path_of(place, base)
+        if path == self._out or (self._out is not None and path.is_relative_to(self._out)):
+            # It is refused there.
+            return str(path) + pattern
+        objects = {} if place.is_read_only else place.below()
+        if objects:
+            for below, found in objects.items():
+                parts = below.split("/")
+                # Hidden names, and those that would lead elsewhere.
+                if all(parts) and not any(part.startswith(".") for part in parts):
+                    self._stand_in(place.child(below), path / below, found)
+        elif not pattern:
+            self._stand_in(place, path, place.stated())
+        return str(path) + pattern
+
+    def _stand_in(self, place: Place, path: Path, found: Object) -> None:
+        from pc2scan.remote.ranges import stand_in  # noqa: PLC0415  # loads fsspec
+
+        if path in on_demand or (self._out is not None and path.is_relative_to(self._out)):
+            return
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            if path.is_dir():
+                raise FileExistsError
+            versions[str(path)] = found.version
+            self._made.append(path)
+            stand_in(place, path, found.size)
+        except (FileExistsError, NotADirectoryError) as err:
+            raise RecordingError(
+                "is a file, and the folder of others", path=place.shown, hint="name the folders below it"
+            ) from err
+        except OSError as err:
+            raise UsageError(f"`scratch`: {self._scratch or 'the folder'} cannot be written: {err.strerror}") from err
+
+
+class Output:
+    """The folder of a batch in a store.
+
+    Its manifest, and the note of what is being written, are files here that are uploaded: now and then while
+    recordings are converted, and at the end.
+
+    Attributes
+    ----------
+    folder
+        With these files.
+    """
+
+    def __init__(self, place: Place, folder: Path) -> None:
+        self._place = place
+        self.folder = folder
+        self._objects: dict[str, Object] | None = None
+        self._pushed: dict[str, bytes] = {}
+        self._next = 0.0
+        self._lost = Event()
+
+    def pull(self) -> None:
+        """Fetch the files of the last run."""
+        for name in (MANIFEST, BEGUN):
+            data = self._place.child(name).read()
+            if data is not None:
+                self._pushed[name] = data
+                (self.folder / name).write_bytes(data)
+
+    def present(self, output: str) -> Identity:
+        """Return the identity of what was at a place below the folder when it was listed first."""
+        if self._objects is None:
+            self._objects = self._place.below()
+        return identity_in(self._objects, output)
+
+    def exists(self, output: str) -> bool:
+        """Whether anything is at a place now."""
+        return bool(identity_in(self._place.child(output.rpartition("/")[0]).below(), output.rpartition("/")[2]).files)
+
+    def push(self, *, at_once: bool = False) -> None:
+        """Upload what has changed of the files, if it is time.
+
+        Raises
+        ------
+        DestinationError
+            If another run has taken the folder over.
+        OutputError
+            If they cannot be written.
+        """
+        if self._lost.is_set():
+            raise DestinationError(
+                "another batch has taken this folder over: this run gave no sign of life for a while",
+                path=self._place.shown,
+            )
+        began = time.monotonic()
+        if began < self._next and not at_once:
+            return
+        for name in (BEGUN, MANIFEST):
+            place, path = self._place.child(name), self.folder / name
+            data = path.read_bytes() if path.exists() else None
+            if data is None and name in self._pushed:
+                place.delete()
+                del self._pushed[name]
+            elif data is not None and data != self._pushed.get(name):
+                place.write(data)
+                self._pushed[name] = data
+        self._next = time.monotonic() + max(_PUSH_SECONDS, 10 * (time.monotonic() - began))
+
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Hold the lock: an object that only one run can create, with signs of life in it.
+
+        Raises
+        ------
+        DestinationError
+            If another run holds it.
+        """
+        lock = self._place.child(_LOCK)
+        sign = {"host": socket.gethostname(), "pid": os.getpid(), "run": token_hex(8), "sign": 0}
+        self._take(lock, sign)
+        ended = Event()
+
+        def live() -> None:
+            while not ended.wait(_ALIVE_SECONDS):
+                # A network that fails for a while is no reason to end.
+                with suppress(Pc2ScanError):
+                    if json.loads(lock.read() or b"{}").get("run") != sign["run"]:
+                        self._lost.set()
+                        return
+                    sign["sign"] += 1  # type: ignore[operator]
+                    lock.write(json.dumps(sign).encode())
+
+        thread = Thread(target=live, daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            ended.set()
+            thread.join(_ALIVE_SECONDS)
+            if not self._lost.is_set():
+                with suppress(Pc2ScanError):
+                    lock.delete()
+
+    def _take(self, lock: Place, sign: dict[str, object]) -> None:
+        deadline = time.monotonic() + _DEAD_SECONDS
+        data, seen = json.dumps(sign).encode(), None
+        while not lock.write(data, is_new=True):
+            found = lock.read()
+            if found is None:
+                continue
+            other = _lock_of(found)
+            if seen is not None and found != seen:
+                raise self._busy(other)
+            if _is_dead_here(other) or time.monotonic() > deadline:
+                lock.delete()
+            elif other.get("host") == sign["host"] and other.get("pid"):
+                # It lives.
+                raise self._busy(other)
+            else:
+                seen = found
+                time.sleep(min(5.0, _ALIVE_SECONDS / 4))
+
+    def _busy(self, other: dict[str, object]) -> DestinationError:
+        return DestinationError(
+            f"another batch is writing into this folder, on {other.get('host')}, process {other.get('pid')}",
+            path=self._place.shown,
+        )
+
+
+def identity_in(objects: dict[str, Object], output: str) -> Identity:
+    """Return the identity of a file or folder among the objects of a store."""
+    if found := objects.get(output):
+        return Identity(((output.rpartition("/")[2], found.size, found.version),))
+    below = f"{output}/"
+    files = [(key[len(below) :], *found) for key, found in sorted(objects.items()) if key.startswith(below)]
+    return Identity(tuple(files))
+
+
+def _lock_of(data: bytes) -> dict[str, object]:
+    try:
+        found = json.loads(data)
+    except ValueError:
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _is_dead_here(other: dict[str, object]) -> bool:
+    """Whether the run that holds a lock was on this machine, and has ended."""
+    pid = other.get("pid")
+    if other.get("host") != socket.gethostname() or not isinstance(pid, int) or os.name == "nt":
+        return False
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return True
+    except OSError:
+        pass
+    return False
