@@ -1,10 +1,10 @@
-"""Which beams of a scan to remove: shadows behind edges, and speckles.
+"""Finds the beams of a scan to remove: shadows behind edges, and speckles.
 
 Source of the rules: ``ScanShadowsFilter`` (with ``ScanShadowDetector``) and ``LaserScanSpeckleFilter`` of laser_filters
-2.0, with their parameters by their names, in their float32. Two things differ: theirs end at the first and the last
-beam, here a full circle has no end; and theirs read past the scan's array, where nothing is done with what they read.
+2.0, with the same parameters, in float32 as there. Two things differ: laser_filters stops at the first and the last
+beam, while a full circle has no end here; and laser_filters reads past the scan's array, but does not use these values.
 
-Ranges without a return are inf or NaN here, whatever the scan has for them.
+A beam without a return is inf or NaN here, whatever number the scan has for it.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ def shadows(
     remove_shadow_start_point: bool = False,
     closed: bool = False,
 ) -> NDArray[np.bool_]:
-    """Return which beams are shadows: returns between an edge and what is behind it, that are on neither.
+    """Return which beams are shadows: returns between an edge and the object behind it, which are on neither.
 
-    Where the line from a return to another one at most ``window`` beams away is nearly parallel to the beam, the
-    farther ones of its ``neighbors`` on both sides are removed.
+    If the line from a return to another one at most ``window`` beams away is nearly parallel to the beam, those of its
+    ``neighbors`` on both sides that are farther away are removed.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ def shadows(
     increment
         Radians from beam to beam.
     min_angle, max_angle
-        Between the beam and that line, degrees: 0 to 90 and 90 to 180. Smaller than the one, or larger than the other,
+        Limits of the angle between the beam and that line, degrees: 0 to 90 and 90 to 180. A smaller or a larger angle
         is a shadow.
     window, neighbors
         Numbers of beams.
@@ -69,7 +69,7 @@ def shadows(
             begins |= there & (tangent < low) & (tangent > high)
         removed = np.zeros(ranges.size, np.bool_)
         for away in range(-neighbors, neighbors + 1):
-            # The beam that is removed, and the one that it is a neighbour of.
+            # The beam to remove, and its neighbour.
             edge, there = _shifted(ranges, -away, closed)
             begun, _ = _shifted(begins, -away, closed)
             removed |= there & begun & (edge < ranges)
@@ -84,18 +84,18 @@ def speckles_by_distance(
     filter_window: int,
     closed: bool = False,
 ) -> NDArray[np.bool_]:
-    """Return which beams are speckles: in no run of ``filter_window`` beams whose ranges are like its first one's.
+    """Return which beams are speckles: beams in no run of ``filter_window`` beams with ranges like its first one.
 
     Parameters
     ----------
     ranges
         (N,) metres.
     max_range
-        Beyond it nothing is removed, metres.
+        Ranges beyond this are never removed, metres.
     max_range_difference
         How much the ranges of a run may differ from its first one, metres.
     filter_window
-        Beams of a run.
+        How many beams a run has.
     closed
         Whether the first beam follows the last one.
     """
@@ -103,7 +103,7 @@ def speckles_by_distance(
         valid = ~np.isnan(ranges)
         for away in range(1, filter_window):
             other, there = _shifted(ranges, away, closed)
-            # Of two without a return the difference is NaN, which is not too large.
+            # The difference of two beams without a return is NaN, which does not count as too large.
             like = ~(np.abs(other - ranges).astype(np.float64) > max_range_difference)
             valid &= there & ~np.isnan(other) & like
         return _speckles(ranges, valid, max_range, filter_window, closed)
@@ -118,10 +118,10 @@ def speckles_by_neighbors(
     filter_window: int,
     closed: bool = False,
 ) -> NDArray[np.bool_]:
-    """Return which beams are speckles: with fewer than ``filter_window`` returns near them, and behind no other one.
+    """Return which beams are speckles: beams with fewer than ``filter_window`` returns near them.
 
     Returns count as near if they are at most ``filter_window`` beams and ``max_range_difference`` metres away. A beam
-    with enough of them keeps the next ``filter_window - 1`` as well.
+    with enough near returns keeps the next ``filter_window - 1`` beams as well.
 
     Parameters
     ----------
@@ -145,7 +145,7 @@ def speckles_by_neighbors(
             near += there & (distance.astype(np.float64) <= max_range_difference)
         valid = near >= filter_window
         if not closed:
-            # Theirs looks at no beam from here on.
+            # laser_filters does not check the beams from here on.
             valid[max(0, ranges.size - filter_window + 1) :] = False
         return _speckles(ranges, valid, max_range, filter_window, closed)
 
@@ -153,7 +153,7 @@ def speckles_by_neighbors(
 def _speckles(
     ranges: NDArray[np.float32], valid: NDArray[np.bool_], max_range: float, filter_window: int, closed: bool
 ) -> NDArray[np.bool_]:
-    """Beams in no run that is valid, but for those beyond ``max_range``."""
+    """Return the beams that are in no valid run, except those beyond ``max_range``."""
     kept = ranges.astype(np.float64) > max_range
     for away in range(filter_window):
         begun, there = _shifted(valid, -away, closed)
@@ -163,7 +163,7 @@ def _speckles(
 
 
 def _shifted(values: NDArray, away: int, closed: bool) -> tuple[NDArray, NDArray[np.bool_]]:  # type: ignore[type-arg]
-    """The value that is so many beams after each one, and whether there is one."""
+    """Return the value ``away`` beams after each one, and whether there is one."""
     places = np.arange(values.size) + away
     there = np.ones(values.size, np.bool_) if closed else (places >= 0) & (places < values.size)
     return values[places % values.size], there

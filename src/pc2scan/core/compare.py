@@ -1,6 +1,6 @@
-"""Two arrays of measurements: which differ, by how much, and whether they only moved to a neighbour.
+"""Compares two arrays of measurements: which differ, by how much, and which only moved to a neighbouring element.
 
-Without a tolerance values are equal when their bits are: a NaN with another payload differs, and -0.0 differs from
+Without a tolerance, values are equal if their bits are: a NaN with another payload differs, and -0.0 differs from
 0.0. With a tolerance they are compared as numbers.
 """
 
@@ -27,9 +27,9 @@ class Tolerance:
     Attributes
     ----------
     atol
-        In the unit of the values.
+        Absolute tolerance, in the unit of the values.
     rtol
-        A share of the reference.
+        Relative tolerance, as a share of the reference.
 
     Raises
     ------
@@ -56,14 +56,14 @@ EXACT = Tolerance()
 
 @dataclass(frozen=True, slots=True)
 class Worst:
-    """The element that differs most.
+    """The element with the largest difference.
 
     Attributes
     ----------
     index
-        Of the element (the beam, the point).
+        Index of the element (the beam, the point).
     reference, value
-        What it is in either array.
+        Its values in the two arrays.
     difference
         ``abs(value - reference)``; infinity if only one of them is finite, 0.0 if only the bits differ.
     """
@@ -76,21 +76,21 @@ class Worst:
 
 @dataclass(frozen=True, slots=True)
 class ArrayDifference:
-    """What differs between two arrays of one length.
+    """The differences between two arrays of the same length.
 
     Attributes
     ----------
     elements
-        Compared.
+        How many elements were compared.
     changed
-        Elements beyond the tolerance that no shift explains.
+        How many elements are beyond the tolerance, and are not explained by a shift.
     shifted
-        Elements beyond the tolerance whose value, or whose reference, is found at a neighbour that differs too: a
-        return that fell one beam over.
+        How many elements are beyond the tolerance, but have their value, or their reference, at a neighbour that
+        differs, too: returns that fell into the neighbouring beam.
     shift
         1 if all of the reference is found one element later, -1 if one earlier, 0 otherwise.
     worst
-        None if nothing differs.
+        The largest difference; None if nothing differs.
     """
 
     elements: int
@@ -101,11 +101,11 @@ class ArrayDifference:
 
     @property
     def differing(self) -> int:
-        """Elements beyond the tolerance, for whatever reason."""
+        """How many elements are beyond the tolerance."""
         return self.changed + self.shifted
 
 
-@np.errstate(invalid="ignore", over="ignore")  # a NaN may be one that signals
+@np.errstate(invalid="ignore", over="ignore")  # a NaN may be a signalling one
 def compare_arrays(
     reference: NDArray[Any],
     value: NDArray[Any],
@@ -118,14 +118,14 @@ def compare_arrays(
     Parameters
     ----------
     reference, value
-        Of one shape ``(n,)`` or ``(n, count)`` and one numeric dtype but for the byte order. An element with several
-        values differs if one of them does.
+        Arrays of the same shape, ``(n,)`` or ``(n, count)``, and the same numeric dtype, except for the byte order. An
+        element with several values differs if one of them does.
     tolerance
-        Integers have none: they are equal or not. Infinities are equal to themselves only, and with a tolerance NaN
+        It does not apply to integers: they are equal or not. An infinity equals only itself, and with a tolerance NaN
         equals NaN.
     limits
-        Smallest and largest value of a return. Given for one-dimensional arrays, returns that moved to a neighbour are
-        told apart from changed ones; values outside (what stands for no return) move nowhere.
+        Smallest and largest value of a return. If given, for one-dimensional arrays, returns that moved to a neighbour
+        are distinguished from changed ones; values outside of the limits are no returns, and do not move.
 
     Raises
     ------
@@ -151,13 +151,13 @@ def compare_arrays(
 
 @np.errstate(invalid="ignore", over="ignore")
 def differing(reference: NDArray[Any], value: NDArray[Any], tolerance: Tolerance = EXACT) -> NDArray[np.bool_]:
-    """Return which elements `compare_arrays` counts as differing; both ``(n,)`` of one dtype but for the byte order."""
+    """Return which elements `compare_arrays` counts as differing; both ``(n,)``, of one dtype in any byte order."""
     kind = reference.dtype.newbyteorder("=")
     return ~_same(np.ascontiguousarray(reference, kind), np.ascontiguousarray(value, kind), tolerance)
 
 
 def _same(a: NDArray[Any], b: NDArray[Any], tolerance: Tolerance) -> NDArray[np.bool_]:
-    """Which values are equal; all of one shape and dtype."""
+    """Return which values are equal; all of one shape and dtype."""
     result: NDArray[np.bool_]
     if a.dtype.kind != "f":
         result = a == b
@@ -177,11 +177,11 @@ def _same(a: NDArray[Any], b: NDArray[Any], tolerance: Tolerance) -> NDArray[np.
 def _explained(
     a: NDArray[Any], b: NDArray[Any], differs: NDArray[np.bool_], tolerance: Tolerance, limits: tuple[float, float]
 ) -> NDArray[np.bool_]:
-    """Which differing elements have their return at a neighbour that differs too."""
+    """Return which differing elements have their return at a neighbour that differs, too."""
     low, high = limits
     both = differs[:-1] & differs[1:]
     explained = np.zeros(len(a), bool)
-    # From one element to the next: a return of a's left is b's right, or the other way round.
+    # For each pair of neighbours: the left one of a equals the right one of b, or the other way round.
     for left, right in ((a, b), (b, a)):
         found = both & _same(left[:-1], right[1:], tolerance) & (left[:-1] >= low) & (left[:-1] <= high)
         found &= np.isfinite(left[:-1])
@@ -204,7 +204,7 @@ def _worst(a: NDArray[Any], b: NDArray[Any], differs: NDArray[np.bool_]) -> Wors
     flat_a, flat_b = a.ravel()[places], b.ravel()[places]
     distance = np.abs(flat_b.astype(np.float64) - flat_a.astype(np.float64))
     alike = (flat_a == flat_b) | (np.isnan(flat_a) & np.isnan(flat_b))
-    # NaN against a number is as far as it gets; bits that mean one value are no distance at all.
+    # NaN against a number is an infinite difference; different bits of the same value are no difference.
     distance[np.isnan(distance)] = np.inf
     distance[alike] = 0.0
     place = int(np.argmax(distance))

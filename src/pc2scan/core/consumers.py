@@ -1,4 +1,4 @@
-"""What the programs that read laser scans do with one: take it, ignore it, abort, or misplace its beams.
+"""What the consumers of laser scans do with a scan: accept it, ignore it, abort, or misplace its beams.
 
 Sources of the rules, in C++ (floats of the message are float32, literals float64 unless marked):
 
@@ -10,12 +10,12 @@ Sources of the rules, in C++ (floats of the message are float32, literals float6
 - gmapping: ``initMapper``, ``getOdomPose`` and ``addScan`` (slam_gmapping.cpp), ``RangeSensor`` (openslam,
   rangesensor.cpp), ``setLaserParameters``, ``computeActiveArea`` (scanmatcher.cpp).
 - AMCL: ``AmclNode::updateFilter`` and its message filter (nav2_amcl, amcl_node.cpp).
-- Nav2: ``Scan::getSourceData`` (nav2_collision_monitor, scan.cpp). Its costmap ignores infinite ranges: it takes
-  what laser_geometry takes, ``range < range_max``.
+- Nav2: ``Scan::getSourceData`` (nav2_collision_monitor, scan.cpp). Its costmap ignores infinite ranges: it accepts
+  what laser_geometry accepts, ``range < range_max``.
 - MRPT: ``fromROS`` (ros2bridge, laser_scan.cpp).
 
-The arithmetic is theirs, in plain Python: float64 operations on float32 operands, rounded to float32 where the C++
-result is a float, which is the float32 result (see `pc2scan.core.params.beam_count`).
+The arithmetic is that of the consumers, in plain Python: float64 operations on float32 operands, rounded to float32
+where the C++ result is a float, which is the float32 result (see `pc2scan.core.params.beam_count`).
 """
 
 from __future__ import annotations
@@ -48,14 +48,14 @@ __all__ = [
 
 Outcome = Literal["accepted", "shifted", "misplaced", "ignored", "aborts"]
 
-#: From the harmless to the worst: accepted; taken, but turned by up to one beam; taken, but with beams or ranges where
-#: there is nothing; dropped; a failure that ends the process.
+#: From harmless to worst: accepted; accepted, but rotated by up to one beam; accepted, but with beams or ranges in
+#: wrong places; dropped; the consumer's process ends.
 OUTCOMES: tuple[Outcome, ...] = ("accepted", "shifted", "misplaced", "ignored", "aborts")
 
 #: gmapping asserts ``beams < LASER_MAXBEAMS``.
 _GMAPPING_BEAMS = 2048
 
-#: gmapping does not start while the z axis of the scan's frame differs from the robot's by more than this.
+#: gmapping does not start if the z axis of the scan's frame differs from the robot's by more than this.
 _GMAPPING_TILT = 0.001
 
 #: slam_toolbox's default of ``max_laser_range``, metres.
@@ -64,14 +64,14 @@ _KARTO_RANGE = 25.0
 #: MRPT asserts ``ranges.size() > 1``.
 _MRPT_BEAMS = 2
 
-#: Beams that are off by more than this share of an increment are shifted. Smaller differences are roundings of a
-#: driver's angles; none of the consumers draws the line itself.
+#: Beams that are off by more than this share of an increment count as shifted. Smaller differences are roundings of a
+#: driver's angles. The limit is pc2scan's own: the consumers have none.
 _OFF = 0.1
 
-#: Beams that are off by more than so many increments are misplaced.
+#: Beams that are off by more than this many increments count as misplaced.
 _SHIFTED = 1.0 + _OFF
 
-#: Where more than this share of a scan's ranges are `Scan.full`, these are no returns.
+#: If more than this share of a scan's ranges are `Scan.full`, these ranges are no returns.
 _MISSES = 0.01
 
 _TWO_PI = 2 * math.pi
@@ -85,12 +85,12 @@ _KARTO_NEARLY_FULL = 6.10865
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scan:
-    """What a scan advertises, and what is in its arrays.
+    """The header of a scan, and the counts of its values.
 
     Attributes
     ----------
     angle_min, angle_max, angle_increment
-        Radians; rounded to float32 when the scan is made, as all numbers here.
+        Radians; rounded to float32 when the object is created, like all numbers here.
     range_min, range_max
         Metres.
     scan_time, time_increment
@@ -108,11 +108,12 @@ class Scan:
     zero
         Ranges that are 0, as some drivers write a beam without a return.
     short
-        Ranges below ``range_min``, the zeros among them included.
+        Ranges below ``range_min``, including zeros.
     long
         Finite ranges above ``range_max``.
     full
-        Ranges that are ``range_max`` or 0.1 mm less (``no_return: range-max-minus``), as some write no return.
+        Ranges that are ``range_max`` or 0.1 mm less (``no_return: range-max-minus``), which some drivers write for no
+        return.
     """
 
     angle_min: float
@@ -158,7 +159,7 @@ class Scan:
         time_increment: float = 0.0,
         intensities: int = 0,
     ) -> Scan:
-        """Count what is in the ranges, float32, shape (beams,), metres; the others as in the class."""
+        """Count the values of the ranges, float32, shape (beams,), metres; the other parameters as in the class."""
         infinite = int((ranges == math.inf).sum())
         nan = int((ranges != ranges).sum())  # noqa: PLR0124  # NaN is what does not equal itself
         low, high = float32(range_min), float32(range_max)
@@ -173,7 +174,7 @@ class Scan:
             time_increment=time_increment,
             beams=len(ranges),
             intensities=intensities,
-            # inf <= inf, but it is nothing that was seen.
+            # inf <= inf is true, but infinity is no return.
             returns=within - (infinite if high == math.inf else 0),
             infinite=infinite,
             nan=nan,
@@ -185,18 +186,17 @@ class Scan:
 
 
 class Placed(NamedTuple):
-    """What the transforms say of a scan, at its stamp.
+    """What the transforms at a scan's stamp say about its frame.
 
     Attributes
     ----------
     frame_id
         The frame in the scan's header.
     odometry, robot
-        Whether there is a transform from the scan's frame to the odometry's frame, and to the robot's; None if that
-        is not known.
+        Whether there is a transform from the scan's frame to the odometry's frame, and to the robot's; None if unknown.
     up
         The z coordinate, in the scan's frame, of the point on the robot's z axis that is 1 m above the sensor: 1 for
-        a level sensor, -1 upside down. None if that is not known.
+        a level sensor, -1 for one that is upside down. None if unknown.
     missing
         Why a transform is missing.
     """
@@ -208,7 +208,7 @@ class Placed(NamedTuple):
     missing: str = ""
 
 
-#: Nothing is known of the transforms.
+#: For scans without known transforms.
 _ANYWHERE = Placed()
 
 
@@ -222,13 +222,14 @@ class Verdict(NamedTuple):
     outcome
         One of `OUTCOMES`.
     rule
-        The consumer's rule that decided; empty if the scan is accepted, and the others then too.
+        The consumer's rule that decided; empty if the scan is accepted, like the following ones.
     observed, allowed
-        What the scan has, and what the rule wants.
+        What the scan has, and what the rule allows.
     cure
-        What to do about it.
+        How to change that.
     unplaced
-        Whether the scan is ignored for its transforms. The consumer then waits for the next one, and keeps nothing.
+        Whether the scan is ignored because of its transforms. The consumer then waits for the next one, and stores
+        nothing of this one.
     """
 
     consumer: str
@@ -241,12 +242,12 @@ class Verdict(NamedTuple):
 
     @property
     def refused(self) -> bool:
-        """Whether nothing comes of the scan."""
+        """Whether the consumer does not use the scan."""
         return self.outcome in ("ignored", "aborts")
 
 
 def judge(consumer: str, scan: Scan, first: Scan | None = None, placed: Placed | None = None) -> Verdict:
-    """What a consumer does with a scan.
+    """Return what a consumer does with a scan.
 
     Parameters
     ----------
@@ -255,10 +256,10 @@ def judge(consumer: str, scan: Scan, first: Scan | None = None, placed: Placed |
     scan
         The scan.
     first
-        The first scan that this consumer saw of the sensor: slam_toolbox and gmapping keep its angles and its
+        The first scan of the sensor that this consumer received: slam_toolbox and gmapping use its angles and its
         length for all others. None if this is the first.
     placed
-        What the transforms say of the scan; None: they are not considered.
+        What the transforms say about the scan; None: they are not considered.
 
     Raises
     ------
@@ -272,31 +273,31 @@ def judge(consumer: str, scan: Scan, first: Scan | None = None, placed: Placed |
 
 
 def last_beam(scan: Scan) -> float:
-    """The angle of the last beam, radians, as float32: what ``angle_max`` should be."""
+    """Return the angle of the last beam, radians, as float32: the correct ``angle_max``."""
     return float32(scan.angle_min + (scan.beams - 1) * scan.angle_increment)
 
 
 def expected_by_karto(scan: Scan) -> int | None:
-    """The length of ``ranges`` that slam_toolbox expects of a scan's angles, and of all that follow it.
+    """Return the length of ``ranges`` that slam_toolbox expects by a scan's angles, also for all scans after it.
 
-    None where its arithmetic has no result: an increment of 0, or angles that are not finite.
+    None if its arithmetic has no result: an increment of 0, or angles that are not finite.
     """
     span = abs(float32(scan.angle_max - scan.angle_min))
     if not math.isfinite(scan.angle_increment) or scan.angle_increment == 0:
         return None
     full = abs(span - _TWO_PI) < scan.angle_increment - _KARTO_EPSILON
-    # The message's length, compared as a float, tells a circle whose first beam is doubled at its end.
+    # If the message's length equals this float, the scan is a circle that repeats its first beam at its end.
     steps = float32(span / scan.angle_increment)
     if not math.isfinite(steps):
         return None
     if span > _KARTO_NEARLY_FULL and _rounded(steps) + 1 == scan.beams:
         full = False
-    # Karto keeps the angles as doubles.
+    # Karto stores the angles as doubles.
     return _rounded((scan.angle_max - scan.angle_min) / scan.angle_increment) + (0 if full else 1)
 
 
 def _rounded(value: float) -> int:
-    """``std::round`` and Karto's ``math::Round``: halves away from zero."""
+    """Round halves away from zero, as ``std::round`` and Karto's ``math::Round`` do."""
     return math.floor(value + 0.5) if value >= 0 else math.ceil(value - 0.5)
 
 
@@ -312,7 +313,7 @@ _NEEDS: dict[str, tuple[str, ...]] = {
 
 
 def _unplaced(consumer: str, placed: Placed, *, started: bool) -> Verdict | None:
-    """The verdict on a scan that a consumer ignores for its transforms; None if it takes it."""
+    """Return the verdict on a scan that a consumer ignores because of its transforms; None if it uses the scan."""
     lacking = [role for role in _NEEDS[consumer] if getattr(placed, role) is False]
     if lacking:
         return Verdict(
@@ -321,7 +322,7 @@ def _unplaced(consumer: str, placed: Placed, *, started: bool) -> Verdict | None
             f"a scan without a transform to the {' and the '.join(f'{role} frame' for role in lacking)} is dropped",
             placed.missing or f"no transform from {placed.frame_id!r}",
             "transforms at the scan's stamp",
-            "keep /tf and /tf_static when recording or converting; `tf_from` takes them from another recording",
+            "keep /tf and /tf_static when recording or converting; `tf_from` reads them from another recording",
             unplaced=True,
         )
     if consumer == "gmapping" and not started and placed.up is not None and _tilted(placed.up):
@@ -373,7 +374,7 @@ def _slam_toolbox(scan: Scan, first: Scan, placed: Placed) -> Verdict:
     kept = _kept_angles("slam_toolbox", scan, first)
     if kept.outcome != "accepted" or placed.up is None or placed.up > 0:
         return kept
-    # Of a sensor that is upside down, beam i is read at the place of beam N - 1 - i.
+    # If the sensor is upside down, Karto reads beam i in the place of beam N - 1 - i.
     return _off(
         "slam_toolbox",
         scan,
@@ -389,7 +390,7 @@ def _cartographer(scan: Scan, _first: Scan, placed: Placed) -> Verdict:
     def aborts(rule: str, observed: str, allowed: str, cure: str) -> Verdict:
         return Verdict("cartographer", "aborts", rule, observed, allowed, cure)
 
-    # Written with `not`, since a check fails on NaN.
+    # Written with `not`, because a check fails on NaN.
     if not scan.range_min >= 0:
         return aborts("CHECK range_min >= 0", f"range_min {scan.range_min:.9g}", ">= 0", "`range_min=0.0`")
     if not scan.range_max >= scan.range_min:
@@ -410,7 +411,7 @@ def _cartographer(scan: Scan, _first: Scan, placed: Placed) -> Verdict:
             "advertise angles in the order of the beams: pc2scan convert --preset cartographer",
         )
     hits = scan.returns + (scan.infinite if scan.range_max == math.inf else 0)
-    # The check stands where a range within the limits is taken over.
+    # Cartographer checks this when it copies a range within the limits.
     if scan.intensities and scan.intensities != scan.beams and hits:
         return aborts(
             "CHECK len(intensities) == len(ranges), if there are intensities",
@@ -418,7 +419,7 @@ def _cartographer(scan: Scan, _first: Scan, placed: Placed) -> Verdict:
             f"0 or {scan.beams}",
             "write no intensities, or one for every beam",
         )
-    # A scan without points is dropped before its frame is looked at.
+    # A scan without points is dropped before its frame is checked.
     if hits and placed.frame_id.startswith("/"):
         return aborts(
             "CHECK that the frame_id has no leading slash",
@@ -459,7 +460,7 @@ def _gmapping(scan: Scan, first: Scan, placed: Placed) -> Verdict:
             f"{first.beams} ranges",
             "give all scans one number of beams (pc2scan convert does, to scans made from clouds)",
         )
-    # Ranges above the first scan's range_max are skipped, and ranges below range_min become range_max.
+    # gmapping skips ranges above the first scan's range_max, and replaces ranges below range_min by range_max.
     infinite = scan.infinite + (scan.short if scan.range_max == math.inf else 0)
     if infinite and not math.inf > first.range_max:
         return Verdict(
@@ -475,10 +476,10 @@ def _gmapping(scan: Scan, first: Scan, placed: Placed) -> Verdict:
 
 
 def _half_open(scan: Scan, placed: Placed) -> Verdict:
-    """The verdict of gmapping on where it places the beams of a scan.
+    """Return the verdict of gmapping on the places of a scan's beams.
 
-    Its beams are in the order of growing angles, beam ``i`` at ``(i - N / 2) * angle_increment`` from the middle
-    between ``angle_min`` and ``angle_max``; of a sensor that is upside down, seen from below.
+    It orders beams by growing angle, and places beam ``i`` at ``(i - N / 2) * angle_increment`` from the middle between
+    ``angle_min`` and ``angle_max``; for a sensor that is upside down, as seen from below.
     """
     if not scan.beams:
         return Verdict("gmapping")
@@ -551,13 +552,13 @@ def _mrpt(scan: Scan, _first: Scan, _placed: Placed) -> Verdict:
 
 @lru_cache(maxsize=64)
 def _mrpt_off(angle_min: float, angle_max: float, angle_increment: float, beams: int) -> float:
-    """How far MRPT's beams are from where a scan says, at most, radians; inf where it reads outside of the ranges."""
+    """Return the largest angle between MRPT's beams and a scan's, radians; inf if MRPT reads outside of the ranges."""
     aperture = float32(angle_max - angle_min)
     if not (math.isfinite(aperture) and math.isfinite(angle_increment)) or aperture == 0:
         return math.inf
     number = np.arange(beams)
     step, half, inverse = aperture / (beams - 1), 0.5 * aperture, (beams - 1) / aperture
-    # The order of the operations is MRPT's: what is truncated is often a whole number but for roundings.
+    # In MRPT's order of operations: the truncated value is often a whole number except for rounding.
     taken = np.trunc(inverse * ((-half - angle_min) + step * number))
     taken += np.where(taken < 0, beams, np.where(taken >= beams, -beams, 0))
     if taken.min() < 0 or taken.max() >= beams:
@@ -567,7 +568,7 @@ def _mrpt_off(angle_min: float, angle_max: float, angle_increment: float, beams:
 
 
 def _off(consumer: str, scan: Scan, off: float, rule: str, observed: str, allowed: str, cure: str) -> Verdict:
-    """The verdict on a scan whose beams are at most so far from where it says, radians."""
+    """Return the verdict on a scan whose beams are off by up to ``off``, radians."""
     share = abs(off) / abs(scan.angle_increment) if scan.angle_increment else math.inf if off else 0.0
     if share <= _OFF:
         return Verdict(consumer)
@@ -579,12 +580,12 @@ def _off(consumer: str, scan: Scan, off: float, rule: str, observed: str, allowe
 
 
 def _advertise(scan: Scan) -> str:
-    """What would be right to advertise."""
+    """Return what the header should advertise."""
     return f"advertise angle_max {last_beam(scan):.9g}, the last beam's angle" if scan.beams else "advertise beams"
 
 
 def _infinite_hits(consumer: str, scan: Scan) -> Verdict:
-    """The verdict of a consumer that takes range_min <= range <= range_max for a return, both infinite."""
+    """Return the verdict of a consumer for which range_min <= range <= range_max is a return, even if infinite."""
     return Verdict(
         consumer,
         "misplaced",
@@ -596,7 +597,7 @@ def _infinite_hits(consumer: str, scan: Scan) -> Verdict:
 
 
 def _kept_angles(consumer: str, scan: Scan, first: Scan) -> Verdict:
-    """The verdict of a consumer that keeps the first scan's angles."""
+    """Return the verdict of a consumer that uses the first scan's angles for all scans."""
     begin = scan.angle_min - first.angle_min
     end = begin + (scan.beams - 1) * (scan.angle_increment - first.angle_increment)
     off = max(abs(begin), abs(end))

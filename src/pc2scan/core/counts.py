@@ -16,18 +16,18 @@ _MOVING = NO_TIME.name, NO_TRANSFORM.name
 
 
 class PointCounts:
-    """How many points a cloud has, and what becomes of them. Everything but ``total`` sums to ``total``.
+    """How many points a cloud has, and how many are used and rejected. All counts except ``total`` sum to ``total``.
 
     Each point is counted once, under the first reason that rejects it. Filters come first, then the reasons of the
-    projection itself, which are always there: ``nan`` (x, y or z is), ``height``, ``range`` and ``angle`` (outside the
-    limits), and ``past_end`` (in the sector, but behind its last beam). Each is an attribute: ``counts.height``.
+    projection, which always exist: ``nan`` (x, y or z is NaN), ``height``, ``range`` and ``angle`` (outside of the
+    limits), and ``past_end`` (in the sector, but after its last beam). Each is an attribute: ``counts.height``.
 
     Attributes
     ----------
     total
         Points of the cloud.
     used
-        Points that fall into a beam, whether or not another one is closer.
+        Points that fall into a beam, even if another point is closer.
     rejected
         The other points, by reason: those of the projection, then those of filters.
 
@@ -53,9 +53,9 @@ class PointCounts:
 
     @classmethod
     def of_projection(cls, total: int, rejected: tuple[int, ...]) -> PointCounts:
-        """Return the counts of a cloud, given those of the loops over points.
+        """Return the counts of a cloud, from the result of the loops over points.
 
-        These are in the order of `REJECTIONS`; for points that were moved, those without a time and those without a
+        These are in the order of `REJECTIONS`; for deskewed points, the points without a time and the points without a
         transform follow.
         """
         counts = cls.__new__(cls)
@@ -67,7 +67,7 @@ class PointCounts:
         return counts
 
     def __getattr__(self, name: str) -> int:
-        # Only called for what is no attribute. An object that is being copied has no counts yet.
+        # Python calls this only for names that are no attributes. An object that is being copied has no counts yet.
         if name not in self.__slots__ and name in self.rejected:
             return self.rejected[name]
         raise AttributeError(f"there is no count {name!r}, only {', '.join(self.as_dict())}")

@@ -1,4 +1,4 @@
-"""``atan2f`` of glibc 2.31 to 2.40 on x86-64, in NumPy: fdlibm's algorithm, every operation rounded to float32.
+"""``atan2f`` of glibc 2.31 to 2.40 on x86-64, in NumPy: fdlibm's algorithm, with every operation rounded to float32.
 
 These versions return other float32 values than glibc 2.41 and later, which round correctly, for 16 % of points. The
 results depend on the order of the operations, and on none of them being fused: x86-64's glibc has no variant of
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 __all__ = ["atan2f"]
 
-#: From these quotients on, one after the other, another row of the reduction applies.
+#: The quotients from which on the next row of the reduction applies.
 _FROM = np.array([7 / 16, 11 / 16, 19 / 16, 39 / 16, 2.0**25], np.float32)
 
 #: Argument reduction: ``atan(t) = high + low + atan((a * t + b) / (c * t + d))``, where ``high + low`` is the arc
@@ -57,7 +57,7 @@ _HALF_PI, _QUARTER_PI = np.float32(1.5707963705), np.float32(0.78539818525)
 
 @np.errstate(all="ignore")
 def atan2f(y: NDArray[np.float32], x: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Angles of points, radians.
+    """Return the angles of points, radians.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def atan2f(y: NDArray[np.float32], x: NDArray[np.float32]) -> NDArray[np.float32
     quotient: NDArray[np.float32] = np.divide(up, across)
     ahead = _atan(quotient)
     turn = np.where(behind, _PI - (ahead - _PI_LOW), ahead)
-    # On the axes and at infinity the quotient does not decide.
+    # The quotient does not determine the angle on the axes and at infinity.
     turn[(across == 0) | (up == np.inf)] = _HALF_PI
     far = (across == np.inf) & (up == np.inf)
     turn[far] = np.where(behind[far], np.float32(3) * _QUARTER_PI, _QUARTER_PI)
@@ -84,7 +84,7 @@ def atan2f(y: NDArray[np.float32], x: NDArray[np.float32]) -> NDArray[np.float32
 
 
 def _atan(t: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Arc tangent of quotients from 0 to infinity, radians."""
+    """Return the arc tangent of quotients from 0 to infinity, radians."""
     a, b, c, d, high, low = _REDUCTION[np.searchsorted(_FROM, t, side="right")].T
     t = np.minimum(t, _FROM[-1])
     s = (a * t + b) / (c * t + d)
@@ -96,7 +96,7 @@ def _atan(t: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _polynomial(w: NDArray[np.float32], coefficients: NDArray[np.float32]) -> NDArray[np.float32]:
-    """A polynomial by Horner's rule, the constant first."""
+    """Return a polynomial by Horner's rule; coefficients begin with the constant."""
     total = np.full_like(w, coefficients[-1])
     for coefficient in coefficients[-2::-1]:
         total = coefficient + w * total

@@ -1,8 +1,8 @@
-"""Which way is up, by the gyroscope and the accelerometer of an IMU.
+"""Estimates the direction of up from the gyroscope and the accelerometer of an IMU.
 
-A complementary filter: the gyroscope tells how the IMU turns, and drifts; the accelerometer shows up, wherever the IMU
-is not accelerated. The filter turns the direction of up by the gyroscope, and pulls it slowly towards the
-accelerometer.
+A complementary filter: the gyroscope measures how the IMU turns, but drifts; the accelerometer measures the direction
+of up, but only while the IMU is not accelerated. The filter rotates the direction of up by the gyroscope, and moves it
+slowly towards the accelerometer's.
 
 Sources of the rules:
 
@@ -13,9 +13,9 @@ Sources of the rules:
 - R. G. Valenti, I. Dryanovski, J. Xiao: Keeping a good attitude. Sensors 15 (2015), 19302-19330 (the filter of
   imu_tools): the gain falls where the length of the acceleration is not that of gravity.
 
-The recording is known as a whole, so the filter runs forward, backward and forward again, each time from where it was,
-and the last two results are averaged: what one of them lags behind, the other runs ahead. The bias that the first run
-begins with is the one by which the first seconds fit best to a direction of up that does not move.
+The whole recording is available, so the filter runs forward, backward and forward again, each run from the end of the
+one before, and the last two results are averaged, because one lags behind and the other runs ahead. The first run
+begins with the bias for which the first seconds fit best to a constant direction of up.
 """
 
 from __future__ import annotations
@@ -35,38 +35,38 @@ if TYPE_CHECKING:
 
 __all__ = ["LONGEST_GAP_NS", "up_by_gravity"]
 
-#: Nanoseconds between two samples from which nobody knows how the IMU turned in between.
+#: The longest time between two samples, nanoseconds, for which the turn in between can be computed.
 LONGEST_GAP_NS = 250_000_000
 
-#: The gains: the accelerometer counts by a time constant of 20 s, and the bias is critically damped.
+#: The gains: the accelerometer has a time constant of 20 s, and the bias is critically damped.
 _PROPORTIONAL = 0.05
 _INTEGRAL = _PROPORTIONAL**2 / 4
 
-#: Deviations of the length of the acceleration, as a share of gravity: the gain is full up to the first, and 0 from
-#: the second on.
+#: Deviations of the length of the acceleration from gravity, as a share of it: the gain is full up to the first, and 0
+#: from the second on.
 _FULL, _NONE = 0.1, 0.2
 
-#: Seconds that the first bias is found by, and what is expected of it, radians a second; how far the acceleration is
-#: from gravity, as a share of it, in the mean of a second.
+#: Seconds that the first bias is fitted to, and its expected size, radians per second; the expected deviation of the
+#: acceleration from gravity, as a share of it, in the mean of a second.
 _FIRST = 30.0
 _USUAL_BIAS = 0.03
 _USUAL_DEVIATION = 0.05
 
-#: The columns of samples in time that runs backward.
+#: The signs of the columns of samples when time runs backward.
 _BACKWARD = (-1, -1, -1, -1, 1, 1, 1)
 
-#: Samples that are lists at a time: as Python's numbers they take four times as much memory.
+#: How many samples are converted to lists at a time: Python's numbers take four times as much memory.
 _BLOCK = 10_000
 
 
 class _State(NamedTuple):
-    """Where the filter is: up in the IMU's frame, and the bias of the gyroscope, radians a second."""
+    """The state of the filter: up in the IMU's frame, and the bias of the gyroscope, radians per second."""
 
     up: tuple[float, ...]
     bias: tuple[float, ...]
 
     def reversed(self) -> _State:
-        """The same for time that runs backward: everything turns the other way, the bias too."""
+        """The state for time that runs backward: rotations and the bias change their sign."""
         return self._replace(bias=tuple(-each for each in self.bias))
 
 
@@ -80,9 +80,9 @@ def up_by_gravity(
     stamps_ns
         (N,) increasing, N > 0. After a gap of more than `LONGEST_GAP_NS` the filter begins again.
     turning
-        (N, 3) angular velocity, radians a second.
+        (N, 3) angular velocity, radians per second.
     acceleration
-        (N, 3) what the accelerometer shows: up, with the length ``gravity``, at rest. Any unit.
+        (N, 3) what the accelerometer measures: at rest, up with the length ``gravity``. Any unit.
     gravity
         The length of the acceleration at rest.
 
@@ -104,16 +104,16 @@ def up_by_gravity(
         bias = _filtered(part, state.up, state.reversed().bias, later[begin:end]).bias
     both = later + earlier
     lengths = np.sqrt(np.einsum("ni,ni->n", both, both))[:, np.newaxis]
-    # Two opposite directions have no mean.
+    # Two opposite directions have no mean, so one of them is returned.
     return np.where(lengths > 1e-9, both / np.maximum(lengths, 1e-9), later)
 
 
 def _first_bias(samples: NDArray[np.float64], expected: tuple[float, ...]) -> tuple[float, ...]:
-    """The bias of the gyroscope by which the first seconds fit best to gravity; see `_filtered` for the rows.
+    """Return the bias of the gyroscope for which the first seconds fit best to gravity; see `_filtered` for the rows.
 
-    With ``R`` from the IMU to where it was at first, by the gyroscope alone, ``R a`` is gravity, as far as the rotation
-    is right: a bias turns it by ``S b``, where ``S`` is the integral of ``R``. Least squares, with the expected bias as
-    one more observation, as that about the vertical axis has no effect.
+    ``R`` is the rotation from the IMU to its first pose, by the gyroscope alone. If the rotation is correct, ``R a`` is
+    gravity; a bias turns it by ``S b``, where ``S`` is the integral of ``R``. Solved by least squares, with the
+    expected bias as one more observation, because a bias about the vertical axis has no effect.
     """
     samples = samples[: int(samples[:, 0].searchsorted(samples[0, 0] + _FIRST, "right"))]
     steps = np.diff(samples[:, 0], prepend=samples[0, 0])
@@ -128,7 +128,7 @@ def _first_bias(samples: NDArray[np.float64], expected: tuple[float, ...]) -> tu
             break
         gravity /= np.linalg.norm(gravity)
         integrals = (rotations * steps[:, np.newaxis, np.newaxis]).cumsum(axis=0)
-        # A bias b turns what is shown by S b: by S b x gravity.
+        # A bias b turns the measured direction by S b: by S b x gravity.
         columns = np.cross(integrals, gravity, axisa=1, axisb=0, axisc=1)
         unknown = np.concatenate([np.broadcast_to(np.eye(3), columns.shape), columns], axis=2)
         weighted = weights[:, np.newaxis, np.newaxis] * unknown
@@ -140,7 +140,7 @@ def _first_bias(samples: NDArray[np.float64], expected: tuple[float, ...]) -> tu
 
 
 def _turned(turning: NDArray[np.float64], steps: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rotations (N, 3, 3) from each sample to the first one, by angular velocities."""
+    """Return the rotations (N, 3, 3) from each sample to the first one, from angular velocities."""
     half = (turning + np.vstack([turning[:1], turning[:-1]])) / 4 * steps[:, np.newaxis]
     x, y, z, w = 0.0, 0.0, 0.0, 1.0
     quaternions = np.empty((len(half), 4))
@@ -167,8 +167,8 @@ def _filtered(
 ) -> _State:
     """Filter rows of a time, an angular velocity and an acceleration in units of gravity.
 
-    With ``up`` None the gain begins high and falls with time, so that up is at first the mean of what the accelerometer
-    has shown.
+    If ``up`` is None, the gain begins high and falls with time, so that up is at first the mean of the accelerometer's
+    directions.
     """
     bx, by, bz = bias
     last, lx, ly, lz, ax, ay, az = samples[0].tolist()
@@ -183,7 +183,7 @@ def _filtered(
         trust = 0.0 if deviation >= _NONE else min(1.0, (_NONE - deviation) / (_NONE - _FULL))
         ex = ey = ez = 0.0
         if trust > 0:
-            # The measured direction times the estimated one.
+            # The cross product of the measured and the estimated direction.
             vx, vy, vz = ax / length, ay / length, az / length
             ex, ey, ez = vy * uz - vz * uy, vz * ux - vx * uz, vx * uy - vy * ux
         gain = trust * max(_PROPORTIONAL, 1.0 / (now - began + step + 1e-9))

@@ -1,22 +1,22 @@
-"""The ground in clouds: which plane of a cloud it is, and how the cloud's frame is mounted over it.
+"""Finds the ground in clouds: which plane of a cloud it is, and how the cloud's frame is mounted above it.
 
 Method: planes by RANSAC (Fischler and Bolles, "Random sample consensus", Communications of the ACM 24 (6), 1981), the
 largest first, each refined by weighted least squares, its inliers removed before the next. The triplets follow a
-low-discrepancy sequence instead of random numbers, so that the same cloud has the same planes. Points are thinned to
-one a cell first: a spinning lidar measures what is near a hundred times as densely as what is far.
+low-discrepancy sequence instead of random numbers, so that the same cloud always has the same planes. Points are first
+thinned to one per cell, because a spinning lidar measures near objects a hundred times as densely as far ones.
 
-A plane alone does not say that it is the ground: a wall beside a level lidar looks like the ground under one that lies
-on its side, and a ceiling like the ground under one that hangs upside down. So a frame is called tilted or upside
-down only where nothing else explains what is seen; `_doubt` has the conditions, and where one fails nothing is said.
-They were tuned on simulated clouds: 16 to 128 rings, scattering lidars and depth cameras, in halls, offices,
-corridors, warehouses, garages, streets, fields, woods, yards and on ramps, with and without floor and ceiling,
-mounted at any roll and pitch from -90 to 180 degrees. Each is named to within 3 degrees, or left alone, and no level
-one is called anything else (``tests/core/test_ground.py`` repeats a part). Every cloud of the real recordings at hand
-(a highway, a lidar close to the floor, a car park, a depth camera) is called what it is.
+A plane alone is no proof of the ground: a wall beside a level lidar looks like the ground under a lidar that lies on
+its side, and a ceiling like the ground under one that hangs upside down. So a frame is called tilted or upside down
+only if no other explanation fits the points; `_doubt` has the conditions, and if one fails, the kind is ``unknown``.
+They were tuned on simulated clouds: 16 to 128 rings, scattering lidars and depth cameras, in halls, offices, corridors,
+warehouses, garages, streets, fields, woods, yards and on ramps, with and without floor and ceiling, mounted at any roll
+and pitch from -90 to 180 degrees. For each, the result is right to within 3 degrees or unknown, and no level one is
+called anything else (``tests/core/test_ground.py`` repeats a part). It is also right for every cloud of the real
+recordings that were available (a highway, a lidar close to the floor, a car park, a depth camera).
 
-What no cloud can tell: a low ceiling over a hall whose floor is nowhere seen is the mirror image of open ground, and a
-lidar that hangs upside down just below a ceiling that of one just above the floor. Transforms can; see
-`pc2scan.tf.mounting`.
+Two cases cannot be distinguished by a cloud: a low ceiling of a hall whose floor is not visible is the mirror image of
+open ground, and a lidar that hangs upside down just below a ceiling is that of a lidar just above the floor. Transforms
+can distinguish them; see `pc2scan.tf.mounting`.
 """
 
 from __future__ import annotations
@@ -41,35 +41,36 @@ Kind = Literal["level", "tilted", "upside-down", "optical", "unknown"]
 _Points: TypeAlias = "NDArray[np.float64]"
 _Direction: TypeAlias = tuple[float, float, float]
 
-#: How few points are too few.
+#: With fewer points than this, a cloud is not judged.
 _FEWEST_POINTS = 300
 
-#: From here on a wall is as likely as the ground, radians from the frame's z axis.
+#: A plane whose normal is this far from the frame's z axis, radians, is as likely a wall as the ground.
 _STEEPEST = math.radians(50.0)
 
 #: body_from_optical: REP 103's optical frames have x to the right, y down and z forward.
 _BODY_FROM_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
-#: The plastic number to the powers of -1, -2 and -3: what the golden ratio is for three dimensions (Roberts, 2018).
+#: The plastic number to the powers of -1, -2 and -3: the golden ratio's counterpart in three dimensions (Roberts,
+#: 2018).
 _PLASTIC = (0.8191725133961645, 0.6710436067037893, 0.5497004779019703)
 
-#: Planes of a cloud at most, triplets tried for each, and the share of the cloud below which one is none.
+#: The most planes of a cloud, the triplets tried for each, and the smallest share of the cloud that is a plane.
 _PLANES = 8
 _TRIPLETS = 250
 _LEAST_SHARE = 0.03
 
 
 class Plane(NamedTuple):
-    """A flat piece of what a cloud shows.
+    """A plane in a cloud.
 
     Attributes
     ----------
     up
-        Its normal, a unit vector, on the side of the sensor.
+        Its normal, a unit vector that points to the side of the sensor.
     height
         The sensor's distance from it, metres.
     share
-        Of the cloud's cells.
+        Its share of the cloud's cells.
     beyond
         Share of the cloud's cells that lie behind it.
     width
@@ -92,21 +93,21 @@ class Plane(NamedTuple):
 
 
 class Ground(NamedTuple):
-    """How a frame is mounted, as far as its clouds tell.
+    """How a frame is mounted, judged by its clouds.
 
     Attributes
     ----------
     kind
         ``level``; ``tilted``; ``upside-down``; ``optical`` (z is forward, as in a camera's optical frame);
-        ``unknown``: the evidence is thin.
+        ``unknown``: there is not enough evidence.
     up
-        Where up is in the frame, a unit vector; None where no ground is seen.
+        The direction of up in the frame, a unit vector; None if no ground is visible.
     height
-        The frame's origin over the floor, metres; None where no ground is seen.
+        Height of the frame's origin above the floor, metres; None if no ground is visible.
     ceiling
-        From the origin up to the ceiling, metres; None where none is seen.
+        From the origin up to the ceiling, metres; None if no ceiling is visible.
     clouds, sampled
-        How many clouds agree, of how many that were looked at.
+        How many clouds agree, and how many were examined.
     """
 
     kind: Kind
@@ -118,14 +119,14 @@ class Ground(NamedTuple):
 
     @property
     def off(self) -> bool:
-        """Whether heights in this frame mean nothing: z is not up."""
+        """Whether z is not up in this frame, so that heights in it have no meaning."""
         return self.kind in {"tilted", "upside-down", "optical"}
 
     @property
     def level_from_frame(self) -> tuple[float, float, float]:
         """Roll, pitch and yaw, radians, that turn the frame level, its forward axis ahead.
 
-        Without a ground, an optical frame is turned as if its camera looked straight ahead.
+        Without a ground, an optical frame is rotated as if its camera looked straight ahead.
         """
         forward = np.array([0.0, 0.0, 1.0] if self.kind == "optical" else [1.0, 0.0, 0.0])
         up = np.array(self.up if self.up is not None else (0.0, -1.0, 0.0) if self.kind == "optical" else (0, 0, 1.0))
@@ -140,16 +141,16 @@ class Ground(NamedTuple):
 
     @property
     def tilt(self) -> float:
-        """Angle between up and where it should be, radians: from z, or from -z of what is upside down."""
+        """Angle between up and the z axis, radians; for a frame that is upside down, between up and -z."""
         up = self.up or (0.0, 0.0, 1.0)
         cosine = -up[1] if self.kind == "optical" else -up[2] if self.kind == "upside-down" else up[2]
         return math.acos(max(-1.0, min(1.0, cosine)))
 
 
 def agreed(looks: Sequence[Ground]) -> Ground:
-    """What several clouds of one frame tell together: what most show and none contradicts.
+    """Return how a frame is mounted by several of its clouds: the result of most, if none contradicts it.
 
-    The ground stays where it is while a robot drives; a wall that was taken for it does not.
+    The ground keeps its place while a robot drives; a wall that was mistaken for it does not.
     """
     if not looks:
         return Ground("unknown", clouds=0, sampled=0)
@@ -179,17 +180,17 @@ def agreed(looks: Sequence[Ground]) -> Ground:
 
 
 def look_at(points: _Points) -> Ground:
-    """How the frame of a cloud is mounted, by this cloud alone.
+    """Return how the frame of a cloud is mounted, by this cloud alone.
 
     Parameters
     ----------
     points
-        What `pc2scan.core.level.thinned` returns, metres.
+        The result of `pc2scan.core.level.thinned`, metres.
     """
     if len(points) < _FEWEST_POINTS:
         return Ground("unknown")
     if not _is_optical(points):
-        return _level_at_once(cells_of(points)) or _decided(points)
+        return _quickly_level(cells_of(points)) or _decided(points)
     turned = points @ _BODY_FROM_OPTICAL.T
     found = _decided(turned, level_needs_proof=True)
     if found.up is None:
@@ -199,28 +200,28 @@ def look_at(points: _Points) -> Ground:
 
 
 def _is_optical(points: _Points) -> bool:
-    """Whether all that is seen lies in a cone around the z axis, as no lidar that turns about it sees it."""
+    """Whether all points lie in a cone around the z axis, which is not so for a lidar that turns about it."""
     directions = points / np.linalg.norm(points, axis=1)[:, None]
     middle = directions.mean(axis=0)
     ahead = float(middle[2] / max(float(np.linalg.norm(middle)), 1e-9))
     return bool((directions[:, 2] > 0.5).mean() > 0.995) and ahead > 0.85
 
 
-def _level_at_once(cells: _Points) -> Ground | None:
-    """What is level at first sight."""
+def _quickly_level(cells: _Points) -> Ground | None:
+    """Return the ground if the cloud has an obvious level floor; None otherwise."""
     floor = level_floor(cells)
     return None if floor is None else Ground("level", *floor, _ceiling_over(cells, tolerances(cells)))
 
 
 def _ceiling_over(cells: _Points, tolerance: NDArray[np.float64]) -> float | None:
-    """The highest level plane, if nothing is above it."""
+    """Return the height of the highest level plane, if there are no points above it."""
     (high,) = percentiles(cells[:, 2], 99)
     if high < 0.3:
         return None
     ceiling = _refined(cells, tolerance, np.abs(cells[:, 2] - high) < 2 * tolerance)
     if ceiling is None or ceiling.tilt < math.pi - LEVEL or ceiling.share < _LEAST_SHARE or ceiling.beyond > 0.02:
         return None
-    # The uppermost ring of a lidar draws a line on the walls that is as level, with the next one below it.
+    # The uppermost ring of a lidar makes a level line on the walls, too, but with the next ring below it.
     at = np.abs(cells @ np.array(ceiling.up) + ceiling.height) < tolerance
     squares = np.floor(cells[:, :2] / 0.3).astype(np.int64) @ np.array([1, 1 << 20])
     under = ~at & (cells[:, 2] > high - 0.8)
@@ -230,7 +231,7 @@ def _ceiling_over(cells: _Points, tolerance: NDArray[np.float64]) -> float | Non
 
 
 def planes_of(cells: _Points) -> list[Plane]:
-    """The planes of a cloud, the largest first."""
+    """Return the planes of a cloud, the largest first."""
     planes: list[Plane] = []
     tolerance = tolerances(cells)
     rest = np.ones(len(cells), bool)
@@ -250,7 +251,7 @@ def planes_of(cells: _Points) -> list[Plane]:
 
 
 def _largest(points: _Points, tolerance: NDArray[np.float64]) -> NDArray[np.bool_] | None:
-    """The points near the plane through three of them that has the most; None where all triplets are lines."""
+    """Return the points near the plane, of those through three points, that has most points; None if all are lines."""
     corners = points[_triplets(len(points))]
     normals = np.cross(corners[1] - corners[0], corners[2] - corners[0])
     lengths = np.linalg.norm(normals, axis=1)
@@ -259,7 +260,7 @@ def _largest(points: _Points, tolerance: NDArray[np.float64]) -> NDArray[np.bool
         return None
     normals = normals[good] / lengths[good, None]
     offsets = (normals * corners[0][good]).sum(axis=1)
-    # A row for each plane, in place: in new arrays, a column for each, it takes ten times as long.
+    # One row for each plane, in place: with new arrays, and a column for each, it takes ten times as long.
     distances = normals.astype(np.float32) @ points.T.astype(np.float32)
     distances -= offsets.astype(np.float32)[:, None]
     near = np.abs(distances, out=distances) < tolerance.astype(np.float32)
@@ -267,7 +268,7 @@ def _largest(points: _Points, tolerance: NDArray[np.float64]) -> NDArray[np.bool
 
 
 def _triplets(count: int) -> NDArray[np.intp]:
-    """Triplets of places, (3, N): one half from all over, the other of neighbours in the order."""
+    """Return triplets of indices, (3, N): one half from the whole cloud, the other half neighbours in its order."""
     steps = np.arange(1, _TRIPLETS + 1)
     far = np.stack([(steps * ratio % 1.0 * count).astype(np.intp) for ratio in _PLASTIC])
     reach = max(count // 12, 8)
@@ -281,7 +282,7 @@ def _refined(
     inliers: NDArray[np.bool_],
     among: NDArray[np.bool_] | None = None,
 ) -> Plane | None:
-    """The plane of least squares through what is near it, beginning with these; None where they are too few."""
+    """Return the least-squares plane through the points near it, beginning with these; None for too few points."""
     normal, offset, squared = np.zeros(3), 0.0, tolerance**2
     for _ in range(4):
         if inliers.sum() < 10:
@@ -338,7 +339,7 @@ class _View:
         self._empty = (counts[:, seen] == 0).ravel()
 
     def missing(self, up: _Direction, low: float, high: float) -> float | None:
-        """Share of the directions between two heights over the horizon (sines) that have no return."""
+        """Return the share of the directions between two elevations (as sines) that have no return."""
         sines = self._directions @ np.array(up)
         chosen = (sines > low) & (sines < high)
         if chosen.sum() < 8:
@@ -347,7 +348,7 @@ class _View:
 
 
 def _decided(points: _Points, *, level_needs_proof: bool = False) -> Ground:
-    """Which of a cloud's planes is the ground."""
+    """Return which of a cloud's planes is the ground."""
     planes = planes_of(cells_of(points))
     view = _View(points)
     level = [plane for plane in planes if plane.tilt <= LEVEL and plane.beyond < 0.35]
@@ -369,17 +370,17 @@ def _grounded(kind: Kind, floor: Plane, planes: Sequence[Plane]) -> Ground:
 
 
 def _between(one: Plane, other: Plane) -> float:
-    """Angle between two planes' normals, degrees."""
+    """Return the angle between two planes' normals, degrees."""
     return math.degrees(math.acos(max(-1.0, min(1.0, float(np.dot(one.up, other.up))))))
 
 
 def _opposite(plane: Plane, planes: Sequence[Plane]) -> Plane | None:
-    """What a floor's ceiling is, or a wall's opposite wall."""
+    """Return the ceiling of a floor, or the opposite wall of a wall."""
     return next((other for other in planes if _between(plane, other) > 172 and other.beyond < 0.05), None)
 
 
 def _doubt(plane: Plane, planes: Sequence[Plane], view: _View) -> str:
-    """Why a plane may be something other than the ground; empty if nothing else explains what is seen."""
+    """Return why a plane may be something other than the ground; empty if no other explanation fits."""
     upside_down = plane.tilt > math.pi / 2
     if plane.share < (0.15 if upside_down else 0.08):
         return "it is small"
@@ -398,7 +399,7 @@ def _doubt(plane: Plane, planes: Sequence[Plane], view: _View) -> str:
 
 
 def _rivals(plane: Plane, planes: Sequence[Plane], *, upside_down: bool) -> str:
-    """Whether another plane may be the ground instead, and this one a wall."""
+    """Return why another plane may be the ground, and this one a wall; empty if not."""
     for other in planes:
         between = _between(plane, other)
         if between < 4:
@@ -416,7 +417,7 @@ def _rivals(plane: Plane, planes: Sequence[Plane], *, upside_down: bool) -> str:
 
 
 def _mirrored(plane: Plane, planes: Sequence[Plane], view: _View, *, upside_down: bool) -> str:
-    """Whether it may be a ceiling, or one of two walls."""
+    """Return why a plane may be a ceiling, or one of two walls; empty if not."""
     ceiling = _opposite(plane, planes)
     if ceiling is None:
         sky, horizon = view.missing(plane.up, 0.2, 1.0), view.missing(plane.up, -0.03, 0.1)

@@ -1,6 +1,6 @@
 """The loops over points and beams, compiled or in NumPy: the same functions with the same results.
 
-An installation without a C compiler, from source, does without the compiled ones.
+An installation from source without a C compiler uses NumPy.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Where the beams of a scan look: what its message advertises, from the sector and the increment.
+"""Computes the directions of a scan's beams, as its message advertises them, from the sector and the increment.
 
-Consumers compute with the float32 values that the message carries, so these are made here, once. Plain Python:
-reading parameters needs no NumPy.
+Consumers compute with the float32 values in the message, so these are computed here, once. The module does not import
+NumPy, because reading parameters does not need it.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ __all__ = [
 
 TURN = 2 * math.pi
 
-#: No angle is larger, radians. Digits of pi may be missing: 6.2832 is a full turn, and so is -3.15 to 3.15.
+#: The largest angle, radians. Digits of pi may be missing: 6.2832 is a full turn, and so is -3.15 to 3.15.
 FULL_TURN = TURN * 1.01
 
-#: Parts of a beam that a sector may lack for its last one, and a circle for its closing: angles are written with few
-#: digits, and quotients such as pi / (pi / 180) are off by some roundings.
+#: The share of a beam by which a sector may be too short for its last beam, and a circle too short to close: angles are
+#: written with few digits, and quotients such as pi / (pi / 180) have rounding errors.
 _SLACK = 1e-3
 _GAP = 0.5e-3
 
@@ -43,15 +43,15 @@ def float32(value: float) -> float:
 
 
 def beam_count(angle_min: float, angle_max: float, angle_increment: float) -> int:
-    """Length of a scan's ``ranges``: the ceiling of a float32 quotient.
+    """Return the length of a scan's ``ranges``: the ceiling of a float32 quotient.
 
     Source of the rule: pointcloud_to_laserscan_node.cpp computes ``ceil((angle_max - angle_min) /
-    angle_increment)`` on the message's float32 fields. 0 where the quotient is not positive and finite.
+    angle_increment)`` on the message's float32 fields. 0 if the quotient is not positive and finite.
 
     Notes
     -----
     Rounding the float64 result of one operation on float32 operands gives the float32 result: float64 has more
-    than twice the digits that double rounding could spoil.
+    than twice the digits of float32, so double rounding changes nothing.
     """
     increment = float32(angle_increment)
     if increment == 0:
@@ -62,18 +62,18 @@ def beam_count(angle_min: float, angle_max: float, angle_increment: float) -> in
 
 @dataclass(frozen=True, slots=True)
 class BeamLayout:
-    """What a scan advertises of its beams; the angles are values of float32, radians.
+    """The beams that a scan's message advertises; the angles are values of float32, radians.
 
     Attributes
     ----------
     count
         Length of ``ranges``.
     angle_min, angle_max, angle_increment
-        As in the message. Beam ``i`` looks at ``angle_min + i * angle_increment``: upstream means the lower edge of
-        the beam by it, the other geometries its middle.
+        As in the message. The direction of beam ``i`` is ``angle_min + i * angle_increment``: in upstream's geometry
+        the lower edge of the beam, in the others its middle.
     full_circle
-        Whether the last beam and the first are neighbours, and every angle belongs to one of the beams. Upstream's
-        geometry knows nothing of that: False.
+        Whether the last beam and the first are neighbours, and every angle belongs to one of the beams. Always False
+        for upstream's geometry.
     """
 
     count: int
@@ -84,14 +84,14 @@ class BeamLayout:
 
 
 def upstream_layout(angle_min: float, angle_max: float, angle_increment: float, beams: int = 0) -> BeamLayout:
-    """What pointcloud_to_laserscan advertises: the parameters as they are, whatever the last beam.
+    """Return the layout of pointcloud_to_laserscan: it advertises the parameters unchanged.
 
     Parameters
     ----------
     angle_min, angle_max, angle_increment
         Radians.
     beams
-        How many there shall be; the increment follows. 0: the increment tells.
+        The number of beams, from which the increment follows; 0: use the increment.
     """
     if beams:
         angle_increment = float32((float32(angle_max) - float32(angle_min)) / beams)
@@ -102,28 +102,28 @@ def upstream_layout(angle_min: float, angle_max: float, angle_increment: float, 
 
 
 def centered_layout(angle_min: float, angle_max: float, angle_increment: float, beams: int = 0) -> BeamLayout:
-    """Beams whose middles are at ``angle_min + i * angle_increment``, the last one at ``angle_max``.
+    """Return beams whose middles are at ``angle_min + i * angle_increment``, the last one at ``angle_max``.
 
     Parameters
     ----------
     angle_min, angle_max
-        Middle of the first beam, and what that of the last one does not exceed, radians; any angles, so that a
-        circle may be -pi to pi or 0 to 2 pi.
+        Middle of the first beam, and limit of the middle of the last one, radians; any angles, so that a circle may be
+        -pi to pi or 0 to 2 pi.
     angle_increment
         Radians, positive.
     beams
-        How many there shall be, at least 2; the increment follows. 0: the increment tells.
+        The number of beams, at least 2, from which the increment follows; 0: use the increment.
 
     Returns
     -------
     BeamLayout
-        A full circle where the sector is a whole turn, or leaves no gap between the last beam and the first: its
-        beams divide the circle evenly, none of them twice, and their increment is the nearest to the one asked for
-        that does. ``angle_max`` is the float32 next to the last beam's middle.
+        A full circle if the sector is a whole turn, or leaves no gap between the last beam and the first: its beams
+        divide the circle evenly without repeating one, with the nearest possible increment to the given one.
+        ``angle_max`` is the float32 next to the last beam's middle.
 
     Notes
     -----
-    Why these float32 values suit the consumers: slam_toolbox (Karto) expects ``round((angle_max - angle_min) /
+    These float32 values suit the consumers, because: slam_toolbox (Karto) expects ``round((angle_max - angle_min) /
     angle_increment) + 1`` ranges unless it takes the scan for a circle that repeats its first beam, for which the
     span has to be closer to 2 pi than an increment by 2 pi times float32's epsilon (7.5e-7). With an increment that
     is rounded down only the roundings of ``angle_max`` and of the span count, at most 4.8e-7 within +-8 rad. MRPT's
@@ -146,23 +146,25 @@ def centered_layout(angle_min: float, angle_max: float, angle_increment: float, 
 
 
 def half_open_layout(angle_min: float, angle_max: float, angle_increment: float, beams: int = 0) -> BeamLayout:
-    """The beams of `centered_layout`, with an ``angle_max`` one increment behind the last beam's middle.
+    """Return the beams of `centered_layout`, with an ``angle_max`` one increment after the last beam's middle.
 
-    Why: gmapping places beam ``i`` at ``(i - N / 2) * angle_increment`` from the middle between ``angle_min`` and
-    ``angle_max``, which is where it is if ``angle_max`` is ``angle_min + N * angle_increment``.
+    gmapping needs this, because it places beam ``i`` at ``(i - N / 2) * angle_increment`` from the middle between
+    ``angle_min`` and ``angle_max``, which is correct if ``angle_max`` is ``angle_min + N * angle_increment``.
     """
     layout = centered_layout(angle_min, angle_max, angle_increment, beams)
     return replace(layout, angle_max=float32(layout.angle_min + layout.count * layout.angle_increment))
 
 
 def symmetric_layout(angle_min: float, angle_max: float, angle_increment: float, beams: int = 0) -> BeamLayout:
-    """The beams of `centered_layout`, moved so that their middle is 0: a circle begins half an increment after -pi.
+    """Return the beams of `centered_layout`, shifted so that their middle is 0.
+
+    A circle begins half an increment after -pi.
 
     Notes
     -----
-    Why: MRPT takes beams for symmetric around 0 (see `pc2scan.core.consumers`), and truncates the quotient that is a
-    beam's index. ``angle_min`` is two float32 steps lower than ``-angle_max``, so that every such quotient is a little
-    above its whole number, and their difference is still a float32.
+    MRPT assumes that beams are symmetric around 0 (see `pc2scan.core.consumers`), and truncates the quotient that is
+    a beam's index. ``angle_min`` is two float32 steps lower than ``-angle_max``, so that every such quotient is a
+    little above its whole number, and their difference is still a float32.
     """
     layout = centered_layout(angle_min, angle_max, angle_increment, beams)
     last = float32((layout.count - 1) * layout.angle_increment / 2)
@@ -170,7 +172,7 @@ def symmetric_layout(angle_min: float, angle_max: float, angle_increment: float,
 
 
 def _float32_beside(value: float, steps: int) -> float:
-    """The float32 so many steps from a positive one."""
+    """Return the float32 that is ``steps`` steps from a positive one."""
     (bits,) = struct.unpack("<I", struct.pack("<f", value))
     beside: float = struct.unpack("<f", struct.pack("<I", bits + steps))[0]
     return beside

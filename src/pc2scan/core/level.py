@@ -1,6 +1,6 @@
-"""A floor at right angles to z, where it catches the eye: by far the most frequent case, found in a millisecond.
+"""Finds an obvious floor at right angles to z, the most frequent case by far, in a millisecond.
 
-It needs neither RANSAC nor linear algebra, and loads nothing; `pc2scan.core.ground` does what it leaves open.
+It needs neither RANSAC nor linear algebra, and imports nothing; `pc2scan.core.ground` handles all other cases.
 """
 
 from __future__ import annotations
@@ -17,43 +17,44 @@ __all__ = ["LEVEL", "MOST_POINTS", "Floor", "cells_of", "level_floor", "thinned"
 
 _Points: TypeAlias = "NDArray[np.float64]"
 
-#: Points of a cloud that are looked at.
+#: How many points of a cloud are used.
 MOST_POINTS = 4_000
 
-#: Up to here a frame counts as level, radians. Roads and yards are no flatter, and robots pitch.
+#: A frame with at most this tilt counts as level, radians: roads and yards are not flatter, and robots pitch.
 LEVEL = math.radians(5.0)
 
 _GOLDEN = 0.6180339887498949
 
-#: What a floor needs: this share of the cells at least, and at most this share below it; metres below the sensor.
+#: The conditions of a floor: the least share of the cells on it, the largest share below it, and metres below the
+#: sensor.
 _LEAST_SHARE = 0.15
 _MOST_BELOW = 0.05
 _LEAST_HEIGHT = 0.03
 
 
 class Floor(NamedTuple):
-    """A level floor: its normal, upwards, and how far the sensor is above it, metres."""
+    """A level floor: its normal, upwards, and the height of the sensor above it, metres."""
 
     up: tuple[float, float, float]
     height: float
 
 
 def thinned(x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], most: int = MOST_POINTS) -> _Points:
-    """Some of a cloud's returns, (N, 3): spread over it whatever its order, without those that are no return.
+    """Return a sample of a cloud's returns, (N, 3), spread over the cloud whatever its order.
 
     Parameters
     ----------
     x, y, z
         Coordinates, one a point, of any shape.
     most
-        Points to take; returns are fewer where some of these are none.
+        How many points to sample; the result has fewer, because points without a return are removed.
     """
     count = x.size
-    # Multiples of the golden ratio fall into no step with rings or columns.
+    # Multiples of the golden ratio never coincide with rings or columns.
     order = np.arange(count) if count <= most else (np.arange(most) * _GOLDEN % 1.0 * count).astype(np.intp)
     with np.errstate(all="ignore"):
         points = np.stack([_picked(part, order) for part in (x, y, z)], axis=1)
-        # The nearest are the robot itself, or no return at all.
+        # The nearest points are the robot itself, or no returns.
         good = (np.abs(points).max(axis=1, initial=0) < 1e4) & ((points * points).sum(axis=1) > 0.0025)
     return np.asarray(points[good])
 
@@ -65,31 +66,31 @@ def _picked(values: NDArray[Any], order: NDArray[np.intp]) -> NDArray[np.float64
 
 
 def cells_of(points: _Points) -> _Points:
-    """One point a cell, sorted by place: a spinning lidar measures what is near a hundred times as densely."""
-    # Twenty-one bits for each coordinate: cells are never below 1 cm, and points lie within 10 km.
+    """Return one point per cell, sorted by place: a spinning lidar measures near objects a hundred times as densely."""
+    # Twenty-one bits for each coordinate: cells are at least 1 cm, and points are within 10 km.
     keys = np.floor(points / min(0.3, max(0.01, 0.05 * _middle(points)))).astype(np.int64) + (1 << 20)
     _, first = np.unique(keys[:, 0] << 42 | keys[:, 1] << 21 | keys[:, 2], return_index=True)
     return points[first]
 
 
 def tolerances(points: _Points) -> NDArray[np.float64]:
-    """How far from a plane its points may lie, metres: noise and roughness, and what grows with the distance."""
+    """Return how far from a plane its points may be, metres: noise, roughness, and a part that grows with distance."""
     return np.asarray(min(0.05, max(0.01, 0.02 * _middle(points))) + 0.008 * np.sqrt((points * points).sum(axis=1)))
 
 
 def _middle(points: _Points) -> float:
-    """The median distance."""
+    """Return the median distance."""
     squares = np.sort((points * points).sum(axis=1))
     return math.sqrt(float(squares[len(squares) // 2]))
 
 
 def level_floor(cells: _Points) -> Floor | None:
-    """The level floor of a cloud; None if there is none, or it takes more to find it.
+    """Return the level floor of a cloud; None if there is none, or if this method cannot find it.
 
     Parameters
     ----------
     cells
-        What `cells_of` returns, some hundred at least.
+        The result of `cells_of`, some hundred at least.
     """
     below = np.sort(cells[cells[:, 2] < 0, 2])
     if len(below) < 0.1 * len(cells):
@@ -120,7 +121,7 @@ def level_floor(cells: _Points) -> Floor | None:
 
 
 def _fitted(points: _Points, weights: NDArray[np.float64]) -> tuple[float, float, float] | None:
-    """The plane z = a x + b y + c of least squares; None where the points are on a line."""
+    """Return the least-squares plane z = a x + b y + c; None if the points are on a line."""
     middle = (weights[:, None] * points).sum(axis=0) / weights.sum()
     x, y, z = (points - middle).T
     xx, xy, yy = float((weights * x * x).sum()), float((weights * x * y).sum()), float((weights * y * y).sum())

@@ -1,4 +1,4 @@
-"""An occupancy grid of laser scans with known poses: which cells are free, and which are occupied.
+"""Builds an occupancy grid from laser scans with known poses: which cells are free, and which are occupied.
 
 Sources of the rules:
 
@@ -6,7 +6,8 @@ Sources of the rules:
   *Probabilistic Robotics*, chapter 9 (occupancy grid mapping with an inverse sensor model).
 - The numbers are those of Hornung et al., *OctoMap* (Autonomous Robots 34, 2013): 0.85 for a hit and -0.4 for a miss
   (probabilities of 0.7 and 0.4), clamped to -2 and 3.5. They are multiples of 0.05, so that a cell is one int8.
-- As there, a scan changes each cell at most once, and what is hit is not missed by another beam of the same scan.
+- As in OctoMap, a scan changes each cell at most once, and a cell that is hit is not missed by another beam of this
+scan.
 - The cells of a beam are those of Bresenham's line from the cell of the sensor to the cell where the beam ends, as
   Karto (slam_toolbox) and the costmaps of nav2 draw it.
 """
@@ -31,19 +32,19 @@ if TYPE_CHECKING:
 
 __all__ = ["FREE", "LONGEST", "OCCUPIED", "UNSEEN", "Beams", "Occupancy", "OccupancyGrid", "beams_of", "placed_beams"]
 
-#: Columns and rows from the first two numbers to the others (exclusive).
+#: A rectangle of cells: columns and rows from the first two numbers to the last two (exclusive).
 _Bounds: TypeAlias = tuple[int, int, int, int]
 
 #: Values of cells, as nav_msgs/OccupancyGrid has them.
 UNSEEN, FREE, OCCUPIED = -1, 0, 100
 
-#: Cells beyond this have no exact number as float64, and none as int32.
+#: Indices of cells beyond this are not exact as float64, and do not fit into int32.
 _FARTHEST = 2**30
 
-#: Cells that all beams of a scan may cross: 1,080 beams of 1.5 km at 5 cm. They take some hundredths of a second.
+#: How many cells the beams of a scan may cross: 1,080 beams of 1.5 km at 5 cm, which take some hundredths of a second.
 _MOST_CROSSED = 1 << 25
 
-#: Cells that one beam may cross.
+#: How many cells one beam may cross.
 LONGEST = 1 << 16
 
 #: A grid grows by this share of its size at least, so that it is not copied for every scan.
@@ -52,16 +53,16 @@ _LEAST_GROWTH = 64
 
 
 class Beams(NamedTuple):
-    """The beams of a scan that tell something.
+    """The beams of a scan that observe free or occupied space.
 
     Attributes
     ----------
     numbers
-        (N,), their places in ``ranges``.
+        (N,), their indices in ``ranges``.
     lengths
         (N,), metres.
     hits
-        (N,), whether something reflects at their ends; they pass through free space in any case.
+        (N,), whether there is an object at their ends; the space before the end is free in any case.
     """
 
     numbers: NDArray[np.intp]
@@ -96,25 +97,25 @@ def beams_of(
     longest: float = math.inf,
     clear_to: float = 0.0,
 ) -> Beams:
-    """Tell what the beams of a scan say about free and occupied space.
+    """Return the beams of a scan that observe free or occupied space.
 
     A range from ``range_min`` to less than ``range_max`` is a return, as for laser_geometry. Beams without a return
-    (inf, or from ``range_max`` on) say nothing, as gmapping and slam_toolbox take them, unless ``clear_to`` is given:
-    a scan of a cloud has none where all points were too high or too low, too. NaN and ranges below ``range_min`` say
-    nothing.
+    (inf, or from ``range_max`` on) are ignored, as in gmapping and slam_toolbox, unless ``clear_to`` is given: a scan
+    of a cloud also has no return where all points were too high or too low. NaN and ranges below ``range_min`` are
+    ignored.
 
     Parameters
     ----------
     ranges
         (M,), metres.
     range_min, range_max
-        Of the scan, metres.
+        Limits of the scan, metres.
     longest
-        A return beyond it only clears the way so far, metres; what gmapping calls ``maxUrange``.
+        A return beyond it only clears the way up to it, metres; ``maxUrange`` of gmapping.
     clear_to
-        How far beams without a return clear, metres, but not beyond ``range_max``.
+        How far beams without a return clear, metres; at most ``range_max``.
     """
-    with np.errstate(invalid="ignore"):  # a NaN may be one that signals
+    with np.errstate(invalid="ignore"):  # a NaN may be a signalling one
         lengths = ranges.astype(np.float64)
         returns = (lengths >= range_min) & (lengths < range_max) & np.isfinite(lengths)
         empty = lengths >= range_max if clear_to > 0 else np.zeros(len(lengths), np.bool_)
@@ -128,25 +129,25 @@ def beams_of(
 def placed_beams(
     beams: Beams, directions: NDArray[np.float64], count: int, start: Rigid, end: Rigid | None = None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Place beams in the map.
+    """Return the beams in coordinates of the map.
 
     Parameters
     ----------
     beams
-        Of `beams_of`.
+        The result of `beams_of`.
     directions
         (2, M): cosines and sines of all beams of the scan.
     count
         M, how many beams the scan has.
     start, end
         map_from_sensor when the first and the last beam of the scan were measured; between them it is interpolated as
-        laser_geometry does it. Without ``end`` all beams have the same.
+        laser_geometry does. Without ``end`` all beams have the same transform.
 
     Returns
     -------
     origins, ends
-        (N, 2) float64 each, metres: x and y of the sensor and of where each beam ends. Of a tilted scan that is what
-        is seen from above.
+        (N, 2) float64 each, metres: x and y of the sensor, and of the end of each beam. A tilted scan is projected onto
+        the x-y plane.
     """
     ahead, left = directions[:, beams.numbers] * beams.lengths
     if end is None or count < 2:
@@ -185,9 +186,9 @@ class OccupancyGrid:
         self._most = most
         #: Log-odds, and the mark of a scan; see `pc2scan.core.plain.trace`.
         self._cells = np.empty((0, 0), np.int16)
-        #: Column and row of the grid's first cell, counted from that at the frame's origin.
+        #: Column and row of the grid's first cell, counted from the cell at the frame's origin.
         self._first = (0, 0)
-        #: The cells that were drawn, without the room around them.
+        #: The cells that were drawn, without the reserve around them.
         self._needed: _Bounds | None = None
         self._scans = 0
 
@@ -199,7 +200,7 @@ class OccupancyGrid:
         origins, ends
             (N, 2), metres: where each beam begins and ends.
         hits
-            (N,): whether something reflects there.
+            (N,): whether there is an object at the end.
 
         Raises
         ------
@@ -227,7 +228,7 @@ class OccupancyGrid:
         columns, rows = cells[:, 0::2], cells[:, 1::2]
         self._grow(int(columns.min()), int(rows.min()), int(columns.max()) + 1, int(rows.max()) + 1)
         cells -= np.array(self._first * 2)
-        # One byte tells 255 scans apart.
+        # The mark is one byte, which distinguishes 255 scans.
         self._scans = self._scans % 255 + 1
         if self._scans == 1:
             self._cells &= ~255
@@ -240,7 +241,7 @@ class OccupancyGrid:
         )
 
     def _grow(self, left: int, below: int, right: int, above: int) -> None:
-        """Make the grid contain all cells from one column and row to others (exclusive)."""
+        """Enlarge the grid to contain all cells from one column and row to others (exclusive)."""
         height, width = self._cells.shape
         old = (*self._first, self._first[0] + width, self._first[1] + height)
         needed = _around(self._needed, (left, below, right, above))
@@ -251,7 +252,7 @@ class OccupancyGrid:
             return
         before = old if width else needed
         now = _around(before, needed)
-        # Room for what comes next, on those sides where it grows.
+        # A reserve for the next scans, on the sides where the grid grows.
         across, up = (max(_LEAST_GROWTH, (needed[k + 2] - needed[k]) // _GROWTH) for k in (0, 1))
         with_room = (
             now[0] - across * (now[0] < before[0]),
@@ -278,7 +279,7 @@ class OccupancyGrid:
     def occupancy(self) -> Occupancy | None:
         """Return the map: the cells that were observed, and the rectangle around them; None if there are none.
 
-        A cell is occupied if that is more probable than not.
+        A cell is occupied if this is more probable than not.
         """
         odds = self._cells >> 8
         known = odds != UNKNOWN
@@ -294,7 +295,7 @@ class OccupancyGrid:
 
 
 def _around(one: _Bounds | None, other: _Bounds) -> _Bounds:
-    """The smallest rectangle around two."""
+    """Return the smallest rectangle around two."""
     if one is None:
         return other
     return min(one[0], other[0]), min(one[1], other[1]), max(one[2], other[2]), max(one[3], other[3])
@@ -305,7 +306,7 @@ def _area(bounds: _Bounds) -> int:
 
 
 def _moved(cells: NDArray[np.int16], old: _Bounds, new: _Bounds) -> NDArray[np.int16]:
-    """A grid with other bounds; where it had none of them, nothing was observed."""
+    """Return a grid with other bounds; its new cells are unobserved."""
     moved = np.full((new[3] - new[1], new[2] - new[0]), UNKNOWN * 256, np.int16)
     left, below, right, above = max(old[0], new[0]), max(old[1], new[1]), min(old[2], new[2]), min(old[3], new[3])
     if left < right and below < above:

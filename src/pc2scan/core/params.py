@@ -32,11 +32,11 @@ if TYPE_CHECKING:
 
 __all__ = ["CHOICES", "MAX_BEAMS", "MEASURED", "ProjectionParams", "beam_count", "float32", "range_max_minus"]
 
-#: More beams than this is a mistyped increment: a ten-thousandth of a degree over a full circle makes 3.6 million.
+#: The most beams. More mean a mistyped increment: a ten-thousandth of a degree over a full circle makes 3.6 million.
 MAX_BEAMS = 4_000_000
 
 
-#: How the choices of parameters are spelled.
+#: The choices of text parameters.
 CHOICES: dict[str, tuple[str, ...]] = {
     "geometry": ("upstream", "centered", "half-open", "symmetric"),
     "no_return": ("inf", "range-max-plus", "range-max-minus", "nan", "zero"),
@@ -44,18 +44,18 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "angle_rounding": ("correct", "glibc-2.40"),
 }
 
-#: Parameters that may be measured in the recording instead of given.
+#: Parameters that may be ``auto``: they are then measured in the recording.
 MEASURED = ("scan_time", "time_increment", "beams")
 
-#: What ``reduce: surface`` takes for one surface: metres, and widths of a beam.
+#: Defaults of ``surface_depth``, metres, and ``surface_slope``, beam widths.
 _SURFACE_DEPTH = 0.05
 _SURFACE_SLOPE = 3.0
 
-#: What the values of each type are called in errors.
+#: The names of the types in error messages.
 _EXPECTED = {float: "a number", bool: "true or false", int: "a whole number", str: "text"}
-#: Python's type, and NumPy's by the names that versions 1 and 2 have for it, without importing NumPy.
+#: Python's types, and NumPy's by their names in versions 1 and 2, so that NumPy need not be imported.
 _TRUTHS = {"bool", "bool_"}
-#: A value is shown up to here, characters.
+#: How many characters of a value an error message shows.
 _LONGEST = 80
 
 _LAYOUTS = {
@@ -67,10 +67,10 @@ _LAYOUTS = {
 
 
 def range_max_minus(range_max: float) -> float:
-    """What ``no_return: range-max-minus`` writes: 0.1 mm less than a finite float32 ``range_max``, as float32.
+    """Return the range of ``no_return: range-max-minus``: 0.1 mm less than a finite float32 ``range_max``, as float32.
 
     Source of the number: nav2_costmap_2d's ObstacleLayer::laserScanValidInfCallback puts infinite ranges there, so that
-    they clear and do not mark. Where float32 is coarser than that, the sum must not round to ``range_max``.
+    they clear and do not mark. If float32 is coarser than that, the difference must not round to ``range_max``.
     """
     return float32(min(range_max - 0.0001, range_max * (1 - 2.0**-23)))
 
@@ -79,22 +79,22 @@ def range_max_minus(range_max: float) -> float:
 class ProjectionParams:
     """Parameters of the projection, validated once and immutable.
 
-    Names, units and defaults are those of the ROS node ``pointcloud_to_laserscan``, as far as it has them; the
-    defaults of the others change nothing of what it returns. Angles and ranges reach the scan as float32; heights and
+    Names, units and defaults are those of the ROS node ``pointcloud_to_laserscan``. Parameters that it does not have
+    leave its result unchanged by default. Angles and ranges reach the scan as float32; heights and
     ranges of points are compared as float64.
 
     Parameters
     ----------
     target_frame
-        Frame that the cloud is transformed into before anything else; empty keeps the cloud's own.
+        Frame that the cloud is transformed into first; empty: the cloud's own frame.
     transform_tolerance
-        Seconds that a stamp may lie outside the known transforms.
+        Seconds that a stamp may be outside of the recorded transforms.
     min_height, max_height
         Limits of z in the target frame, metres, inclusive. **The default of ``min_height`` is the
         smallest positive double: everything at or below z = 0 is dropped.**
     angle_min, angle_max
-        The sector, radians, inclusive. With another ``geometry`` than upstream's: the middle of the first beam, and
-        what that of the last one does not exceed; any angles, 0 to 2 pi too.
+        The sector, radians, inclusive. With another ``geometry`` than upstream's: the middle of the first beam, and the
+        limit of the middle of the last one; any angles, also 0 to 2 pi.
     angle_increment
         Width of a beam, radians.
     scan_time
@@ -102,48 +102,48 @@ class ProjectionParams:
     range_min, range_max
         Limits of hypot(x, y), metres, inclusive.
     use_inf
-        Whether a beam without a return reads +inf; otherwise ``range_max + inf_epsilon``.
+        Whether a beam without a return reads +inf; otherwise it reads ``range_max + inf_epsilon``.
     inf_epsilon
         Metres, see ``use_inf``.
     queue_size
-        Chunks of messages in flight at most; 0 means as many as memory allows. Nothing is ever dropped.
+        The most chunks of messages in work at one time; 0 means as many as memory allows. No message is dropped.
     geometry
-        ``upstream``: beam i begins at ``angle_min + i * angle_increment``. ``centered``: it looks there, and takes
-        what is within half an increment on either side; see `centered_layout`. ``half-open``: the same beams, with
-        ``angle_max`` one increment behind the last one, as gmapping takes it. ``symmetric``: the same beams, moved so
-        that their middle is 0, as MRPT takes it; the sector must be symmetric, or a full circle.
+        ``upstream``: beam i begins at ``angle_min + i * angle_increment``. ``centered``: this angle is the middle of
+        the beam, which has half an increment on either side; see `centered_layout`. ``half-open``: the same beams, with
+        ``angle_max`` one increment after the last one, as gmapping reads it. ``symmetric``: the same beams, shifted so
+        that their middle is 0, as MRPT reads it; the sector must be symmetric, or a full circle.
     beams
-        How many beams the sector has, instead of ``angle_increment``, which then is what follows; 0: the
-        increment tells. ``auto``: as finely as the lidar samples azimuth, measured in a recording's clouds; see
-        `at_resolution`.
+        The number of beams in the sector, from which ``angle_increment`` follows; 0: use ``angle_increment``. ``auto``:
+        the azimuth resolution of the lidar, measured in a recording's clouds; see `at_resolution`.
     no_return
         What a beam without a return reads: ``inf``, ``range-max-plus`` (``range_max + inf_epsilon``),
-        ``range-max-minus`` (0.1 mm below ``range_max``), ``nan`` or ``zero``; empty: ``use_inf`` tells.
+        ``range-max-minus`` (0.1 mm below ``range_max``), ``nan`` or ``zero``; empty: as ``use_inf`` says.
     reduce
-        Which of a beam's returns it reads: ``min``, ``max``, ``mean``, ``median`` (of an even number the lower one of
-        the two in the middle), ``kth`` or ``surface``: the median of the returns on the closest surface.
+        The return that a beam reads: ``min``, ``max``, ``mean``, ``median`` (of an even number the lower one of the
+        two in the middle), ``kth`` or ``surface``: the median of the returns on the closest surface.
     kth
         With ``reduce`` kth: 1 is the closest return, 2 the next; a beam with fewer has no return.
     surface_depth, surface_slope
-        With ``reduce`` surface: the closest surface is what lies within ``surface_depth`` (metres) + ``surface_slope``
+        With ``reduce`` surface: the closest surface are the returns within ``surface_depth`` (metres) +
+        ``surface_slope``
         * range * ``angle_increment`` behind the closest return.
     min_points
         A beam with fewer returns has none.
     intensity_field
-        Field of the cloud whose values become the scan's intensities: that of the point whose range it is,
-        the mean of the beam's with ``reduce`` mean, 0 without a return. Empty: no intensities.
+        Field of the cloud whose values become the scan's intensities: the value of the point that the beam reads, the
+        mean of all its points with ``reduce`` mean, 0 without a return. Empty: no intensities.
     time_increment
-        Seconds from one beam to the next, copied into the scan; ``auto``: measured from the clouds' per-point
-        times, and the stamp becomes the first beam's.
+        Seconds from one beam to the next, copied into the scan; ``auto``: measured from the times
+        of the clouds' points; the stamp becomes the first beam's.
     angle_rounding
-        Which ``atan2f`` the angles of points come from: ``correct``, the float32 nearest to the exact angle, as glibc
+        The ``atan2f`` of the angles of points: ``correct``, the float32 nearest to the exact angle, as glibc
         2.41 and later return it on any machine; ``glibc-2.40``, what glibc 2.31 to 2.40 return on x86-64, to the bit.
 
     Raises
     ------
     ParameterError
-        If a value has another type, is NaN or cannot be (an increment that is not positive, an empty sector, range
-        or height band, more than `MAX_BEAMS` beams, a word that is not one of the choices).
+        If a value has the wrong type, is NaN or is not allowed (an increment that is not positive, an empty sector,
+        range or height band, more than `MAX_BEAMS` beams, a word that is not one of the choices).
     """
 
     target_frame: str = ""
@@ -173,14 +173,14 @@ class ProjectionParams:
 
     @classmethod
     def preset(cls, consumer: str, **changes: Any) -> ProjectionParams:
-        """Return what suits a consumer of the scans.
+        """Return the parameters that suit a consumer of the scans.
 
         Parameters
         ----------
         consumer
             ``slam_toolbox``, ``cartographer``, ``gmapping``, ``amcl``, ``nav2`` or ``mrpt``.
         **changes
-            Parameters that win over the preset's.
+            Parameters that replace those of the preset.
 
         Examples
         --------
@@ -197,33 +197,33 @@ class ProjectionParams:
 
     @classmethod
     def from_file(cls, path: str | PathLike[str], *, node: str | None = None, **changes: Any) -> ProjectionParams:
-        """Return the parameters of a ROS parameter file, the one that ran the robot.
+        """Return the parameters of a ROS parameter file, such as the robot's own.
 
         Parameters
         ----------
         path
             A ROS 2 parameter file or a ROS 1 YAML.
         node
-            Whose section of the file counts. Default: the only one.
+            The node whose section of the file is read. Default: the only one.
         **changes
-            Parameters by name that win over those of the file.
+            Parameters by name that replace those of the file.
 
         Raises
         ------
         UsageError
-            If the file cannot be read, or a parameter is unknown or has a value that cannot be.
+            If the file cannot be read, or a parameter is unknown or has a value that is not allowed.
 
         Examples
         --------
         >>> ProjectionParams.from_file("params.yaml", min_height=-0.5)  # doctest: +SKIP
         """
-        # What reads files is above this layer, and imports it.
+        # The module that reads files is in a higher layer, which imports this one.
         read = import_module("pc2scan.requests").params_from_file
         params: ProjectionParams = read(path, node, changes)
         return params
 
     def __new__(cls, **values: object) -> Self:
-        """Refuse names that are no parameter, with the one that is meant."""
+        """Raise for names that are no parameters; the error suggests the right one."""
         refuse_unknown(cls.__name__, values, (field.name for field in fields(cls)))
         return object.__new__(cls)
 
@@ -326,23 +326,23 @@ class ProjectionParams:
             )
 
     def at_resolution(self, step: float) -> ProjectionParams:
-        """These parameters with the beams that ``beams`` auto stands for.
+        """Return these parameters with the number of beams for ``beams`` auto.
 
         Parameters
         ----------
         step
-            How finely the lidar samples azimuth, radians; rounded to a whole number of steps in a circle.
+            Azimuth resolution of the lidar, radians; rounded to a whole number of steps in a circle.
         """
         circle = max(1, round(TURN / step))
         if self.geometry == "upstream":
-            # Of its beams, a multiple of the increment is the whole sector.
+            # Upstream's beams cover the sector if it is a multiple of the increment.
             span = self.angle_max - self.angle_min
             return replace(self, beams=max(2, round(circle * span / TURN)), angle_increment=TURN / circle)
         return replace(self, beams=0, angle_increment=TURN / circle)
 
     @property
     def layout(self) -> BeamLayout:
-        """What the scan's message advertises of its beams; with ``beams`` auto, as ``angle_increment`` says."""
+        """The beams that the scan's message advertises; with ``beams`` auto, those of ``angle_increment``."""
         beams = 0 if self.beams == "auto" else self.beams
         return _LAYOUTS[self.geometry](self.angle_min, self.angle_max, self.angle_increment, beams)
 
@@ -353,7 +353,7 @@ class ProjectionParams:
 
     @property
     def empty_range(self) -> float:
-        """The range of a beam that has no return: a float32 value in metres.
+        """The range of a beam without a return: a float32 value in metres.
 
         Source: ``range_max + inf_epsilon`` is the node's sum of the message's float32 ``range_max`` and a
         double, stored as float32; a default ``range_max`` is inf as float32, and so is the sum.
@@ -374,8 +374,8 @@ class ProjectionParams:
 def _typed(name: str, kind: type, value: Any) -> float | bool | str:
     """Return a value as the Python type that its parameter has.
 
-    NumPy's numbers become Python's: compared with limits that they cannot hold, they would overflow. Nothing else is
-    converted; true is no number, and 1.0 no whole one.
+    NumPy's numbers are converted to Python's, because they would overflow when compared with limits beyond their range.
+    Nothing else is converted: true is not a number, and 1.0 is not a whole number.
     """
     words = ("auto",) if name in MEASURED else CHOICES.get(name, ())
     if isinstance(value, str):
@@ -387,7 +387,7 @@ def _typed(name: str, kind: type, value: Any) -> float | bool | str:
     elif isinstance(value, numbers.Integral) and kind is int:
         return int(value)
     elif isinstance(value, numbers.Real) and kind is float:
-        # A whole number of 309 digits is no number that a parameter can have.
+        # A whole number of 309 digits does not fit into a float.
         with suppress(OverflowError):
             return float(value)
     expected = f"one of {', '.join(words)}" if kind is str and words else " or ".join((_EXPECTED[kind], *words))

@@ -1,4 +1,4 @@
-"""Percentiles and medians of a few thousand values. NumPy's own load `numpy.ma`, a tenth of a short conversion."""
+"""Percentiles and medians of a few thousand values. NumPy's functions import `numpy.ma`: 10 % of a short conversion."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def percentiles(values: ArrayLike, *percents: float) -> tuple[float, ...]:
     Parameters
     ----------
     values
-        At least one; none is NaN.
+        At least one value; none is NaN.
     percents
         From 0 to 100.
 
@@ -46,6 +46,6 @@ def median(values: ArrayLike) -> float:
 def _between(ordered: NDArray[Any], place: float) -> float:
     below = math.floor(place)
     low, high = float(ordered[below]), float(ordered[min(below + 1, len(ordered) - 1)])
-    # From the nearer one, as NumPy does it, so that the results are equal.
+    # Interpolated from the nearer value, as NumPy does, so that the results are equal.
     part = place - below
     return high - (high - low) * (1 - part) if part >= 0.5 else low + (high - low) * part

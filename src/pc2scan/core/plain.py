@@ -1,4 +1,4 @@
-"""The loops over points and beams in NumPy: they run where those in C (``loops/``) are not compiled, and explain them.
+"""The loops over points and beams in NumPy. They run where those in C (``loops/``) are not compiled, and document them.
 
 Points are compared with the numbers of a rule; see `pc2scan.core.rule`.
 """
@@ -21,10 +21,10 @@ if TYPE_CHECKING:
 
 __all__ = ["angles", "bins_of", "deskew", "follow", "gather", "project", "span", "trace", "transformed"]
 
-#: Points at a time: few enough for the cache, and enough to make the cost of calling NumPy small.
+#: How many points are processed at a time: few enough for the cache, and enough that calls of NumPy take little time.
 BLOCK = 16384
 
-#: Cells of lines at a time, about.
+#: About how many cells of lines are processed at a time.
 _CROSSED = 1 << 18
 
 #: Log-odds of a cell in steps of 0.05; see `pc2scan.core.occupancy`.
@@ -41,7 +41,7 @@ def project(
     limit: float,
     empty: float,
 ) -> tuple[int, ...]:
-    """The smallest range of each beam.
+    """Find the smallest range of each beam.
 
     Parameters
     ----------
@@ -68,7 +68,8 @@ def project(
     with np.errstate(all="ignore"):
         for bins, squares, _ in _returns(x, y, z, rule, transform, ranges.size, rejected):
             np.minimum.at(smallest, bins, squares)
-        # The smallest square has the smallest root, and beams are mostly fewer than points.
+        # The smallest square has the smallest root. Roots are taken of beams, because there are fewer of them than
+        # points.
         ranges[...] = np.sqrt(smallest)
     ranges[~(ranges < np.float32(limit))] = empty
     return _counts(rejected)
@@ -85,7 +86,7 @@ def gather(
     ranges: NDArray[np.float32],
     numbers: NDArray[np.int64],
 ) -> tuple[int, ...]:
-    """All returns of the beams, in the order of the cloud.
+    """Find all returns of the beams, in the order of the cloud.
 
     Parameters
     ----------
@@ -94,8 +95,7 @@ def gather(
     beams
         N, how many there are.
     bins, ranges, numbers
-        (points,), overwritten as far as there are returns: the beam that each falls into, its range in metres,
-        and which point it is.
+        (points,), overwritten, one for each return: its beam, its range in metres, and the number of its point.
 
     Returns
     -------
@@ -114,27 +114,27 @@ def gather(
 
 
 def bins_of(angle: NDArray[np.float32], rule: NDArray[np.float64], beams: int) -> NDArray[np.intp]:
-    """Which beam angles belong to.
+    """Return the beams that angles belong to.
 
     Parameters
     ----------
     angle
         (M,), radians, within -pi to pi, not NaN.
     rule
-        (13,), of `rule_of`; the heights and ranges do not matter.
+        (13,), of `rule_of`; its heights and ranges are not used.
     beams
         N, how many there are.
 
     Returns
     -------
-    (M,) intp: 0 to N - 1; N for what is past the end; N + 1 for what is outside the sector.
+    (M,) intp: 0 to N - 1; N for angles past the end; N + 1 for angles outside of the sector.
     """
     first, last, offset, turn, end, skew, increment, closed = rule[4:12].tolist()
     turned = angle + np.float64(offset)
-    for _ in range(2):  # the angles from -float32(pi) to float32(pi) are more than one turn
+    for _ in range(2):  # -float32(pi) to float32(pi) is more than one turn
         np.subtract(turned, turn, out=turned, where=turned >= turn)
     outside = (angle < np.float32(first)) | (angle > np.float32(last)) | (turned > end)
-    # Outside the sector, a quotient may be beyond the integers.
+    # Outside of the sector, a quotient may be too large for an integer.
     bins = np.where(outside, 0.0, (turned + skew) / increment).astype(np.intp)
     np.minimum(bins, beams - 1 if closed else beams, out=bins)
     bins[outside] = beams + 1
@@ -150,7 +150,7 @@ def _returns(
     beams: int,
     rejected: NDArray[np.int64],
 ) -> Iterator[tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.intp]]]:
-    """Beams, squared ranges and numbers of the returns, part by part; the others are added to ``rejected``."""
+    """Yield beams, squared ranges and numbers of the returns, part by part; count other points in ``rejected``."""
     lowest, highest, least, most = rule[:4].tolist()
     if isinstance(transform, MovingTransform):
         transform = transform._replace(times=transform.times.reshape(-1))
@@ -167,7 +167,7 @@ def _returns(
             px, py, pz = transformed(px, py, pz, transform)
         known = ~(np.isnan(px) | np.isnan(py) | np.isnan(pz))
         level = np.flatnonzero(known & (pz >= np.float32(lowest)) & (pz <= np.float32(highest)))
-        # float64 holds the squares of float32 exactly, and libm's hypotf adds them in float64.
+        # Squares of float32 are exact in float64, in which libm's hypotf adds them.
         squares = np.square(px[level], dtype=np.float64) + np.square(py[level], dtype=np.float64)
         near = (squares >= least) & (squares <= most)
         kept, squares = level[near], squares[near]
@@ -182,7 +182,7 @@ def _returns(
 
 
 def _nothing(transform: NDArray[np.float32] | MovingTransform | None) -> NDArray[np.int64]:
-    """Counts of rejected points."""
+    """Return new counts of rejected points."""
     return np.zeros(len(REJECTIONS) + (2 if isinstance(transform, MovingTransform) else 0), np.int64)
 
 
@@ -192,7 +192,7 @@ def _counts(rejected: NDArray[np.int64]) -> tuple[int, ...]:
 
 
 def angles(x: NDArray[np.float32], y: NDArray[np.float32], out: NDArray[np.float32], glibc: bool = False, /) -> None:
-    """Angles of points, radians.
+    """Compute the angles of points, radians.
 
     Parameters
     ----------
@@ -207,7 +207,7 @@ def angles(x: NDArray[np.float32], y: NDArray[np.float32], out: NDArray[np.float
     if glibc:
         out[...] = fdlibm.atan2f(y, x)
     else:
-        # What float64 is off by is lost in the rounding, but for about one in a hundred million.
+        # The error of float64 vanishes in the rounding, except for about one point in a hundred million.
         out[...] = np.arctan2(y, x, dtype=np.float64)
 
 
@@ -232,7 +232,7 @@ def deskew(
     Returns
     -------
     (int, int)
-        How many points have coordinates, but no time; and how many have a time, but no transform then: outside of the
+        How many points have coordinates, but no time; and how many have a time, but no transform at it: outside of the
         nodes, or beside a row that is NaN.
     """
     untimed = nowhere = 0
@@ -254,14 +254,14 @@ def deskew(
 def _moved(
     x: NDArray[np.float32], y: NDArray[np.float32], z: NDArray[np.float32], motion: MovingTransform
 ) -> tuple[list[NDArray[np.float32]], int, int]:
-    """Coordinates at their own times; how many have no transform, and how many of these because they have no time."""
+    """Return coordinates at their own times; how many have no transform, and how many of these have no time."""
     nodes, rows = motion.node_times, motion.rows
     times = (motion.times.astype(np.float64) - motion.offset) * motion.unit
     last = nodes.size - 2
     part = np.clip(np.searchsorted(nodes, times, "left") - 1, 0, last)
     first, middle, final = rows[:-1:2], rows[1::2], rows[2::2]
     known = ~np.isnan(first[:, 0] + middle[:, 0] + final[:, 0])
-    # At the end of a part without transforms begins one that may have them.
+    # The end of a part without transforms is the beginning of a part that may have them.
     behind = ~known[part] & (times == nodes[part + 1]) & (part < last)
     part[behind] += 1
     rates = ((4 * middle - 3 * first) - final).astype(np.float32)
@@ -285,7 +285,7 @@ def _dot(row: Sequence[NDArray[Any]], x: NDArray[Any], y: NDArray[Any], z: NDArr
 
 
 def span(x: NDArray[Any], values: NDArray[Any]) -> tuple[float, float, int, int]:
-    """The least and the largest finite value of a field, of the points whose ``x`` is not NaN.
+    """Return the least and the largest finite value of a field, of the points whose ``x`` is not NaN.
 
     Parameters
     ----------
@@ -297,7 +297,7 @@ def span(x: NDArray[Any], values: NDArray[Any]) -> tuple[float, float, int, int]
     least, largest : float
         inf and -inf if there is none.
     measured : int
-        How many points have an ``x``.
+        How many points have an ``x`` that is not NaN.
     unknown : int
         Those of them whose value is NaN or infinite.
     """
@@ -315,7 +315,7 @@ def span(x: NDArray[Any], values: NDArray[Any]) -> tuple[float, float, int, int]
 def follow(
     times: NDArray[np.int64], stamps: NDArray[np.int64], poses: NDArray[np.float64], rows: NDArray[np.float64]
 ) -> None:
-    """Take transforms to a frame on to its parent.
+    """Extend transforms to a frame by one link, to its parent.
 
     The compiled function differs in the last bits of float64.
 
@@ -324,7 +324,7 @@ def follow(
     times
         (N,) nanoseconds.
     stamps
-        (S,) those of the samples, increasing; (0,): the only pose is valid at any time.
+        (S,) nanoseconds of the samples, increasing; (0,): the only pose is valid at any time.
     poses
         (S, 7) or (1, 7): ``parent_from_frame``, the translation in metres, then the quaternion x, y, z, w.
     rows
@@ -341,7 +341,7 @@ def follow(
 def _poses(
     times: NDArray[np.int64], stamps: NDArray[np.int64], poses: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Rotations (N, 3, 3) and translations (N, 3) at times, or one for all of them."""
+    """Return rotations (N, 3, 3) and translations (N, 3) at times, or one for all of them."""
     if not stamps.size:
         return rotation_matrices(poses[0, 3:])[np.newaxis], poses[:, :3]
     last = stamps.size - 1
@@ -357,7 +357,7 @@ def _poses(
 
 
 def _slerp(first: NDArray[np.float64], last: NDArray[np.float64], ratio: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rotations between pairs of rotations (N, 4), as `pc2scan.core.rigid.slerp` finds them between one pair."""
+    """Return rotations between pairs of rotations (N, 4), as `pc2scan.core.rigid.slerp` does for one pair."""
     product = np.einsum("ni,ni->n", first, last)[:, np.newaxis]
     length = np.sqrt(np.einsum("ni,ni->n", first, first) * np.einsum("ni,ni->n", last, last))[:, np.newaxis]
     angle = np.arccos(np.minimum(np.abs(product) / length, 1.0))
@@ -382,11 +382,11 @@ def trace(
     width
         W.
     mark
-        0 to 255: cells that have it stay as they are, those that change get it.
+        0 to 255: cells with this mark are not changed; cells that change get it.
     rays
         (N, 4), contiguous: column and row of the cell of the sensor, and of the cell where the beam ends.
     hits
-        (N,), contiguous: whether something reflects where the beam ends.
+        (N,), contiguous: whether there is an object at the beam's end.
 
     Raises
     ------
@@ -404,7 +404,7 @@ def trace(
 
 
 def _line_cells(lines: NDArray[np.int64], hits: NDArray[np.bool_], width: int) -> NDArray[np.int64]:
-    """The places of the cells of lines, by Bresenham's algorithm, without the last one of those that hit something."""
+    """Return the indices of lines' cells, by Bresenham's algorithm, without the last cell of lines that hit."""
     begin, change = lines[:, :2], lines[:, 2:] - lines[:, :2]
     steep = np.abs(change[:, 1]) >= np.abs(change[:, 0])
     longer, shorter = np.abs(change).max(axis=1), np.abs(change).min(axis=1)
@@ -420,7 +420,7 @@ def _line_cells(lines: NDArray[np.int64], hits: NDArray[np.bool_], width: int) -
 
 
 def _observe(cells: NDArray[np.int16], mark: int, places: NDArray[np.int64], change: int) -> None:
-    """Change the log-odds of those of some cells that the scan has not changed yet."""
+    """Change the log-odds of cells, except those that the scan has changed before."""
     flat = cells.reshape(-1)
     places = np.unique(places)
     odds, marks = flat[places] >> 8, flat[places] & 255
@@ -441,7 +441,7 @@ def transformed(
     transform
         (4, 3): the rows of the rotation, then the translation.
     """
-    # Written out: a matrix product may sum in any order.
+    # Written out, because a matrix product may sum in any order.
     *rotation, translation = transform
     across, up, high = (
         x * row[0] + y * row[1] + z * row[2] + offset for row, offset in zip(rotation, translation, strict=True)

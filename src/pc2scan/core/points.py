@@ -1,4 +1,4 @@
-"""The points of one message, and points as callers have them: arrays, structured or masked ones, dicts of columns."""
+"""The points of one message, and of callers: arrays, structured or masked arrays, dicts of columns."""
 
 from __future__ import annotations
 
@@ -28,23 +28,22 @@ class Columns(Protocol):
 
 _AXES = ("x", "y", "z")
 
-#: The field that stages add: when each point was measured, float64 seconds after the stamp, NaN where that is not
-#: known. No message has it.
+#: A field that stages add and no message has: the time of each point, float64 seconds after the stamp, NaN if unknown.
 TIME = "<time>"
 
-#: The name of the field with the places of points in their cloud, where it is asked for.
+#: A field that is added on request: the index of each point in its cloud.
 NUMBER = "<number>"
 
 
-# Not frozen, though nobody changes one: a frozen one takes three times as long to make.
+# Instances are never changed. They are not frozen, because creating a frozen one takes three times as long.
 @dataclass(slots=True, eq=False)
 class Points:
-    """The points of one message: what decoding gives, and what the stages of a conversion take and give.
+    """The points of one message: the result of decoding, and the input and output of stages.
 
     Attributes
     ----------
     sequence
-        ROS 1's ``header.seq``; 0 from ROS 2.
+        ROS 1's ``header.seq``; 0 for ROS 2.
     stamp_ns
         ``header.stamp``, nanoseconds.
     frame_id
@@ -96,19 +95,19 @@ class Points:
         Parameters
         ----------
         kept
-            Of the shape of the fields.
+            Boolean array of the shape of the fields.
         """
         return Points(self.sequence, self.stamp_ns, self.frame_id, _Selected(self.fields, np.flatnonzero(kept)))
 
     def transform(self, transform: NDArray[np.float32], frame_id: str) -> Points:
-        """Return the points with ``x``, ``y`` and ``z`` in another frame, to the bit as the projection has them.
+        """Return the points with ``x``, ``y`` and ``z`` in another frame, equal to the projection's to the bit.
 
         Parameters
         ----------
         transform
             (4, 3): the rows of the rotation, then the translation; see `pc2scan.core.project.packed`.
         frame_id
-            The other frame.
+            The name of the other frame.
         """
         from .plain import transformed  # noqa: PLC0415  # most conversions transform in the compiled loops
 
@@ -118,7 +117,7 @@ class Points:
         return self.replace(dict(zip(_AXES, coordinates, strict=True)), frame_id)
 
     def replace(self, values: Mapping[str, NDArray[Any]], frame_id: str) -> Points:
-        """Return the points with other values of some fields, which may be new; of the shape of the others."""
+        """Return the points with other values of some fields, or with new fields; all of the same shape."""
         return Points(self.sequence, self.stamp_ns, frame_id, _Replaced(self.fields, values))
 
 
@@ -127,7 +126,7 @@ class _Selected(Mapping[str, "NDArray[Any]"]):
 
     def __init__(self, fields: Mapping[str, NDArray[Any]], places: NDArray[np.intp]) -> None:
         self._fields = fields
-        # Where a mask changes often, points are taken by their places in a sixth of the time.
+        # Indexing by places takes a sixth of the time of a mask that changes often.
         self._places = places
         self._selected: dict[str, NDArray[Any]] = {}
 
@@ -147,7 +146,7 @@ class _Selected(Mapping[str, "NDArray[Any]"]):
 
 
 class _Replaced(Mapping[str, "NDArray[Any]"]):
-    """Fields of which some have other values."""
+    """Fields, some of which are replaced."""
 
     def __init__(self, fields: Mapping[str, NDArray[Any]], values: Mapping[str, NDArray[Any]]) -> None:
         self._fields = fields
@@ -181,7 +180,7 @@ def coordinates_of(points: ArrayLike | Columns) -> tuple[NDArray[Any], NDArray[A
     Returns
     -------
     x, y, z
-        Of the types that they have; views where possible. NaN where they are masked.
+        In their own types; views where possible. NaN where they are masked.
 
     Raises
     ------
@@ -205,7 +204,7 @@ def coordinates_of(points: ArrayLike | Columns) -> tuple[NDArray[Any], NDArray[A
 
 
 def values_of(intensities: ArrayLike) -> NDArray[Any]:
-    """Return a value a point; NaN where it is masked.
+    """Return one value for each point; NaN where it is masked.
 
     Raises
     ------

@@ -1,9 +1,9 @@
-"""What suits each consumer of laser scans, as parameters of the projection.
+"""The presets: parameters of the projection that suit each consumer of laser scans.
 
-All of them want beams that are where the message says, and a finite ``range_max``: with an infinite one, infinite
-ranges pass for returns. It is one figure for every recording, so that the scans of a dataset agree in it: gmapping and
-slam_toolbox take it from the first scan. Returns beyond 100 m, more than 2D SLAM uses, are left out. ``range_min``
-leaves out the (0, 0, 0) that some drivers write for no return: it would be an obstacle at distance zero.
+All consumers need beams in the directions that the message says, and a finite ``range_max``: with an infinite one,
+infinite ranges count as returns. It is the same for every recording, so that the scans of a dataset agree: gmapping and
+slam_toolbox use the first scan's. Returns beyond 100 m, which is more than 2D SLAM uses, are rejected. ``range_min``
+rejects the (0, 0, 0) that some drivers write for no return, which would be an obstacle at distance zero.
 """
 
 from __future__ import annotations
@@ -24,22 +24,22 @@ _COMMON: dict[str, float | str] = {
     "scan_time": "auto",
 }
 
-#: Consumers, and the parameters that suit them.
+#: The parameters by consumer.
 PRESETS: Mapping[str, Mapping[str, float | str]] = MappingProxyType(
     {
-        # Karto skips ranges beyond range_max, infinite ones too.
+        # Karto skips ranges beyond range_max, also infinite ones.
         "slam_toolbox": _COMMON,
-        # cartographer_ros keeps ranges up to range_max. It takes beams to be measured in their order, which those of a
-        # lidar that turns clockwise are not: time_increment stays 0.
+        # cartographer_ros uses ranges up to range_max. It assumes that beams are measured in their order, which is
+        # wrong for a lidar that turns clockwise, so time_increment stays 0.
         "cartographer": _COMMON,
-        # It places beams from the middle of the sector, and needs angle_max one increment behind the last beam. And a
-        # number for no return, as the sensors of its time gave one: none of its arithmetic meets infinity.
+        # gmapping places beams from the middle of the sector, and needs angle_max one increment after the last beam. It
+        # also needs a number for no return, because its arithmetic is not made for infinity.
         "gmapping": {**_COMMON, "geometry": "half-open", "no_return": "range-max-plus"},
-        # Ranges from range_max on count as no return.
+        # AMCL reads ranges from range_max on as no return.
         "amcl": _COMMON,
-        # Its inf_is_valid clears what is in front of an infinite range, and no other value.
+        # Nav2's inf_is_valid clears the space in front of infinite ranges, and of no other value.
         "nav2": _COMMON,
-        # It takes every sector for symmetric around 0.
+        # MRPT reads every sector as symmetric around 0.
         "mrpt": {**_COMMON, "geometry": "symmetric"},
     }
 )

@@ -1,15 +1,15 @@
-"""Points to ranges: the projection of pointcloud_to_laserscan, to the bit, and what else parameters ask for.
+"""Projects points to ranges: bit by bit as pointcloud_to_laserscan does, and with pc2scan's own parameters.
 
 Source of the rule: ``cloudCb`` in pointcloud_to_laserscan_node.cpp. A point is dropped if, in this order,
 
 1. x, y or z is NaN;
 2. z is above ``max_height`` or below ``min_height``;
 3. its range, float32 hypot(x, y), is below ``range_min`` or above ``range_max``;
-4. its angle, float32 atan2(y, x), is outside the sector;
-5. its angle is behind the last beam, where upstream writes past its array (see `upstream_beams`).
+4. its angle, float32 atan2(y, x), is outside of the sector;
+5. its angle is after the last beam, where upstream writes past its array (see `upstream_beams`).
 
-The others lower the range of their beam to their own. Heights and ranges are compared as float64. Points are
-dropped for the same reasons, in the same order, whatever the geometry, and whichever return a beam is to read.
+A beam reads the smallest range of its other points. Heights and ranges are compared as float64. Points are
+dropped for the same reasons, in the same order, with every geometry and every ``reduce``.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ __all__ = ["Part", "ProjectedScan", "Projector", "Transform", "compact", "packed
 Transform: TypeAlias = "tuple[NDArray[np.floating[Any]], NDArray[np.floating[Any]]]"
 
 
-#: sensor_msgs/PointField's datatypes, in either byte order; what else NumPy has is converted first.
+#: sensor_msgs/PointField's datatypes, in either byte order; NumPy's other types are converted first.
 _READ_AS_IS = {"i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8"}
 
 _FLOAT32 = np.dtype(np.float32)
@@ -50,19 +50,19 @@ _FLOAT32 = np.dtype(np.float32)
 _NO_VALUES = np.empty(0, np.float32)
 
 
-# Never changed, but not frozen: making a frozen one takes three times as long.
+# Instances are never changed. They are not frozen, because creating a frozen one takes three times as long.
 @dataclass(slots=True, eq=False)
 class ProjectedScan:
-    """What a cloud is projected to.
+    """The projection of a cloud.
 
     Attributes
     ----------
     ranges
-        (N,) float32, metres: what each beam reads, ``params.empty_range`` where there is no return.
+        (N,) float32, metres: the range of each beam, ``params.empty_range`` without a return.
     counts
         How many points are used and rejected.
     intensities
-        (N,) float32, 0 where there is no return; (0,) if none were asked for.
+        (N,) float32, 0 without a return; (0,) if no intensities were requested.
     """
 
     ranges: NDArray[np.float32]
@@ -76,11 +76,11 @@ class Part(NamedTuple):
     Attributes
     ----------
     x, y, z, intensities
-        As `Projector` takes them.
+        As for `Projector`.
     target_from_source
-        The transform, of each point at its own time or of all.
+        The transform of all points, or a transform for each point's time.
     any_height
-        Whether heights do not count, as for the beams of a scan, which has none.
+        Whether heights are not compared, as for the beams of a scan, which have no height.
     """
 
     x: NDArray[Any]
@@ -97,7 +97,7 @@ class Projector:
     Parameters
     ----------
     params
-        The projection's parameters; ``target_frame`` is the caller's business.
+        The projection's parameters; the caller handles ``target_frame``.
     """
 
     __slots__ = ("_beams", "_empty", "_limit", "_rule", "_rule_of_any_height", "params")
@@ -114,18 +114,18 @@ class Projector:
         self._rule_of_any_height = np.concatenate([[-math.inf, math.inf], self._rule[2:]])
         self._beams = params.length
         self._empty = params.empty_range
-        # Upstream's beams begin with what they read without a return, and a return has to be below that.
+        # Upstream initialises beams with the range of no return, and a return must be smaller than it.
         self._limit = self._empty if params.no_return in {"", "inf", "range-max-plus"} else math.inf
 
     def together(self, parts: Sequence[Part]) -> ProjectedScan:
         """Project the points of several messages to one scan.
 
-        The scan is that of all points in one cloud, each transformed before, in the order of the parts.
+        The scan equals that of one cloud with all points, transformed before, in the order of the parts.
 
         Parameters
         ----------
         parts
-            Those without intensities count as 0 where others have some.
+            The parts. If only some have intensities, those of the others are 0.
 
         Returns
         -------
@@ -153,7 +153,7 @@ class Projector:
             if lit:
                 own = part.intensities
                 values.append(np.zeros(found.used) if own is None else own.reshape(-1)[numbers[: found.used]])
-            # What the next part has follows at once.
+            # The next part's returns follow directly.
             begin += found.used
         with np.errstate(all="ignore"):
             both = np.concatenate(values) if lit else None
@@ -162,18 +162,18 @@ class Projector:
 
     @property
     def reads_nearest(self) -> bool:
-        """Whether beams read the closest return, so that the scan of several parts is the minimum of theirs."""
+        """Whether beams read the closest return, so that the scan of several parts is the minimum of their scans."""
         return self.params.reduce == "min" and self.params.min_points == 1
 
     def nearest(self, part: Part) -> ProjectedScan:
-        """Project a part for `nearest_of`: beams without a return read infinity; intensities do not count."""
+        """Project a part for `nearest_of`: beams without a return read infinity; intensities are ignored."""
         ranges = np.empty(self._beams, np.float32)
         arrays, transform = self._checked(part)
         rejected = kernel.project(*arrays, self._rule_for(part), transform, ranges, self._limit, np.inf)
         return ProjectedScan(ranges, PointCounts.of_projection(part.x.size, rejected), _NO_VALUES)
 
     def nearest_of(self, scans: Sequence[ProjectedScan]) -> ProjectedScan:
-        """Return what beams read of several parts: the same as `together`, where they read the closest return."""
+        """Return the scan of several parts, the same as `together`, if beams read the closest return."""
         ranges = np.full(self._beams, np.inf, np.float32)
         counts = PointCounts()
         for scan in scans:
@@ -197,7 +197,7 @@ class Projector:
     def _checked(
         self, part: Part
     ) -> tuple[tuple[NDArray[Any], NDArray[Any], NDArray[Any]], NDArray[np.float32] | MovingTransform | None]:
-        """The coordinates of a part and its transform, as the loops over points take them."""
+        """Return the coordinates of a part and its transform, as the loops over points need them."""
         arrays, transform = _coordinates(part.x, part.y, part.z, part.intensities), part.target_from_source
         return arrays, transform if transform is None or isinstance(transform, MovingTransform) else packed(transform)
 
@@ -218,14 +218,14 @@ class Projector:
             alignment and strides. They are rounded to float32.
         target_from_source
             A transform to apply to the rounded coordinates, in float32: every product and every sum is rounded,
-            from left to right, as tf2_sensor_msgs does it. See `Rigid.as_float32`.
+            from left to right, as tf2_sensor_msgs does. See `Rigid.as_float32`.
         intensities
             A value for every point, of the same shape and any real type; None: the scan has no intensities.
 
         Returns
         -------
         ProjectedScan
-            Its arrays are new. Infinite coordinates are stopped only by the limits.
+            Its arrays are new. Infinite coordinates are rejected only by the limits.
 
         Raises
         ------
@@ -244,7 +244,7 @@ class Projector:
     ) -> ProjectedScan:
         """Project a cloud whose points are transformed at their own times.
 
-        The same as without a motion, but for the transform; the counts have ``no_time`` and ``no_transform``, too.
+        Only the transform differs from a cloud without a motion. The counts also have ``no_time`` and ``no_transform``.
         """
         return self._projected(x, y, z, motion, intensities)
 
@@ -278,7 +278,7 @@ class Projector:
         z: NDArray[Any],
         transform: Transform | MovingTransform | None = None,
     ) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
-        """Which points the beams read; projected without all others, a cloud gives the same scan, to the bit.
+        """Return which points the beams read: a cloud of only these points gives the same scan, to the bit.
 
         Parameters
         ----------
@@ -305,7 +305,7 @@ class Projector:
     def _reduced(
         self, bins: NDArray[np.int32], returns: NDArray[np.float32], values: NDArray[Any] | None
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Ranges and intensities (none without ``values``) of the beams, by the returns in the order of the cloud."""
+        """Return ranges and intensities (none without ``values``) of beams, from returns in the order of the cloud."""
         params = self.params
         counts = np.bincount(bins, minlength=self._beams)
         found = np.full(counts.size, self._empty, np.float32)
@@ -334,7 +334,7 @@ class Projector:
 def _coordinates(
     x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], intensities: NDArray[Any] | None
 ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
-    """Coordinates as the loops over points read them."""
+    """Return coordinates as the loops over points read them."""
     shape = x.shape
     if not (shape == y.shape == z.shape and 1 <= len(shape) <= 2):
         raise ValueError(f"x, y and z have the shapes {shape}, {y.shape}, {z.shape}, expected one of (M,) or (H, W)")
@@ -348,10 +348,10 @@ def _coordinates(
 
 
 def compact(x: NDArray[Any], y: NDArray[Any], z: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
-    """Return copies of coordinates, each (M,), that lie as the loops over points read them fastest.
+    """Return copies of coordinates, each (M,), in the layout that the loops over points read fastest.
 
-    Where float32 x, y and z follow each other in memory, as in nearly all messages, they are copied together, in a
-    third of the time.
+    If float32 x, y and z follow each other in memory, as in nearly all messages, they are copied together, which takes
+    a third of the time.
     """
     interface = x.__array_interface__
     place = interface["data"][0]
@@ -377,7 +377,7 @@ class _Rows:
 
 
 def packed(transform: Transform) -> NDArray[np.float32]:
-    """Return a transform as the loops over points take it, (4, 3): the rows of the rotation, then the translation."""
+    """Return a transform as the loops over points need it, (4, 3): the rows of the rotation, then the translation."""
     rows = np.empty((4, 3), np.float32)
     rows[:3], rows[3] = transform
     return rows
@@ -389,24 +389,25 @@ def project(
     *,
     intensities: ArrayLike | None = None,
 ) -> ProjectedScan:
-    """Project a cloud to a scan, as pointcloud_to_laserscan does it unless the parameters say otherwise.
+    """Project a cloud to a scan, as pointcloud_to_laserscan does unless the parameters say otherwise.
 
     Parameters
     ----------
     points
         (M, 3) or (H, W, 3), integers or floats: x, y and z in metres, in the scan's frame. Or a structured array
         or a mapping with x, y and z, such as a `pc2scan.Cloud`, each (M,) or (H, W). They are rounded to float32, as
-        upstream reads them. NaN drops a point, and so does a mask; infinite coordinates are stopped only by the limits.
+        upstream reads them. Points with NaN, and masked points, are dropped; infinite coordinates are rejected only
+        by the limits.
     params
         The projection's parameters, upstream's defaults if None. Those **drop everything at or below z = 0**.
     intensities
-        (M,) or (H, W) real numbers, one for each point: the scan gets those of the points that it shows, NaN where
-        they are masked. None: the scan has none, whatever ``params.intensity_field`` says.
+        (M,) or (H, W) real numbers, one for each point: the scan gets those of the points that its beams read, NaN
+        where they are masked. None: the scan has none, whatever ``params.intensity_field`` says.
 
     Returns
     -------
     ProjectedScan
-        What each beam reads, and how many points are used and rejected.
+        The range of each beam, and how many points are used and rejected.
 
     Raises
     ------

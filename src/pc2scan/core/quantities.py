@@ -1,6 +1,6 @@
-"""Angles, lengths and times as people write them: ``pi/2``, ``deg(180)``, ``-90deg``, ``50cm``, ``100ms``.
+"""Reads angles, lengths and times as people write them: ``pi/2``, ``deg(180)``, ``-90deg``, ``50cm``, ``100ms``.
 
-Numbers, ``pi``, parentheses and ``+ - * /`` are understood, with a unit behind them. Nothing is executed.
+Numbers, ``pi``, parentheses and ``+ - * /`` are allowed, followed by a unit. Nothing is executed.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ __all__ = [
 #: ROS 1's notation of angles.
 ANGLE = re.compile(r"(deg|rad)\((.*)\)")
 
-#: What may be written, by the unit that it becomes.
+#: Hints, by the unit of the result.
 EXAMPLES = {
     "rad": "write radians (1.5708, pi/2) or degrees (90deg)",
     "m": "write metres (0.5, 0.5m), centimetres (50cm) or millimetres (500mm)",
@@ -37,7 +37,7 @@ EXAMPLES = {
 
 _NUMBER_AND_UNIT = re.compile(r"([0-9]{1,18}(?:\.[0-9]{0,18})?|\.[0-9]{1,18}) ?([A-Za-z]+)")
 
-#: Nanoseconds, and bytes, of a unit in lower case.
+#: Units in lower case, as nanoseconds and as bytes.
 _DURATIONS = {"ms": 10**6, "s": 10**9, "min": 60 * 10**9, "h": 3600 * 10**9}
 _SIZES = {
     "b": 1,
@@ -45,7 +45,7 @@ _SIZES = {
     **{f"{prefix}ib": 1024**power for power, prefix in enumerate("kmgt", 1)},
 }
 
-#: Longer arithmetic is not an angle that anybody writes.
+#: The longest arithmetic expression, characters.
 _LONGEST = 100
 
 _OPERATORS: dict[type[ast.operator], Callable[[float, float], float]] = {
@@ -55,7 +55,7 @@ _OPERATORS: dict[type[ast.operator], Callable[[float, float], float]] = {
     ast.Div: operator.truediv,
 }
 
-# Divided by whole numbers, so that 10cm is the float64 nearest to 0.1. Degrees are computed in rosparam's order of
+# Units divide by whole numbers, so that 10cm is the float64 nearest to 0.1. Degrees are computed in rosparam's order of
 # operations, so that the last bit is the same.
 _UNITS: Mapping[str, Mapping[str, Callable[[float], float]]] = {
     "rad": {"rad": float, "deg": lambda value: value * math.pi / 180.0, "°": lambda value: value * math.pi / 180.0},
@@ -73,7 +73,7 @@ def quantity(text: str, unit: str) -> float | None:
         ``1.57``, ``pi/2``, ``90deg``, ``90°``, ``deg(90)``, ``rad(pi/2)`` for an angle; ``0.5``, ``0.5m``, ``50cm``,
         ``500mm`` for a length; ``0.1``, ``1/10``, ``100ms`` for a time.
     unit
-        What is returned: ``rad``, ``m`` or ``s``.
+        The unit of the result: ``rad``, ``m`` or ``s``.
 
     Examples
     --------
@@ -83,7 +83,7 @@ def quantity(text: str, unit: str) -> float | None:
     text = text.strip()
     if unit == "rad" and ANGLE.fullmatch(text):
         return written_angle(text)
-    # A unit is not the end of a longer word: 5mm are no metres.
+    # A unit is not the end of a longer word: 5mm is not in metres.
     units = [name for name in _UNITS[unit] if re.search(rf"[^a-z°]{name}$", text)]
     number, convert = (text.removesuffix(units[0]), _UNITS[unit][units[0]]) if units else (text, float)
     try:
@@ -93,7 +93,7 @@ def quantity(text: str, unit: str) -> float | None:
 
 
 def angle_value(unit: str, expression: str) -> float:
-    """Radians of rosparam's ``deg(...)`` and ``rad(...)``.
+    """Return rosparam's ``deg(...)`` or ``rad(...)`` in radians.
 
     Source of the rule: ``construct_angle_degrees`` and ``construct_angle_radians`` of ros_comm's rosparam.
 
@@ -106,7 +106,7 @@ def angle_value(unit: str, expression: str) -> float:
 
 
 def written_angle(text: str) -> float | None:
-    """Value of a text such as ``rad(pi/2)``; None if it is no such text or cannot be computed."""
+    """Return the value of a text such as ``rad(pi/2)``; None if it is another text or cannot be computed."""
     written = ANGLE.fullmatch(text.strip())
     if written is None:
         return None
@@ -135,7 +135,7 @@ def byte_size(text: str) -> int | None:
 
 
 def _whole(text: str, units: Mapping[str, int]) -> int | None:
-    """Read a decimal number with a unit, exactly; what is less than one is cut off."""
+    """Read a decimal number with a unit, exactly, and truncate it to a whole number."""
     written = _NUMBER_AND_UNIT.fullmatch(text.strip())
     scale = None if written is None else units.get(written[2].lower())
     if written is None or scale is None:
@@ -146,7 +146,7 @@ def _whole(text: str, units: Mapping[str, int]) -> int | None:
 
 
 def in_degrees(value: float) -> str:
-    """How an angle is written that was meant in degrees.
+    """Return how to write an angle that was meant in degrees.
 
     >>> in_degrees(-180.0)
     '-180deg'

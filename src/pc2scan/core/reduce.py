@@ -1,7 +1,7 @@
-"""From the returns of each beam to the one that the scan reads.
+"""Reduces the returns of each beam to the one that the scan reads.
 
-Returns are given as two arrays of one length, in the order of the cloud: the beam that each fell into, and its range.
-Of equal ranges in a beam the first one in that order wins. Nothing depends on blocks or threads.
+Returns are given as two arrays of one length, in the order of the cloud: the beam of each, and its range. Of equal
+ranges in a beam the first one in this order wins. The result does not depend on blocks or threads.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ __all__ = ["extremes", "means", "read", "surfaces", "winners"]
 def extremes(
     beams: NDArray[Any], ranges: NDArray[np.float32], count: int, *, largest: bool = False
 ) -> NDArray[np.float32]:
-    """The smallest or the largest range of each beam.
+    """Return the smallest or the largest range of each beam.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ def extremes(
 def winners(
     beams: NDArray[Any], ranges: NDArray[np.float32], counts: NDArray[np.intp], how: str, kth: int = 0
 ) -> NDArray[np.intp]:
-    """Which return each beam reads.
+    """Return which return each beam reads.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ def winners(
     if how in {"min", "max"}:
         extreme = extremes(beams, ranges, counts.size, largest=how == "max")
         equal = np.flatnonzero(ranges == extreme[beams])[::-1]
-        # Assigned from the last to the first, so that the first one stays.
+        # Assigned from the last to the first, so that the first one remains.
         found[beams[equal]] = equal
         return found
     order = np.lexsort((ranges, beams))
@@ -77,7 +77,7 @@ def winners(
 def surfaces(
     beams: NDArray[Any], ranges: NDArray[np.float32], count: int, depth: float, slope: float
 ) -> NDArray[np.intp]:
-    """Which return each beam reads if it is to be on the closest surface: the median of those near the closest one.
+    """Return which return each beam reads for ``reduce`` ``surface``: the median of those on the closest surface.
 
     Parameters
     ----------
@@ -86,9 +86,9 @@ def surfaces(
     count
         N, the beams of the scan.
     depth
-        Metres behind the closest return, of range r, that belong to its surface ...
+        How far behind the closest return, of range r, its surface extends, metres ...
     slope
-        ... and metres more for each metre of r.
+        ... and how much more for each metre of r, metres.
 
     Returns
     -------
@@ -97,10 +97,10 @@ def surfaces(
 
     Notes
     -----
-    A beam is as wide as its increment, so that on a wall that is seen at a slant its returns differ by about ``r *
-    increment / tan(angle)``: ``slope`` is some increments. The closest one is the near edge of the beam or the largest
-    error of the sensor, the median is the middle of both; and what is behind the surface does not count, so that
-    nothing appears between a near thing and a far one.
+    A beam is as wide as its increment, so on a slanted wall its returns differ by about ``r * increment / tan(angle)``:
+    ``slope`` is some increments. The closest return is at the near edge of the beam, or has the largest error of the
+    sensor; the median is in the middle. Returns behind the surface are ignored, so that no range lies between a near
+    object and a far one.
     """
     limits = _limits(beams, ranges, count, depth, slope)
     near = np.flatnonzero(ranges <= limits[beams])
@@ -116,7 +116,7 @@ def surfaces(
 def _limits(
     beams: NDArray[Any], ranges: NDArray[np.float32], count: int, depth: float, slope: float
 ) -> NDArray[np.float64]:
-    """How far the closest surface of each beam goes, metres; inf for a beam without returns."""
+    """Return how far the closest surface of each beam extends, metres; inf for a beam without returns."""
     limits = extremes(beams, ranges, count).astype(np.float64)
     seen = limits < np.inf
     limits[seen] += depth + slope * limits[seen]
@@ -124,13 +124,13 @@ def _limits(
 
 
 def means(beams: NDArray[Any], values: NDArray[Any], counts: NDArray[np.intp]) -> NDArray[np.float64]:
-    """The mean of each beam's values, (N,) float64, summed in the order of the cloud; 0 for a beam without any."""
+    """Return the mean of each beam's values, (N,) float64, summed in the order of the cloud; 0 without values."""
     sums = np.bincount(beams, weights=values, minlength=counts.size)
     return np.divide(sums, counts, out=np.zeros(counts.size), where=counts > 0)
 
 
 def read(beams: NDArray[Any], ranges: NDArray[np.float32], count: int, params: ProjectionParams) -> NDArray[np.intp]:
-    """Which returns are all that the beams need: from these alone they read the same.
+    """Return which returns the beams need: with these alone their ranges are the same.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ def read(beams: NDArray[Any], ranges: NDArray[np.float32], count: int, params: P
     (K,) intp, increasing
         The return itself with ``reduce`` ``min`` and ``max``; the closest ones up to it with ``kth``; those of the
         surface with ``surface``; all returns of the beam with ``mean`` and ``median``, and with ``min_points``, which
-        counts them. None of a beam that reads nothing.
+        counts them. No return of a beam without a range.
     """
     how = params.reduce
     counts = np.bincount(beams, minlength=count)

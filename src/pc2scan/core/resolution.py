@@ -1,4 +1,4 @@
-"""How finely a lidar samples azimuth: the step between neighbouring points of one of its rings."""
+"""Measures the azimuth resolution of a lidar: the step between neighbouring points of one ring."""
 
 from __future__ import annotations
 
@@ -11,26 +11,27 @@ if TYPE_CHECKING:
 
 __all__ = ["RING_FIELDS", "azimuth_step"]
 
-#: Fields of clouds that drivers put the number of a point's laser into, the first one that is there counts: Velodyne's,
+#: Fields in which drivers store the number of a point's laser; the first one that a cloud has is used: Velodyne's,
 #: Ouster's, Hesai's and RoboSense's ``ring``, Autoware's ``channel``, Luminar's ``laser_id``, Livox's ``line``.
 RING_FIELDS = ("ring", "channel", "laser_id", "line")
 
-#: Azimuths that are closer than this are one direction, radians: two returns of one shot. No lidar is as fine.
+#: Azimuths that are closer than this, radians, are one direction: two returns of one shot. No lidar has a finer step.
 _SAME = 5e-5
 
-#: Elevations of neighbouring points that differ by less than this are one ring, radians.
+#: Elevations of neighbouring points that differ by less than this, radians, are one ring.
 _ONE_RING = 1e-4
 
-#: Rings with fewer points than this, or than half of the fullest one's, do not count.
+#: Rings with fewer points than this, or than half of the fullest ring's, are ignored.
 _FEW = 16
 
 #: Steps within this share of the median are regular ...
 _NEAR = 0.25
 
-#: ... and this share of all steps must be, or there are no rings: points of a risley prism, or of several lidars.
+#: ... and this share of all steps must be regular; otherwise there are no rings, as for a risley prism or several
+#: lidars.
 _REGULAR = 0.5
 
-#: No lidar's step is larger, radians: 10 degrees.
+#: The largest step of a lidar, radians: 10 degrees.
 _COARSE = 0.1745
 
 
@@ -44,13 +45,13 @@ def azimuth_step(
     x, y, z
         Coordinates around the sensor, metres, of one shape, (M,) or (H, W). NaN and (0, 0, 0) are no returns.
     rings
-        The number of each point's laser, of the same size; None: the rows or the columns of an organised cloud, or
-        else the elevations of the points tell.
+        The number of each point's laser, of the same size; None: rings are the rows or the columns of an organised
+        cloud, or else are found by the elevations of the points.
 
     Returns
     -------
     float
-        Radians: the median step between neighbours of one ring. None where the points are not in regular rings.
+        Radians: the median step between neighbours of one ring. None if the points are not in regular rings.
     """
     points = np.stack([np.ravel(part).astype(np.float64) for part in (x, y, z)])
     returned = np.isfinite(points).all(axis=0) & points.any(axis=0)
@@ -68,7 +69,7 @@ def azimuth_step(
 
 
 def _spread(lines: NDArray[Any], elevations: NDArray[np.float64]) -> float:
-    """The mean square of how far elevations are from the mean of their line."""
+    """Return the mean square of elevations' distances from the mean of their line."""
     counts = np.maximum(np.bincount(lines), 1)
     means = np.bincount(lines, elevations) / counts
     return float(np.square(elevations - means[lines]).sum())
@@ -83,7 +84,7 @@ def _levels(elevations: NDArray[np.float64]) -> NDArray[np.intp]:
 
 
 def _regular_step(rings: NDArray[Any], azimuths: NDArray[np.float64]) -> float | None:
-    """The median step between the azimuths of a ring; None if most steps are others."""
+    """Return the median step between the azimuths of a ring; None if the steps are not regular."""
     order = np.lexsort((azimuths, rings))
     rings, azimuths = rings[order], azimuths[order]
     begins = np.flatnonzero(np.r_[True, rings[1:] != rings[:-1]]) if rings.size else np.empty(0, np.intp)

@@ -1,11 +1,11 @@
-"""Rotating and translating: rigid transforms, how they chain, and what lies between two of them.
+"""Rigid transforms: rotation and translation, composition, and interpolation.
 
 A transform is named by its direction: ``target_from_source`` takes coordinates in the frame ``source`` and
 returns them in the frame ``target``, ``p_target = target_from_source.apply(p_source)``. The transform that
 ROS publishes with ``header.frame_id`` parent and ``child_frame_id`` child is ``parent_from_child``.
 
-Two forms of the same thing: `Rigid` is the one to keep and to hand around; a `Pose`, seven floats in a tuple,
-is what a chain of lookups is computed in, because a call of NumPy takes longer than multiplying four numbers.
+There are two forms: `Rigid` is the general one; a `Pose`, a tuple of seven floats, is used to compute a chain of
+lookups, because a call of NumPy takes longer than multiplying four numbers.
 """
 
 from __future__ import annotations
@@ -39,31 +39,31 @@ __all__ = [
     "slerp",
 ]
 
-#: Translation x, y, z in metres, then the quaternion x, y, z, w, as published: not quite of unit length.
+#: Translation x, y, z in metres, then the quaternion x, y, z, w, as published: not exactly of unit length.
 Pose: TypeAlias = tuple[float, float, float, float, float, float, float]
 
-#: A stamped transform as a message carries it, ``parent_from_child``: parent, child, stamp_ns, then a pose
-#: whose quaternion may be anything.
+#: A stamped transform as in a message, ``parent_from_child``: parent, child, stamp_ns, then a pose
+#: whose quaternion is not checked.
 TransformRow: TypeAlias = tuple[str, str, int, float, float, float, float, float, float, float]
 
 _THREE, _FOUR, _NINE, _TWELVE = (struct.Struct(f"={count}f") for count in (3, 4, 9, 12))
 
 IDENTITY_POSE: Pose = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
-#: tf2 takes quaternions as they are while their squared norm differs from 1 by less than this, and refuses others.
+#: tf2 accepts quaternions whose squared norm differs from 1 by less than this, without normalising, and refuses others.
 NORM_TOLERANCE = 10e-3
 
 
 def are_taken(quaternions: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Whether tf2 takes quaternions, (N, 4) x, y, z, w. Those with a NaN or an infinite component it does not."""
+    """Return whether tf2 accepts quaternions, (N, 4) x, y, z, w; not with a NaN or an infinite component."""
     x, y, z, w = quaternions.T
     with np.errstate(all="ignore"):
-        # tf2's order of operations: near the limit it decides.
+        # In tf2's order of operations, which matters near the limit.
         return np.asarray(np.abs(w * w + x * x + y * y + z * z - 1.0) < NORM_TOLERANCE)
 
 
 def _as_float32(numbers: struct.Struct, values: Sequence[float]) -> bytes:
-    """So many numbers, rounded to float32. By far quicker for a few of them than NumPy."""
+    """Return numbers rounded to float32; for a few numbers much faster than NumPy."""
     try:
         return numbers.pack(*values)
     except OverflowError:
@@ -71,11 +71,11 @@ def _as_float32(numbers: struct.Struct, values: Sequence[float]) -> bytes:
             return np.array(values).astype(np.float32).tobytes()
 
 
-# tf2 never normalises, so that its order of operations is in every last bit. What follows keeps to it.
+# tf2 never normalises, so its order of operations changes the last bits. These functions have the same order.
 
 
 def compose_poses(a_from_b: Pose, b_from_c: Pose) -> Pose:
-    """``a_from_c``: the second transform, then the first."""
+    """Return ``a_from_c``: the second transform, then the first."""
     ax, ay, az, ai, aj, ak, ar = a_from_b
     x, y, z, i, j, k, r = b_from_c
     # quatRotate: the quaternion times the vector, times the conjugate.
@@ -97,14 +97,14 @@ def compose_poses(a_from_b: Pose, b_from_c: Pose) -> Pose:
 
 
 def inverse_pose(a_from_b: Pose) -> Pose:
-    """``b_from_a``."""
+    """Return ``b_from_a``."""
     x, y, z, i, j, k, r = a_from_b
     turned = compose_poses((-0.0, -0.0, -0.0, -i, -j, -k, r), (-x, -y, -z, 0.0, 0.0, 0.0, 1.0))
     return (*turned[:3], -i, -j, -k, r)
 
 
 def interpolate_poses(first: Pose, last: Pose, ratio: float) -> Pose:
-    """`lerp` of the translations and `slerp` of the rotations, at one ratio."""
+    """Return `lerp` of the translations and `slerp` of the rotations, at one ratio."""
     kept = 1 - ratio
     x0, y0, z0, i0, j0, k0, r0 = first
     x1, y1, z1, i1, j1, k1, r1 = last
@@ -128,7 +128,7 @@ def interpolate_poses(first: Pose, last: Pose, ratio: float) -> Pose:
 
 
 def _half_angle(first: Sequence[float], last: Sequence[float]) -> tuple[float, float]:
-    """Half the angle between two rotations on the shorter way, and the sign that the second one needs for it."""
+    """Return half the angle between two rotations on the shorter way, and the sign of the second one for it."""
     i0, j0, k0, r0 = first
     i1, j1, k1, r1 = last
     dot = i0 * i1 + j0 * j1 + k0 * k1 + r0 * r1
@@ -139,7 +139,7 @@ def _half_angle(first: Sequence[float], last: Sequence[float]) -> tuple[float, f
 
 
 def slerp(first: ArrayLike, last: ArrayLike, ratio: ArrayLike) -> NDArray[np.float64]:
-    """Rotations between two rotations, at a constant rate on the shorter way.
+    """Return rotations between two rotations, at a constant rate on the shorter way.
 
     Parameters
     ----------
@@ -151,8 +151,8 @@ def slerp(first: ArrayLike, last: ArrayLike, ratio: ArrayLike) -> NDArray[np.flo
     Returns
     -------
     ndarray
-        ``ratio.shape + (4,)`` float64 quaternions. Where the two are equal to within the resolution of
-        arccos (about 1.5e-8 rad) all are ``first``.
+        ``ratio.shape + (4,)`` float64 quaternions. If the two are equal to within the resolution of
+        arccos (about 1.5e-8 rad), all are ``first``.
 
     Notes
     -----
@@ -166,12 +166,12 @@ def slerp(first: ArrayLike, last: ArrayLike, ratio: ArrayLike) -> NDArray[np.flo
     if half_angle == 0:
         return np.broadcast_to(start, (*ratios.shape[:-1], 4)).copy()
     from_start, from_stop = np.sin((1 - ratios) * half_angle), np.sin(ratios * half_angle) * sign
-    # tf2's order of operations.
+    # In tf2's order of operations.
     return np.asarray((from_start * start + from_stop * stop) * (1 / math.sin(half_angle)))
 
 
 def lerp(first: ArrayLike, last: ArrayLike, ratio: ArrayLike) -> NDArray[np.float64]:
-    """Points on the straight line between two points.
+    """Return points on the straight line between two points.
 
     Parameters
     ----------
@@ -190,12 +190,12 @@ def lerp(first: ArrayLike, last: ArrayLike, ratio: ArrayLike) -> NDArray[np.floa
 
 
 def rotation_matrices(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rotation matrices (3, 3, ...) of quaternions (4, ...) x, y, z, w of any length.
+    """Return rotation matrices (3, 3, ...) of quaternions (4, ...) x, y, z, w of any length.
 
     Source of the rule: ``tf2::Matrix3x3::setRotation``, in its order of operations.
     """
     x, y, z, w = quaternions
-    # Thousands of quaternions, each a little too long or too short, have a product beyond float64.
+    # The product of thousands of quaternions, each a little too long or too short, may exceed float64.
     with np.errstate(all="ignore"):
         scale = 2.0 / (x * x + y * y + z * z + w * w)
         xs, ys, zs = x * scale, y * scale, z * scale
@@ -212,7 +212,7 @@ def rotation_matrices(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _quaternion(m: Sequence[Sequence[float]]) -> tuple[float, float, float, float]:
-    """The quaternion of a rotation matrix, by its largest component, which is positive."""
+    """Return the quaternion of a rotation matrix; its largest component is positive."""
     (m00, m01, m02), (m10, m11, m12), (m20, m21, m22) = m
     four_squares = (1 + m00 - m11 - m22, 1 - m00 + m11 - m22, 1 - m00 - m11 + m22, 1 + m00 + m11 + m22)
     largest = max(range(4), key=four_squares.__getitem__)
@@ -234,15 +234,15 @@ class Rigid:
     Parameters
     ----------
     quaternion
-        (4,) x, y, z, w: the axes of ``source`` seen from ``target``; float64, read-only. Kept as it is where tf2 takes
-        it, which is while its squared norm differs from 1 by less than 0.01; normalised where tf2 would refuse it.
+        (4,) x, y, z, w: the axes of ``source`` seen from ``target``; float64, read-only. Unchanged if tf2
+        accepts it, which is if its squared norm differs from 1 by less than 0.01; normalised if tf2 would refuse it.
     translation
         (3,) the origin of ``source`` in ``target``, metres. float64, read-only.
 
     Raises
     ------
     ParameterError
-        If a shape is another, a value is NaN or infinite, or the quaternion is zero.
+        If a shape is wrong, a value is NaN or infinite, or the quaternion is zero.
     """
 
     quaternion: NDArray[np.float64]
@@ -259,7 +259,7 @@ class Rigid:
                 if not given.any():
                     raise ParameterError("quaternion is zero, it has no direction", name=name)
                 if not are_taken(given[None])[0]:
-                    # Scaled first: the square of 1e-200 is 0, and that of 1e200 is inf.
+                    # Scaled first, because the square of 1e-200 is 0, and that of 1e200 is inf.
                     scaled = given / np.abs(given).max()
                     given = scaled / np.sqrt(scaled @ scaled)
             given.flags.writeable = False
@@ -272,7 +272,7 @@ class Rigid:
 
     @classmethod
     def from_pose(cls, pose: Pose) -> Rigid:
-        """Take a pose that is known to be finite and of a quaternion that tf2 takes; nothing is checked."""
+        """Create a transform from a pose without checks: it must be finite, with a quaternion that tf2 accepts."""
         rigid = object.__new__(cls)
         both = np.array(pose)
         both.flags.writeable = False
@@ -282,9 +282,9 @@ class Rigid:
 
     @classmethod
     def from_rpy(cls, roll: float, pitch: float, yaw: float, translation: ArrayLike = (0.0, 0.0, 0.0)) -> Rigid:
-        """Roll, pitch and yaw in radians, about the fixed axes x, y and z of ``target``, in that order.
+        """Create a transform from roll, pitch and yaw, radians, about the fixed axes x, y and z of ``target`` in order.
 
-        The convention of ``static_transform_publisher`` (``tf2::Quaternion::setRPY``).
+        This is the convention of ``static_transform_publisher`` (``tf2::Quaternion::setRPY``).
 
         Raises
         ------
@@ -306,7 +306,7 @@ class Rigid:
 
     @classmethod
     def from_matrix(cls, matrix: NDArray[np.float64], translation: ArrayLike = (0.0, 0.0, 0.0)) -> Rigid:
-        """Take a rotation matrix, (3, 3), and a translation; the quaternion has unit length."""
+        """Create a transform from a rotation matrix, (3, 3), and a translation; the quaternion has unit length."""
         quaternion = _quaternion(matrix.tolist())
         length = math.sqrt(sum(part * part for part in quaternion))
         return cls(np.array(quaternion) / length, np.array(translation, dtype=np.float64))
@@ -318,7 +318,7 @@ class Rigid:
 
     @property
     def pose(self) -> Pose:
-        """The same as seven floats: translation, then quaternion."""
+        """The transform as seven floats: translation, then quaternion."""
         x, y, z = self.translation.tolist()
         i, j, k, r = self.quaternion.tolist()
         return (x, y, z, i, j, k, r)
@@ -330,9 +330,9 @@ class Rigid:
 
     @property
     def rpy(self) -> tuple[float, float, float]:
-        """Roll, pitch and yaw in radians, as `from_rpy` takes them; pitch in -pi/2 to pi/2.
+        """Roll, pitch and yaw in radians, as for `from_rpy`; pitch in -pi/2 to pi/2.
 
-        At a pitch of +-pi/2 only the sum or the difference of the others is known: roll is then 0.
+        At a pitch of +-pi/2 only the sum or the difference of the others is determined: roll is then 0.
         """
         m = self.matrix
         pitch = math.asin(min(1.0, max(-1.0, -float(m[2, 0]))))
@@ -345,11 +345,11 @@ class Rigid:
         )
 
     def compose(self, other: Rigid) -> Rigid:
-        """``a_from_b.compose(b_from_c)`` is ``a_from_c``."""
+        """Return ``a_from_c``, for ``a_from_b.compose(b_from_c)``."""
         return Rigid.from_pose(compose_poses(self.pose, other.pose))
 
     def product(self, other: Rigid) -> Rigid:
-        """As `compose`, of two lookups: tf2 multiplies these as matrices, and the quaternion has unit length.
+        """Compose two lookups: tf2 multiplies these as matrices, and the quaternion has unit length.
 
         `compose` multiplies quaternions as published, as tf2 does within a lookup: one that is 0.1 % too long scales by
         0.2 %.
@@ -358,19 +358,19 @@ class Rigid:
         return Rigid.from_matrix(rotation @ other.matrix, rotation @ other.translation + self.translation)
 
     def inverse(self) -> Rigid:
-        """``source_from_target``."""
+        """Return ``source_from_target``."""
         return Rigid.from_pose(inverse_pose(self.pose))
 
     def as_float32(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Rotation (3, 3) and translation (3,) as tf2_sensor_msgs computes them, in float32.
+        """Return rotation (3, 3) and translation (3,) as tf2_sensor_msgs computes them, in float32.
 
         Source of the rule: ``doTransform`` for PointCloud2 in tf2_sensor_msgs, and ``toRotationMatrix`` of Eigen's
         ``QuaternionBase``: the quaternion is rounded to float32 and not normalised; each product and each sum is
         rounded.
         """
         x, y, z, w = _FOUR.unpack(_as_float32(_FOUR, self.quaternion.tolist()))
-        # Products and sums of two float32 numbers, in float64 and then rounded, are float32's own. The doubles of
-        # x, y and z are exact.
+        # A product or a sum of two float32 numbers, computed in float64 and then rounded, equals the float32 result.
+        # Twice x, y and z are exact.
         products = (2 * x * x, 2 * x * y, 2 * x * z, 2 * x * w, 2 * y * y, 2 * y * z, 2 * y * w, 2 * z * z, 2 * z * w)
         xx, xy, xz, xw, yy, yz, yw, zz, zw = _NINE.unpack(_as_float32(_NINE, products))
         one, two, three = _THREE.unpack(_as_float32(_THREE, (yy + zz, xx + zz, xx + yy)))
@@ -379,7 +379,7 @@ class Rigid:
         return both[:9].reshape(3, 3), both[9:]
 
     def apply(self, points: NDArray[Any]) -> NDArray[Any]:
-        """Take points from ``source`` to ``target``.
+        """Transform points from ``source`` to ``target``.
 
         Parameters
         ----------
@@ -391,15 +391,15 @@ class Rigid:
         ndarray
             (N, 3) coordinates in ``target``, C order. If ``points`` is float32: computed in float32, to the bit as
             tf2_sensor_msgs transforms a PointCloud2 (every product and every sum is rounded, from left to right).
-            Else computed in float64. A point with a NaN comes out NaN in every coordinate; an infinite coordinate
-            comes out infinite or NaN (0 times inf), as in any matrix product, upstream's included.
+            Else computed in float64. A point with a NaN becomes NaN in every coordinate; an infinite coordinate
+            becomes infinite or NaN (0 times inf), as in any matrix product, also upstream's.
         """
         narrow = points.dtype == np.float32
         rotation: NDArray[Any]
         translation: NDArray[Any]
         rotation, translation = self.as_float32() if narrow else (self.matrix, self.translation)
         result = np.empty(points.shape, rotation.dtype)
-        # Column by column, without BLAS: the result does not depend on the number of points or threads.
+        # Column by column, without BLAS, so that the result does not depend on the number of points or threads.
         with np.errstate(invalid="ignore", over="ignore"):
             x, y, z = points.T.astype(rotation.dtype)
             for column, (row, offset) in enumerate(zip(rotation, translation, strict=True)):
@@ -408,7 +408,7 @@ class Rigid:
 
 
 def interpolate(first: Rigid, last: Rigid, ratio: float) -> Rigid:
-    """Between two transforms of the same two frames: `lerp` of the translations, `slerp` of the rotations.
+    """Interpolate two transforms of the same two frames: `lerp` of the translations, `slerp` of the rotations.
 
     ``ratio`` 0 is the first, 1 is the last. Source of the rule: ``tf2::TimeCache::interpolate``.
     """

@@ -1,8 +1,8 @@
-"""What another rounding of angles (another libm) changes in a scan: its marks in two scans, and its proof in a cloud.
+"""Explains differences of two scans by another rounding of angles (another libm), from the scans and from a cloud.
 
-Angles that differ by their last bit put a point that lies that close to the edge of a beam into the neighbouring beam.
-Nothing else changes. So of two scans of closest returns that differ only by that, the smaller of two readings is of a
-point that is in this beam with one rounding, and in the next one with the other.
+An angle that differs in its last bit puts a point that is this close to the edge of a beam into the neighbouring beam.
+Nothing else changes. So if two scans of closest returns differ only by the rounding, the smaller of two readings
+belongs to a point that is in this beam with one rounding, and in the next beam with the other.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ class Readings:
     angle_min, angle_max, angle_increment, range_min, range_max
         As both messages have them, radians and metres.
     a, b
-        (N,) float32, metres: what the beams read.
+        (N,) float32, metres: the ranges of the beams.
     differing
-        (N,): which beams count as differing.
+        (N,): which beams differ.
     """
 
     angle_min: float
@@ -50,9 +50,9 @@ class Readings:
     b: NDArray[np.float32]
     differing: NDArray[np.bool_]
 
-    @np.errstate(all="ignore")  # a header's limits may be anything
+    @np.errstate(all="ignore")  # a header's limits may be any numbers
     def returns(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """What the beams read, infinity where that stands for no return."""
+        """Return the ranges, infinity for beams without a return."""
         a, b = (
             np.where(np.isfinite(side) & (side >= self.range_min) & (side <= self.range_max), side, np.float32(np.inf))
             for side in (self.a, self.b)
@@ -60,30 +60,30 @@ class Readings:
         return a, b
 
     def rules(self) -> list[NDArray[np.float64]]:
-        """The rules by which the beams may have been numbered: upstream's geometry, the centered one, both or none."""
+        """Return the rules that fit the header: upstream's geometry, the centered one, both or none."""
         count, low, high, step = len(self.a), self.angle_min, self.angle_max, self.angle_increment
         if not (np.isfinite([low, high, step]).all() and step > 0 and low < high):
             return []
         beams = []
         if beam_count(low, high, step) == count:
             beams.append(upstream_beams(BeamLayout(count, low, high, step)))
-        # As a float64, for the quotient may be beyond the integers.
+        # As a float64, because the quotient may be too large for an integer.
         if np.rint((high - low) / step) + 1 == count:
-            # A circle's last beam and first one are neighbours, but for what rounding the increment leaves.
+            # The last beam and the first one of a circle are neighbours, except for the rounding of the increment.
             full_circle = count * step >= TURN * (1 - 2.0**-22) - step / 1000
             beams.append(centered_beams(BeamLayout(count, low, high, step, full_circle)))
         return [np.array([-np.inf, np.inf, 0.0, np.inf, *numbers, 0.0]) for numbers in beams]
 
 
 class Marks(NamedTuple):
-    """What two scans alone show about their differing beams.
+    """Counts of differing beams, from two scans alone.
 
     Attributes
     ----------
     in_neighbour
-        The smaller reading is, to the bit, that of a neighbouring beam of the other scan.
+        Beams whose smaller reading equals, to the bit, that of a neighbouring beam of the other scan.
     hidden
-        It may be there, behind a closer return, or outside of the scan.
+        Beams for which it may be there, behind a closer return, or outside of the scan.
     """
 
     in_neighbour: int
@@ -91,35 +91,35 @@ class Marks(NamedTuple):
 
 
 def marks(readings: Readings) -> Marks:
-    """Count the differing beams that another rounding can have changed, as far as the scans alone show."""
+    """Count the differing beams that another rounding can have changed, from the scans alone."""
     a, b = readings.returns()
     equal = np.zeros(a.size, bool)
     closer = np.zeros(a.size, bool)
     for one, other in ((a, b), (b, a)):
         smaller = one < other
-        # The point that made the reading is in a neighbouring beam of the other scan, which reads it or less.
+        # The point of this reading is in a neighbouring beam of the other scan, which reads its range or less.
         for beams, neighbours in ((slice(1, None), slice(None, -1)), (slice(None, -1), slice(1, None))):
             equal[beams] |= smaller[beams] & (other[neighbours] == one[beams])
             closer[beams] |= smaller[beams] & (other[neighbours] < one[beams])
-        # The first and the last beam have the world outside for a neighbour.
+        # The neighbour of the first and the last beam is outside of the scan.
         closer[[0, -1]] |= smaller[[0, -1]]
     in_neighbour = readings.differing & equal
     return Marks(int(in_neighbour.sum()), int((readings.differing & closer & ~in_neighbour).sum()))
 
 
 class Proof(NamedTuple):
-    """What the points of a cloud show about two scans.
+    """The result of comparing two scans with the points of their cloud.
 
     Attributes
     ----------
     a_glibc, b_glibc
-        (N,): differing beams that are explained if A has the angles of glibc 2.31 to 2.40 and B correct ones; and if it
-        is the other way round.
+        (N,): differing beams that are explained if A has the angles of glibc 2.31 to 2.40 and B correct ones; and in
+        the opposite case.
     returns
         (2,): how many returns A and B have.
     fitting
-        (2, 2): how many of them are points of the cloud in that beam, by side and by the rounding of the points'
-        angles. A scan that was made of the cloud with one rounding has all of them there.
+        (2, 2): how many of the returns are points of the cloud in that beam, by side and by the rounding of the points'
+        angles. For a scan that was made of the cloud with one rounding, these are all returns.
     """
 
     a_glibc: NDArray[np.bool_]
@@ -132,9 +132,9 @@ def prove(readings: Readings, points: Iterable[tuple[NDArray[np.float32], NDArra
     """Compare two scans with the points that they were made of.
 
     A differing beam is explained if the smaller reading is the range, to the bit, of a point that is in the beam with
-    one rounding of angles and in another one with the other; if that one reads as little or less in the other scan; and
-    if the larger reading, unless it is no return, is the range of a point in the beam. So nothing need be known of
-    which points were accepted.
+    one rounding of angles and in another one with the other; if this other beam reads the same or less in the other
+    scan; and if the larger reading, unless it is no return, is the range of a point in the beam. So it need not be
+    known which points were accepted.
 
     Parameters
     ----------
@@ -144,8 +144,8 @@ def prove(readings: Readings, points: Iterable[tuple[NDArray[np.float32], NDArra
     Returns
     -------
     Proof or None
-        By upstream's geometry or the centered one, whichever finds more of the returns among the points. None if the
-        scans have neither.
+        By upstream's geometry or the centered one: the one that finds more returns among the points. None if the scans
+        have neither.
     """
     rules = readings.rules()
     if not rules:
@@ -170,18 +170,19 @@ def prove(readings: Readings, points: Iterable[tuple[NDArray[np.float32], NDArra
 
 
 class _Look:
-    """What the points of a cloud are to two scans, if beams are numbered by a rule."""
+    """Compares the points of a cloud with two scans, if beams are numbered by a rule."""
 
     def __init__(self, rule: NDArray[np.float64], returns: tuple[NDArray[np.float32], NDArray[np.float32]]) -> None:
         self._rule = rule
         self._returns = returns
-        # Behind the beams: the points that are in none.
+        # One more element for points that are in no beam.
         self._nearest = [np.append(side, np.zeros(2, np.float32)) for side in returns]
-        #: By side, rounding and beam: whether a point is there at the beam's reading, and whether one moves.
+        #: By side, rounding and beam: whether a point has the beam's reading, and whether such a point changes its
+        #: beam.
         self.there, self._moving = np.zeros((2, 2, 2, returns[0].size), bool)
 
     def add(self, angles: NDArray[np.float32], reach: NDArray[np.float32]) -> None:
-        """Take points into account: their angles by rounding, (2, M), and their ranges."""
+        """Add points: their angles by rounding, (2, M), and their ranges."""
         beams = self._returns[0].size
         bins = [plain.bins_of(angle, self._rule, beams) for angle in angles]
         apart = bins[0] != bins[1]
@@ -191,12 +192,12 @@ class _Look:
                 hit = inside.copy()
                 hit[inside] = reading[index[inside]] == reach[inside]
                 self.there[side, rounding, index[hit]] = True
-                # In the other scan the point is in another beam, which so reads its range or less.
+                # In the other scan the point is in another beam, which therefore reads its range or less.
                 moves = hit & apart & (self._nearest[1 - side][bins[1 - rounding]] <= reach)
                 self._moving[side, rounding, index[moves]] = True
 
     def explained(self, roundings: tuple[int, int]) -> NDArray[np.bool_]:
-        """Return the beams that are explained if each side has that rounding."""
+        """Return the beams that are explained if the sides have these roundings."""
         result = np.zeros(self._returns[0].size, bool)
         for side, other in ((0, 1), (1, 0)):
             smaller = self._returns[side] < self._returns[other]

@@ -1,4 +1,4 @@
-"""The rule that the loops over points follow: the numbers that points are compared with, and why points are rejected.
+"""The rule of the loops over points: the numbers that points are compared with, and the reasons of rejections.
 
 A rule is thirteen float64, in this order:
 
@@ -9,12 +9,12 @@ A rule is thirteen float64, in this order:
 ``first``, ``last``
     Limits of the angle, inclusive: float32 values.
 ``offset``, ``turn``, ``end``
-    An angle plus the offset is how far it is turned from the first edge; while that is ``turn`` or more, ``turn`` is
-    subtracted, at most twice. What is turned beyond ``end`` is outside.
+    An angle plus the offset is its distance from the first edge; while it is ``turn`` or more, ``turn`` is subtracted,
+    at most twice. An angle beyond ``end`` is outside.
 ``skew``, ``increment``
-    The beam is the truncated quotient ``(turned + skew) / increment``.
+    The beam's index is the truncated quotient ``(turned + skew) / increment``.
 ``closed``
-    1 if the last beam takes what is behind it, 0 if that is past the end.
+    1 if angles after the last beam belong to it, 0 if they are past the end.
 ``glibc``
     1 if angles are those of glibc 2.31 to 2.40, 0 if they are rounded correctly.
 """
@@ -54,14 +54,14 @@ class Rejection(NamedTuple):
     name
         The name of its count.
     explanation
-        What these points are, for a user whose scans are empty: completes "40% of all points were".
+        Describes these points to a user whose scans are empty: completes "40% of all points were".
     title
         The name in a table's header; empty: the name itself.
     by_default
-        A parameter whose default rejects more than users expect, and the explanation where it has its default.
-        Empty: there is none.
+        A parameter whose default rejects more than users expect, and the explanation if it has its default. Empty if
+        there is none.
     absent
-        The warning if no point of a topic is rejected, where that is a surprise. Empty: it is none.
+        The warning if no point of a topic is rejected; empty if that is normal.
     """
 
     name: str
@@ -79,7 +79,7 @@ class Rejection(NamedTuple):
 _DEFAULT_MIN_HEIGHT = "upstream's default min_height drops everything at z <= 0; `min_height` sets it below the sensor"
 _OUTSIDE = "outside angle_min and angle_max (is x forward in this frame?)"
 
-#: Why the loops over points reject points, in the order of the counts that they return.
+#: The reasons of the loops over points, in the order of the counts that they return.
 REJECTIONS = (
     Rejection("nan", "NaN", title="NaN"),
     Rejection(
@@ -95,18 +95,17 @@ REJECTIONS = (
     Rejection("past_end", _OUTSIDE),
 )
 
-#: Further reasons for points that are placed at their own times.
+#: Additional reasons for points that are placed at their own times.
 NO_TIME = Rejection("no_time", "without a time of their own")
 NO_TRANSFORM = Rejection("no_transform", "measured when there was no transform to `fixed_frame`")
 
 
 def rule_of(params: ProjectionParams) -> NDArray[np.float64]:
-    """Make the rule of a projection, (13,).
+    """Return the rule of a projection, (13,).
 
-    A float32 is within float64 limits exactly if it is within the float32 next to them on the inner side, for
-    there is none in between. And a range, the root of a square rounded twice, does not fall when the square
-    grows: there is a smallest square whose range reaches ``range_min``, and a largest one that stays within
-    ``range_max``.
+    A float32 is within float64 limits exactly if it is within the nearest float32 inside of them, because there is no
+    float32 in between. A range, the root of a square rounded twice, never falls when the square grows. So there is a
+    smallest square whose range reaches ``range_min``, and a largest one whose range does not exceed ``range_max``.
     """
     most = math.inf
     if params.range_max < math.inf:
@@ -121,10 +120,10 @@ def rule_of(params: ProjectionParams) -> NDArray[np.float64]:
 
 
 def within(values: NDArray[Any], lowest: float, highest: float) -> NDArray[np.bool_]:
-    """Whether values are within limits, inclusive, compared as float64; NaN never is.
+    """Return whether values are within limits, inclusive, compared as float64; NaN never is.
 
-    Values of float32 are compared with the float32 next to the limits on the inner side, as in `rule_of`: that is the
-    same, and takes no copy.
+    Values of float32 are compared with the nearest float32 inside of the limits, as in `rule_of`: the result is the
+    same, and no copy is needed.
     """
     if values.dtype.kind == "f" and values.dtype.itemsize == 4:
         return (values >= _first_from(lowest)) & (values <= -_first_from(-highest))
@@ -132,24 +131,24 @@ def within(values: NDArray[Any], lowest: float, highest: float) -> NDArray[np.bo
 
 
 def upstream_beams(layout: BeamLayout) -> tuple[float, ...]:
-    """The eight numbers about angles for upstream's beams.
+    """Return the eight numbers about angles for upstream's beams.
 
     Source of the rule: pointcloud_to_laserscan_node.cpp computes ``int index = (angle - angle_min) /
     angle_increment``, where ``angle`` is a double that holds a float32, atan2f(y, x), and the other two are the
     message's float32 fields: a float64 quotient, truncated. Its check of the sector comes first. Beam ``i`` is
-    half open, and ``angle_max``, inclusive, cuts the last one off. If the sector is a multiple of the increment,
-    ``angle_max`` itself lies behind the last beam: there upstream writes past its array.
+    half open, and ``angle_max``, inclusive, ends the last one. If the sector is a multiple of the increment,
+    ``angle_max`` itself is after the last beam: there upstream writes past its array.
     """
     first, last = layout.angle_min, layout.angle_max
     return first, last, -first, math.inf, math.inf, 0.0, layout.angle_increment, 0.0
 
 
 def centered_beams(layout: BeamLayout) -> tuple[float, ...]:
-    """The eight numbers about angles for beams of which each takes what is within half an increment of its middle.
+    """Return the eight numbers about angles for beams with half an increment on either side of their middle.
 
     Angles are compared in float64 with the edges between the beams that the message's float32 values describe. Beams
-    are half open, the last one of a sector closed. On a full circle every angle belongs to the nearest beam; what
-    rounding the increment leaves of the circle, or takes twice, is shared by the last beam and the first.
+    are half open, the last one of a sector closed. On a full circle every angle belongs to the nearest beam; the gap
+    or overlap that rounding the increment causes is divided between the last beam and the first.
     """
     increment = layout.angle_increment
     end = math.inf
@@ -160,24 +159,24 @@ def centered_beams(layout: BeamLayout) -> tuple[float, ...]:
     elif layout.count * increment < TURN:
         end = layout.count * increment
     first_edge = layout.angle_min - increment / 2 + skew
-    # No angle is below -pi by more than a rounding: with whole turns added, none comes before the first edge.
+    # No angle is below -pi by more than a rounding. With whole turns added, no angle is before the first edge.
     offset = TURN * math.ceil((first_edge + math.pi + 1e-6) / TURN) - first_edge
     return -math.inf, math.inf, offset, TURN, end, skew, increment, 1.0
 
 
 def _first_from(limit: float) -> np.float32:
-    """The smallest float32 that is not below a limit."""
+    """Return the smallest float32 that is not below a limit."""
     nearest = np.float32(float32(limit))
     with np.errstate(over="ignore"):
         return nearest if float(nearest) >= limit else np.nextafter(nearest, np.float32(np.inf))
 
 
 def _first_square(limit: np.float32) -> float:
-    """The smallest float64, from 0 on, whose root is not below a limit once it is rounded to float32."""
+    """Return the smallest float64, from 0 on, whose root is not below a limit after rounding to float32."""
     if limit <= 0:
         return 0.0
-    # What is rounded to the limit begins half way from the float32 before it, some steps beside its square at
-    # most. Rounding treats infinity as the power of two that would be next.
+    # Numbers that round to the limit begin half way from the float32 before it; the square is at most some steps off.
+    # Rounding treats infinity as the next power of two.
     before = np.nextafter(limit, np.float32(0))
     square = ((float(before) + min(float(limit), 2.0**128)) / 2) ** 2
     while float32(math.sqrt(square)) >= limit:

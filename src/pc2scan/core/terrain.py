@@ -1,4 +1,4 @@
-"""Which points of a cloud are on the ground, be it level, sloped, or with kerbs.
+"""Finds the points of a cloud that are on the ground: level, sloped, or with kerbs.
 
 Method: the ground is followed outwards from the robot along each direction, cell by cell, by the lowest point of each;
 as in Himmelsbach, v. Hundelshausen and Wünsche, "Fast segmentation of 3D point clouds for ground vehicles" (IEEE
@@ -6,12 +6,12 @@ Intelligent Vehicles Symposium, 2010), which fits lines to the lowest points of 
 ``ray_ground_filter``, which limits the slope from each point to the next. It needs neither rings nor an order of
 points.
 
-A cell continues the ground where its lowest point is where the ground so far leads to, or a kerb higher, or on a slope;
-if it is higher than the ground so far, little may stand in it, so that nothing climbs walls. Between these cells the
-ground is a straight line. What is not much higher than it, or lower, is on it.
+A cell continues the ground if its lowest point is on the line of the ground so far, or higher by a kerb, or on a slope.
+If it is higher than the ground so far, there must be few points above it, so that the ground does not climb walls.
+Between these cells the ground is a straight line. Points that are lower, or not much higher, are on the ground.
 
-Where to begin: with a plane beneath the robot, at the lowest height at which many cells have another one behind them
-and others beside them that are about as high, as a floor has, and walls have not. Without such a height there is no
+The ground begins with a plane beneath the robot, at the lowest height at which many cells have another cell of about
+the same height behind them, and others beside them, as on a floor but not on walls. Without such a height there is no
 ground, as in clouds of a planar lidar, or of one that sees only walls.
 """
 
@@ -27,42 +27,44 @@ if TYPE_CHECKING:
 
 __all__ = ["Terrain", "on_ground"]
 
-#: Directions, and cells along each: twenty centimetres long beside the robot, 4 % longer each.
+#: How many directions there are, and the cells along each: the first is twenty centimetres long, each next one 4 %
+#: longer.
 _SECTORS = 180
 _FIRST = 5.0
 _GROWTH = math.log(1.04)
 _FARTHEST = 150.0
 _RINGS = math.ceil(math.log1p(_FARTHEST / _FIRST) / _GROWTH)
 
-#: Cells that have to be at the height where the ground begins, and their share of all that have one behind them.
+#: How many cells must be at the height where the ground begins, and their least share of all cells with one behind
+#: them.
 _FEWEST = 20
 _LEAST_SHARE = 0.15
-#: How much of a height they may differ by, metres.
+#: How much the heights of these cells may differ, metres.
 _WINDOW = 0.3
-#: The ground is not higher than this beneath the robot, in its own frame: what is higher is a table, or a ceiling.
+#: The largest height of the ground beneath the robot, in its own frame, metres: higher planes are tables or ceilings.
 _HIGHEST = 0.3
 
-#: Slopes are measured over so many metres at least, and kerbs are so far from each other: stairs are no ground.
+#: The least distance over which slopes are measured, and between two kerbs, metres: stairs are not ground.
 _BASE = 1.0
-#: Metres that the ground may rise at once without anything seen in between.
+#: How much the ground may rise where there are no points in between, metres.
 _RISE = 0.5
-#: Metres that points of level ground differ by.
+#: How much the heights of points on level ground differ, metres.
 _NOISE = 0.08
-#: How much of its distance a point may be above the ground.
+#: How much higher than the ground a point may be, as a share of its distance.
 _SPREAD = 0.008
-#: Cells that are compared to find where the ground begins are at most so far from each other, metres.
+#: The largest distance between cells that are compared to find where the ground begins, metres.
 _APART = 30.0
-#: Behind the last cell that continues the ground it goes on for so many metres.
+#: How far the ground extends after the last cell that continues it, metres.
 _BEYOND = 3.0
 
 
 class Terrain(NamedTuple):
-    """What counts as ground.
+    """The limits of what counts as ground.
 
     Attributes
     ----------
     slope
-        The steepest, radians.
+        The steepest slope, radians.
     step
         The highest kerb, metres.
     clearance
@@ -75,7 +77,7 @@ class Terrain(NamedTuple):
 
 
 class _Cells(NamedTuple):
-    """The lowest point of each cell, (rings, sectors): its height and distance; whether much stands on it.
+    """The lowest point of each cell, (rings, sectors): its height and distance, and whether many points are above it.
 
     Heights and distances are inf where there is no point.
     """
@@ -93,7 +95,7 @@ def on_ground(x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], terrain: Terrai
     x, y, z
         Coordinates in metres, of one shape, in a frame of the robot whose z axis points up.
     terrain
-        What counts as ground.
+        The limits of what counts as ground.
 
     Returns
     -------
@@ -120,7 +122,7 @@ def on_ground(x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], terrain: Terrai
         if plane is None:
             return found.reshape(shape)
         slope = np.sum(np.multiply(plane[:2], np.transpose(_directions())), axis=1)
-        # From here on heights are above the plane beneath the robot.
+        # From here on, heights are relative to the plane beneath the robot.
         cells = cells._replace(height=cells.height - (slope * cells.distance + plane[2]).astype(np.float32))
         heights = _at_edges(_followed(cells, rule), cells.distance, edges)
         heights += slope * edges[:, np.newaxis] + plane[2]
@@ -146,7 +148,7 @@ def _lowest(cell: NDArray[np.int32], z: NDArray[np.float32], distance: NDArray[n
 
 
 def _beneath(cells: _Cells, steepest: float) -> tuple[float, float, float] | None:
-    """The plane beneath the robot, ``z = a x + b y + c``; None where no ground is seen."""
+    """Return the plane beneath the robot, ``z = a x + b y + c``; None if no ground is visible."""
     found = _floor_like(cells)
     ring, sector = np.nonzero(found & (cells.height <= _HIGHEST + steepest * cells.distance))
     heights, distances = cells.height[ring, sector], cells.distance[ring, sector]
@@ -160,7 +162,7 @@ def _beneath(cells: _Cells, steepest: float) -> tuple[float, float, float] | Non
     if not enough.size:
         return None
     first = int(enough[0])
-    # The fullest window among those that begin in this one.
+    # The fullest of the windows that begin in this one.
     begin = first + int(counts[first : first + counts[first]].argmax())
     level = float(np.median(low[begin : begin + counts[begin]]))
     across, along = (part[sector] * distances for part in _directions())
@@ -169,7 +171,7 @@ def _beneath(cells: _Cells, steepest: float) -> tuple[float, float, float] | Non
     design = np.stack([across, along, np.ones(across.size)], axis=1)
     for _ in range(4):
         inside = near & (np.abs(heights - design @ plane) < _WINDOW)
-        # Cells far to one side say little about the slope to the other: without it, it is level.
+        # Cells on one side determine no slope towards the other, so the plane is level there.
         square = design[inside].T @ design[inside] + np.diag([_FEWEST, _FEWEST, 0.0])
         fitted = np.linalg.solve(square, design[inside].T @ heights[inside]) if inside.sum() >= _FEWEST else plane
         if math.hypot(fitted[0], fitted[1]) > steepest or fitted[2] > _HIGHEST:
@@ -180,13 +182,13 @@ def _beneath(cells: _Cells, steepest: float) -> tuple[float, float, float] | Non
 
 
 def _directions() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Cosine and sine of the middle of each sector."""
+    """Return cosine and sine of the middle of each sector."""
     angles = (np.arange(_SECTORS) + 0.5) * (2 * math.pi / _SECTORS) - math.pi
     return np.cos(angles), np.sin(angles)
 
 
 def _floor_like(cells: _Cells) -> NDArray[np.bool_]:
-    """Whether cells have another one behind them that is about as high, as a floor has, and walls have not."""
+    """Return whether cells have another cell of about the same height behind them, as on a floor but not on walls."""
     found = np.zeros(cells.height.shape, np.bool_)
     height, distance = np.full(_SECTORS, np.inf, np.float32), np.full(_SECTORS, np.inf, np.float32)
     # From far to near.
@@ -197,18 +199,18 @@ def _floor_like(cells: _Cells) -> NDArray[np.bool_]:
         followed = there & (apart > 0.2 + 0.1 * where) & (apart < _APART)
         followed &= np.abs(height - low) < _NOISE + 0.2 * apart
         found[ring] = followed
-        # A wall has cells right behind each other: the one to compare with stays until it is far enough behind.
+        # Cells of a wall are close together, so the cell to compare with is used until one is far enough behind it.
         renewed = there & (followed | (low < height))
         height, distance = np.where(renewed, low, height), np.where(renewed, where, distance)
     return found & _beside(cells, 1) & _beside(cells, -1)
 
 
 def _beside(cells: _Cells, step: int) -> NDArray[np.bool_]:
-    """Whether cells have one of the next sector beside them that is about as high.
+    """Return whether cells have a cell of about the same height in the next sector.
 
-    Of a wall that is seen at a small angle, each sector shows another part, nearer or farther away.
+    On a wall at a small angle, each sector has another part, nearer or farther away.
     """
-    # Coarse lidars leave every other sector empty.
+    # With coarse lidars every other sector is empty.
     empty: NDArray[np.bool_] = np.logical_not(np.any(np.isfinite(cells.height), axis=0))
     order = np.arange(_SECTORS) - step
     order = np.where(empty[order % _SECTORS], order - step, order) % _SECTORS
@@ -221,10 +223,10 @@ def _beside(cells: _Cells, step: int) -> NDArray[np.bool_]:
 
 
 def _followed(cells: _Cells, rule: Terrain) -> NDArray[np.float64]:
-    """The ground's height in the cells that continue it, (rings, sectors), NaN in others."""
+    """Return the ground's height in the cells that continue it, (rings, sectors), NaN in others."""
     steepest = math.tan(rule.slope)
     z0, r0 = np.zeros(_SECTORS), np.zeros(_SECTORS)
-    # Where slopes are measured from, and where the last kerb was.
+    # The point that slopes are measured from, and the last kerb.
     z1, r1, kerb, steep = z0, r0, np.full(_SECTORS, -np.inf), np.zeros(_SECTORS, np.bool_)
     ground = np.full(cells.height.shape, np.nan)
     for ring, (z, r, cluttered) in enumerate(zip(cells.height, cells.distance, cells.cluttered, strict=True)):
@@ -236,7 +238,7 @@ def _followed(cells: _Cells, rule: Terrain) -> NDArray[np.float64]:
         taken = np.isfinite(z) & (over >= -steepest * base - rule.step) & (sloped | kerbed)
         kerbed &= taken
         kerb = np.where(kerbed, r, kerb)
-        # A kerb is no slope: slopes are measured from its top on.
+        # A kerb is not a slope, so slopes are measured from its top.
         moved = kerbed | (taken & (base >= _BASE))
         steep = np.where(moved & ~kerbed, over > steepest * base / 2, steep)
         z1, r1 = np.where(moved, z, z1), np.where(moved, r, r1)
@@ -248,13 +250,13 @@ def _followed(cells: _Cells, rule: Terrain) -> NDArray[np.float64]:
 def _at_edges(
     ground: NDArray[np.float64], distance: NDArray[np.float32], edges: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """The ground's height at the edges of cells, (rings + 1, sectors); -inf where it is not known."""
+    """Return the ground's height at the edges of cells, (rings + 1, sectors); -inf where it is unknown."""
     heights = np.full((edges.size, _SECTORS), -np.inf)
     known = ~np.isnan(ground)
     for sector in np.flatnonzero(known.any(axis=0)).tolist():
         rings = np.flatnonzero(known[:, sector])
         z, r = ground[rings, sector], distance[rings, sector]
-        # Before the first cell the ground is a line from beneath the robot; behind the last one it goes on.
+        # Before the first cell the ground is a line from beneath the robot; after the last one it continues.
         heights[:, sector] = np.interp(edges, np.concatenate([[0.0], r]), np.concatenate([[0.0], z]))
         last = int(rings[-1])
         heights[edges > edges[last + 1] + _BEYOND, sector] = -np.inf

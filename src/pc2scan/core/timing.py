@@ -1,4 +1,4 @@
-"""When the beams of a scan were measured: from the stamps of clouds, and from the times of their points."""
+"""Computes when the beams of a scan were measured, from the stamps of clouds and the times of their points."""
 
 from __future__ import annotations
 
@@ -30,40 +30,41 @@ __all__ = [
     "point_times",
 ]
 
-#: Fields of clouds that drivers put a point's time into, the first one that is there counts: Ouster's ``t``, Velodyne's
+#: Fields in which drivers store a point's time; the first one that a cloud has is used: Ouster's ``t``, Velodyne's
 #: ``time``, Hesai's, RoboSense's and Livox's ``timestamp``, Autoware's ``time_stamp``, Livox's ``offset_time``.
 TIME_FIELDS = ("t", "time", "timestamp", "time_stamp", "offset_time")
 
-#: A cloud takes 2 ms to 2 s. Its floating-point times span so much in the unit that they are in.
+#: A cloud takes 2 ms to 2 s. These are the units of floating-point times, by the span of a cloud's times.
 _UNITS = ((2.0, 1.0), (2e3, 1e-3), (2e6, 1e-6), (math.inf, 1e-9))
 
 #: Units that a user may name, in seconds.
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
-#: Seconds from here on are not since the cloud's beginning but since 1970, or since the sensor was switched on.
+#: Times of this many seconds and more do not count from the cloud's beginning, but from 1970, or from the sensor's
+#: start.
 _ABSOLUTE = 1000.0
 
-#: No cloud takes so few, or so many seconds.
+#: The least and the largest duration of a cloud, seconds.
 _SHORTEST, _LONGEST = 1e-9, 60.0
 
-#: Equal parts of a cloud's time whose mean directions a sweep is fitted to.
+#: The number of equal parts of a cloud's time, to whose mean directions a sweep is fitted.
 _SLICES = 64
 
-#: A sweep may be off that line by so much, radians: the lasers of one column look up to 5 degrees to the side.
+#: How far a sweep may be off the fitted line, radians: the lasers of one column point up to 5 degrees to the side.
 _STRAIGHT = 0.1
 
-#: Points that follow each other are at most so far apart, radians; so many turns tell a direction; and from so many on,
-#: points come ring by ring.
+#: The largest angle between consecutive points, radians; how many turns determine a direction; and the number of turns
+#: from which on points are stored ring by ring.
 _NEXT = 0.2
 _LEAST_TURN = 0.05
 _ONE_TURN = 1.5
 
-#: Two ends of a turn overlap by up to so much, radians, for the same reason.
+#: How far the two ends of a turn may overlap, radians, for the same reason.
 _OVERLAP = 0.2
 
 
 def median_interval_ns(stamps_ns: Iterable[int]) -> int | None:
-    """The median time between stamps, whatever their order; of an even number the lower one of the two in the middle.
+    """Return the median time between stamps, in any order; of an even number the lower one of the two in the middle.
 
     None for fewer than two different stamps.
     """
@@ -73,17 +74,17 @@ def median_interval_ns(stamps_ns: Iterable[int]) -> int | None:
 
 
 def point_times(values: NDArray[Any], stamp_ns: int, unit_name: str = "") -> NDArray[np.float64]:
-    """When points were measured, seconds after their cloud's stamp.
+    """Return when points were measured, seconds after their cloud's stamp.
 
     Parameters
     ----------
     values
         One of the `TIME_FIELDS`, of any shape. Integers are nanoseconds; floating-point numbers are seconds, milli-,
-        micro- or nanoseconds, as what they span tells. They count from the stamp, or are absolute.
+        micro- or nanoseconds, judged by their span. They count from the stamp, or are absolute.
     stamp_ns
         The cloud's stamp.
     unit_name
-        One of `TIME_UNITS`, instead of what the numbers tell.
+        One of `TIME_UNITS`; empty: judged by the numbers.
 
     Returns
     -------
@@ -105,16 +106,16 @@ def point_times(values: NDArray[Any], stamp_ns: int, unit_name: str = "") -> NDA
 
 
 def offset_and_unit(low: float, high: float, stamp_ns: int, unit_name: str, *, whole: bool) -> tuple[float, float]:
-    """Tell what the values of a `TIME_FIELDS` mean.
+    """Return the offset and the unit of the values of one of the `TIME_FIELDS`.
 
     Parameters
     ----------
     low, high
-        Their least and their largest one.
+        The least and the largest value.
     stamp_ns, unit_name
         As for `point_times`.
     whole
-        Whether they are integers.
+        Whether the values are integers.
 
     Returns
     -------
@@ -123,30 +124,31 @@ def offset_and_unit(low: float, high: float, stamp_ns: int, unit_name: str, *, w
     """
     unit = 1e-9 if whole else next((unit for most, unit in _UNITS if high - low < most), 1e-9)
     unit = TIME_UNITS.get(unit_name, unit)
-    # Subtracted as whole numbers of the unit: seconds since 1970 leave a float64 no digits to lose.
+    # Subtracted as whole numbers of the unit, because seconds since 1970 need all digits of a float64.
     return (stamp_ns / round(1e9 * unit) if abs(low * unit) >= _ABSOLUTE else 0.0), unit
 
 
 def azimuth_times(x: NDArray[Any], y: NDArray[Any], period: float, direction: int = 0) -> NDArray[np.float64] | None:
-    """When points were measured by a lidar that turns evenly, as their azimuth tells.
+    """Return when points were measured by a lidar that turns evenly, from their azimuth.
 
     Parameters
     ----------
     x, y
         Coordinates in the lidar's frame, metres: (H, W), or (M,) one ring or one column after the other.
     period
-        Of one turn, seconds.
+        The time of one turn, seconds.
     direction
-        1 counter-clockwise, -1 clockwise, as seen from above; 0: as the order of the points tells.
+        1 counter-clockwise, -1 clockwise, as seen from above; 0: by the order of the points.
 
     Returns
     -------
-    Seconds after the first point, of the shape of ``x``, NaN where that is. None if the order tells no direction.
+    Seconds after the first point, of the shape of ``x``, NaN where ``x`` is. None if the order shows no direction.
 
     Notes
     -----
-    Lasers of one column look a little to the side, so some points have an azimuth before that of the first one, and
-    some of the last ones have one behind it: where points come column by column, their order tells which turn it is.
+    Lasers of one column point a little to the side, so the azimuth of some points is before that of the first point,
+    and that of some of the last points is after it. If points are stored column by column, their order shows which turn
+    it is.
     """
     with np.errstate(all="ignore"):
         angles = np.arctan2(y.astype(np.float64), x.astype(np.float64)).ravel()
@@ -175,16 +177,16 @@ def azimuth_times(x: NDArray[Any], y: NDArray[Any], period: float, direction: in
 
 @dataclass(frozen=True, slots=True)
 class Sweep:
-    """How a lidar turned while it took a cloud.
+    """The rotation of a lidar while it measured a cloud.
 
     Attributes
     ----------
     begin, end
         Seconds after the cloud's stamp.
     angle
-        Where it looked at ``begin``, radians.
+        Its direction at ``begin``, radians.
     rate
-        Radians a second, positive counter-clockwise.
+        Radians per second, positive counter-clockwise.
     """
 
     begin: float
@@ -200,18 +202,18 @@ class Sweep:
 
 
 def fit_sweep(angles: NDArray[Any], times: NDArray[np.float64]) -> Sweep | None:
-    """Tell how a lidar turned from the directions and the times of a cloud's points.
+    """Fit the rotation of a lidar to the directions and the times of a cloud's points.
 
     Parameters
     ----------
     angles, times
-        (M,), radians and seconds after the stamp; points with a NaN do not count.
+        (M,), radians and seconds after the stamp; points with a NaN are ignored.
 
     Returns
     -------
     Sweep
-        None where the points do not follow one turn at a constant rate: depth cameras, risley prisms, times that are
-        all equal or make no sense.
+        None if the points are not of one turn at a constant rate: depth cameras, risley prisms, times that are all
+        equal or wrong.
     """
     known = np.isfinite(angles) & np.isfinite(times)
     angles, times = angles[known].astype(np.float64), times[known]
@@ -228,7 +230,8 @@ def fit_sweep(angles: NDArray[Any], times: NDArray[np.float64]) -> Sweep | None:
     x, y, when = (_sums(slices, weights)[there] for weights in (np.cos(angles), np.sin(angles), times))
     directions = np.unwrap(np.arctan2(y, x))
     when /= points[there]
-    # The median of the slopes between any two slices (Theil and Sen): some slices see only the outermost lasers.
+    # The median of the slopes between any two slices (Theil and Sen), because some slices have only the outermost
+    # lasers.
     first, second = np.triu_indices(when.size, 1)
     rate = float(np.median((directions[second] - directions[first]) / (when[second] - when[first])))
     angle = float(np.median(directions - rate * (when - begin)))
@@ -244,13 +247,13 @@ def _sums(slices: NDArray[np.intp], weights: NDArray[np.float64]) -> NDArray[np.
 
 
 def beam_times(sweep: Sweep, layout: BeamLayout) -> tuple[float, float] | None:
-    """When a scan's first beam was measured, and the time from beam to beam.
+    """Return when a scan's first beam was measured, and the time from beam to beam.
 
     Returns
     -------
     (float, float)
-        Seconds after the cloud's stamp, and seconds, negative where the lidar turns clockwise. None if the sweep
-        begins in the middle of the scan, so that its times are no straight line, or never comes by.
+        Seconds after the cloud's stamp, and seconds, negative if the lidar turns clockwise. None if the sweep begins
+        inside the scan's sector, so that the times of its beams are not in order, or if it does not reach the sector.
     """
     edge = layout.angle_min - layout.angle_increment / 2
     width = layout.count * layout.angle_increment

@@ -1,8 +1,8 @@
-"""The way back: the beams of a laser scan as points, as laser_geometry's ``projectLaser`` makes them.
+"""Converts the beams of a laser scan to points, as laser_geometry's ``projectLaser`` does.
 
 Source of the rules: ros-perception/laser_geometry 1.6.7, src/laser_geometry.cpp (``projectLaser_`` and
 ``transformLaserScanToPointCloud_`` for PointCloud2) and tf2/LinearMath (slerp, rotation matrix). ROS 2's
-version differs in nothing that shows.
+version has the same results.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ __all__ = [
     "unproject",
 ]
 
-#: ROS 1 holds the seconds of a duration in 32 bits.
+#: ROS 1 stores the seconds of a duration in 32 bits.
 _LONGEST = 2**31
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UnprojectParams:
-    """What a cloud made from a scan contains; the defaults are laser_geometry's, and the upstream node's.
+    """The fields of a cloud that is made from a scan; the defaults are those of laser_geometry and the upstream node.
 
     Parameters
     ----------
     intensity
-        Channel ``intensity``: the beam's intensity. Left out of a scan without intensities.
+        Channel ``intensity``: the beam's intensity. A scan without intensities has no such channel.
     index
         Channel ``index``: the beam's number in ``ranges``.
     distances
@@ -50,7 +50,7 @@ class UnprojectParams:
     stamps
         Channel ``stamps``: seconds since the scan's stamp, ``index * time_increment``.
     viewpoint
-        Channels ``vp_x``, ``vp_y``, ``vp_z``: where the sensor was, metres.
+        Channels ``vp_x``, ``vp_y``, ``vp_z``: the position of the sensor, metres.
     range_cutoff
         Metres; a beam must read less. Negative means the scan's ``range_max``. A value above ``range_max``
         keeps readings at and beyond it.
@@ -78,18 +78,18 @@ class Transform(Protocol):
 
     @property
     def quaternion(self) -> ArrayLike:
-        """Rotation x, y, z, w, shape (4,); need not be normalised."""
+        """The rotation x, y, z, w, shape (4,); it need not be normalised."""
         ...
 
     @property
     def translation(self) -> ArrayLike:
-        """Shape (3,), metres."""
+        """The translation, shape (3,), metres."""
         ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RejectedBeams:
-    """How many beams became no point, each counted once, under the first reason that holds.
+    """How many beams became no point, each counted once, under the first reason that applies.
 
     Attributes
     ----------
@@ -100,7 +100,7 @@ class RejectedBeams:
     below_min
         Below the scan's ``range_min`` (all finite ones if that is NaN).
     beyond_max
-        At or beyond ``range_max``, or ``range_cutoff`` where one is given.
+        At or beyond ``range_max``, or ``range_cutoff`` if one is given.
     """
 
     nan: int = 0
@@ -110,7 +110,7 @@ class RejectedBeams:
 
     @property
     def total(self) -> int:
-        """All of them together."""
+        """The sum of all reasons."""
         return self.nan + self.infinite + self.below_min + self.beyond_max
 
 
@@ -126,11 +126,11 @@ class UnprojectedScan:
         ``distances``, ``stamps``, ``vp_x``, ``vp_y``, ``vp_z``. All are little-endian float32 but ``index``,
         which is int32. Names, offsets and bytes (``points.tobytes()``) are those of upstream's PointCloud2.
     beams
-        int32, shape (N,): which beam each point comes from; there even when ``index`` was not requested.
+        int32, shape (N,): which beam each point comes from, even if ``index`` was not requested.
     beam_count
-        Beams of the scan.
+        How many beams the scan has.
     rejected
-        Why the other beams became no point.
+        How many beams became no point, by reason.
     """
 
     points: NDArray[np.void]
@@ -145,23 +145,23 @@ class UnprojectedScan:
 
     @property
     def viewpoint(self) -> NDArray[np.float32] | None:
-        """Where the sensor was, float32, shape (N, 3), metres; a read-only view, or None if not requested."""
+        """The position of the sensor, float32, shape (N, 3), metres; a read-only view, or None if not requested."""
         return _columns(self.points, "vp_x") if "vp_x" in (self.points.dtype.names or ()) else None
 
     def with_xyz(self, xyz: ArrayLike, viewpoint: ArrayLike | None = None) -> UnprojectedScan:
-        """Put the points, and the sensor, elsewhere.
+        """Return the scan with other coordinates of the points, and of the sensor.
 
         Parameters
         ----------
         xyz
             Shape (N, 3), metres; becomes float32.
         viewpoint
-            Shape (N, 3) or (3,), metres; None keeps it. Not looked at without viewpoint channels.
+            Shape (N, 3) or (3,), metres; None keeps it. Ignored without viewpoint channels.
 
         Returns
         -------
         UnprojectedScan
-            A copy; the other channels stay.
+            A copy; the other channels are unchanged.
         """
         points = self.points.copy()
         with np.errstate(over="ignore"):
@@ -183,11 +183,11 @@ def unproject(
     time_increment: float = 0.0,
     params: UnprojectParams | None = None,
 ) -> UnprojectedScan:
-    """Turn the beams of a scan into points in the plane z = 0 of its frame.
+    """Convert the beams of a scan to points in the plane z = 0 of its frame.
 
-    A beam is kept if ``range_min <= range < cutoff``, so NaN and +inf never are, and neither is a range of
-    exactly ``range_max``. Beam i points to ``angle_min + i * angle_increment`` in float64; x and y are the
-    float64 products of range and cosine or sine, rounded to float32.
+    A beam is kept if ``range_min <= range < cutoff``, so NaN, +inf and a range of exactly ``range_max`` are not kept.
+    Beam i points to ``angle_min + i * angle_increment`` in float64; x and y are the float64 products of range and
+    cosine or sine, rounded to float32.
 
     Upstream reuses its table of cosines for as long as ``angle_min``, ``angle_max`` and the number of beams
     stay, even when ``angle_increment`` changes; here every scan has its own angles.
@@ -195,7 +195,7 @@ def unproject(
     Parameters
     ----------
     ranges
-        float32, shape (beams,), metres. May be empty; anything may be in it.
+        float32, shape (beams,), metres. May be empty, and have any values.
     intensities
         float32, empty or as long as ``ranges``.
     angle_min, angle_increment
@@ -226,7 +226,7 @@ def unproject(
         )
     lowest, highest = _float32(range_min, range_max)
     cutoff = params.range_cutoff if params.range_cutoff >= 0 else highest
-    # In float64, as upstream: a cutoff need not be a float32 number. A NaN may be one that signals.
+    # In float64, as upstream: a cutoff need not be a float32 number. A NaN may be a signalling one.
     with np.errstate(invalid="ignore"):
         distances = np.asarray(ranges, np.float32).astype(np.float64)
     at_least = distances >= lowest
@@ -253,22 +253,22 @@ def unproject(
 
 
 def last_beam_ns(beams: int, time_increment: float) -> int:
-    """When the last beam of a scan was measured, nanoseconds after the first one; negative for ``time_increment < 0``.
+    """Return when the last beam of a scan was measured, nanoseconds after the first; negative for a negative increment.
 
-    Source of the rule: ``transformLaserScanToPointCloud_`` of laser_geometry 1.6.7, which takes the product in float32,
-    and ``ros::Duration::fromSec``, which rounds it to nanoseconds. ROS 2's takes it in float64.
+    Source of the rule: ``transformLaserScanToPointCloud_`` of laser_geometry 1.6.7, which computes the product in
+    float32, and ``ros::Duration::fromSec``, which rounds it to nanoseconds. ROS 2's version computes it in float64.
 
     Parameters
     ----------
     beams
-        How many there are.
+        The number of beams.
     time_increment
         Seconds from beam to beam; float32 in the message and rounded to it here.
 
     Raises
     ------
     DecodeError
-        If that is no number, or longer than a ROS 1 duration can be.
+        If the result is NaN, or longer than a ROS 1 duration can be.
     """
     with np.errstate(all="ignore"):
         seconds = float(np.float32(max(beams - 1, 0)) * np.float32(time_increment))
@@ -284,11 +284,11 @@ def last_beam_ns(beams: int, time_increment: float) -> int:
 
 
 def deskew(scan: UnprojectedScan, start: Transform, end: Transform) -> UnprojectedScan:
-    """Transform every point by the pose that the sensor had when its beam was measured.
+    """Transform every point by the pose of the sensor at the time of its beam.
 
     laser_geometry's high-fidelity projection: beam i of n lies at the ratio ``i / (n - 1)`` between the two
-    transforms; translations are interpolated linearly, rotations by slerp along the shorter way. All in
-    float64, from and to float32 coordinates. The only beam of a scan takes the start's transform, where
+    transforms; translations are interpolated linearly, rotations by slerp along the shorter way. All is
+    computed in float64, from and to float32 coordinates. If a scan has only one beam, it gets the start's transform;
     upstream divides by zero.
 
     Parameters
@@ -296,7 +296,7 @@ def deskew(scan: UnprojectedScan, start: Transform, end: Transform) -> Unproject
     scan
         Points in the sensor's frame.
     start, end
-        target_from_sensor when the scan's first and last beam were measured, whether these were kept or not.
+        target_from_sensor at the times of the scan's first and last beam, even if these were not kept.
 
     Returns
     -------
@@ -306,12 +306,12 @@ def deskew(scan: UnprojectedScan, start: Transform, end: Transform) -> Unproject
     Raises
     ------
     TransformError
-        If a quaternion is zero, or anything not finite.
+        If a quaternion is zero, or a value is not finite.
     """
     q_start, t_start = _checked(start, "first")
     q_end, t_end = _checked(end, "last")
 
-    # Upstream multiplies by the reciprocal, which is not always the quotient.
+    # Upstream multiplies by the reciprocal, which does not always equal the quotient.
     step = 1.0 / (scan.beam_count - 1) if scan.beam_count > 1 else 0.0
     ratio = scan.beams.astype(np.float64) * step
     matrix = rotation_matrices(slerp(q_start, q_end, ratio).T)
@@ -324,7 +324,7 @@ def deskew(scan: UnprojectedScan, start: Transform, end: Transform) -> Unproject
 
 
 def _point_dtype(params: UnprojectParams, *, has_intensities: bool) -> np.dtype[np.void]:
-    """Lay out a point as laser_geometry does."""
+    """Return the layout of a point, as in laser_geometry."""
     channels = [
         ("intensity", "<f4", params.intensity and has_intensities),
         ("index", "<i4", params.index),
@@ -337,7 +337,7 @@ def _point_dtype(params: UnprojectParams, *, has_intensities: bool) -> np.dtype[
 
 
 def _float32(*values: float) -> list[float]:
-    """Round to float32, the message's type; what is beyond it becomes infinite."""
+    """Round to float32, the message's type; larger numbers become infinite."""
     with np.errstate(over="ignore"):
         rounded: list[float] = np.array(values).astype(np.float32).tolist()
     return rounded
@@ -361,7 +361,7 @@ def beam_angles(count: int, angle_min: float, angle_increment: float) -> NDArray
 
 
 def _rejected(distances: NDArray[np.float64], at_least: NDArray[np.bool_], kept: NDArray[np.bool_]) -> RejectedBeams:
-    """Count the beams that are not kept by their reasons."""
+    """Count the beams that are not kept, by reason."""
     nan = np.isnan(distances)
     infinite = np.isinf(distances) & ~kept
     below_min = ~(nan | infinite | at_least)
@@ -371,7 +371,7 @@ def _rejected(distances: NDArray[np.float64], at_least: NDArray[np.bool_], kept:
 
 
 def _columns(points: NDArray[np.void], first: str) -> NDArray[np.float32]:
-    """View three neighbouring float32 fields of packed points as shape (N, 3)."""
+    """Return a view of three neighbouring float32 fields of packed points, (N, 3)."""
     begin = (points.dtype.names or ()).index(first)
     words = points.view("<f4").reshape(len(points), points.dtype.itemsize // 4)
     columns: NDArray[np.float32] = words[:, begin : begin + 3]
@@ -379,7 +379,7 @@ def _columns(points: NDArray[np.void], first: str) -> NDArray[np.float32]:
 
 
 def _checked(transform: Transform, beam: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the quaternion and the translation of a transform that is one."""
+    """Return the quaternion and the translation of a transform; raise if it is not a valid one."""
     quaternion = np.asarray(transform.quaternion, np.float64).reshape(4)
     translation = np.asarray(transform.translation, np.float64).reshape(3)
     for what, vector in (("quaternion", quaternion), ("translation", translation)):
@@ -389,7 +389,7 @@ def _checked(transform: Transform, beam: str) -> tuple[NDArray[np.float64], NDAr
         raise TransformError(f"the quaternion at the {beam} beam is zero, which is no rotation")
     with np.errstate(over="ignore"):
         squared = float(quaternion @ quaternion)
-    # A lookup multiplies as tf2 does, without normalising: thousands of frames, each a little off, end here.
+    # A lookup multiplies as tf2 does, without normalising, so the errors of thousands of frames may add up to this.
     if not 1e-100 < squared < 1e100:
         raise TransformError(f"the quaternion at the {beam} beam has the squared norm {squared}, which is no rotation")
     return quaternion, translation

@@ -1,4 +1,4 @@
-"""A frame without roll and pitch: where up is in it, and the rotation to the same frame, levelled."""
+"""The direction of up in a frame, and the rotation to the same frame without roll and pitch."""
 
 from __future__ import annotations
 

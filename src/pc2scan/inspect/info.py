@@ -1,4 +1,4 @@
-"""What is in a recording: containers, topics, and what its clouds and scans look like."""
+"""Inspects a recording: its containers, its topics, and samples of its clouds and scans."""
 
 from __future__ import annotations
 
@@ -45,29 +45,30 @@ if TYPE_CHECKING:
 
 __all__ = ["CloudInfo", "FileInfo", "Info", "ScanInfo", "Spread", "TopicInfo", "ground_text", "info"]
 
-#: Damaged places that are shown as text, and the width of the largest bar of the histogram of heights.
+#: How many damaged places are shown as text, and the width of the largest bar of the histogram of heights.
 _MAX_SHOWN = 5
 _BAR = 40
 
-#: Bars of the histogram of heights.
+#: How many bars the histogram of heights has.
 _BINS = 12
 
 #: ... and of all topics together.
 _MAX_POINTS_HELD = 4_000_000
 
-#: Clouds of a topic that are searched for the ground.
+#: How many clouds of a topic are searched for the ground.
 _MAX_SAMPLES = 10
 
-#: The first messages of an IMU that are looked at.
+#: How many of the first messages of an IMU are read.
 _MAX_IMU = 1_000
 
-#: Points that are looked at in all clouds of a topic together; of larger clouds every second, third, ... is.
+#: How many points of a topic are examined, in all clouds together; of larger clouds every second, third, ... point is
+#: used.
 _MAX_POINTS = 2_000_000
 
 
 @dataclass(frozen=True, slots=True)
 class FileInfo:
-    """One source: its container and what the container says of itself."""
+    """One source: its container, and the container's own description."""
 
     path: str
     container: str
@@ -86,7 +87,7 @@ class TopicInfo:
     connections
         Publishers: ROS 1 connections, MCAP channels.
     rate_hz
-        Messages but the first, over the time of the recording; None for fewer than two.
+        Messages without the first, divided by the duration of the recording; None for fewer than two.
     """
 
     topic: str
@@ -100,16 +101,16 @@ class TopicInfo:
 
 @dataclass(frozen=True, slots=True)
 class ImuInfo:
-    """What the first messages of an IMU tell of it.
+    """Whether scans can be levelled by an IMU, from its first messages.
 
     Attributes
     ----------
     frame
-        Theirs; empty if they have none, or several.
+        Their frame; empty if they have none, or several.
     usable
-        Whether scans can be made level by it.
+        Whether the IMU can be used.
     text
-        How, or why not.
+        How well, or why not.
     """
 
     topic: str
@@ -118,7 +119,7 @@ class ImuInfo:
     text: str
 
     def shown(self) -> Iterator[str]:
-        """Yield the lines about it."""
+        """Yield the text of `Info` about the IMU."""
         if self.usable:
             yield f"{self.topic}: `imu={self.topic}` makes scans level"
             yield f"  frame   {self.frame!r}"
@@ -129,38 +130,38 @@ class ImuInfo:
 
 @dataclass(slots=True)
 class CloudInfo:
-    """What the clouds of one topic look like, from a few of them spread over the recording.
+    """The properties of the clouds of one topic, from a sample spread over the recording.
 
     Attributes
     ----------
     sampled
-        Clouds looked at.
+        How many clouds were read.
     frames
-        The ``frame_id`` that occur in them.
+        All ``frame_id`` of these clouds.
     fields
-        Name, datatype and offset in bytes (0 where only PointCloud2 has one), in the message's order.
+        Name, datatype and offset in bytes (0 for messages other than PointCloud2), in the message's order.
     shape
         Height and width of the first cloud.
     point_step
-        Bytes of a point; 0 where only PointCloud2 says so.
+        Bytes of a point; 0 for messages other than PointCloud2.
     points_min, points_max
-        Points a cloud.
+        Points per cloud.
     nan_share
         Share of points with a NaN coordinate.
     zero_share
-        Share of points at exactly (0, 0, 0), as some drivers write a non-return.
+        Share of points at exactly (0, 0, 0), which some drivers write for no return.
     x, y, z, range
-        Spreads; ``range`` is hypot(x, y), what the projection compares with range_min and range_max.
+        Spreads; ``range`` is hypot(x, y), which the projection compares with range_min and range_max.
     height_edges, height_counts
-        Histogram of z between its first and last half percent; the outermost bars include what lies beyond.
+        Histogram of z between its first and last half percent; the outermost bars include all points beyond.
     above_zero_share
-        Share of points with z > 0: what upstream's default min_height keeps.
+        Share of points with z > 0, which upstream's default min_height keeps.
     target_frame
-        The frame that x, y, z and heights are in; empty for the clouds' own.
+        The frame of x, y, z and heights; empty for the clouds' own.
     mounting
-        How the clouds are mounted, and what to do about it; None if no cloud could be looked at.
+        How the clouds are mounted, and which options suit that; None if no cloud could be decoded.
     problems
-        Why sampled clouds cannot be looked at, each reason once.
+        Why sampled clouds cannot be decoded, each reason once.
     """
 
     topic: str
@@ -185,7 +186,7 @@ class CloudInfo:
     problems: tuple[str, ...] = ()
 
     def shown(self) -> Iterator[str | Table]:
-        """Yield what `Info` shows of it."""
+        """Yield the text of `Info` about the clouds."""
         yield f"{self.topic}: {self.sampled} clouds sampled"
         yield from (f"  cannot be decoded: {problem}" for problem in self.problems)
         if not self.fields:
@@ -225,7 +226,7 @@ class CloudInfo:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Info(Shown):
-    """What is in a recording (of one or several sources)."""
+    """The content of a recording of one or several sources."""
 
     files: tuple[FileInfo, ...]
     start_ns: int | None
@@ -234,16 +235,16 @@ class Info(Shown):
     topics: tuple[TopicInfo, ...]
     clouds: tuple[CloudInfo, ...] = field(default=())
     scans: tuple[ScanInfo, ...] = field(default=())
-    #: Where there are clouds.
+    #: By topic, for topics with clouds.
     imus: tuple[ImuInfo, ...] = field(default=())
-    #: What is damaged, as far as it was read. If opening shows any, everything is read, and counted.
+    #: The damage that was found. If opening the recording finds any, all of it is read and counted.
     damage: tuple[Damage, ...] = field(default=())
-    #: Transforms that cannot be used, and why, where a target frame was asked for.
+    #: Which transforms cannot be used, and why, if a target frame was given.
     warnings: tuple[str, ...] = field(default=())
 
     @property
     def duration_ns(self) -> int:
-        """From the first message's log time to the last's; 0 for none."""
+        """Time from the first message's log time to the last's; 0 without messages."""
         return self.end_ns - self.start_ns if self.start_ns is not None and self.end_ns is not None else 0
 
     def __repr__(self) -> str:
@@ -251,7 +252,7 @@ class Info(Shown):
         return f"<Info of {paths}: {len(self.topics)} topics, {self.messages:,} messages>"
 
     def overview(self) -> Iterator[str | Table]:
-        """Yield files, times and topics, and what the clouds and scans of each look like."""
+        """Yield files, times and topics, and the clouds and scans of each topic."""
         for file in self.files:
             kind = " ".join(filter(None, (file.container, file.storage, file.profile)))
             yield f"{file.path}: {kind}, {'+'.join(file.compression) or 'empty'}, {size(file.size_bytes)}"
@@ -314,7 +315,7 @@ class Info(Shown):
 
 
 def ground_text(mounting: Mounting) -> str:
-    """Say where floor and ceiling are."""
+    """Return where floor and ceiling are, as text."""
     ground, heights = mounting.ground, mounting.heights
     if heights is None or heights.floor is None:
         return "no floor seen, heights are those of most points"
@@ -326,9 +327,9 @@ def ground_text(mounting: Mounting) -> str:
 
 
 def _keywords(topic: str, mounting: Mounting) -> Iterator[str]:
-    """Yield the arguments of the conversion that suits a topic's clouds."""
+    """Yield the arguments of a conversion that suits a topic's clouds."""
     heights = mounting.heights
-    assert heights is not None  # asked for only where they are known
+    assert heights is not None  # called only if they are known
     target = mounting.target_frame or (mounting.judged_in if mounting.judged_in != mounting.frame else "")
     yield f"topics={topic!r}"
     if mounting.static_tf:
@@ -342,25 +343,25 @@ def _keywords(topic: str, mounting: Mounting) -> Iterator[str]:
 def info(
     sources: Sequence[Path], *, samples: int = 10, target_frame: str = "", frames: FrameOptions | None = None
 ) -> Info:
-    """Look into a recording.
+    """Inspect a recording.
 
     Parameters
     ----------
     sources
-        Several are one recording.
+        Recordings; several are read as one.
     samples
-        Clouds and scans of each topic to look at, spread evenly over its time.
+        How many clouds and scans of each topic to read, spread evenly over its time.
     target_frame
-        Frame that the clouds are taken to first, as a conversion does it; empty for their own.
+        Frame that the clouds are transformed into first, as in a conversion; empty for their own.
     frames
-        Where transforms come from; None means the recording's ``/tf`` and ``/tf_static``.
+        The source of transforms; None: the recording's ``/tf`` and ``/tf_static``.
 
     Raises
     ------
     RecordingError
         If a source cannot be read.
     UsageError
-        If several namespaces have transforms and none was named.
+        If several namespaces have transforms, and none was given.
     """
     asked = frames or FrameOptions()
     if any(map(is_url, (*sources, *asked.tf_from))):
@@ -411,7 +412,7 @@ def _file_info(path: Path, summary: Summary) -> FileInfo:
 
 
 def _counts(reader: Reader) -> tuple[Counter[int], int | None, int | None]:
-    """Messages by connection, and the first and the last log time; reads the messages only if it must."""
+    """Return messages by connection, and the first and the last log time; the messages are read only if necessary."""
     summary = reader.summary
     if summary.start_ns is not None and summary.end_ns is not None and not reader.damage:
         known = {c.id: c.message_count for c in reader.connections}
@@ -467,7 +468,7 @@ def _samples(
     places: Frames,
     buffer: TransformBuffer | None,
 ) -> tuple[tuple[CloudInfo, ...], tuple[ScanInfo, ...]]:
-    """Describe the clouds and the scans of every topic that has any; a topic of both is one of clouds."""
+    """Return the properties of the clouds and scans of every topic; a topic with both counts as one of clouds."""
     clouds = {topic.topic for topic in topics if topic.msgtype in CLOUDS and topic.messages}
     scans = {topic.topic for topic in topics if topic.msgtype == LASERSCAN and topic.messages} - clouds
     connections: dict[str, list[Connection]] = {t.topic: [] for t in topics if t.topic in clouds | scans}
@@ -477,7 +478,7 @@ def _samples(
         wanted = clouds if connection.ros_type in CLOUDS else scans if connection.ros_type == LASERSCAN else ()
         if connection.topic in wanted:
             connections[connection.topic].append(connection)
-    # Points are held until all topics have been read.
+    # The points are in memory until all topics have been read.
     most = min(_MAX_POINTS, _MAX_POINTS_HELD // len(connections)) // samples + 1
     cloud_looks = {name: _Look(name, most, places) for name in connections if name in clouds}
     rates = {topic.topic: topic.rate_hz for topic in topics if topic.msgtype == LASERSCAN}
@@ -492,7 +493,7 @@ def _samples(
 
 
 class _Look:
-    """What the sampled clouds of a topic have shown, by at most so many points of each."""
+    """Collects the properties of a topic's sampled clouds, from at most ``most`` points of each."""
 
     def __init__(self, topic: str, most: int, places: Frames) -> None:
         self._result = CloudInfo(topic, target_frame=places.target_frame)
@@ -506,14 +507,14 @@ class _Look:
         self._sizes: list[int] = []
 
     def add(self, message: RawMessage) -> None:
-        """Look at a cloud."""
+        """Add a cloud."""
         self._result.sampled += 1
         try:
             cloud = CLOUDS[message.connection.ros_type](message.connection.serialization)(message.data)
             coordinates = cloud.xyz()
             count = coordinates[0].size
             step = -(-count // self._most) or 1
-            with np.errstate(invalid="ignore"):  # a NaN may be one that signals
+            with np.errstate(invalid="ignore"):  # a NaN may be a signalling one
                 points = np.stack([_as_floats(_thinned(c, step)) for c in coordinates])
             moved = self._places.place(cloud.frame_id, cloud.stamp_ns).target_from_source
             sample = thinned(*coordinates)
@@ -534,13 +535,13 @@ class _Look:
         self._parts.append(points)
 
     def described(self, buffer: TransformBuffer | None) -> CloudInfo:
-        """Return the description; the points are forgotten."""
+        """Return the properties, and release the points."""
         result = self._result
         result.frames, result.problems = tuple(self._frames), tuple(self._problems)
         if self._sizes:
             result.points_min, result.points_max = min(self._sizes), max(self._sizes)
             parts, self._parts = self._parts, []
-            # A signalling NaN is a NaN like any other.
+            # A signalling NaN is treated as any other NaN.
             with np.errstate(invalid="ignore"):
                 points = np.concatenate(parts, axis=1, dtype=np.float64)
             _measure(result, points)
@@ -560,12 +561,12 @@ class _Look:
 
 
 def _as_floats(column: NDArray[Any]) -> NDArray[np.floating[Any]]:
-    """Coordinates of four bytes as they are, all others as numbers that hold them exactly."""
+    """Return float32 coordinates unchanged, all others as float64, which represents them exactly."""
     return column.astype(np.float32 if column.dtype.kind == "f" and column.dtype.itemsize == 4 else np.float64)
 
 
 def _thinned(column: NDArray[Any], step: int) -> NDArray[Any]:
-    """Every ``step``-th point. Rows with gaps between them cannot be seen as one, so their columns are thinned."""
+    """Return every ``step``-th point. Rows with gaps between them have no flat view, so their columns are thinned."""
     return column[::step] if column.ndim == 1 else column[:, ::step].ravel()
 
 
@@ -597,7 +598,7 @@ def _measure(result: CloudInfo, points: NDArray[np.float64]) -> None:
     zero = (points == 0).all(axis=0)
     result.nan_share = float(invalid.mean())
     result.zero_share = float(zero.mean())
-    # A non-return at the origin says nothing about where the returns are.
+    # Points at the origin are no returns.
     valid = ~(invalid | zero)
     result.above_zero_share = float((z[valid] > 0).mean()) if valid.any() else 0.0
     result.x, result.y, result.z = (spread_of(axis[valid]) for axis in (x, y, z))
@@ -606,7 +607,7 @@ def _measure(result: CloudInfo, points: NDArray[np.float64]) -> None:
     heights = finite(z[valid])
     if heights.size:
         low, high = np.percentile(heights, [0.5, 99.5])
-        # So wide that the edges of the bars are different numbers.
+        # Wide enough that the edges of the bars are different numbers.
         least = max(1e-9 * max(abs(low), abs(high)), 0.0 if high > low else 1.0)
         if high - low < least:
             low, high = low - least / 2, high + least / 2
