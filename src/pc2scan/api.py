@@ -7,20 +7,17 @@ from numbers import Real
 from typing import TYPE_CHECKING
 
 from .arguments import known_keywords, names_in, path_of, paths_in
-from .errors import SeveralNodesError, UsageError
-from .pipeline.combine.asked import Combining
+from .errors import UsageError
 from .pipeline.options import ConvertOptions
 from .requests import (
-    beam_filters_of,
-    channels_of,
+    conversion_of,
     destination_of,
-    filters_of,
     frames_of,
+    given_among,
     moments_of,
     parameter_names,
-    resolved_parameters,
-    scans_of,
     selection_of,
+    words_among,
 )
 
 if TYPE_CHECKING:
@@ -42,7 +39,6 @@ if TYPE_CHECKING:
     from .look.view import Page
     from .pipeline.combine.asked import Duration
     from .pipeline.options import Time
-    from .pipeline.param_sources import ResolvedSources
     from .pipeline.report import Report
     from .pipeline.run import Progress
     from .pipeline.stages.filters import Filter
@@ -79,10 +75,6 @@ _SYNONYMS = {
     "frame": "target_frame",
     "frame_id": "target_frame",
 }
-
-
-#: The defaults of what is about robots that move.
-_AT_REST = {"deskew": False, "fixed_frame": "", "point_time": "", "stamp": "header", "level": False, "imu": ""}
 
 
 @known_keywords(further=parameter_names, synonyms=_SYNONYMS)
@@ -287,80 +279,15 @@ def convert(
     >>> report.exit_status  # doctest: +SKIP
     0
     """
+    notes: list[str] = []
+    asked = conversion_of(words_among(locals()), note=notes.append)
     from .pipeline.run import OutputOptions, run, scratch_bytes  # noqa: PLC0415
 
-    several = None
-    if scans is not None:
-        own: dict[str, object] = {
-            "params": params,
-            "preset": preset,
-            "params_file": params_file,
-            "node": node,
-            "topics": topics,
-        }
-        own |= {"where": where, "exclude_box": exclude_box, "exclude_polygon": exclude_polygon, "deskew": deskew}
-        own |= {"min_height_slope": min_height_slope, "filters": filters, "fixed_frame": fixed_frame}
-        own |= {"ground": ground != "keep", "remove": remove}
-        own |= {"point_time": point_time, "stamp": stamp != "header", "reverse": reverse, "channels": channels}
-        own |= {"range_cutoff": range_cutoff, "keep_used": keep_used, "level": level, "imu": imu}
-        own |= {"lead": lead, "window": window, "accumulate": accumulate, "every": every, "rebin": rebin}
-        several = scans_of(scans, parameters, own)
-        parameters = {}
     cut = None
     if split is not None or repeat_latched:
         from .pipeline.parts import cut_of  # noqa: PLC0415  # most recordings are one file
 
         cut = cut_of(split, repeat_latched=repeat_latched)
-    filters = tuple(filters)
-
-    def of_node(name: str | None) -> tuple[ResolvedSources, ConvertOptions]:
-        resolved = resolved_parameters(params, preset, params_file, name, parameters, reverse=reverse)
-        return resolved, ConvertOptions.of(
-            scans=several.specs if several is not None else (),
-            origins=resolved.origin,
-            params=resolved.params,
-            reverse=resolved.reverse,
-            channels=channels_of(channels, range_cutoff),
-            deskew=deskew,
-            fixed_frame=fixed_frame,
-            point_time=point_time,
-            stamp=stamp,
-            level=level,
-            imu=imu,
-            combining=Combining.of(lead=lead, window=window, accumulate=accumulate, every=every, rebin=rebin),
-            remove=beam_filters_of(remove),
-            keep_used=keep_used,
-            filters=filters_of(resolved, where, exclude_box, exclude_polygon, min_height_slope, ground, filters),
-            frames=frames_of(frames, static_tf, static_tf_file, write_static_tf, tf_from, tf_topics, source_frame),
-            topics=names_in("topics", topics) or resolved.topics,
-            keep=names_in("keep", keep),
-            drop=names_in("drop", drop),
-            keep_clouds=keep_clouds,
-            only_scans=only_scans,
-            start=start,
-            end=end,
-            on_error=on_error,
-            fail_on=fail_on,
-            min_used=min_used,
-            ros_distro=ros_distro,
-            jobs=jobs,
-            verify=verify,
-            strict=strict,
-        )
-
-    try:
-        resolved, options = of_node(node)
-        ignored = resolved.ignored if several is None else several.ignored
-    except SeveralNodesError as err:
-        if reverse or params_file is None:
-            raise
-        from .pipeline.several_nodes import options_of_nodes, refuse_topics  # noqa: PLC0415
-
-        file = path_of("params_file", params_file)
-        refuse_topics(topics, err.nodes, file)
-        each = [of_node(name) for name in err.nodes]
-        resolved, options = each[0][0], options_of_nodes(err.nodes, [made for _, made in each], file)
-        ignored = tuple(dict.fromkeys(origin for found, _ in each for origin in found.ignored))
     path, folder = destination_of(destination)
     output = OutputOptions(
         storage=storage,
@@ -376,20 +303,8 @@ def convert(
         scratch=None if scratch is None else path_of("scratch", scratch),
         scratch_size=scratch_bytes(scratch_size),
     )
-    files = {"`params_file`": params_file, "`static_tf_file`": static_tf_file}
-    also_read = {name: path_of(name.strip("`"), file) for name, file in files.items() if file is not None}
-    if several is not None:
-        also_read |= {f"{file.name} (from `scans`)": file for file in several.files}
-    done = run(
-        paths_in("sources", sources),
-        path,
-        options,
-        output,
-        origins=resolved.origin,
-        also_read=also_read,
-        progress=progress,
-    )
-    done.warnings += [f"not a parameter of the projection, ignored: {origin}" for origin in ignored]
+    done = run(paths_in("sources", sources), path, asked.options, output, also_read=asked.files, progress=progress)
+    done.warnings += notes
     return done
 
 
@@ -668,21 +583,10 @@ def view(
     >>> import pc2scan
     >>> pc2scan.view("drive.bag", preset="slam_toolbox", min_height=-0.3).save("page.html")  # doctest: +SKIP
     """
+    options = conversion_of(words_among(locals())).options
     from .cli.command_line import convert_words  # noqa: PLC0415
     from .look.view import page_of  # noqa: PLC0415
 
-    resolved = resolved_parameters(params, preset, params_file, node, parameters)
-    options = ConvertOptions.of(
-        params=resolved.params,
-        reverse=resolved.reverse,
-        filters=filters_of(resolved, where, exclude_box, exclude_polygon, min_height_slope, ground, filters),
-        frames=frames_of(frames, static_tf, static_tf_file, False, tf_from, tf_topics, source_frame),
-        topics=names_in("topics", topics),
-        start=start,
-        end=end,
-        verify=verify,
-        strict=strict,
-    )
     paths = paths_in("sources", sources)
     return page_of(
         paths,
@@ -786,29 +690,11 @@ def map(  # noqa: A001  # as the command is called
     >>> import pc2scan
     >>> pc2scan.map("drive.bag", min_height=0.1, max_height=1.5).save("map.yaml")  # doctest: +SKIP
     """
+    options = conversion_of(words_among(locals())).options
     import math  # noqa: PLC0415
 
     from .look.map import MapOptions, map_of  # noqa: PLC0415
 
-    resolved = resolved_parameters(params, preset, params_file, node, parameters)
-    options = ConvertOptions.of(
-        params=resolved.params,
-        reverse=resolved.reverse,
-        filters=filters_of(resolved, where, exclude_box, exclude_polygon, min_height_slope, ground, filters),
-        frames=frames_of(frames, static_tf, static_tf_file, False, tf_from, tf_topics, source_frame),
-        deskew=deskew,
-        fixed_frame=fixed_frame,
-        point_time=point_time,
-        stamp=stamp,
-        level=level,
-        imu=imu,
-        topics=names_in("topics", topics) or resolved.topics,
-        start=start,
-        end=end,
-        on_error=on_error,
-        verify=verify,
-        strict=strict,
-    )
     asked = MapOptions(
         odom_frame=odom_frame,
         base_frame=base_frame,
@@ -1155,48 +1041,26 @@ def export(
     >>> pc2scan.export("drive.bag", "scans.npz", pose_frame="odom")  # doctest: +SKIP
     >>> pc2scan.export("drive.bag", "scans.csv", preset="slam_toolbox", min_height=-0.3)  # doctest: +SKIP
     """
+    notes: list[str] = []
+    asked = conversion_of(words_among(locals()), note=notes.append)
     from .export.poses import PoseOptions  # noqa: PLC0415
     from .export.run import ExportOptions, run  # noqa: PLC0415
 
-    names = names_in("topics", topics)
     converting = bool(parameters) or any(each is not None for each in (params, preset, params_file))
-    if node is not None and params_file is None:
-        raise UsageError("`node` names a section of a parameter file; give it with `params_file`")
-    resolved = resolved_parameters(params, preset, params_file, node, parameters)
-    options = ConvertOptions.of(
-        params=resolved.params,
-        reverse=resolved.reverse,
-        frames=frames_of(frames, static_tf, static_tf_file, False, tf_from, tf_topics, source_frame),
-        filters=filters_of(resolved, where, exclude_box, exclude_polygon, min_height_slope, ground, filters),
-        deskew=deskew,
-        fixed_frame=fixed_frame,
-        point_time=point_time,
-        stamp=stamp,
-        level=level,
-        imu=imu,
-        topics=names or resolved.topics,
-        start=start,
-        end=end,
-        on_error=on_error,
-        verify=verify,
-        strict=strict,
-    )
     path, folder = destination_of(destination)
-    asked = PoseOptions(pose_frame=pose_frame, base_frame=base_frame, odom_topic=odom_topic)
-    files = {"`params_file`": params_file, "`static_tf_file`": static_tf_file}
+    poses = PoseOptions(pose_frame=pose_frame, base_frame=base_frame, odom_topic=odom_topic)
     place = path if path is not None else folder
     assert place is not None
     done = run(
         paths_in("sources", sources),
         place,
-        options,
-        ExportOptions(format=format, poses=asked, converting=converting, overwrite=overwrite),
+        asked.options,
+        ExportOptions(format=format, poses=poses, converting=converting, overwrite=overwrite),
         in_folder=path is None,
-        origins=resolved.origin,
-        also_read={name: path_of(name.strip("`"), file) for name, file in files.items() if file is not None},
+        also_read=asked.files,
         progress=progress,
     )
-    done.warnings += [f"not a parameter of the projection, ignored: {origin}" for origin in resolved.ignored]
+    done.warnings += notes
     return done
 
 
@@ -1284,45 +1148,22 @@ def scans(
     >>> for scan in pc2scan.scans("drive.bag", preset="slam_toolbox", min_height=-0.5):  # doctest: +SKIP
     ...     print(scan)
     """
+    words = words_among(locals())
     from .streams.scans import Scans  # noqa: PLC0415
 
     names = names_in("topic", topic)
-    framing = (static_tf, static_tf_file, False, tf_from, tf_topics, source_frame)
-    filtering = (where, exclude_box, exclude_polygon, min_height_slope, ground, filters)
-    selecting = (where, exclude_box, exclude_polygon, min_height_slope, ground != "keep", filters)
-    moving: dict[str, Any] = {
-        "deskew": deskew,
-        "fixed_frame": fixed_frame,
-        "point_time": point_time,
-        "stamp": stamp,
-        "level": level,
-        "imu": imu,
-    }
-    conversion, origins = None, None
+    conversion = None
     if parameters or params is not None or preset is not None or params_file is not None:
-        resolved = resolved_parameters(params, preset, params_file, node, parameters)
-        if resolved.reverse:
+        conversion = conversion_of({**words, "topics": names, "only_scans": True}).options
+        if conversion.scan.reverse:
             raise UsageError("the parameter file is for laserscan_to_pointcloud, scans are made of clouds")
-        origins = resolved.origin
-        conversion = ConvertOptions.of(
-            params=resolved.params,
-            frames=frames_of(frames, *framing),
-            filters=filters_of(resolved, *filtering),
-            **moving,
-            topics=names or resolved.topics,
-            only_scans=True,
-            start=start,
-            end=end,
-            verify=verify,
-            strict=strict,
-        )
-    elif frames is not None or node is not None or any(framing) or any(selecting) or moving != _AT_REST:
+    elif set(given_among(words)) - {"start", "end", "on_error", "verify", "strict"}:
         raise UsageError(
             "transforms, filters, `node`, `deskew` and `level` count only where clouds are converted",
             hint="give parameters: `preset`, `params_file`, or any of them by name, `target_frame=base_link`",
         )
     selection = selection_of(source, names, start, end, on_error, verify=verify, strict=strict)
-    return Scans(selection, conversion, origins)
+    return Scans(selection, conversion)
 
 
 @known_keywords(synonyms={**_SYNONYMS, "topics": "topic", "sources": "source"})

@@ -4,40 +4,228 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, replace
-from typing import TYPE_CHECKING, cast
+from os import PathLike
+from typing import TYPE_CHECKING, NamedTuple, cast
 
 from .arguments import names_in, path_of, path_text, paths_in, refuse_unknown
 from .core.params import ProjectionParams
-from .errors import UsageError
+from .errors import SeveralNodesError, UsageError
 from .names import did_you_mean
-from .pipeline.options import ConvertOptions, TimeBound, destination_and_folder
+from .pipeline.combine.asked import Combining
+from .pipeline.options import ConvertOptions, TimeBound, bound_of, destination_and_folder
+from .pipeline.param_sources import ResolvedSources, resolve_sources
+from .pipeline.parameters import CALL, PARAMETERS, Setting, refuse_degrees
+from .pipeline.scan_spec import ScanSpec, TopicRequest
 from .tf.options import FrameOptions, StaticTransform
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
     from typing import Any
 
     from .arguments import PathText
     from .core.unproject import UnprojectParams
     from .pipeline.options import Time
-    from .pipeline.param_sources import ResolvedSources
-    from .pipeline.scans_file import ScansFile
     from .pipeline.stages.beams import BeamFilter
     from .pipeline.stages.filters import Filter
     from .streams.stream import Selection
 
 __all__ = [
-    "channels_of",
+    "WORDS",
+    "Conversion",
+    "conversion_of",
     "destination_of",
-    "filters_of",
     "frames_of",
+    "given_among",
     "moments_of",
     "parameter_names",
     "params_from_file",
-    "resolved_parameters",
-    "scans_of",
     "selection_of",
+    "words_among",
 ]
+
+_PARAMETERS = ("params", "preset", "params_file", "node", "param", "launch_args", "remap")
+_FRAMES = ("frames", "static_tf", "static_tf_file", "write_static_tf", "tf_from", "tf_topics", "source_frame")
+_FILTERS = ("where", "exclude_box", "exclude_polygon", "min_height_slope", "ground", "filters")
+_COMBINING = ("lead", "window", "accumulate", "every", "rebin")
+_CHANNELS = ("channels", "range_cutoff")
+
+#: Attributes of an output, and of a conversion, that are words as they are.
+_OF_A_SCAN = ("deskew", "fixed_frame", "point_time", "stamp", "level", "imu", "keep_used")
+_OF_ALL = ("keep_clouds", "only_scans", "on_error", "ros_distro", "jobs", "verify", "strict", "fail_on", "min_used")
+
+#: What an output has of its own, and so cannot be given beside ``scans``. ``param`` counts for all outputs.
+_BESIDE = (
+    *(name for name in _PARAMETERS if name != "param"),
+    *("topics", "reverse", "remove", *_FILTERS, *_COMBINING, *_CHANNELS, *_OF_A_SCAN),
+)
+
+#: The defaults that are neither None nor empty.
+_USUAL = {"stamp": "header", "ground": "keep", "on_error": "skip", "verify": True}
+
+#: The words of a conversion besides parameters of the projection: keywords of `pc2scan.convert`, and ``param``,
+#: ``launch_args`` and ``remap``, which only the command line has.
+WORDS = frozenset(("scans", "param", "keep", "drop", "start", "end", *_BESIDE, *_FRAMES, *_OF_ALL))
+
+
+class Conversion(NamedTuple):
+    """A conversion as it was asked for, read and checked.
+
+    Attributes
+    ----------
+    options
+        As the pipeline takes them.
+    files
+        The files that were read for them, by option.
+    """
+
+    options: ConvertOptions
+    files: Mapping[str, Path]
+
+
+def words_among(arguments: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the words among the ``locals()`` of a function with parameters of the projection as ``**parameters``."""
+    words = {name: value for name, value in arguments.items() if name in WORDS}
+    return words | dict(arguments["parameters"])
+
+
+def given_among(words: Mapping[str, Any]) -> list[str]:
+    """Return the words that have another value than their default."""
+
+    def is_usual(name: str, value: object) -> bool:
+        if isinstance(value, Sequence) and not isinstance(value, str):
+            return not value
+        return value is None or value is False or value == _USUAL.get(name, "")
+
+    return [name for name, value in words.items() if not is_usual(name, value)]
+
+
+def conversion_of(
+    words: Mapping[str, Any],
+    origins: Mapping[str, str] | None = None,
+    note: Callable[[str], None] = lambda _: None,
+) -> Conversion:
+    """Read the words of a conversion: those of Python, of the command line, and of dataset files.
+
+    Parameters
+    ----------
+    words
+        `WORDS`, and parameters of the projection by name. One that is missing has the default of `pc2scan.convert`.
+    origins
+        Where parameters come from, for errors and reports; those that are missing were given in Python.
+    note
+        Called with what the user should know of files, once for each, also if an error follows.
+
+    Raises
+    ------
+    UsageError
+        If a word has a wrong value, or contradicts another one.
+    """
+    words = {**words, "filters": tuple(words.get("filters", ()))}
+    settings = [
+        Setting(name, _plain(value), (origins or {}).get(name, CALL))
+        for name, value in words.items()
+        if name in PARAMETERS
+    ]
+    if words.get("scans") is not None:
+        return _several_scans(words, settings, note)
+    noted: dict[str, None] = {}
+
+    def note_once(text: str) -> None:
+        if text not in noted:
+            noted[text] = None
+            note(text)
+
+    try:
+        return _of_node(words, settings, words.get("node"), note_once)
+    except SeveralNodesError as err:
+        if words.get("reverse") or words.get("params_file") is None:
+            raise
+        from .pipeline.several_nodes import options_of_nodes, refuse_topics  # noqa: PLC0415  # few files have several
+
+        file = path_of("params_file", words["params_file"])
+        refuse_topics(words.get("topics"), err.nodes, file)
+        each = [_of_node(words, settings, node, note_once, one_of_several=True) for node in err.nodes]
+        return Conversion(options_of_nodes(err.nodes, [found.options for found in each], file), each[0].files)
+
+
+def _several_scans(words: Mapping[str, Any], settings: list[Setting], note: Callable[[str], None]) -> Conversion:
+    """Read the words of a conversion with several outputs; parameters that are given beside them count for all."""
+    from .pipeline.param_assignment import parse_param  # noqa: PLC0415  # few conversions have several outputs
+    from .pipeline.scans_file import load_scans, refuse_beside  # noqa: PLC0415
+
+    refuse_beside([name for name in given_among(words) if name in _BESIDE])
+    scans = words["scans"]
+    settings = [*settings, *(parse_param(text) for text in reversed(names_in("param", words.get("param"))))]
+    found = load_scans(path_of("scans", scans) if isinstance(scans, str | PathLike) else scans, settings)
+    _note_ignored(found.ignored, note)
+    files = {f"{path.name} (from `scans`)": path for path in found.files}
+    return Conversion(_options(words, found.specs, _frames(words)), _named(words) | files)
+
+
+def _of_node(
+    words: Mapping[str, Any],
+    settings: list[Setting],
+    node: str | None,
+    note: Callable[[str], None],
+    *,
+    one_of_several: bool = False,
+) -> Conversion:
+    """Read the words of a conversion with one output, by one node of a parameter file if there is one."""
+    resolved = _resolved(words, settings, node)
+    _note_ignored(resolved.ignored, note)
+    frames = _frames(words)
+    topics, typed = names_in("topics", words.get("topics")), list(names_in("remap", words.get("remap")))
+    if typed and topics:
+        raise UsageError(
+            "`topics` and `remap` say the same in two ways; give one of them", hint="`topics=/points:=/scan` is both"
+        )
+    if typed or resolved.remaps:
+        from .pipeline.remaps import meant_for, remapped  # noqa: PLC0415  # few are given any
+
+        if one_of_several and node is not None:
+            typed = meant_for(typed, node)
+        typed = [text for text in typed if not text.startswith("__")]
+        moved = remapped((*resolved.remaps, *typed), reverse=resolved.reverse)
+        topics = topics or moved.topics
+        if moved.tf_topics and not frames.tf_topics:
+            frames = replace(frames, tf_topics=moved.tf_topics)
+    scan = ScanSpec(
+        topics=tuple(map(TopicRequest.parse, topics)),
+        origins=resolved.origin,
+        params=resolved.params,
+        reverse=resolved.reverse,
+        channels=_channels(words.get("channels"), words.get("range_cutoff")),
+        combining=Combining.of(**{name: words[name] for name in _COMBINING if name in words}),
+        filters=_filters(words, resolved),
+        remove=_beam_filters(words.get("remove")),
+        **{name: words[name] for name in _OF_A_SCAN if name in words},
+    )
+    files = _named(words) | {f"{path.name} (from `params_file`)": path for path in resolved.files}
+    return Conversion(_options(words, (scan,), frames), files)
+
+
+def _note_ignored(places: Iterable[str], note: Callable[[str], None]) -> None:
+    for place in places:
+        note(f"not a parameter of the projection, ignored: {place}")
+
+
+def _options(words: Mapping[str, Any], scans: tuple[ScanSpec, ...], frames: FrameOptions) -> ConvertOptions:
+    return ConvertOptions(
+        scans=scans,
+        frames=frames,
+        keep=names_in("keep", words.get("keep")),
+        drop=names_in("drop", words.get("drop")),
+        start=bound_of("start", words.get("start")),
+        end=bound_of("end", words.get("end")),
+        **{name: words[name] for name in _OF_ALL if name in words},
+    )
+
+
+def _named(words: Mapping[str, Any]) -> dict[str, Path]:
+    """The files that are named among the words, and read for them."""
+    named = {name: words.get(name) for name in ("params_file", "static_tf_file")}
+    return {f"`{name}`": path_of(name, path) for name, path in named.items() if path is not None}
 
 
 def parameter_names() -> list[str]:
@@ -45,63 +233,39 @@ def parameter_names() -> list[str]:
     return [field.name for field in fields(ProjectionParams)]
 
 
-def resolved_parameters(
-    params: ProjectionParams | None,
-    preset: str | None,
-    params_file: PathText | None,
-    node: str | None,
-    parameters: Mapping[str, Any],
-    *,
-    reverse: bool = False,
-) -> ResolvedSources:
+def _resolved(words: Mapping[str, Any], settings: list[Setting], node: str | None) -> ResolvedSources:
     """Find the parameters of the projection, and where each comes from."""
-    from .pipeline.param_sources import ResolvedSources, resolve_sources  # noqa: PLC0415
-    from .pipeline.parameters import CALL, PARAMETERS, Setting, refuse_degrees  # noqa: PLC0415
-
+    params, file, reverse = words.get("params"), words.get("params_file"), words.get("reverse", False)
     if params is None:
-        settings = [Setting(name, _plain(value), CALL) for name, value in parameters.items()]
-        file = None if params_file is None else path_of("params_file", params_file)
-        return resolve_sources(settings, file=file, node=node, preset=preset, reverse=reverse)
+        return resolve_sources(
+            settings,
+            assignments=names_in("param", words.get("param")),
+            file=None if file is None else path_of("params_file", file),
+            node=node,
+            launch_args=names_in("launch_args", words.get("launch_args")),
+            preset=words.get("preset"),
+            reverse=reverse,
+        )
     if not isinstance(params, ProjectionParams):
         raise TypeError(f"params is {type(params).__name__}, it must be ProjectionParams")
-    others = {"preset": preset, "params_file": params_file, "node": node}
+    others = {"preset": words.get("preset"), "params_file": file, "node": node}
     if given := [f"`{name}`" for name, value in others.items() if value is not None]:
         raise UsageError(
             f"params has all parameters, {' and '.join(given)} cannot count",
             hint="ProjectionParams.preset() and ProjectionParams.from_file() take changes by name",
         )
+    changes: dict[str, Any] = {setting.name: words[setting.name] for setting in settings}
     angles = {name: getattr(params, name) for name in ("angle_min", "angle_max", "geometry")}
-    refuse_degrees(angles | dict(parameters), dict.fromkeys(PARAMETERS, CALL))
+    refuse_degrees(angles | changes, dict.fromkeys(PARAMETERS, CALL))
     origins = {name: CALL if getattr(params, name) != row.default else "default" for name, row in PARAMETERS.items()}
-    return ResolvedSources(replace(params, **parameters), origins | dict.fromkeys(parameters, CALL), reverse)
-
-
-def scans_of(
-    scans: PathText | Mapping[str, Any] | Sequence[Any], parameters: Mapping[str, Any], others: Mapping[str, object]
-) -> ScansFile:
-    """Read several outputs.
-
-    Parameters
-    ----------
-    parameters
-        Of the projection; they beat those of the outputs.
-    others
-        What cannot be given too, by name.
-    """
-    from .pipeline.parameters import CALL, Setting  # noqa: PLC0415
-    from .pipeline.scans_file import load_scans, refuse_beside  # noqa: PLC0415
-
-    refuse_beside(others)
-    settings = [Setting(name, _plain(value), CALL) for name, value in parameters.items()]
-    if isinstance(scans, Mapping) or (isinstance(scans, Sequence) and not isinstance(scans, str)):
-        return load_scans(scans, settings)
-    return load_scans(path_of("scans", scans), settings)
+    return ResolvedSources(replace(params, **changes), origins | dict.fromkeys(changes, CALL), reverse)
 
 
 def params_from_file(path: PathText, node: str | None, changes: Mapping[str, Any]) -> ProjectionParams:
     """See `pc2scan.ProjectionParams.from_file`."""
     refuse_unknown("ProjectionParams.from_file", changes, parameter_names())
-    resolved = resolved_parameters(None, None, path, node, changes)
+    settings = [Setting(name, _plain(value), CALL) for name, value in changes.items()]
+    resolved = resolve_sources(settings, file=path_of("params_file", path), node=node)
     if resolved.reverse:
         raise UsageError("its parameters are for laserscan_to_pointcloud", path=path)
     return resolved.params
@@ -112,8 +276,12 @@ def _plain(value: object) -> object:
     return value.item() if hasattr(value, "item") and getattr(value, "ndim", None) == 0 else value
 
 
+def _frames(words: Mapping[str, Any]) -> FrameOptions:
+    return frames_of(**{name: words[name] for name in _FRAMES if name in words})
+
+
 def frames_of(
-    frames: FrameOptions | None,
+    frames: FrameOptions | None = None,
     static_tf: str | StaticTransform | Iterable[str | StaticTransform] = (),
     static_tf_file: PathText | None = None,
     write_static_tf: bool = False,
@@ -153,7 +321,7 @@ def destination_of(destination: PathText | None) -> tuple[Path | None, Path | No
     return destination_and_folder(None if destination is None else path_text("destination", destination))
 
 
-def channels_of(
+def _channels(
     channels: str | Iterable[str] | UnprojectParams | None, range_cutoff: float | None
 ) -> UnprojectParams | None:
     """Gather which fields clouds are to have."""
@@ -186,42 +354,32 @@ def selection_of(
     """Gather which messages are read."""
     from .streams.stream import Selection  # noqa: PLC0415
 
-    cut = ConvertOptions.of(start=start, end=end)
     return Selection(
         paths=tuple(paths_in("source", source)),
         topics=topics,
-        start=cut.start,
-        end=cut.end,
+        start=bound_of("start", start),
+        end=bound_of("end", end),
         on_error=on_error,
         verify=verify,
         strict=strict,
     )
 
 
-def filters_of(
-    resolved: ResolvedSources,
-    where: str | Iterable[str],
-    exclude_box: str | Iterable[str],
-    exclude_polygon: str | Iterable[str],
-    min_height_slope: float | None,
-    ground: str,
-    filters: Iterable[Filter],
-) -> tuple[Filter, ...]:
+def _filters(words: Mapping[str, Any], resolved: ResolvedSources) -> tuple[Filter, ...]:
     """Gather which points of clouds are used."""
     conditions, boxes, polygons = (
-        names_in("where", where),
-        names_in("exclude_box", exclude_box),
-        names_in("exclude_polygon", exclude_polygon),
+        names_in(name, words.get(name)) for name in ("where", "exclude_box", "exclude_polygon")
     )
-    if not (conditions or boxes or polygons or min_height_slope is not None or ground != "keep"):
-        return tuple(filters)
-    from .pipeline.stages.texts import filters_from  # noqa: PLC0415
+    slope, ground = words.get("min_height_slope"), words.get("ground", "keep")
+    further: tuple[Filter, ...] = words["filters"]
+    if not (conditions or boxes or polygons or slope is not None or ground != "keep"):
+        return further
+    from .pipeline.stages.texts import filters_from  # noqa: PLC0415  # few conversions have filters
 
-    asked = filters_from(conditions, boxes, polygons, min_height_slope, resolved.params.min_height, ground)
-    return (*asked, *filters)
+    return (*filters_from(conditions, boxes, polygons, slope, resolved.params.min_height, ground), *further)
 
 
-def beam_filters_of(remove: str | Iterable[str]) -> tuple[BeamFilter, ...]:
+def _beam_filters(remove: object) -> tuple[BeamFilter, ...]:
     """Read which beams are removed."""
     texts = names_in("remove", remove)
     if not texts:

@@ -132,17 +132,17 @@ def test_later_entries_and_the_call_override(tmp_path: Path) -> None:
     )
     choices = Choices(dataset, {"max_height": 9.0}, {"max_height": "--max-height"})
     found = choices.of(["robot1/a.bag", "robot1/b.mcap", "c.mcap"])
-    heights = {key: choice.request.options.params.min_height for key, choice in found.items() if choice.request}
+    heights = {key: choice.request.options.scan.params.min_height for key, choice in found.items() if choice.request}
     assert heights == {"robot1/a.bag": 3.0, "robot1/b.mcap": 2.0, "c.mcap": 1.0}
     both, other = found["robot1/a.bag"].request, found["c.mcap"].request
     assert both is not None
     assert other is not None
     assert (both.options.keep, other.options.keep) == (("/c",), ("/a", "/b"))
     # A parameter replaces the one that says the same in another way.
-    assert both.options.params.beams == 0
-    assert both.options.params.angle_increment == pytest.approx(0.01)
-    assert both.origins["min_height"] == f"{tmp_path / 'dataset.yaml'}, line 11"
-    assert both.origins["max_height"] == "--max-height"
+    assert both.options.scan.params.beams == 0
+    assert both.options.scan.params.angle_increment == pytest.approx(0.01)
+    assert both.options.scan.origins["min_height"] == f"{tmp_path / 'dataset.yaml'}, line 11"
+    assert both.options.scan.origins["max_height"] == "--max-height"
     assert choices.of(["robot1/z.bag"])["robot1/z.bag"] is found["robot1/a.bag"]
     assert choices.warnings(["c.mcap"]) == [
         f"{dataset.path}, line 6: matches no recording: robot1/*",

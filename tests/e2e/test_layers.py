@@ -69,7 +69,7 @@ ALLOWED = {
     # `bags.damage`: results have its data classes. `files.staging`: what is complete when a command is interrupted.
     "cli": {
         *("batch", "pipeline", "inspect", "compare", "golden", "export", "look", "core", "tf"),
-        *("bags.damage", "files.staging", "files.junit", "remote.urls"),
+        *("bags.damage", "files.staging", "files.junit", "remote.urls", "requests"),
     },
     "pytest_plugin": {"api", "cli", "golden"},
 }
@@ -233,7 +233,7 @@ def test_starting_is_cheap(code: str) -> None:
 LOADED_BY_CONVERT = {
     "pc2scan": (
         "arguments bags callable_package cli core errors files json_types messages model names pipeline "
-        "remote shown text_enum tf threads version"
+        "remote requests shown text_enum tf threads version"
     ),
     "pc2scan.bags": (
         "chunked damage destinations formats many mcap merged opening parts reader rosbag1 topics units zstd"
@@ -254,7 +254,7 @@ LOADED_BY_CONVERT = {
         "stream"
     ),
     "pc2scan.pipeline.combine": "asked",
-    "pc2scan.pipeline.stages": "place texts",
+    "pc2scan.pipeline.stages": "place",
     "pc2scan.remote": "urls",
     "pc2scan.tf": "options placing reading",
 }

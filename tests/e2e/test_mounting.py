@@ -18,6 +18,7 @@ from pc2scan.core.rigid import Rigid
 from pc2scan.pipeline.options import ConvertOptions
 from pc2scan.pipeline.run import OutputOptions
 from pc2scan.pipeline.run import run as convert
+from pc2scan.pipeline.scan_spec import ScanSpec
 from support import RECORDINGS, ROOT, needs_shared
 
 if TYPE_CHECKING:
@@ -278,7 +279,7 @@ def test_the_warning_comes_after_the_first_clouds(tmp_path: Path) -> None:
         assert done <= total
         read[0] = messages
 
-    options = ConvertOptions(params=ProjectionParams(min_height=-0.5))
+    options = ConvertOptions(scans=(ScanSpec(params=ProjectionParams(min_height=-0.5)),))
     report = convert(
         [source],
         tmp_path / "b.mcap",

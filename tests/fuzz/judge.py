@@ -22,6 +22,7 @@ from pc2scan import ProjectionParams
 from pc2scan.bags.opening import open_recording
 from pc2scan.pipeline.options import ConvertOptions, TimeBound
 from pc2scan.pipeline.run import OutputOptions, run
+from pc2scan.pipeline.scan_spec import ScanSpec
 from pc2scan.text_enum import TextEnum
 
 if TYPE_CHECKING:
@@ -54,7 +55,7 @@ class Operation:
     options: ConvertOptions
 
 
-_PARAMS = ProjectionParams(min_height=-2.0, max_height=2.0)
+_SCANS = (ScanSpec(params=ProjectionParams(min_height=-2.0, max_height=2.0)),)
 _HEIGHTS = ("--min-height", "-2", "--max-height", "2")
 _CUT = ("--start", "0.15", "--end", "0.45")
 
@@ -63,12 +64,12 @@ _OPERATIONS = (
     *(Operation("repair", ("repair",), "", ConvertOptions(repair=True)),) * 4,
     Operation("repair to MCAP", ("repair",), "out.mcap", ConvertOptions(repair=True)),
     Operation("repair to rosbag2", ("repair",), "out", ConvertOptions(repair=True)),
-    Operation("convert", ("convert", *_HEIGHTS), "out.mcap", ConvertOptions(params=_PARAMS)),
+    Operation("convert", ("convert", *_HEIGHTS), "out.mcap", ConvertOptions(scans=_SCANS)),
     Operation(
         "convert a cut",
         ("convert", *_HEIGHTS, *_CUT),
         "out.mcap",
-        ConvertOptions(params=_PARAMS, start=TimeBound.parse(_CUT[1]), end=TimeBound.parse(_CUT[3])),
+        ConvertOptions(scans=_SCANS, start=TimeBound.parse(_CUT[1]), end=TimeBound.parse(_CUT[3])),
     ),
 )
 

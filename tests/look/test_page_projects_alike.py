@@ -17,6 +17,7 @@ from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
 from pc2scan.pipeline.options import ConvertOptions
 from pc2scan.pipeline.param_sources import resolve_sources
 from pc2scan.pipeline.run import OutputOptions, run
+from pc2scan.pipeline.scan_spec import ScanSpec, TopicRequest
 from support import GOLDEN, GOLDEN_EXACT, RECORDINGS, needs_shared
 
 if TYPE_CHECKING:
@@ -61,7 +62,7 @@ def _compare(tab: Tab, tmp_path: Path, source: Path, options: ConvertOptions) ->
 def test_golden_cases(browser: Any, tmp_path: Path, folder: Path) -> None:
     case = load_case(folder)
     params = resolve_sources([], file=case.params).params
-    options = ConvertOptions.of(params=params, only_scans=True)
+    options = ConvertOptions(scans=(ScanSpec(params=params),), only_scans=True)
     assert _compare(browser(), tmp_path, case.inputs[0], options) > 0
 
 
@@ -79,5 +80,6 @@ def test_golden_cases(browser: Any, tmp_path: Path, folder: Path) -> None:
 def test_real_recordings(browser: Any, tmp_path: Path, name: str, changes: dict[str, Any]) -> None:
     with closing(open_recording(RECORDINGS / name)) as reader:
         topic = next(c.topic for c in reader.connections if c.ros_type == "sensor_msgs/msg/PointCloud2")
-    options = ConvertOptions.of(params=ProjectionParams(**changes), only_scans=True, topics=[topic])
+    scan = ScanSpec(params=ProjectionParams(**changes), topics=(TopicRequest(topic),))
+    options = ConvertOptions(scans=(scan,), only_scans=True)
     assert _compare(browser(), tmp_path, RECORDINGS / name, options) > 0

@@ -26,6 +26,7 @@ from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointField, encode_pointcl
 from pc2scan.model import Connection, Definition
 from pc2scan.pipeline.options import ConvertOptions
 from pc2scan.pipeline.run import OutputOptions, run
+from pc2scan.pipeline.scan_spec import ScanSpec
 from pc2scan.pipeline.stages.filters import Frame
 
 if TYPE_CHECKING:
@@ -236,12 +237,12 @@ def test_a_filter_needs_a_name_of_its_own(name: str) -> None:
 
     Named.name = name
     with pytest.raises(UsageError, match="cannot be the name of its count"):
-        ConvertOptions(filters=(Named(2),))
+        ScanSpec(filters=(Named(2),))
 
 
 def test_filters_are_for_clouds() -> None:
     with pytest.raises(UsageError, match="`reverse` converts scans"):
-        ConvertOptions(filters=(EveryNth(2),), reverse=True)
+        ScanSpec(filters=(EveryNth(2),), reverse=True)
 
 
 def test_a_filter_returns_bools(tmp_path: Path) -> None:
@@ -259,7 +260,7 @@ def test_a_new_output_is_one_encoder(tmp_path: Path, monkeypatch: pytest.MonkeyP
     text = Definition("ros2msg", b"int64 stamp\nfloat32 range\n")
     monkeypatch.setitem(OF_CLOUDS, TOY_SCAN, OutputType("nearest", nearest, lambda *_: (text, "RIHS01_toy")))
     source = recorded(tmp_path / "a.mcap", POINTCLOUD2, [cloud()])
-    options = ConvertOptions(params=BAND, output_type=TOY_SCAN, jobs=jobs)
+    options = ConvertOptions(scans=(ScanSpec(params=BAND, output_type=TOY_SCAN),), jobs=jobs)
     report = run([source], tmp_path / "b.mcap", options, OutputOptions())
     assert [topic.target for topic in report.topics] == ["/nearest"]
     (data,) = messages_of(tmp_path / "b.mcap", "/nearest")
@@ -271,5 +272,5 @@ def test_a_new_output_is_one_encoder(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 def test_an_output_type_that_is_not_in_the_table_is_an_error() -> None:
     with pytest.raises(UsageError, match=f"output_type is '{TOY_SCAN}', it must be one of {LASERSCAN}"):
-        ConvertOptions(output_type=TOY_SCAN)
-    assert ConvertOptions(output_type=POINTCLOUD2, reverse=True).specs[0].output.name == "cloud"
+        ScanSpec(output_type=TOY_SCAN)
+    assert ScanSpec(output_type=POINTCLOUD2, reverse=True).output.name == "cloud"

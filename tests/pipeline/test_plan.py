@@ -8,16 +8,18 @@ from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import TopicError
 from pc2scan.model import Connection
 from pc2scan.pipeline.combine.asked import Combining
-from pc2scan.pipeline.options import ConvertOptions, TopicRequest
+from pc2scan.pipeline.options import ConvertOptions
 from pc2scan.pipeline.plan import Plan, make_plan
-from pc2scan.pipeline.scan_spec import ScanSpec
+from pc2scan.pipeline.scan_spec import ScanSpec, TopicRequest
 
 CLOUD, IMU, SCAN = "sensor_msgs/PointCloud2", "sensor_msgs/msg/Imu", "sensor_msgs/LaserScan"
 
 
 def plan(topics: dict[str, str], *requests: str, **options: Any) -> Plan:
     connections = [Connection(i, topic, kind, "ros1") for i, (topic, kind) in enumerate(topics.items())]
-    return make_plan(connections, ConvertOptions(topics=tuple(TopicRequest.parse(r) for r in requests), **options))
+    own = {name: options.pop(name) for name in ("params", "combining", "reverse") if name in options}
+    scan = ScanSpec(topics=tuple(map(TopicRequest.parse, requests)), **own)
+    return make_plan(connections, ConvertOptions(scans=(scan,), **options))
 
 
 def routes(made: Plan) -> dict[str, tuple[str | None, bool]]:

@@ -18,6 +18,7 @@ from pc2scan.pipeline.scan_spec import ScanSpec, TopicRequest
 from pc2scan.pipeline.scans_file import CHOICES, load_scans, refuse_beside
 from pc2scan.pipeline.stages.height_slope import MinHeightSlope
 from pc2scan.pipeline.stages.where import Where
+from pc2scan.requests import given_among
 from support import ROOT
 
 if TYPE_CHECKING:
@@ -203,9 +204,17 @@ def test_errors_in_dicts_say_where() -> None:
 
 
 def test_what_only_the_file_may_have() -> None:
-    refuse_beside({"preset": None, "where": [], "deskew": False, "topics": (), "fixed_frame": ""})
+    usual: dict[str, object] = {
+        "preset": None,
+        "where": [],
+        "deskew": False,
+        "topics": (),
+        "fixed_frame": "",
+        "stamp": "header",
+    }
+    refuse_beside(given_among(usual))
     with pytest.raises(UsageError, match="`preset`, `where` cannot be given beside `scans`"):
-        refuse_beside({"preset": "gmapping", "where": ["x > 1"], "deskew": False})
+        refuse_beside(given_among(usual | {"preset": "gmapping", "where": ["x > 1"]}))
 
 
 def test_the_schema_is_the_one_that_is_shipped() -> None:

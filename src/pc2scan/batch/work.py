@@ -187,23 +187,13 @@ def _done(
             destination,
             options,
             output,
-            origins=request.origins,
             also_read=request.files,
             progress=progress,
         )
     from pc2scan.export.run import run as export  # noqa: PLC0415  # most batches write recordings
 
     form = replace(request.export, overwrite=job.replaces)
-    return export(
-        sources,
-        destination,
-        options,
-        form,
-        in_folder=True,
-        origins=request.origins,
-        also_read=request.files,
-        progress=progress,
-    )
+    return export(sources, destination, options, form, in_folder=True, also_read=request.files, progress=progress)
 
 
 def _looked_into(job: Job, sources: list[Path]) -> ExportReport:

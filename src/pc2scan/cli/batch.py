@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from .groups import Group
-from .options import ConversionGroup, OutputGroup, ScratchGroup
+from .options import ConversionGroup, OutputGroup, ScratchGroup, typed_words
 from .render import message, printable, show_parts, size, warn
-from .words import typed_words
 
 if TYPE_CHECKING:
     from typing_extensions import Self

@@ -21,15 +21,15 @@ def convert_words(sources: Sequence[Path], options: ConvertOptions, destination:
     The parameters of the projection are left to the caller, and so are filters that the command line does not have.
     """
     words = ["pc2scan", "convert", *map(str, sources), "-o", destination, *_option_words(options)]
-    for chosen in options.filters:
+    for chosen in options.scan.filters:
         words += _filter_words(chosen)
     return words
 
 
 def _option_words(options: ConvertOptions) -> Iterator[str]:
-    for request in options.topics:
+    scan, frames = options.scan, options.frames
+    for request in scan.topics:
         yield from ("--topic", request.source if request.target is None else f"{request.source}:={request.target}")
-    frames = options.frames
     for topic in frames.tf_topics:
         yield from ("--tf-topic", topic)
     for path in frames.tf_from:
@@ -41,23 +41,23 @@ def _option_words(options: ConvertOptions) -> Iterator[str]:
         yield from ("--source-frame", frames.source_frame)
     if frames.write_static:
         yield "--write-static-tf"
-    if options.deskew:
+    if scan.deskew:
         yield "--deskew"
-    for chosen in options.remove:
+    for chosen in scan.remove:
         default = type(chosen)()
         words = (f"{each.name}={getattr(chosen, each.name)}" for each in fields(chosen) if chosen != default)
         yield from ("--remove", " ".join((chosen.name, *words)))
-    if options.keep_used:
-        yield from ("--keep-used", options.keep_used)
-    if options.level:
+    if scan.keep_used:
+        yield from ("--keep-used", scan.keep_used)
+    if scan.level:
         yield "--level"
-    named = {"--fixed-frame": options.fixed_frame, "--point-time": options.point_time, "--imu": options.imu}
+    named = {"--fixed-frame": scan.fixed_frame, "--point-time": scan.point_time, "--imu": scan.imu}
     for name, value in named.items():
         if value:
             yield from (name, value)
-    if options.stamp != "header":
-        yield from ("--stamp", options.stamp)
-    asked = options.combining
+    if scan.stamp != "header":
+        yield from ("--stamp", scan.stamp)
+    asked = scan.combining
     times = (("--window", asked.window_ns), ("--accumulate", asked.span_ns), ("--every", asked.every_ns))
     if asked.lead:
         yield from ("--lead", asked.lead)

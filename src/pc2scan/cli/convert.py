@@ -53,11 +53,11 @@ def convert(
     form = scratch.on(output.options(folder=folder, report=reporting.report))
     also_read = conversion.read_files()
     try:
-        options, origins = conversion.options(ros_distro=output.ros_distro)
+        options = conversion.options(ros_distro=output.ros_distro)
         # Now those are known, too, that a launch file names.
         also_read = conversion.read_files()
         if output.each:
-            raise _convert_each(sources, named, options, form, reporting, origins, also_read)
+            raise _convert_each(sources, named, options, form, reporting, also_read)
     except Pc2ScanError as err:
         from pc2scan.pipeline.report import Failure
         from pc2scan.pipeline.run import report_failure
@@ -75,9 +75,7 @@ def convert(
         warn(text)
 
     with progress_bar(enabled=not reporting.quiet) as progress:
-        result = run(
-            sources, named, options, form, origins=origins, also_read=also_read, progress=progress, warn=warned
-        )
+        result = run(sources, named, options, form, also_read=also_read, progress=progress, warn=warned)
     if not reporting.quiet:
         show(result, verbose=reporting.verbose)
     end = conclude(result, verbose=reporting.verbose, shown=shown)
@@ -92,7 +90,6 @@ def _convert_each(
     options: ConvertOptions,
     form: OutputOptions,
     reporting: ReportGroup,
-    origins: Mapping[str, str],
     also_read: Mapping[str, Path],
 ) -> typer.Exit:
     """Convert each recording by itself; return the end of the command, to be raised."""
@@ -107,7 +104,6 @@ def _convert_each(
             sources,
             options,
             form,
-            origins=origins,
             also_read=also_read,
             progress=progress,
             done=partial(show_outcome, verbose=reporting.verbose and not reporting.quiet),

@@ -90,7 +90,7 @@ def export(
     from pc2scan.export.run import ExportOptions, run
     from pc2scan.pipeline.options import destination_and_folder
 
-    options, origins = conversion.options()
+    options = conversion.options()
     named, folder = destination_and_folder(destination)
     place = named or folder
     assert place is not None
@@ -107,7 +107,6 @@ def export(
             options,
             form,
             in_folder=named is None,
-            origins=origins,
             also_read=conversion.read_files(),
             progress=progress,
         )

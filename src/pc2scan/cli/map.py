@@ -84,10 +84,7 @@ def map(  # noqa: A001  # the function of a command has its name
 
     Exit status: 0 done, 1 failed, 2 wrong usage, 3 written, but with scans skipped or from a damaged source.
     """
-    options, _ = conversion.options()
-    if options.scans[1:]:
-        warn(f"only the first of {len(options.scans)} outputs is drawn: {options.scans[0].name}")
-    options = options.first
+    options = conversion.first_output("drawn")
 
     import math
 

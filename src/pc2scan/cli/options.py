@@ -6,12 +6,13 @@ No ``from __future__ import annotations`` here: see `pc2scan.cli.groups.Group`.
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from inspect import Parameter
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin
 
 import typer
 from typer.models import TyperPath
 
-from pc2scan.errors import SeveralNodesError, UsageError
+from pc2scan.errors import UsageError
 from pc2scan.pipeline.parameters import PARAMETERS, Setting, default_in_words
 from pc2scan.pipeline.parameters import Parameter as TableRow
 from pc2scan.pipeline.ros_scalars import plain_scalar
@@ -27,13 +28,9 @@ if TYPE_CHECKING:
 
     from typing_extensions import Self
 
-    from pc2scan.core.unproject import UnprojectParams
     from pc2scan.files.junit import JUnitCase
-    from pc2scan.pipeline.combine.asked import Combining
     from pc2scan.pipeline.options import ConvertOptions
     from pc2scan.pipeline.run import OutputOptions
-    from pc2scan.pipeline.stages.beams import BeamFilter
-    from pc2scan.pipeline.stages.filters import Filter
     from pc2scan.tf.options import FrameOptions
 
 __all__ = [
@@ -53,6 +50,7 @@ __all__ = [
     "length",
     "ros_arguments",
     "share",
+    "typed_words",
 ]
 
 Storage = Literal["mcap", "sqlite3"]
@@ -404,21 +402,6 @@ class PointsGroup(Group):
         ),
     ] = "keep"
 
-    def beam_filters(self) -> "tuple[BeamFilter, ...]":
-        """Return the library's options for beams."""
-        if not self.remove:
-            return ()
-        from pc2scan.pipeline.stages.beams import beam_filter
-
-        return tuple(map(beam_filter, self.remove))
-
-    def filters(self, min_height: float) -> "Iterator[Filter]":
-        """Return the library's options."""
-        from pc2scan.pipeline.stages.texts import filters_from
-
-        slope = self.min_height_slope
-        return filters_from(self.where, self.exclude_box, self.exclude_polygon, slope, min_height, self.ground)
-
 
 class JUnitGroup(Group):
     """Options about JUnit XML."""
@@ -489,24 +472,6 @@ class FramesGroup(Group):
             rich_help_panel=_FRAMES,
         ),
     ] = ""
-
-    def options(self) -> "FrameOptions":
-        """Return the library's options."""
-        from pc2scan.tf.options import FrameOptions, StaticTransform
-
-        static: list[StaticTransform] = []
-        if self.static_tf_file:
-            from pc2scan.tf.static_file import load_static_transforms
-
-            static += load_static_transforms(self.static_tf_file)
-        static += (StaticTransform.parse(text) for text in self.static_tf)
-        return FrameOptions(
-            tf_topics=tuple(self.transforms.tf_topic),
-            tf_from=tuple(self.transforms.tf_from),
-            static=tuple(static),
-            source_frame=self.source_frame,
-            write_static=self.write_static_tf,
-        )
 
 
 class MovingGroup(Group):
@@ -617,14 +582,6 @@ class CombiningGroup(Group):
         ),
     ] = False
 
-    def asked(self) -> "Combining":
-        """Return what is asked for."""
-        from pc2scan.pipeline.combine.asked import Combining
-
-        return Combining.of(
-            lead=self.lead, window=self.window, accumulate=self.accumulate, every=self.every, rebin=self.rebin
-        )
-
 
 class Channel(TextEnum):
     """Channels that laser_geometry can add to a cloud."""
@@ -662,19 +619,6 @@ class ReverseGroup(Group):
             rich_help_panel=_REVERSE,
         ),
     ] = None
-
-    def fields(self) -> "UnprojectParams | None":
-        """Return the options of the clouds' fields; None for the defaults, which load faster."""
-        if not self.channels and self.range_cutoff is None:
-            return None
-        from pc2scan.core.unproject import UnprojectParams
-
-        return UnprojectParams(
-            distances=Channel.distances in self.channels,
-            stamps=Channel.stamps in self.channels,
-            viewpoint=Channel.viewpoint in self.channels,
-            range_cutoff=-1.0 if self.range_cutoff is None else length("--range-cutoff", self.range_cutoff),
-        )
 
 
 class RunGroup(Group):
@@ -774,142 +718,75 @@ class ConversionGroup(Group):
     reverse: ReverseGroup
     running: RunGroup
 
-    #: What other files name, by option; found with the options.
-    files = tuple[tuple[str, Path], ...]()
+    #: The files that were read for the options, by option, once these are known.
+    files = MappingProxyType[str, Path]({})
 
-    def options(self, *, ros_distro: str = "") -> "tuple[ConvertOptions, Mapping[str, str]]":
-        """Return the library's options, and the origin of each parameter.
+    def options(self, *, ros_distro: str = "") -> "ConvertOptions":
+        """Return the library's options; other entries of a parameter file are reported on standard error."""
+        from pc2scan.requests import conversion_of
 
-        Other entries of a parameter file are reported on standard error.
-        """
-        if self.projection.scans is not None:
-            return self._several(self.projection.scans, ros_distro), {}
-        try:
-            return self._of_node(self.projection.node, ros_distro)
-        except SeveralNodesError as err:
-            file = self.projection.params_file
-            if self.reverse.reverse or file is None:
-                raise
-            from pc2scan.pipeline.several_nodes import options_of_nodes, refuse_topics
+        words, origins = typed_words(self)
+        found = conversion_of(words | {"ros_distro": ros_distro}, origins, warn)
+        self.files = MappingProxyType(found.files)
+        return found.options
 
-            refuse_topics(self.topics.topics, err.nodes, file)
-            each = [self._of_node(node, ros_distro, one_of=err.nodes)[0] for node in err.nodes]
-            return options_of_nodes(err.nodes, each, file), {}
-
-    def _of_node(
-        self, node: str | None, ros_distro: str, one_of: tuple[str, ...] = ()
-    ) -> "tuple[ConvertOptions, Mapping[str, str]]":
-        """Return the options of one output, by one node of a parameter file if there is one."""
-        from pc2scan.pipeline.param_sources import resolve_sources
-
-        asked = self.projection
-        resolved = resolve_sources(
-            asked.given.settings,
-            assignments=asked.param,
-            file=asked.params_file,
-            node=node,
-            launch_args=asked.launch_args,
-            preset=asked.preset,
-            reverse=self.reverse.reverse,
-        )
-        self.files = tuple(dict.fromkeys((*self.files, *(("--params-file", path) for path in resolved.files))))
-        for origin in resolved.ignored:
-            warn(f"not a parameter of the projection, ignored: {origin}")
-
-        from pc2scan.pipeline.options import ConvertOptions
-
-        frames = self.frames.options()
-        names = self.topics.topics
-        if asked.remap and names:
-            raise UsageError(
-                "--topic and --remap say the same in two ways; give one of them", hint="--topic /points:=/scan is both"
-            )
-        if asked.remap or resolved.remaps:
-            from dataclasses import replace
-
-            from pc2scan.pipeline.remaps import meant_for, remapped
-
-            typed = [text for text in asked.remap if not text.startswith("__")]
-            if one_of and node is not None:
-                typed = meant_for(typed, node)
-            moved = remapped((*resolved.remaps, *typed), reverse=resolved.reverse)
-            names = names or list(moved.topics)
-            if moved.tf_topics and not frames.tf_topics:
-                frames = replace(frames, tf_topics=moved.tf_topics)
-        options = ConvertOptions.of(
-            origins=resolved.origin,
-            params=resolved.params,
-            reverse=resolved.reverse,
-            channels=self.reverse.fields(),
-            deskew=self.moving.deskew,
-            fixed_frame=self.moving.fixed_frame,
-            point_time=self.moving.point_time,
-            stamp=self.moving.stamp,
-            level=self.moving.level,
-            imu=self.moving.imu,
-            combining=self.combining.asked(),
-            filters=tuple(self.points.filters(resolved.params.min_height)),
-            remove=self.points.beam_filters(),
-            keep_used=self.points.keep_used,
-            frames=frames,
-            topics=names,
-            **self._common(ros_distro),
-        )
-        return options, resolved.origin
-
-    def _common(self, ros_distro: str) -> dict[str, Any]:
-        """What is the same for all outputs."""
-        topics, running = self.topics, self.running
-        return {
-            "keep": topics.keep,
-            "drop": topics.drop,
-            "keep_clouds": topics.keep_clouds,
-            "only_scans": topics.only_scans,
-            "start": topics.start,
-            "end": topics.end,
-            "on_error": running.on_error,
-            "fail_on": running.fail_on or "",
-            "min_used": share(running.min_used),
-            "ros_distro": ros_distro,
-            "jobs": running.jobs,
-            "verify": not running.no_verify,
-            "strict": running.strict,
-        }
-
-    def _several(self, file: Path, ros_distro: str) -> "ConvertOptions":
-        """Return the options of several outputs."""
-        from pc2scan.pipeline.options import ConvertOptions
-        from pc2scan.pipeline.param_assignment import parse_param
-        from pc2scan.pipeline.scans_file import load_scans, refuse_beside
-
-        asked, points, moving, reverse = self.projection, self.points, self.moving, self.reverse
-        others: dict[str, object] = {"topics": self.topics.topics, "remap": asked.remap, "preset": asked.preset}
-        others |= {"params_file": asked.params_file, "node": asked.node, "launch_args": asked.launch_args}
-        others |= {"where": points.where, "exclude_box": points.exclude_box, "exclude_polygon": points.exclude_polygon}
-        others |= {"min_height_slope": points.min_height_slope, "deskew": moving.deskew}
-        others |= {"ground": points.ground != "keep"}
-        others |= {"fixed_frame": moving.fixed_frame, "point_time": moving.point_time}
-        others |= {"keep_used": points.keep_used, "remove": points.remove}
-        others |= {"level": moving.level, "imu": moving.imu}
-        together = self.combining
-        others |= {"lead": together.lead, "window": together.window, "accumulate": together.accumulate}
-        others |= {"every": together.every, "rebin": together.rebin}
-        others |= {"stamp": moving.stamp != "header", "reverse": reverse.reverse, "channels": reverse.channels}
-        others |= {"range_cutoff": reverse.range_cutoff}
-        refuse_beside(others)
-        settings = [*asked.given.settings, *(parse_param(text) for text in reversed(asked.param))]
-        found = load_scans(file, settings)
-        self.files = tuple(("--scans", path) for path in found.files)
-        for origin in found.ignored:
-            warn(f"not a parameter of the projection, ignored: {origin}")
-        return ConvertOptions.of(scans=found.specs, frames=self.frames.options(), **self._common(ros_distro))
+    def first_output(self, verb: str) -> "ConvertOptions":
+        """Return the library's options with one output, and warn that only this is ``verb``."""
+        options = self.options()
+        if options.scans[1:]:
+            warn(f"only the first of {len(options.scans)} outputs is {verb}: {options.scan.name}")
+        return options.with_scan()
 
     def read_files(self) -> dict[str, Path]:
-        """Return the files that were read for the options, by option, without recordings."""
-        named = {"--params-file": self.projection.params_file, "--static-tf-file": self.frames.static_tf_file}
-        named["--scans"] = self.projection.scans
-        further = {f"{path.name} (from {option})": path for option, path in self.files}
-        return {option: path for option, path in named.items() if path is not None} | further
+        """Return the files that are read for the options, by option, without recordings."""
+        named = {"`params_file`": self.projection.params_file, "`static_tf_file`": self.frames.static_tf_file}
+        named["`scans`"] = self.projection.scans
+        return {option: path for option, path in named.items() if path is not None} | dict(self.files)
+
+
+#: Options whose words differ from their names in the groups.
+_NAMES = {"tf_topic": "tf_topics"}
+
+
+def typed_words(*groups: Group) -> tuple[dict[str, Any], dict[str, str]]:
+    """Return the options that have another value than their default, by word, and what was typed for parameters.
+
+    They are words of `pc2scan.requests.conversion_of`.
+    """
+    words: dict[str, Any] = {}
+    origins: dict[str, str] = {}
+    for group in groups:
+        if isinstance(group, ParameterOptions):
+            words |= {setting.name: setting.value for setting in group.settings}
+            origins |= {setting.name: setting.origin for setting in group.settings}
+            continue
+        for name, kind in type(group).__annotations__.items():
+            value = getattr(group, name)
+            if isinstance(value, Group):
+                inner, from_inner = typed_words(value)
+                words |= inner
+                origins |= from_inner
+            elif value not in _defaults(group, name, kind):
+                words[_NAMES.get(name, name)] = _word(name, value)
+    if words.pop("no_verify", False):
+        words["verify"] = False
+    words.pop("ros_args", None)
+    return words, origins
+
+
+def _defaults(group: Group, name: str, kind: object) -> tuple[Any, ...]:
+    is_list = get_origin(get_args(kind)[0]) is list
+    return ([], ()) if is_list else (getattr(type(group), name, None),)
+
+
+def _word(name: str, value: Any) -> Any:
+    if name == "range_cutoff":
+        return length("--range-cutoff", value)
+    if name == "min_used":
+        return share(value)
+    if isinstance(value, list):
+        return tuple(each.value if isinstance(each, TextEnum) else each for each in value)
+    return value
 
 
 class ScratchGroup(Group):

@@ -36,10 +36,7 @@ def plot(
 
     Needs matplotlib: pip install 'pc2scan[plot]'. To tune parameters, `pc2scan view` makes a page.
     """
-    options, _ = conversion.options()
-    if options.scans[1:]:
-        warn(f"only the first of {len(options.scans)} outputs is shown: {options.scans[0].name}")
-    options = options.first
+    options = conversion.first_output("shown")
 
     from pc2scan.look.plot import plot as draw
     from pc2scan.pipeline.options import TimeBound

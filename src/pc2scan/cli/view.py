@@ -49,10 +49,7 @@ def view(
     the page, which projects as `pc2scan convert` does, to the bit, and hands back the command line and parameter files.
     A recording without clouds is shown by its scans.
     """
-    options, _ = conversion.options()
-    if options.scans[1:]:
-        warn(f"only the first of {len(options.scans)} outputs is shown: {options.scans[0].name}")
-    options = options.first
+    options = conversion.first_output("shown")
 
     from pc2scan.look.view import view as write
     from pc2scan.pipeline.options import TimeBound

@@ -21,8 +21,8 @@ from pc2scan.files.overlap import InputPath, OutputPath, refuse_overlap
 from pc2scan.files.staging import staged
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
-from pc2scan.pipeline.options import TopicRequest
 from pc2scan.pipeline.report import Skipped
+from pc2scan.pipeline.scan_spec import TopicRequest
 from pc2scan.streams.clouds import Clouds
 from pc2scan.streams.scans import Scans
 from pc2scan.streams.stream import Selection
@@ -74,7 +74,6 @@ def run(
     form: ExportOptions,
     *,
     in_folder: bool = False,
-    origins: Mapping[str, str] | None = None,
     also_read: Mapping[str, Path] | None = None,
     progress: Progress | None = None,
 ) -> ExportReport:
@@ -92,8 +91,6 @@ def run(
         How they are written.
     in_folder
         Whether ``destination`` is a folder even for a single file.
-    origins
-        Where each parameter comes from.
     also_read
         Files that were read for the options, by option.
     progress
@@ -121,7 +118,7 @@ def run(
         readers = open_recordings(sources, stack, verify=options.verify, strict=options.strict)
         reader = as_one(readers)
         names = _topics([c for c in reader.connections if c.ros_version is not None], written, options, form)
-        stream = _stream(sources, names, written, options, form, origins)
+        stream = _stream(sources, names, written, options, form)
         stack.callback(stream.close)
         folder = _is_folder(destination, stream.topics, written, in_folder=in_folder)
         report = ExportReport([str(source) for source in sources], str(destination), written.name)
@@ -159,10 +156,11 @@ def _check_request(written: Format, options: ConvertOptions, form: ExportOptions
         raise UsageError(
             f"{written.name} needs poses", hint="`pose_frame=odom` takes them from tf, `odom_topic=/odom` from odometry"
         )
+    scan = options.scan
     idle = {
-        "scans": options.scans,
-        "reverse": options.reverse,
-        "keep_used": options.keep_used,
+        "scans": options.scans[1:] or scan.name,
+        "reverse": scan.reverse,
+        "keep_used": scan.keep_used,
         "keep": options.keep,
         "drop": options.drop,
         "keep_clouds": options.keep_clouds,
@@ -182,8 +180,8 @@ def _check_request(written: Format, options: ConvertOptions, form: ExportOptions
             "transforms would have no effect: neither poses nor scans of clouds are asked for",
             hint="`pose_frame=odom` writes poses",
         )
-    options.specs[0].refuse_combining("an export makes")
-    if not form.converting and (options.filters or options.deskew or options.level):
+    scan.refuse_combining("an export makes")
+    if not form.converting and (scan.filters or scan.deskew or scan.level):
         raise UsageError(
             "filters, `deskew` and `level` count only where clouds become scans",
             hint="give parameters: `preset`, `params_file`, or any of them by name, `min_height=-0.3`",
@@ -192,15 +190,16 @@ def _check_request(written: Format, options: ConvertOptions, form: ExportOptions
 
 def _topics(connections: Iterable[Any], written: Format, options: ConvertOptions, form: ExportOptions) -> list[str]:
     """Return the topics to ask for: those that were, or all of the type."""
-    if options.topics:
-        if not form.converting and (renamed := [topic for topic in options.topics if topic.target]):
+    asked = options.scan.topics
+    if asked:
+        if not form.converting and (renamed := [topic for topic in asked if topic.target]):
             raise UsageError(
                 f"{renamed[0].source}:={renamed[0].target} renames a topic, and only scans that are made of clouds "
                 "have a topic of their own",
                 hint=f"`topics={renamed[0].source}`",
             )
-        return [topic.source for topic in options.topics]
-    kinds = options.specs[0].source_types if form.converting else (POINTCLOUD2,) if written.clouds else (LASERSCAN,)
+        return [topic.source for topic in asked]
+    kinds = options.scan.source_types if form.converting else (POINTCLOUD2,) if written.clouds else (LASERSCAN,)
     return sorted({each.topic for each in connections if each.ros_type in kinds})
 
 
@@ -210,7 +209,6 @@ def _stream(
     written: Format,
     options: ConvertOptions,
     form: ExportOptions,
-    origins: Mapping[str, str] | None,
 ) -> Scans | Clouds:
     selection = Selection(
         paths=tuple(sources),
@@ -227,8 +225,8 @@ def _stream(
         return Scans(selection)
     from dataclasses import replace  # noqa: PLC0415  # only where clouds are converted
 
-    topics = options.topics or tuple(map(TopicRequest, names))
-    return Scans(selection, replace(options, topics=topics, only_scans=True), origins)
+    topics = options.scan.topics or tuple(map(TopicRequest, names))
+    return Scans(selection, replace(options.with_scan(topics=topics), only_scans=True))
 
 
 def _is_folder(destination: Path, topics: Sequence[str], written: Format, *, in_folder: bool) -> bool:

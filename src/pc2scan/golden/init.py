@@ -13,7 +13,7 @@ from pc2scan.errors import DestinationError, OutputError, ResultError
 from pc2scan.files.staging import made_folder, staged
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN
-from pc2scan.pipeline.options import ConvertOptions
+from pc2scan.pipeline.options import ConvertOptions, bound_of
 from pc2scan.pipeline.run import OutputOptions, run
 
 from .check import check_case
@@ -87,7 +87,9 @@ def make_case(
         (reader,) = open_recordings([source], stack)
         kept = _kept(reader, topics)
         name = "input.bag" if any(each.ros_version == 1 for each in reader.connections) else "input.mcap"
-        options = ConvertOptions.of(repair=True, start=start, end=end, keep=kept)
+        options = ConvertOptions(
+            repair=True, start=bound_of("start", start), end=bound_of("end", end), keep=tuple(kept)
+        )
         report = run([source], partial / name, options, OutputOptions(), progress=progress)
         if params is not None:
             _copy(params, partial / "params.yaml")

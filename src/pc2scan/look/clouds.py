@@ -65,11 +65,11 @@ def clouds_page(
             f"To keep this page small, 1 of {step} points is shown: counts and ranges are those of the thinned clouds. "
             "Fewer clouds are shown whole."
         )
-    if options.filters:
+    if options.scan.filters:
         notes.append(
             "What filters reject was decided when this page was made: another mount or min_height does not change it."
         )
-    if options.remove:
+    if options.scan.remove:
         notes.append("Beams that `remove` takes away from scans are still shown here.")
     topics: dict[str, list[dict[str, Any]]] = {}
     for number, shot in enumerate(taken.shots):
@@ -91,7 +91,7 @@ def clouds_page(
         "preset": preset,
         "parameters": {name: {"help": PARAMETERS[name].help, "choices": PARAMETERS[name].words} for name in _SHOWN},
         "command": list(command),
-        "targetFrame": options.params.target_frame,
+        "targetFrame": options.scan.params.target_frame,
         "topics": [{"topic": topic, "clouds": clouds} for topic, clouds in topics.items()],
     }
     return description, blobs

@@ -29,7 +29,7 @@ from pc2scan.json_types import json_value
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.names import did_you_mean
-from pc2scan.pipeline.options import TopicRequest
+from pc2scan.pipeline.scan_spec import TopicRequest
 from pc2scan.shown import Shown, duration, listed
 from pc2scan.streams.scans import Scans
 from pc2scan.streams.stream import Selection
@@ -321,8 +321,8 @@ def map_of(
     ResultError
         If no scan has a place, or none has a return.
     """
-    options.specs[0].refuse_combining("a map makes")
-    if options.reverse:
+    options.scan.refuse_combining("a map makes")
+    if options.scan.reverse:
         raise UsageError("`reverse` makes clouds, and a map is made of scans")
     with opened(sources, options) as recording:
         buffer, notes = read_transforms([recording.reader, *recording.others], options.frames)
@@ -350,7 +350,8 @@ def map_of(
 
 def _converts(options: ConvertOptions) -> bool:
     """Whether anything is asked for that makes scans of clouds."""
-    return options.params != ProjectionParams() or bool(options.filters) or options.deskew or options.level
+    scan = options.scan
+    return scan.params != ProjectionParams() or bool(scan.filters) or scan.deskew or scan.level
 
 
 def _topics(reader: Reader, options: ConvertOptions) -> tuple[tuple[TopicRequest, ...], bool]:
@@ -360,7 +361,7 @@ def _topics(reader: Reader, options: ConvertOptions) -> tuple[tuple[TopicRequest
         types.setdefault(connection.topic, set()).add(connection.ros_type)
     scans = [topic for topic, kinds in types.items() if LASERSCAN in kinds]
     clouds = [topic for topic, kinds in types.items() if not kinds.isdisjoint(CLOUDS)]
-    names = [request.source for request in options.topics]
+    names = [request.source for request in options.scan.topics]
     if names:
         converted = any(matches(topic, names) for topic in clouds)
         if converted and any(matches(topic, names) for topic in scans):
@@ -368,7 +369,7 @@ def _topics(reader: Reader, options: ConvertOptions) -> tuple[tuple[TopicRequest
     else:
         converted = bool(clouds) and (_converts(options) or not scans)
     if converted:
-        return options.topics or tuple(map(TopicRequest, sorted(clouds))), True
+        return options.scan.topics or tuple(map(TopicRequest, sorted(clouds))), True
     # Without scans the stream says what there is.
     found = [topic for name in names for topic in find_topics(name, types, scans, LASERSCAN)] or sorted(scans)
     return tuple(map(TopicRequest, dict.fromkeys(found))), False
@@ -385,8 +386,10 @@ def _stream(
         verify=options.verify,
         strict=options.strict,
     )
-    changes: dict[str, Any] = {"topics": topics, "only_scans": True, "keep": (), "keep_clouds": False}
-    return Scans(selection, replace(options, **changes) if converted else None)
+    if not converted:
+        return Scans(selection)
+    scans_alone = replace(options, only_scans=True, keep=(), keep_clouds=False)
+    return Scans(selection, scans_alone.with_scan(topics=topics))
 
 
 def _scans_are(number: int) -> str:
@@ -448,7 +451,7 @@ class _Drawn:
         self.skipped[key] += 1
 
     def _pose(self, frame: str, stamp_ns: int) -> Rigid:
-        tolerance_ns = round(self.options.params.transform_tolerance * 1e9)
+        tolerance_ns = round(self.options.scan.params.transform_tolerance * 1e9)
         return self.buffer.lookup(self.asked.odom_frame, frame, stamp_ns, tolerance_ns)
 
     def _end(self, scan: Scan) -> Rigid | None:

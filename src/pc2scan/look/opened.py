@@ -67,7 +67,7 @@ def _transforms(readers: Sequence[Reader], options: ConvertOptions) -> Transform
     try:
         buffer, _ = read_transforms(readers, options.frames)
     except UsageError:
-        if options.specs[0].needs_transforms:
+        if options.scan.needs_transforms:
             raise
         return None
     return buffer

@@ -93,7 +93,7 @@ def scans_page(
     for together in messages:
         layers: list[dict[str, Any]] = []
         stamps: list[int] = []
-        common = options.params.target_frame
+        common = options.scan.params.target_frame
         for number, topic in enumerate(topics):
             message = together.get(topic)
             if message is None:

@@ -120,15 +120,15 @@ def take_shots(
         if route.targets:
             topics.setdefault(route.connection.topic, []).append(route.connection)
     frames = _frames(buffer, options, None if others is None else [reader, *others])
-    params, notes = options.params, list[str]()
-    spec = options.specs[0]
+    spec = options.scan
+    params, notes = spec.params, list[str]()
     if spec.combining.rebin:
         spec.refuse_combining("pages and figures make")
     if spec.may_combine:
         notes.append("Clouds are shown one by one; only a conversion makes one scan of several.")
-    if options.deskew:
+    if spec.deskew:
         notes.append("Clouds are deskewed, as if all points had been measured at the scan's time.")
-    if options.level and frames.up is None:
+    if spec.level and frames.up is None:
         notes.append("Clouds are shown as recorded; only a conversion makes scans level.")
     deskew = _deskew(options, frames._replace(target_frame="", up=None))
     if params.beams == "auto":
@@ -151,8 +151,8 @@ def take_shots(
 
 def _frames(buffer: TransformBuffer | None, options: ConvertOptions, levelled: Sequence[Reader] | None) -> Frames:
     """Where clouds go; into level frames only if there is where to learn which way is up."""
-    params, asked = options.params, options.frames
-    spec = options.specs[0]
+    spec, asked = options.scan, options.frames
+    params = spec.params
     if buffer is None or not spec.needs_transforms:
         return Frames(source_frame=asked.source_frame)
     tolerance_ns = round(params.transform_tolerance * 1e9)
@@ -167,10 +167,10 @@ def _at_measured_resolution(
 ) -> tuple[ProjectionParams, str]:
     """The parameters with as many beams as the first topic's lidar has, and what is said about it."""
     first, connections = next(iter(topics.items()))
-    only_beams = replace(options.params, scan_time=0.0, time_increment=0.0, intensity_field="")
+    only_beams = replace(options.scan.params, scan_time=0.0, time_increment=0.0, intensity_field="")
     measured, _ = measure(reader, connections, ScanSpec(params=only_beams), frames)
     step = measured[first].azimuth_step
-    params = options.params.at_resolution(step) if step else replace(options.params, beams=0)
+    params = options.scan.params.at_resolution(step) if step else replace(options.scan.params, beams=0)
     degrees = math.degrees(params.layout.angle_increment)
     return params, f"Beams, measured on {first}: {params.length}, by {degrees:.4g} deg."
 
@@ -196,10 +196,10 @@ def _messages(
 
 def _deskew(options: ConvertOptions, frames: Frames) -> Deskew | None:
     """What deskews clouds into the target frame, or without one into their own."""
-    if not options.deskew:
+    if not options.scan.deskew:
         return None
-    where = PointTime.parse(options.point_time) if options.point_time else PointTime()
-    return Deskew(frames, options.fixed_frame, where, options.stamp)
+    where = PointTime.parse(options.scan.point_time) if options.scan.point_time else PointTime()
+    return Deskew(frames, options.scan.fixed_frame, where, options.scan.stamp)
 
 
 def _shot(message: RawMessage, options: ConvertOptions, frames: Frames, deskew: Deskew | None) -> Shot:
@@ -223,7 +223,7 @@ def _shot(message: RawMessage, options: ConvertOptions, frames: Frames, deskew: 
 
 def _filtered(points: Points, place: Placement, options: ConvertOptions, frames: Frames) -> NDArray[np.uint8] | None:
     """Which points the filters reject, and of deskewed clouds those that have no place."""
-    if not options.filters:
+    if not options.scan.filters:
         return None
     deskew = _deskew(options, frames)
     moving = None if deskew is None else deskew(points)
@@ -231,7 +231,7 @@ def _filtered(points: Points, place: Placement, options: ConvertOptions, frames:
     shape = points.xyz()[0].shape
     numbers = np.arange(math.prod(shape)).reshape(shape)
     numbered = replace(points, fields={**points.fields, _NUMBER: numbers})
-    kept = Select(options.filters, frames).apply(numbered, place, moving).points.field(_NUMBER)
+    kept = Select(options.scan.filters, frames).apply(numbered, place, moving).points.field(_NUMBER)
     filtered = np.ones(numbers.size, np.uint8)
     filtered[kept.reshape(-1)] = 0
     return filtered

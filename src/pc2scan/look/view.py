@@ -143,11 +143,11 @@ def page_of(
     with opened(sources, options) as recording:
         reader, _, buffer = recording
         at_ns = recording.log_times(at)
-        if any(connection.ros_type in CLOUDS for connection in reader.connections) and not options.reverse:
+        if any(connection.ros_type in CLOUDS for connection in reader.connections) and not options.scan.reverse:
             taken = take_shots(reader, buffer, options, count=clouds, at_ns=at_ns)
             described, blobs = clouds_page(taken, buffer, options, preset=preset, command=command)
         else:
-            asked = [request.source for request in options.topics]
+            asked = [request.source for request in options.scan.topics]
             described, blobs = scans_page(
                 reader, scan_connections(reader, asked), buffer, options, count=clouds, at_ns=at_ns
             )

@@ -88,7 +88,6 @@ def run_each(
     options: ConvertOptions,
     output: OutputOptions,
     *,
-    origins: Mapping[str, str] | None = None,
     also_read: Mapping[str, Path] | None = None,
     progress: Progress | None = None,
     done: Callable[[Outcome], None] | None = None,
@@ -139,7 +138,6 @@ def run_each(
                         None,
                         options,
                         output._replace(report=None),
-                        origins=origins,
                         also_read=also_read,
                         progress=progress,
                     )

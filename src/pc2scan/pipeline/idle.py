@@ -54,7 +54,7 @@ def doubts(options: ConvertOptions) -> list[str]:
     Only parameters that are given as options are checked, because a parameter file usually lists all parameters.
     """
     found: list[str] = []
-    for spec in options.specs:
+    for spec in options.scans:
         label = f"{spec.name}: " if spec.name else ""
         given = {name for name, origin in spec.origins.items() if from_option(origin)}
         doubtful = (*_frames(options, spec, given), *_combining(spec), *_returns(spec, given), *_angles(spec))

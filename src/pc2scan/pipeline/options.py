@@ -5,33 +5,24 @@ from __future__ import annotations
 import math
 import os
 import re
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, replace
 from datetime import datetime, timedelta, timezone
 from numbers import Integral, Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
 
-from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import UsageError
 from pc2scan.tf.options import FrameOptions
 
-from .combine.asked import Combining
-from .scan_spec import ScanSpec, TopicRequest
+from .scan_spec import ScanSpec
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
     import numpy as np
-
-    from pc2scan.core.unproject import UnprojectParams
-
-    from .stages.beams import BeamFilter
-    from .stages.filters import Filter
 
     #: What a time may be given as; see `TimeBound.of`.
     Time: TypeAlias = str | float | datetime | timedelta | np.datetime64 | np.timedelta64 | np.number[Any]
 
-__all__ = ["ConvertOptions", "TimeBound", "TopicRequest", "destination_and_folder"]
+__all__ = ["ConvertOptions", "TimeBound", "bound_of", "destination_and_folder"]
 
 #: Numbers from here on are points in time, not seconds from the beginning: no recording lasts three years.
 _ABSOLUTE_SECONDS = 100_000_000
@@ -193,8 +184,8 @@ def _nanoseconds(since: timedelta) -> int:
     return (since.days * 86400 + since.seconds) * 1_000_000_000 + since.microseconds * 1000
 
 
-def _bound(name: str, time: Time | None) -> TimeBound | None:
-    """Read one end of a cut; an error says which."""
+def bound_of(name: str, time: Time | None) -> TimeBound | None:
+    """Read ``start`` or ``end``; an error names it."""
     try:
         return None if time is None else TimeBound.of(time)
     except UsageError as err:
@@ -219,15 +210,12 @@ def destination_and_folder(text: str | None) -> tuple[Path | None, Path | None]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ConvertOptions:
-    """Everything that `pc2scan.convert` can be told, checked.
+    """What a conversion is asked to do, checked: its outputs, and what is the same for all of them.
 
     Attributes
     ----------
     scans
-        The outputs; empty: only one, as the next attributes describe it.
-    topics, origins, params, reverse, channels, deskew, fixed_frame, point_time, stamp, combining, filters,
-    remove, keep_used, output_type
-        See `ScanSpec`. They do not count where there are ``scans``.
+        The outputs; nearly always there is only one.
     frames
         Where transforms come from.
     keep_clouds
@@ -259,23 +247,7 @@ class ConvertOptions:
         Convert nothing: everything passes through as it is, byte for byte.
     """
 
-    scans: tuple[ScanSpec, ...] = ()
-    topics: tuple[TopicRequest, ...] = ()
-    origins: Mapping[str, str] = field(default_factory=dict)
-    params: ProjectionParams = ProjectionParams()
-    reverse: bool = False
-    channels: UnprojectParams | None = None
-    deskew: bool = False
-    fixed_frame: str = ""
-    point_time: str = ""
-    stamp: str = "header"
-    level: bool = False
-    imu: str = ""
-    combining: Combining = Combining()
-    filters: tuple[Filter, ...] = ()
-    remove: tuple[BeamFilter, ...] = ()
-    keep_used: str = ""
-    output_type: str = ""
+    scans: tuple[ScanSpec, ...] = (ScanSpec(),)
     frames: FrameOptions = FrameOptions()
     keep_clouds: bool = False
     only_scans: bool = False
@@ -304,67 +276,12 @@ class ConvertOptions:
             raise UsageError(f"jobs is {self.jobs}, it must not be negative")
         if self.only_scans and (self.keep or self.keep_clouds):
             raise UsageError("`only_scans` leaves out what `keep` and `keep_clouds` ask for")
-        # Whatever cannot be is noticed here.
-        self.specs  # noqa: B018  # a property that checks
-
-    @classmethod
-    def of(
-        cls,
-        *,
-        topics: Iterable[str] = (),
-        keep: Iterable[str] = (),
-        drop: Iterable[str] = (),
-        start: Time | None = None,
-        end: Time | None = None,
-        **others: Any,
-    ) -> ConvertOptions:
-        """Read what a user writes; ``others`` are attributes as they are.
-
-        Raises
-        ------
-        UsageError
-            If a topic or a time cannot be read, or options contradict each other.
-        """
-        return cls(
-            topics=tuple(TopicRequest.parse(topic) for topic in topics),
-            keep=tuple(keep),
-            drop=tuple(drop),
-            start=_bound("start", start),
-            end=_bound("end", end),
-            **others,
-        )
 
     @property
-    def specs(self) -> tuple[ScanSpec, ...]:
-        """The outputs: ``scans``, or else the only one, which the other attributes describe."""
-        if self.scans:
-            return self.scans
-        return (
-            ScanSpec(
-                topics=self.topics,
-                origins=self.origins,
-                params=self.params,
-                reverse=self.reverse,
-                channels=self.channels,
-                deskew=self.deskew,
-                fixed_frame=self.fixed_frame,
-                point_time=self.point_time,
-                stamp=self.stamp,
-                level=self.level,
-                imu=self.imu,
-                combining=self.combining,
-                filters=self.filters,
-                remove=self.remove,
-                keep_used=self.keep_used,
-                output_type=self.output_type,
-            ),
-        )
+    def scan(self) -> ScanSpec:
+        """The first output."""
+        return self.scans[0]
 
-    @property
-    def first(self) -> ConvertOptions:
-        """The same with the first output alone."""
-        spec = self.specs[0]
-        if not self.scans:
-            return self
-        own = {each.name: getattr(spec, each.name) for each in fields(spec) if each.name not in {"name", "place"}}
-        return replace(self, scans=(), **own)
+    def with_scan(self, **changes: Any) -> ConvertOptions:
+        """Return the same with only the first output, changed."""
+        return replace(self, scans=(replace(self.scan, **changes),))

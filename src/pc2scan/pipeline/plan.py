@@ -106,7 +106,7 @@ def make_plan(connections: Sequence[Connection], options: ConvertOptions) -> Pla
         If there is nothing to convert, a requested topic is missing or of another type, or an output topic
         already exists in the source.
     """
-    specs = () if options.repair else options.specs
+    specs = () if options.repair else options.scans
     targets = {spec: _placed_targets(connections, spec, options) for spec in specs}
     types = _types_by_topic(connections)
     combined = {spec: _combinations(spec, found, types, options) for spec, found in targets.items()}

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from pc2scan.errors import UsageError
 from pc2scan.names import did_you_mean
 
-from .options import TopicRequest
+from .scan_spec import TopicRequest
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

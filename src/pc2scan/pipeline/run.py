@@ -161,7 +161,6 @@ def run(
     options: ConvertOptions,
     output: OutputOptions,
     *,
-    origins: Mapping[str, str] | None = None,
     also_read: Mapping[str, Path] | None = None,
     progress: Progress | None = None,
     warn: Callable[[str], None] | None = None,
@@ -170,8 +169,6 @@ def run(
 
     Parameters
     ----------
-    origins
-        The origin of each parameter, for the report.
     also_read
         Files that were read for the request, by option: the destination must not overwrite them.
     warn
@@ -182,15 +179,10 @@ def run(
     if any(map(is_url, (*sources, *options.frames.tf_from, destination, output.folder, output.report))):
         if is_url(output.report):
             raise UsageError("`report` must be a local file", hint="such as `report=report.json`")
-        return _run_at_urls(
-            sources, destination, options, output, origins=origins, also_read=also_read, progress=progress, warn=warn
-        )
+        return _run_at_urls(sources, destination, options, output, also_read=also_read, progress=progress, warn=warn)
     if output.scratch is not None or output.scratch_size is not None:
         raise UsageError("`scratch` and `scratch_size` have no effect: no source and no destination is a URL")
     began = time.monotonic()
-    # `options.specs` creates the outputs; they are compared by identity from here on.
-    options = replace(options, origins=dict(origins or options.origins))
-    options = replace(options, scans=options.specs)
     report = Report([str(source) for source in sources], str(destination or ""), options.scans)
     report.source_frame = options.frames.source_frame
     with ExitStack() as stack:
@@ -213,7 +205,6 @@ def _run_at_urls(
     options: ConvertOptions,
     output: OutputOptions,
     *,
-    origins: Mapping[str, str] | None,
     also_read: Mapping[str, Path] | None,
     progress: Progress | None,
     warn: Callable[[str], None] | None,
@@ -241,7 +232,6 @@ def _run_at_urls(
                     here.destination,
                     replace(options, frames=replace(options.frames, tf_from=tuple(here.tf_from))),
                     output._replace(folder=here.folder, report=None, scratch=None, scratch_size=None),
-                    origins=origins,
                     also_read=also_read,
                     progress=progress if here.limit is None else here.limit.watching(progress),
                     warn=None if warn is None else lambda text: warn(here.names.text(text)),

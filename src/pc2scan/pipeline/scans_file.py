@@ -361,26 +361,17 @@ def _found(entry: _Entry) -> str:
     return "a mapping" if isinstance(entry.value, dict) else shown(entry.value)
 
 
-def refuse_beside(others: Mapping[str, object]) -> None:
-    """Raise if an argument is given beside ``scans`` that only the file may have.
-
-    Parameters
-    ----------
-    others
-        Such arguments by name; None, False and empty values count as not given.
+def refuse_beside(names: Sequence[str]) -> None:
+    """Raise if arguments are given beside ``scans`` that only the file may have.
 
     Raises
     ------
     UsageError
-        If one is given.
+        If there are any.
     """
-    given = [
-        f"`{name}`"
-        for name, value in others.items()
-        if value is not None and value is not False and not (isinstance(value, str | list | tuple) and not value)
-    ]
-    if given:
+    if names:
+        given = ", ".join(f"`{name}`" for name in names)
         raise UsageError(
-            f"{', '.join(given)} cannot be given beside `scans`, which has it for each output",
+            f"{given} cannot be given beside `scans`, which has it for each output",
             hint="write it under 'defaults' there, to have it for all; only parameters of the projection may be given",
         )

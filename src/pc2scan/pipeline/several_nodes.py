@@ -52,14 +52,14 @@ def options_of_nodes(nodes: Sequence[str], options: Sequence[ConvertOptions], fi
         A node without a topic for its scans publishes ``scan`` in its namespace; if several nodes would do this, below
         its own name. A node without a source reads the only topic with clouds.
     """
-    requests = [next(iter(each.specs[0].topics), TopicRequest("*")) for each in options]
+    requests = [next(iter(each.scan.topics), TopicRequest("*")) for each in options]
     usual = [f"{node.rpartition('/')[0]}/scan" for node in nodes]
     targets = [
         request.target or (own if usual.count(own) == 1 else f"{node}/scan")
         for node, request, own in zip(nodes, requests, usual, strict=True)
     ]
     specs = [
-        _renamed(each.specs[0], target, f"{file}, {node}", request.source)
+        _renamed(each.scan, target, f"{file}, {node}", request.source)
         for node, each, target, request in zip(nodes, options, targets, requests, strict=True)
     ]
     moved = dict.fromkeys(topic for each in options for topic in each.frames.tf_topics)

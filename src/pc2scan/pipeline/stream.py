@@ -129,7 +129,7 @@ def _outcomes(
 ) -> Generator[_Outcome | StoredChunk]:
     """Return the results of the messages in the cut, after those of latched messages from before it."""
     work = partial(_outcome_or_later, routes)
-    window = min((spec.params.queue_size for spec in options.specs if spec.params.queue_size), default=None)
+    window = min((spec.params.queue_size for spec in options.scans if spec.params.queue_size), default=None)
     for units in _cut(reader, routes, span, rule):
         yield from schedule(units, work, pool, window=window, path=reader.path)
 

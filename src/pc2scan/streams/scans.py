@@ -23,7 +23,7 @@ from .stream import Read, Source, Stream
 from .times import datetime64
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Sequence
     from contextlib import ExitStack
 
     from numpy.typing import NDArray
@@ -195,10 +195,8 @@ class Scans(Stream[Scan]):
         self,
         selection: Selection,
         conversion: ConvertOptions | None = None,
-        origins: Mapping[str, str] | None = None,
     ) -> None:
         self._conversion = conversion
-        self._origins = origins or {}
         self.notes: tuple[str, ...] = ()
         super().__init__(selection)
 
@@ -213,10 +211,10 @@ class Scans(Stream[Scan]):
 
     def _converting(self, stack: ExitStack, reader: Reader, options: ConvertOptions) -> Source:
         """Convert clouds as `pc2scan.convert` does."""
-        if not options.topics:
+        if not options.scan.topics:
             # The only one, or an error.
-            self._selection.chosen(reader, options.specs[0].source_types, _scans_instead)
-        plan = make_plan(reader.connections, replace(options, origins=self._origins))
+            self._selection.chosen(reader, options.scan.source_types, _scans_instead)
+        plan = make_plan(reader.connections, options)
         span = span_of(reader, options)
         sources = [str(path) for path in self._selection.paths]
         report = Report(sources, "", plan.specs)

@@ -15,7 +15,7 @@ from pc2scan.errors import DecodeError, TransformError, UsageError
 from pc2scan.messages.laserscan import decode_laserscan
 from pc2scan.messages.pointcloud2 import PointField, encode_pointcloud2
 from pc2scan.pipeline.cloud_to_scan import CloudToScan
-from pc2scan.pipeline.options import ConvertOptions
+from pc2scan.pipeline.scan_spec import ScanSpec
 from pc2scan.pipeline.stages.deskew import Deskew, Moving, PointTime
 from pc2scan.pipeline.stages.regions import ExcludeBox
 from pc2scan.tf.builder import TransformBuilder
@@ -289,5 +289,5 @@ def test_what_is_fixed_to_the_robot_stays_where_it_is() -> None:
 )
 def test_options_that_contradict_each_other(options: dict[str, Any], what: str) -> None:
     with pytest.raises(UsageError) as caught:
-        ConvertOptions(**options)
+        ScanSpec(**options)
     assert what in caught.value.message
