@@ -320,7 +320,7 @@ def test_a_source_is_never_the_destination(mcap: Path) -> None:
         ({"where": "x > 3"}, "count only where clouds become scans"),
         ({"deskew": True, "fixed_frame": "odom"}, "count only where clouds become scans"),
         ({"topics": ["/scan:=/a", "/front:=/a"]}, "each scan of one cloud"),
-        ({"node": "a"}, "`params_file`"),
+        ({"node": "a"}, "`node` chooses a section of a parameter file, and none is given"),
         ({"min_height": 0.1}, "no PointCloud2 topic"),
     ],
 )
