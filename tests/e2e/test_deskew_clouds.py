@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from e2e.command import run
+from moving_world import Lidar, write_world
 from pc2scan.bags.opening import open_recording
 from pc2scan.messages.laserscan import LaserScan, decode_laserscan
 from support import ROOT
@@ -82,7 +83,11 @@ def test_where_nothing_moves_deskewing_changes_nothing_but_the_last_bits(tmp_pat
             ["--deskew", "--fixed-frame", "odom", "--point-time", "rnig:s"],
             "--point-time is 'rnig:s', which the clouds",
         ),
-        (["--deskew", "--fixed-frame", "odom", "--point-time", "azimuth"], "need the time of a turn, at most 60 s"),
+        (["--deskew", "--fixed-frame", "odom", "--point-time", "azimuth:fast"], "'fast' is not the time of a turn"),
+        (
+            ["--deskew", "--fixed-frame", "odom", "--point-time", "azimuth", "--end", "0.25"],
+            "there are 3 different stamps in the first 3 clouds, at least 4 are needed",
+        ),
         (["--deskew", "--fixed-frame", "odom", "--point-time", "time:h"], "it must be a field, or a field and a unit"),
     ],
 )
@@ -91,6 +96,39 @@ def test_what_cannot_be_is_wrong_usage(tmp_path: Path, options: list[str], said:
     assert done.status == 2
     assert said in " ".join(done.stderr.split())
     assert not scans
+
+
+def test_the_turn_of_a_lidar_is_measured(tmp_path: Path) -> None:
+    moved = ("--deskew", "--fixed-frame", "odom")
+    _, timed, _ = converted(tmp_path, *moved)
+    done, scans, report = converted(tmp_path, *moved, "--point-time", "azimuth")
+    (note,) = (note for note in report["notes"] if "azimuth" in note)
+    assert "one turn takes 0.1 s, clockwise, and the stamp is that of the last point; measured: the period" in note
+    assert note in " ".join(done.stdout.split())
+    # Of the first cloud only the last point has a transform, where its azimuth gives it the time of the stamp.
+    assert len(scans[1:]) == len(timed) == 4
+    for one, other in zip(scans[1:], timed, strict=True):
+        both = np.isfinite(one.ranges) & np.isfinite(other.ranges)
+        assert both.sum() > 200
+        assert np.mean(np.abs(one.ranges[both] - other.ranges[both]) < 1e-3) > 0.98
+    measured = (tmp_path / "b.mcap").read_bytes()
+    converted(tmp_path, *moved, "--point-time", "azimuth:0.1:cw:end")
+    assert (tmp_path / "b.mcap").read_bytes() == measured
+    converted(tmp_path, *moved, "--point-time", "azimuth:start")
+    assert (tmp_path / "b.mcap").read_bytes() != measured
+
+
+def test_what_a_lidar_turns_like_is_to_be_typed_where_clouds_do_not_tell(tmp_path: Path) -> None:
+    world = write_world(tmp_path / "w.mcap", [Lidar()], seconds=1.0)
+    words = ("convert", world, "-o", tmp_path / "out.mcap", "--deskew", "--fixed-frame", "odom", "--point-time")
+    done = run(*words, "azimuth")
+    assert done.status == 2
+    assert not (tmp_path / "out.mcap").exists()
+    said = " ".join(done.stderr.split())
+    assert "/points" in said
+    assert "logged 0.1019 s after their stamps, which does not tell whether the stamp is the time of the first" in said
+    assert "--point-time azimuth:0.1:ccw:start" in said
+    assert run(*words, "azimuth:start").status in (0, 3)
 
 
 def test_times_of_no_sense_skip_the_clouds_and_say_why(tmp_path: Path) -> None:

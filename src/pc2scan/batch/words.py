@@ -76,7 +76,9 @@ WORDS: dict[str, Word] = {
     "source_frame": Word("text", "Frame of the messages to convert, if their own frame_id is wrong or empty."),
     "deskew": Word("flag", "Transform each point of a cloud by the pose at its own time, through fixed_frame."),
     "fixed_frame": Word("text", "A frame that does not move, such as odom."),
-    "point_time": Word("text", "Field with the times of points, and its unit: t:ns."),
+    "point_time": Word(
+        "text", "Field with the times of points, and its unit: t or t:ns; or azimuth, or azimuth:0.1:cw:end."
+    ),
     "stamp": Word("text", "The time of a deskewed scan.", ("header", "start", "middle", "end")),
     "lead": Word("text", "Of topics that become one scan, the one whose stamps it has. Default: the first."),
     "window": Word("value", "Stamps of the others may be so far from it. Default: half the median period."),

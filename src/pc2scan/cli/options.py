@@ -501,7 +501,8 @@ class MovingGroup(Group):
         typer.Option(
             metavar="FIELD[:UNIT]",
             help="Field with the times of points, from the stamp on or absolute; unit: s, ms, us, ns. Without any: "
-            "azimuth:0.1, the time of a turn, and :cw or :ccw, :start or :end (of the turn, the stamp's time).  "
+            "azimuth, which measures how the lidar turns, or azimuth:0.1, the time of a turn, and :cw or :ccw, :start "
+            "or :end (of the turn, the stamp's time).  "
             "[default: t, time, timestamp, time_stamp or offset_time]",
             show_default=False,
             rich_help_panel=_MOVING,

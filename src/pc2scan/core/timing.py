@@ -56,7 +56,7 @@ _STRAIGHT = 0.1
 #: The largest angle between consecutive points, radians; how many turns determine a direction; and the number of turns
 #: from which on points are stored ring by ring.
 _NEXT = 0.2
-_LEAST_TURN = 0.05
+LEAST_TURN = 0.05
 _ONE_TURN = 1.5
 
 #: How far the two ends of a turn may overlap, radians, for the same reason.
@@ -158,11 +158,9 @@ def azimuth_times(x: NDArray[Any], y: NDArray[Any], period: float, direction: in
     if not places.size:
         return times.reshape(x.shape)
     known = angles[places]
-    steps = np.remainder(np.diff(known) + math.pi, TURN) - math.pi
-    near = np.abs(steps) < _NEXT
-    turns = float(steps[near].sum()) / TURN
+    near, turns = turned(known)
     if not direction:
-        if near.mean() < 0.5 or abs(turns) < _LEAST_TURN:
+        if near < 0.5 or abs(turns) < LEAST_TURN:
             return None
         direction = 1 if turns > 0 else -1
     share = np.remainder((known - known[0]) * direction, TURN) / TURN
@@ -173,6 +171,27 @@ def azimuth_times(x: NDArray[Any], y: NDArray[Any], period: float, direction: in
         share += np.round(places / angles.size * abs(turns) - share)
     times[places] = share * period
     return times.reshape(x.shape)
+
+
+def turned(angles: NDArray[np.float64]) -> tuple[float, float]:
+    """How points go round in their order.
+
+    Parameters
+    ----------
+    angles
+        (M,) the directions of points, radians.
+
+    Returns
+    -------
+    (float, float)
+        The share of steps from one to the next that are small, and the turns that these add up to, positive
+        counter-clockwise.
+    """
+    if angles.size < 2:
+        return 0.0, 0.0
+    steps = np.remainder(np.diff(angles) + math.pi, TURN) - math.pi
+    near = np.abs(steps) < _NEXT
+    return float(near.mean()), float(steps[near].sum()) / TURN
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,6 +19,7 @@ from pc2scan.pipeline.report import Report
 from pc2scan.pipeline.scan_spec import ScanSpec
 from pc2scan.pipeline.stages.deskew import Deskew, PointTime
 from pc2scan.pipeline.stages.select import Select
+from pc2scan.pipeline.turning import measured_turns
 from pc2scan.tf.placing import Frames
 
 from .moments import moment, spread
@@ -130,7 +131,7 @@ def take_shots(
         notes.append("Clouds are deskewed, as if all points had been measured at the scan's time.")
     if spec.level and frames.up is None:
         notes.append("Clouds are shown as recorded; only a conversion makes scans level.")
-    deskew = _deskew(options, frames._replace(target_frame="", up=None))
+    deskew = _deskew(reader, topics, options, frames._replace(target_frame="", up=None))
     if params.beams == "auto":
         params, note = _at_measured_resolution(reader, topics, options, frames)
         notes.append(note)
@@ -194,17 +195,23 @@ def _messages(
                 yield message
 
 
-def _deskew(options: ConvertOptions, frames: Frames) -> Deskew | None:
+def _deskew(
+    reader: Reader, topics: Mapping[str, Sequence[Connection]], options: ConvertOptions, frames: Frames
+) -> Deskew | None:
     """What deskews clouds into the target frame, or without one into their own."""
     if not options.scan.deskew:
         return None
-    where = PointTime.parse(options.scan.point_time) if options.scan.point_time else PointTime()
-    return Deskew(frames, options.scan.fixed_frame, where, options.scan.stamp)
+    asked = options.scan
+    where = PointTime.parse(asked.point_time) if asked.point_time else PointTime()
+    connections = [each for found in topics.values() for each in found]
+    turns, _ = measured_turns(reader, connections, asked.point_time)
+    return Deskew(frames, asked.fixed_frame, where, asked.stamp, turns)
 
 
 def _shot(message: RawMessage, options: ConvertOptions, frames: Frames, deskew: Deskew | None) -> Shot:
     connection = message.connection
     points = CLOUDS[connection.ros_type](connection.serialization)(message.data)
+    deskew = None if deskew is None else deskew.of(connection.topic)
     moving = None if deskew is None else deskew(points)
     stamp_ns, xyz = points.stamp_ns, points.xyz()
     if moving is not None:
@@ -217,15 +224,16 @@ def _shot(message: RawMessage, options: ConvertOptions, frames: Frames, deskew: 
         options.frames.source_frame or points.frame_id,
         place,
         _columns(points, xyz),
-        _filtered(points, place, options, frames),
+        _filtered(points, place, options, frames, None if deskew is None else deskew.within(frames)),
     )
 
 
-def _filtered(points: Points, place: Placement, options: ConvertOptions, frames: Frames) -> NDArray[np.uint8] | None:
+def _filtered(
+    points: Points, place: Placement, options: ConvertOptions, frames: Frames, deskew: Deskew | None
+) -> NDArray[np.uint8] | None:
     """Which points the filters reject, and of deskewed clouds those that have no place."""
     if not options.scan.filters:
         return None
-    deskew = _deskew(options, frames)
     moving = None if deskew is None else deskew(points)
     points = points if moving is None else moving.points
     shape = points.xyz()[0].shape

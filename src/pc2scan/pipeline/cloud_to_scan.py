@@ -136,7 +136,7 @@ class CloudToScan(Conversion):
         firsts = None if self._first_clouds is None else self._first_clouds(topic)
         project = partial(self._scan, measured, beams, firsts)
         select = () if self._select is None else (self._select,)
-        return (self._place, *select, project, *self._remove)
+        return (self._place.of(topic), *select, project, *self._remove)
 
     def _scan(self, timing: Measured, beams: _Beams, firsts: TopicClouds | None, placed: Placed) -> Result:
         scan = self._projected(placed, beams.project)

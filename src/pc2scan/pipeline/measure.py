@@ -94,11 +94,12 @@ def measure(
                 continue
         first.require_fields(topic, spec)
         if spec.point_time.partition(":")[0] == "azimuth":
-            from .stages.deskew import PointTime  # noqa: PLC0415  # only with deskewing
+            from .stages.turn import Turn  # noqa: PLC0415  # only with deskewing
 
-            notes.append(
-                f"{topic}: the times of points are computed from their azimuth: {PointTime.parse(spec.point_time).turn}"
-            )
+            # What is not given is measured later, with a note of its own.
+            turn = Turn.parse(spec.point_time)
+            if turn.period:
+                notes.append(f"{topic}: the times of points are computed from their azimuth: {turn}")
         timings[topic] = first.timing(topic, notes)
     return timings, notes
 
@@ -187,7 +188,7 @@ class _FirstClouds:
                 f"the clouds on {topic} have no times of their points: no field {', '.join(TIME_FIELDS)}",
                 name="point_time",
                 hint="name the field that has them: `point_time=FIELD`; of a lidar that turns once in 0.1 s: "
-                f"`point_time=azimuth:0.1`; {there}",
+                f"`point_time=azimuth:0.1`, or `point_time=azimuth` to measure it; {there}",
             )
 
     def timing(self, topic: str, notes: list[str]) -> Measured:

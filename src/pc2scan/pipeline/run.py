@@ -84,6 +84,7 @@ if TYPE_CHECKING:
     from .plan import Combination, Plan
     from .scan_spec import ScanSpec
     from .stages.deskew import Deskew
+    from .stages.turn import Turn
 
 __all__ = ["OutputOptions", "Progress", "prepared", "report_failure", "report_file", "run", "scratch_bytes", "span_of"]
 
@@ -598,8 +599,10 @@ def prepared(
         for combination in combined:
             conversions[combination] = _combined(reader, plan, combination, frames, span, report, firsts)
         if not combined or any(task.key is spec for route in plan.routes for task in route.tasks):
-            timings = _measured(reader, plan, spec, frames, span, report) if spec.needs_measuring else None
-            conversions[spec] = _to_scans(spec, frames, timings, firsts)
+            converted = [route.connection for route in plan.routes if any(task.key is spec for task in route.tasks)]
+            timings = _measured(reader, converted, spec, frames, span, report) if spec.needs_measuring else None
+            deskew = _deskew(reader, converted, spec, frames, span, report)
+            conversions[spec] = _to_scans(spec, frames, timings, deskew, firsts)
     return conversions, others
 
 
@@ -617,22 +620,35 @@ def _level_frames(
     return LevelFrames(declared.add(connection), target.serialization, entry)
 
 
-def _deskew(spec: ScanSpec, frames: Frames) -> Deskew | None:
+def _deskew(
+    reader: Reader, sources: Sequence[Connection], spec: ScanSpec, frames: Frames, span: Span, report: Report
+) -> Deskew | None:
     if not spec.deskew:
         return None
     from .stages.deskew import Deskew, PointTime  # noqa: PLC0415  # only with deskewing
 
     where = PointTime.parse(spec.point_time) if spec.point_time else PointTime()
-    return Deskew(frames, spec.fixed_frame, where, spec.stamp)
+    turns: Mapping[str, Turn] = {}
+    if where.turn is not None:
+        from .turning import measured_turns  # noqa: PLC0415  # few points have no times
+
+        with _about(spec):
+            turns, notes = measured_turns(reader, sources, spec.point_time, span.start_ns, span.stop_ns)
+        label = f"{spec.name}: " if spec.name else ""
+        report.notes += (label + note for note in notes)
+    return Deskew(frames, spec.fixed_frame, where, spec.stamp, turns)
 
 
 def _to_scans(
-    spec: ScanSpec, frames: Frames, timings: Mapping[str, Measured] | None, firsts: FirstClouds | None
+    spec: ScanSpec,
+    frames: Frames,
+    timings: Mapping[str, Measured] | None,
+    deskew: Deskew | None,
+    firsts: FirstClouds | None,
 ) -> Conversion:
     from .cloud_to_scan import CloudToScan  # noqa: PLC0415  # each direction loads its own arithmetic
 
     judges = None if firsts is None else partial(firsts.of, spec)
-    deskew, keeps_used = _deskew(spec, frames), bool(spec.keep_used)
     return CloudToScan(
         spec.params,
         frames,
@@ -641,7 +657,7 @@ def _to_scans(
         deskew,
         spec.made_type,
         judges,
-        keeps_used=keeps_used,
+        keeps_used=bool(spec.keep_used),
         remove=spec.remove,
     )
 
@@ -668,15 +684,15 @@ def _combined(
     report.notes += (label + note for note in notes)
     report.warnings += (label + warning for warning in warnings)
     judges = None if firsts is None else partial(firsts.of, spec)
-    return CombineToScan(spec, combination.sources, frames, timing, grouper, _deskew(spec, frames), judges)
+    deskew = _deskew(reader, sources, spec, frames, span, report)
+    return CombineToScan(spec, combination.sources, frames, timing, grouper, deskew, judges)
 
 
 def _measured(
-    reader: Reader, plan: Plan, spec: ScanSpec, frames: Frames, span: Span, report: Report
+    reader: Reader, converted: Sequence[Connection], spec: ScanSpec, frames: Frames, span: Span, report: Report
 ) -> Mapping[str, Measured]:
     from .measure import measure  # noqa: PLC0415  # only if something is to be measured
 
-    converted = [route.connection for route in plan.routes if any(task.key is spec for task in route.tasks)]
     with _about(spec):
         timings, notes = measure(reader, converted, spec, frames, span.start_ns, span.stop_ns)
     label = f"{spec.name}: " if spec.name else ""

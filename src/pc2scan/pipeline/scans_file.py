@@ -50,7 +50,9 @@ CHOICES: Mapping[str, Choice] = {
     "ground": Choice("text", "Whether points on the ground are used.", ("keep", "remove")),
     "deskew": Choice("flag", "Transform each point by the pose at its own time, through fixed_frame."),
     "fixed_frame": Choice("text", "A frame that does not move, such as odom."),
-    "point_time": Choice("text", "Field with the times of points, and its unit: t or t:ns."),
+    "point_time": Choice(
+        "text", "Field with the times of points, and its unit: t or t:ns; or azimuth, or azimuth:0.1:cw:end."
+    ),
     "stamp": Choice("text", "The time of a deskewed scan.", ("header", "start", "middle", "end")),
     "level": Choice("flag", "Make scans in a frame without the roll and pitch of the target frame."),
     "lead": Choice("text", "Of several sources, the one whose stamps the scans have. Default: the first."),

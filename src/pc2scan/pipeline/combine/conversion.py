@@ -182,9 +182,10 @@ class CombineToScan(Conversion):
         """Return what prepares the messages of a topic; where each is a scan by itself, what projects it too."""
         firsts = None if self._first_clouds is None else self._first_clouds(topic)
         number = self.topics.index(topic)
+        deskew = None if self._deskew is None else self._deskew.of(topic)
 
         def prepare(message: Points | LaserScan) -> Prepared:
-            return self._prepared(number, firsts, message)
+            return self._prepared(number, firsts, deskew, message)
 
         return (prepare,) if self.grouper is not None else (prepare, self.alone)
 
@@ -200,7 +201,9 @@ class CombineToScan(Conversion):
         """Make the scan of one message."""
         return self.scan(prepared, (prepared,))
 
-    def _prepared(self, number: int, firsts: TopicClouds | None, message: Points | LaserScan) -> Prepared:
+    def _prepared(
+        self, number: int, firsts: TopicClouds | None, deskew: Deskew | None, message: Points | LaserScan
+    ) -> Prepared:
         flat = isinstance(message, LaserScan)
         rejected: dict[str, int] = {}
         if isinstance(message, LaserScan):
@@ -214,7 +217,7 @@ class CombineToScan(Conversion):
         sample = None
         if not flat and number == 0 and firsts is not None and not firsts.full:
             sample = firsts.sample(points, frames.place(frame_id, stamp_ns))
-        track = None if self._deskew is None else self._deskew.track(points)
+        track = None if deskew is None else deskew.track(points)
         reference_ns = stamp_ns if track is None else track.reference_ns
         points = points if track is None else track.points
         target_from_fixed = fixed_from_source = level = None

@@ -17,10 +17,11 @@ import numpy as np
 from pc2scan.core import kernel
 from pc2scan.core.moving import MovingTransform
 from pc2scan.core.points import TIME, Points
-from pc2scan.core.quantities import duration_ns
 from pc2scan.core.rule import NO_TIME, NO_TRANSFORM
-from pc2scan.core.timing import TIME_FIELDS, TIME_UNITS, azimuth_times, offset_and_unit
+from pc2scan.core.timing import TIME_FIELDS, TIME_UNITS, offset_and_unit
 from pc2scan.errors import DecodeError, TransformError, UsageError
+
+from .turn import AZIMUTH, Turn
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -31,10 +32,7 @@ if TYPE_CHECKING:
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.placing import Frames
 
-__all__ = ["AZIMUTH", "NO_TIME", "NO_TRANSFORM", "STAMPS", "Deskew", "Motion", "Moving", "PointTime", "Track"]
-
-#: Instead of a field with times: the points' directions tell them.
-AZIMUTH = "azimuth"
+__all__ = ["NO_TIME", "NO_TRANSFORM", "STAMPS", "Deskew", "Motion", "Moving", "PointTime", "Track"]
 
 #: Which time of a cloud its scan has.
 STAMPS = ("header", "start", "middle", "end")
@@ -57,68 +55,6 @@ _ONCE, _ALWAYS = np.zeros(1, np.int64), np.empty(0, np.int64)
 _IDENTITY = np.array([[1.0, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0]])
 #: Sums of a row's last three numbers, and of the others.
 _SUMS = np.repeat([[0.0, 1.0], [1.0, 0.0]], [9, 3], axis=0)
-
-
-@dataclass(frozen=True, slots=True)
-class Turn:
-    """How a lidar turned, whose points have no times.
-
-    Attributes
-    ----------
-    period
-        Of one turn, seconds.
-    direction
-        1 counter-clockwise, -1 clockwise; 0: as the order of the points tells.
-    ended
-        Whether the stamp is the time of the last point, not of the first one.
-    """
-
-    period: float
-    direction: int = 0
-    ended: bool = False
-
-    @classmethod
-    def parse(cls, text: str) -> Turn:
-        """Read ``azimuth:PERIOD``, and ``:cw`` or ``:ccw``, and ``:start`` or ``:end`` behind it.
-
-        Raises
-        ------
-        UsageError
-            If it is anything else.
-        """
-        _, *words = text.split(":")
-        period = (duration_ns(words[0]) or duration_ns(f"{words[0]}s") or 0) / 1e9 if words else 0.0
-        ways = {"cw": -1, "ccw": 1}
-        if not 0 < period <= _LONGEST or any(word not in {*ways, "start", "end"} for word in words[1:]):
-            raise UsageError(
-                f"`point_time` is {text!r}; times by azimuth need the time of a turn, at most {_LONGEST:g} s",
-                hint="write `point_time=azimuth:0.1` for 10 Hz. cw or ccw may follow (which way it turns, seen from "
-                "above), and start or end (of the turn: the stamp's time): `point_time=azimuth:0.1:cw:end`",
-            )
-        way = next((ways[word] for word in words if word in ways), 0)
-        return cls(period, way, "end" in words)
-
-    def times(self, points: Points) -> NDArray[np.float64]:
-        """Return seconds after the stamp.
-
-        Raises
-        ------
-        DecodeError
-            If it is not known which way the lidar turned.
-        """
-        times = azimuth_times(points.field("x"), points.field("y"), self.period, self.direction)
-        if times is None:
-            raise DecodeError(
-                "the order of its points does not tell which way the lidar turned",
-                stamp_ns=points.stamp_ns,
-                hint=f"say it: `point_time=azimuth:{self.period:g}:cw` (clockwise, seen from above) or ccw",
-            )
-        return times - np.fmax.reduce(times, axis=None, initial=0.0) if self.ended else times
-
-    def __str__(self) -> str:
-        way = {1: "counter-clockwise", -1: "clockwise", 0: "in the order of its points"}[self.direction]
-        stamp = "last" if self.ended else "first"
-        return f"one turn takes {self.period:g} s, {way}, and the stamp is that of the {stamp} point"
 
 
 @dataclass(frozen=True, slots=True)
@@ -333,15 +269,36 @@ class Deskew:
         Where the times of points are.
     stamp
         One of `STAMPS`.
+    turns
+        How the lidars of some topics turn, if that was measured.
     """
 
-    __slots__ = ("_fixed", "_frames", "_point_time", "_stamp")
+    __slots__ = ("_fixed", "_frames", "_point_time", "_stamp", "_turns")
 
-    def __init__(self, frames: Frames, fixed_frame: str, point_time: PointTime, stamp: str = "header") -> None:
+    def __init__(
+        self,
+        frames: Frames,
+        fixed_frame: str,
+        point_time: PointTime,
+        stamp: str = "header",
+        turns: Mapping[str, Turn] | None = None,
+    ) -> None:
         self._frames = frames
         self._fixed = fixed_frame
         self._point_time = point_time
         self._stamp = stamp
+        self._turns = turns or {}
+
+    def of(self, topic: str) -> Deskew:
+        """Return the same for one topic, with the turn that was measured of its lidar."""
+        turn = self._turns.get(topic)
+        if turn is None:
+            return self
+        return Deskew(self._frames, self._fixed, PointTime(turn=turn), self._stamp)
+
+    def within(self, frames: Frames) -> Deskew:
+        """Return the same with other frames."""
+        return Deskew(frames, self._fixed, self._point_time, self._stamp, self._turns)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Deskew):

@@ -73,6 +73,10 @@ class Place:
         self.frames = frames
         self.deskew = deskew
 
+    def of(self, topic: str) -> Place:
+        """Return the same for the clouds of one topic."""
+        return self if self.deskew is None else Place(self.frames, self.deskew.of(topic))
+
     def __call__(self, points: Points) -> Placed:
         """Place a cloud.
 

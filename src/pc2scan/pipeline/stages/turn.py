@@ -1,0 +1,265 @@
+"""How a lidar turns whose points have no times: given by the user, or measured in its first clouds."""
+
+from __future__ import annotations
+
+import statistics
+from dataclasses import dataclass, replace
+from functools import reduce
+from itertools import pairwise
+from operator import or_
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from pc2scan.core.quantities import duration_ns
+from pc2scan.core.timing import LEAST_TURN, azimuth_times, median_interval_ns, turned
+from pc2scan.errors import DecodeError, ParameterError, UsageError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from pc2scan.core.points import Points
+
+__all__ = ["AZIMUTH", "FIRST_CLOUDS", "Look", "Turn", "look", "measured_turn"]
+
+#: Instead of a field with times: the points' directions tell them.
+AZIMUTH = "azimuth"
+
+#: How many clouds a turn is measured in, and how few are too few.
+FIRST_CLOUDS = 11
+_FEWEST = 4
+
+#: Seconds that a turn may take.
+_LONGEST = 60.0
+
+#: How far an interval between stamps may be from the median or a multiple of it, and the share of those that are not.
+_JITTER = 0.1
+_REGULAR = 0.8
+
+#: The share of all directions that a lidar on a robot sees at least (much may be hidden), and that each cloud has of
+#: those that all have: a tenth of a turn has others in each cloud.
+_SEEN = 0.5
+_OF_ALL = 0.85
+_DIRECTIONS = 90
+
+#: Turns that a cloud in one row may not have: it has one, or one for each of many rings.
+_TWO_OR_THREE = (1.5, 3.5)
+
+#: From the stamp to the log time, as a share of the turn, at most where the stamp is that of the last point: no cloud
+#: is logged before its last point is measured. More tells nothing, because drivers may take that long as well.
+_OF_LAST = 0.4
+
+_WAYS = {"cw": -1, "ccw": 1}
+_ENDS = {"start": False, "end": True}
+
+
+@dataclass(frozen=True, slots=True)
+class Turn:
+    """How a lidar turned, whose points have no times.
+
+    Attributes
+    ----------
+    period
+        Of one turn, seconds; 0: to be measured, as is what else is not given.
+    direction
+        1 counter-clockwise, -1 clockwise; 0: not given, so as the order of the points tells.
+    ended
+        Whether the stamp is the time of the last point, not of the first one; None: not given, so of the first one.
+    """
+
+    period: float = 0.0
+    direction: int = 0
+    ended: bool | None = None
+
+    @classmethod
+    def parse(cls, text: str) -> Turn:
+        """Read ``azimuth``, and ``:PERIOD``, ``:cw`` or ``:ccw``, ``:start`` or ``:end`` behind it.
+
+        Raises
+        ------
+        UsageError
+            If it is anything else.
+        """
+        words = text.split(":")[1:]
+        period, direction, ended = 0.0, 0, None
+        for number, word in enumerate(words):
+            if word in _WAYS and not direction:
+                direction = _WAYS[word]
+            elif word in _ENDS and ended is None:
+                ended = _ENDS[word]
+            elif number == 0 and 0 < _seconds(word) <= _LONGEST:
+                period = _seconds(word)
+            else:
+                raise UsageError(
+                    f"`point_time` is {text!r}, but {word!r} is not the time of a turn, at most {_LONGEST:g} s, nor a "
+                    "direction, nor an end",
+                    hint="write `point_time=azimuth` to measure the turn, `point_time=azimuth:0.1` for 10 Hz. cw or "
+                    "ccw may follow (the direction, seen from above), and start or end (of the turn: the stamp's "
+                    "time): `point_time=azimuth:0.1:cw:end`",
+                )
+        return cls(period, direction, ended)
+
+    def times(self, points: Points) -> NDArray[np.float64]:
+        """Return seconds after the stamp.
+
+        Raises
+        ------
+        DecodeError
+            If it is not known how long a turn takes, or in which direction the lidar turned.
+        """
+        if not self.period:
+            raise DecodeError(
+                "the time of a turn was not measured",
+                stamp_ns=points.stamp_ns,
+                hint="give it: `point_time=azimuth:0.1`",
+            )
+        times = azimuth_times(points.field("x"), points.field("y"), self.period, self.direction)
+        if times is None:
+            raise DecodeError(
+                "the order of its points does not tell which way the lidar turned",
+                stamp_ns=points.stamp_ns,
+                hint=f"say it: `point_time=azimuth:{self.period:g}:cw` (clockwise, seen from above) or ccw",
+            )
+        return times - np.fmax.reduce(times, axis=None, initial=0.0) if self.ended else times
+
+    def __str__(self) -> str:
+        way = {1: "counter-clockwise", -1: "clockwise", 0: "in the order of its points"}[self.direction]
+        stamp = "last" if self.ended else "first"
+        return f"one turn takes {self.period:g} s, {way}, and the stamp is that of the {stamp} point"
+
+
+def _seconds(text: str) -> float:
+    return (duration_ns(text) or duration_ns(f"{text}s") or 0) / 1e9
+
+
+class Look(NamedTuple):
+    """What one cloud tells of the lidar's turns.
+
+    Attributes
+    ----------
+    stamp_ns, log_time_ns
+        When it was stamped and logged.
+    turns
+        How often its points go round in their order, positive counter-clockwise; 0 where their order tells nothing.
+    directions
+        Those of its points: a bit for each 4 degrees.
+    """
+
+    stamp_ns: int
+    log_time_ns: int
+    turns: float
+    directions: int
+
+
+@np.errstate(all="ignore")
+def look(points: Points, log_time_ns: int) -> Look:
+    """Look at a cloud."""
+    x, y = (points.field(name).astype(np.float64).ravel() for name in "xy")
+    angles = np.arctan2(y, x)[np.isfinite(x) & np.isfinite(y) & ((x != 0) | (y != 0))]
+    near, turns = turned(angles)
+    places = ((angles / (2 * np.pi) + 0.5) * _DIRECTIONS).astype(np.intp) % _DIRECTIONS
+    directions = sum(1 << place for place in np.unique(places).tolist())
+    return Look(points.stamp_ns, log_time_ns, turns if near >= 0.5 and abs(turns) >= LEAST_TURN else 0.0, directions)
+
+
+def measured_turn(topic: str, asked: Turn, clouds: Sequence[Look]) -> tuple[Turn, str]:
+    """Return how a lidar turns, with what the user gave, and a note that says what was measured.
+
+    Raises
+    ------
+    ParameterError
+        If its first clouds do not tell; the hint has what to type.
+    """
+    period, how = _period(topic, asked, clouds)
+    found, said = replace(asked, period=period), [how]
+    if not found.direction:
+        found, words = _with_direction(topic, found, clouds)
+        said.append(words)
+    if found.ended is None:
+        found, words = _with_stamp(topic, found, clouds)
+        said.append(words)
+    return found, f"{topic}: the times of points are computed from their azimuth: {found}; measured: {', '.join(said)}"
+
+
+def _error(topic: str, why: str, typed: str) -> ParameterError:
+    return ParameterError(
+        f"the turn of the lidar cannot be measured in the clouds on {topic}: {why}", name="point_time", hint=typed
+    )
+
+
+def _typed(turn: Turn, *more: str) -> str:
+    """What the user types for what is known of a turn, and for more."""
+    period = f"{turn.period:.4g}" if turn.period else "0.1"
+    ways = {value: name for name, value in _WAYS.items()}
+    ends = {value: name for name, value in _ENDS.items()}
+    words = [AZIMUTH, period, ways.get(turn.direction, ""), "" if turn.ended is None else ends[turn.ended], *more]
+    return f"`point_time={':'.join(word for word in words if word)}`"
+
+
+def _period(topic: str, asked: Turn, clouds: Sequence[Look]) -> tuple[float, str]:
+    give = f"if a turn takes 0.1 s (10 Hz): {_typed(asked)}"
+    stamps = sorted({cloud.stamp_ns for cloud in clouds})
+    if len(stamps) < _FEWEST:
+        why = (
+            f"there are {len(stamps)} different stamps in the first {len(clouds)} clouds, at least {_FEWEST} are needed"
+        )
+        raise _error(topic, why, give)
+    median_ns = median_interval_ns(stamps) or 0
+    intervals = [later - earlier for earlier, later in pairwise(stamps)]
+    # Where a cloud is missing, an interval is twice as long.
+    off = [abs(each / median_ns - max(1, round(each / median_ns))) for each in intervals]
+    regular = sum(each <= _JITTER for each in off)
+    if regular < _REGULAR * len(intervals):
+        why = (
+            f"the intervals between its first {len(stamps)} stamps are not regular: {min(intervals) / 1e9:.4g} to "
+            f"{max(intervals) / 1e9:.4g} s, of {len(intervals)} only {regular} within {_JITTER:.0%} of the median, "
+            f"{median_ns / 1e9:.4g} s"
+        )
+        raise _error(topic, why, give)
+    if median_ns > _LONGEST * 1e9:
+        raise _error(topic, f"the clouds come every {median_ns / 1e9:.4g} s, a turn takes at most {_LONGEST:g} s", give)
+    # As many digits as are shown: who types what is shown gets the same scans.
+    found = replace(asked, period=float(f"{median_ns / 1e9:.4g}"))
+    give = f"if a turn takes as long as from cloud to cloud: {_typed(found)}"
+    covered = statistics.median(cloud.directions.bit_count() for cloud in clouds) / _DIRECTIONS
+    union = reduce(or_, (cloud.directions for cloud in clouds)).bit_count() / _DIRECTIONS
+    if covered < max(_SEEN, _OF_ALL * union):
+        why = (
+            f"a cloud has points in {covered:.0%} of all directions, several clouds together in {union:.0%}; whole "
+            f"turns have at least {_SEEN:.0%}, and about the same ones each time"
+        )
+        raise _error(topic, why, give)
+    turns = statistics.median(abs(cloud.turns) for cloud in clouds)
+    if _TWO_OR_THREE[0] <= turns < _TWO_OR_THREE[1]:
+        raise _error(topic, f"the points of its clouds go round {turns:.1f} times", give)
+    return found.period, f"the period (median interval of the first {len(stamps)} stamps)"
+
+
+def _with_direction(topic: str, turn: Turn, clouds: Sequence[Look]) -> tuple[Turn, str]:
+    ways = [1 if cloud.turns > 0 else -1 for cloud in clouds if cloud.turns]
+    if 2 * len(ways) <= len(clouds) or len(set(ways)) > 1:
+        each = f"{ways.count(-1)} say clockwise, {ways.count(1)} counter-clockwise, {len(clouds) - len(ways)} nothing"
+        why = f"the order of the points does not tell the direction: of {len(clouds)} clouds {each}"
+        give = f"clockwise, seen from above: {_typed(replace(turn, ended=None), 'cw')}, or else ccw"
+        raise _error(topic, why, give)
+    return replace(turn, direction=ways[0]), f"the direction (order of the points of {len(ways)} clouds)"
+
+
+def _with_stamp(topic: str, turn: Turn, clouds: Sequence[Look]) -> tuple[Turn, str]:
+    delays = [cloud.log_time_ns - cloud.stamp_ns for cloud in clouds]
+    seconds = statistics.median(delays) / 1e9
+    if not any(delays):
+        why = "the stamps are the log times"
+    elif min(delays) < 0:
+        why = f"stamps are up to {-min(delays) / 1e9:.4g} s after the log times"
+    else:
+        why = f"clouds are logged {seconds:.4g} s after their stamps"
+        if seconds < _OF_LAST * turn.period:
+            return replace(turn, ended=True), f"which point the stamp is of ({why}, so after their last points)"
+    raise _error(
+        topic,
+        f"{why}, which does not tell whether the stamp is the time of the first or the last point",
+        f"of the first: {_typed(turn, 'start')}; of the last (velodyne_driver's default): {_typed(turn, 'end')}",
+    )
