@@ -9,12 +9,14 @@ import subprocess
 import sys
 import time
 from contextlib import contextmanager, suppress
+from threading import Thread
 from typing import TYPE_CHECKING
 
 import pytest
 
-from batch.datasets import HEIGHTS
-from builders import CONTENT, write_mcap, write_rosbag1
+from batch.datasets import HEIGHTS, contents
+from batch.test_cutting import WORDS, drive
+from builders import CONTENT, Mcap, write_mcap, write_rosbag1
 from e2e.command import COMMAND, environment, run
 
 if TYPE_CHECKING:
@@ -48,21 +50,33 @@ def outcomes(folder: Path) -> dict[str, str]:
 @contextmanager
 def cluster(folder: Path, **variables: str) -> Iterator[str]:
     """A scheduler and a worker, as their own commands start them; yields the address."""
+    with cluster_of(folder, {}, variables=variables) as (address, _):
+        yield address
+
+
+@contextmanager
+def cluster_of(
+    folder: Path, *workers: dict[str, str], variables: dict[str, str] | None = None
+) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
+    """A scheduler, and workers with variables of their own; yields the address and the processes of the workers.
+
+    ``variables`` are those of all, the scheduler included.
+    """
     file = folder / "scheduler.json"
     dask = [sys.executable, "-m", "distributed.cli"]
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    started = []
+    started: list[subprocess.Popen[bytes]] = []
     scheduler = "dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard"
     worker = "dask_worker", "--host", "127.0.0.1", "--nthreads", "1", "--no-nanny", "--no-dashboard"
     try:
-        for program, *options in (scheduler, worker):
+        for own, (program, *options) in zip(({}, *workers), (scheduler, *[worker] * len(workers)), strict=True):
             command = [*dask[:2], f"distributed.cli.{program}", *options, "--scheduler-file", str(file)]
-            env = {**environment(), **(variables if program == "dask_worker" else {})}
+            env = {**environment(), **(variables or {}), **own}
             started.append(subprocess.Popen(command, env=env, cwd=folder, **quiet))  # type: ignore[call-overload]
             deadline = time.monotonic() + 30
             while not file.exists() and time.monotonic() < deadline:
                 time.sleep(0.05)
-        yield json.loads(file.read_text())["address"]
+        yield json.loads(file.read_text())["address"], started[1:]
     finally:
         for process in reversed(started):
             process.kill()
@@ -129,6 +143,41 @@ def test_a_scheduler_is_reached_by_its_address(drives: Path, tmp_path: Path) -> 
     assert outcomes(out) == {**{f"{n}.bag": "converted" for n in range(4)}, "b.mcap": "converted", "bad.bag": "failed"}
     assert "5 unchanged" in again.stderr
     assert len(outputs(out)) == 5
+
+
+def kill_one_that_converts(workers: list[subprocess.Popen[bytes]], out: Path, killed: list[int]) -> None:
+    """Kill a worker as soon as it converts a piece."""
+    deadline = time.monotonic() + 60
+    while not killed and time.monotonic() < deadline:
+        pieces = list(out.glob("*.pc2scan-partial/piece-*"))
+        for worker in workers if pieces else ():
+            if psutil.Process(worker.pid).children():
+                worker.kill()
+                killed.append(worker.pid)
+                return
+        time.sleep(0.005)
+
+
+def test_a_long_recording_is_cut_and_a_worker_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import pc2scan
+    from pc2scan.batch import cutting
+
+    source = write_mcap(tmp_path / "drive.mcap", drive(), Mcap(chunk_size=4_000))
+    pc2scan.batch(source, tmp_path / "here", **WORDS)
+    monkeypatch.setattr(cutting, "PIECE_BYTES", source.stat().st_size // 6)
+    out, killed = tmp_path / "there", list[int]()
+    words = {name: value for name, value in WORDS.items() if name != "jobs"}
+    with cluster_of(tmp_path, {}, {}) as (address, workers):
+        killer = Thread(target=kill_one_that_converts, args=(workers, out, killed))
+        killer.start()
+        done = pc2scan.batch(source, out, dask=address, **words)
+        killer.join()
+    assert killed
+    assert done.exit_status == 3  # the last cloud is behind the last transform
+    assert contents(out) == contents(tmp_path / "here")
+    (line,) = [json.loads(line) for line in (out / "manifest.jsonl").read_text().splitlines()]
+    assert line["attempts"] == 2
+    assert len(line["report"]["files"]) == 12
 
 
 def test_a_worker_of_another_version_is_refused(drives: Path, tmp_path: Path) -> None:

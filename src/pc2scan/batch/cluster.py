@@ -10,7 +10,7 @@ import os
 import signal
 import socket
 import time
-from collections import Counter
+from collections import Counter, deque
 from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,6 +23,7 @@ from pc2scan.files.staging import clean_up
 from pc2scan.remote.urls import is_url
 from pc2scan.version import __version__
 
+from .cutting import is_given_up
 from .staged import jobs_here
 from .work import Result, died
 from .workers import Began, Ended, Progressed, Told, execute
@@ -86,7 +87,7 @@ def execute_on_dask(jobs: Sequence[Job], address: str, *, workers: int, cores: i
     Parameters
     ----------
     jobs
-        In the order in which they begin.
+        In the order in which they begin. A deque is emptied, and may get more while events are taken.
     address
         Of the scheduler; empty for a cluster on this machine, which is closed at the end.
     workers, cores
@@ -102,7 +103,7 @@ def execute_on_dask(jobs: Sequence[Job], address: str, *, workers: int, cores: i
     if not jobs:
         return
     with ExitStack() as stack:
-        client = stack.enter_context(_connected(address, min(workers, len(jobs)), cores, retries))
+        client = stack.enter_context(_connected(address, workers, cores, retries))
         yield Told(f"Dask's dashboard: {client.dashboard_link}")
         if not client.scheduler_info(n_workers=-1)["workers"]:
             yield Told(f"{address} has no worker yet; the batch begins when one joins")
@@ -116,18 +117,22 @@ def _run(client: Any, jobs: Sequence[Job], retries: int) -> Generator[Event]:
     inbox: SimpleQueue[tuple[str, str, Any]] = SimpleQueue()
     topic = f"pc2scan-{uuid4().hex}"
     client.subscribe_topic(topic, lambda event: inbox.put(event[1]))
-    left = {job.key: job for job in jobs}
+    pending = jobs if isinstance(jobs, deque) else deque(jobs)
+    left: dict[str, Job] = {}
     futures: dict[str, Any] = {}
     attempts: Counter[str] = Counter()
     running: dict[str, float] = {}
     try:
-        for number, job in enumerate(jobs):
-            future = client.submit(
-                _convert, job, __version__, topic, key=f"{topic}-{number}", retries=retries, priority=-number
-            )
-            futures[job.key] = future
-            future.add_done_callback(lambda future, key=job.key: inbox.put(("done", key, future)))
-        while left:
+        while pending or left:
+            while pending:
+                job = pending.popleft()
+                left[job.key] = job
+                number = len(futures)
+                future = client.submit(
+                    _convert, job, __version__, topic, key=f"{topic}-{number}", retries=retries, priority=-number
+                )
+                futures[job.key] = future
+                future.add_done_callback(lambda future, key=job.key: inbox.put(("done", key, future)))
             try:
                 what, key, value = inbox.get(timeout=_LOOK_SECONDS)
             except Empty:
@@ -206,9 +211,11 @@ def _convert(job: Job, version: str, topic: str) -> _Answer:
     if version != __version__:
         return _Answer(host, version=__version__)
     unseen = tuple(path for path in job.sources if not is_url(Path(path)) and not os.path.lexists(path))
-    folder = os.path.dirname(job.destination)  # noqa: PTH120  # text stays text
-    if not is_url(Path(folder)) and not os.path.isdir(folder):  # noqa: PTH112
-        return _Answer(host, unseen=(folder, *unseen))
+    folder = Path(job.destination).parent
+    if job.step is not None and is_given_up(job):
+        return _Answer(host, died(job, "the recording was given up", attempts=1, seconds=0.0))
+    if not is_url(folder) and not _is_there(folder):
+        return _Answer(host, unseen=(str(folder), *unseen))
     worker = get_worker()
     key = worker.get_current_task()
 
@@ -233,6 +240,17 @@ def _convert(job: Job, version: str, topic: str) -> _Answer:
     if result.outcome == "died":
         raise _ConversionDiedError((result.error or {}).get("message", ""))
     return _Answer(host, result, unseen=unseen)
+
+
+def _is_there(folder: Path) -> bool:
+    """Whether a folder is there that may have been made this moment, on another machine."""
+    if folder.is_dir():
+        return True
+    with suppress(OSError):
+        # Network file systems look again at folders that are read.
+        list(folder.parent.iterdir())
+    time.sleep(_LOOK_SECONDS)
+    return folder.is_dir()
 
 
 def _converted(job: Job, threads: int, check: Any, tell: Any) -> Result:

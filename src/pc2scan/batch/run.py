@@ -219,12 +219,34 @@ def run_batch(
     return batch.report
 
 
+def _count_of(jobs: Sequence[Job]) -> int:
+    """Return how many processes could work on these jobs at a time."""
+    if not any(job.request.output.cut for job in jobs):
+        return len(jobs)
+    from .cutting import count_of  # noqa: PLC0415  # most outputs are one file
+
+    return count_of(jobs)
+
+
+def _cutting(executor: Executor) -> Executor:
+    """Return an executor that converts long recordings in pieces, where their output is split."""
+
+    def execute(jobs: Sequence[Job]) -> Generator[Event]:
+        if not any(job.request.output.cut for job in jobs):
+            return executor(jobs)
+        from .cutting import in_pieces  # noqa: PLC0415  # most outputs are one file
+
+        return in_pieces(executor)(jobs)
+
+    return execute
+
+
 def _local(*, workers: int, retries: int, lock: int | None) -> Executor:
     def executor(jobs: Sequence[Job]) -> Generator[Event]:
         with jobs_here(jobs, workers) as queue:
             yield from execute(queue, workers=workers, cores=all_cores(), retries=retries, lock=lock)
 
-    return executor
+    return _cutting(executor)
 
 
 def _on_dask(address: str) -> Callable[..., Executor]:
@@ -238,7 +260,7 @@ def _on_dask(address: str) -> Callable[..., Executor]:
         def executor(jobs: Sequence[Job]) -> Generator[Event]:
             return execute_on_dask(jobs, address, workers=workers, cores=all_cores(), retries=retries)
 
-        return executor
+        return _cutting(executor)
 
     return make
 
@@ -402,8 +424,9 @@ class _Batch:
         steps = sorted(self.made.of("convert"), key=lambda step: (-step.found.identity.size_bytes, step.found.key))
         by_key = {step.found.key: step for step in self.made.steps}
         jobs = [self._job(step, self._out) for step in steps]
-        wanted = self._options.jobs or workers_for(len(jobs), all_cores(), available_bytes())
-        self.report.workers = min(wanted, len(jobs))
+        count = _count_of(jobs)
+        wanted = min(self._options.jobs or workers_for(count, all_cores(), available_bytes()), max(1, count))
+        self.report.workers = wanted
         executor = make(workers=wanted, retries=self._options.retries, lock=lock)
         if self._options.dry_run:
             for step in self.made.of("refuse"):

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from .work import Job
     from .workers import Event
 
-__all__ = ["jobs_here"]
+__all__ = ["is_remote", "jobs_here"]
 
 #: Bytes that a result may have beyond those of its sources: an index, definitions.
 _BESIDE = 1_000_000

@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from pc2scan.bags.opening import open_recordings
 from pc2scan.errors import Pc2ScanError, RecordingError
@@ -24,10 +24,18 @@ if TYPE_CHECKING:
 
     from .request import Request
 
-__all__ = ["Job", "Result", "convert_one", "died", "outcome_of"]
+__all__ = ["Job", "Result", "Step", "convert_one", "died", "outcome_of"]
 
 #: Outcomes by the exit status of `pc2scan convert`.
 _OUTCOMES = {0: "converted", 3: "incomplete", 4: "empty"}
+
+
+class Step(Protocol):
+    """A part of a conversion that a process of its own does; see `pc2scan.batch.cutting`."""
+
+    def do(self, job: Job, progress: Callable[[int, int, int], None] | None) -> Any:
+        """Do it, and return what `Result.made` is."""
+        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,6 +66,8 @@ class Job:
         Where local copies of what is at URLs are, and how many bytes of them there may be.
     room
         The folder of the copies and of a result that is uploaded, and how many bytes may be in it; None for any.
+    step
+        The part of the conversion that is to be done; None for all of it.
     """
 
     key: str
@@ -74,13 +84,14 @@ class Job:
     scratch: str | None = None
     scratch_size: int | None = None
     room: tuple[str, int] | None = None
+    step: Step | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Result:
     """What became of a job: the attributes of a `pc2scan.batch.manifest.Record` that only the conversion knows.
 
-    ``text`` is the report for people, if the job asked for it.
+    ``text`` is the report for people, if the job asked for it; ``made`` is what a step returns.
     """
 
     key: str
@@ -95,6 +106,7 @@ class Result:
     report: dict[str, Any] | None = None
     error: dict[str, Any] | None = None
     text: str = ""
+    made: Any = None
 
 
 def outcome_of(exit_status: int) -> str:
@@ -118,8 +130,8 @@ def convert_one(job: Job, progress: Callable[[int, int, int], None] | None = Non
     destination = Path(job.destination)
     identity = identity_of(sources)
     sha256 = None
-    report = error = None
-    text = ""
+    report = error = made = None
+    text, status = "", 0
     try:
         if job.checksum:
             sha256 = _checksum(sources)
@@ -129,11 +141,14 @@ def convert_one(job: Job, progress: Callable[[int, int, int], None] | None = Non
 
             limit = Limit(Path(job.room[0]), job.room[1])
             progress = limit.watching(progress)
-        done = _done(job, sources, destination, progress)
-        if limit is not None:
-            limit.check()
-        report, status = done.as_dict(), done.exit_status
-        text = str(done) if job.shown else ""
+        if job.step is not None:
+            made = job.step.do(job, progress)
+        else:
+            done = _done(job, sources, destination, progress)
+            if limit is not None:
+                limit.check()
+            report, status = done.as_dict(), done.exit_status
+            text = str(done) if job.shown else ""
     except Pc2ScanError as err:
         error, status = err.as_dict(), err.exit_status
     except Exception as err:  # noqa: BLE001  # one recording must not end the others; the manifest has the traceback
@@ -144,12 +159,13 @@ def convert_one(job: Job, progress: Callable[[int, int, int], None] | None = Non
         exit_status=status,
         identity=identity,
         sha256=sha256,
-        output_identity=Identity() if error or job.dry_run else identity_of([destination]),
+        output_identity=Identity() if error or job.dry_run or job.step is not None else identity_of([destination]),
         started=started,
         seconds=time.monotonic() - began,
         report=report,
         error=error,
         text=text,
+        made=made,
     )
 
 

@@ -100,11 +100,11 @@ class Queue:
     Parameters
     ----------
     jobs
-        Those that workers can begin.
+        Those that workers can begin. Whoever gives a deque may append more.
     """
 
     def __init__(self, jobs: Sequence[Job]) -> None:
-        self._ready = deque(jobs)
+        self._ready = jobs if isinstance(jobs, deque) else deque(jobs)
         self._post: Callable[[Event | None], None] = lambda _event: None
 
     def __len__(self) -> int:
@@ -211,6 +211,8 @@ class _Pool:
                 self.inbox.put((worker, receive(stream)))
         except (EOFError, OSError, ValueError):
             self.inbox.put((worker, None))
+        except Exception as err:  # noqa: BLE001  # a result that this process cannot read must not be waited for
+            self.inbox.put((worker, ("unreadable", f"{type(err).__name__}: {err}")))
 
     def close(self) -> None:
         """Interrupt and end all workers; what they were writing is removed."""
@@ -244,9 +246,9 @@ def execute(
     Parameters
     ----------
     jobs
-        In the order in which they begin.
+        In the order in which they begin. A deque is emptied, and may get more while events are taken.
     workers
-        How many processes.
+        How many processes, at most.
     cores
         How many threads all of them may have. The last recordings get those of workers that have nothing left to do.
     retries
@@ -267,9 +269,10 @@ def execute(
     pending.begin(lambda event: pool.inbox.put((None, event)))
     idle: deque[_Worker] = deque()
     try:
-        for _ in range(min(workers, len(pending))):
-            idle.append(pool.add())
         while pending.is_open or any(worker.job for worker in pool.workers) or not pool.inbox.empty():
+            busy = sum(worker.job is not None for worker in pool.workers)
+            for _ in range(min(workers, busy + len(pending)) - len(pool.workers)):
+                idle.append(pool.add())
             while idle and (job := pending.take()) is not None:
                 tried = attempts[job.key] = attempts.get(job.key, 0) + 1
                 busy = sum(worker.job is not None for worker in pool.workers)
@@ -293,8 +296,6 @@ def execute(
                 if worker in idle:
                     idle.remove(worker)
                 yield from _after_death(worker, pool, pending, attempts, retries)
-                if pending and len(pool.workers) < workers:
-                    idle.append(pool.add())
                 continue
             match message:
                 case ("ready", str(version)):

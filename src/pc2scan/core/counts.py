@@ -67,8 +67,10 @@ class PointCounts:
         return counts
 
     def __getattr__(self, name: str) -> int:
-        # Python calls this only for names that are no attributes. An object that is being copied has no counts yet.
-        if name not in self.__slots__ and name in self.rejected:
+        # Python calls this only for names that are no attributes. An object that is being unpickled has no counts yet.
+        if name in self.__slots__ or name.startswith("__"):
+            raise AttributeError(name)
+        if name in self.rejected:
             return self.rejected[name]
         raise AttributeError(f"there is no count {name!r}, only {', '.join(self.as_dict())}")
 

@@ -19,6 +19,7 @@ from .parameters import from_preset
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
+    from pathlib import Path
 
     from pc2scan.bags.damage import Damage
     from pc2scan.errors import Pc2ScanError
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     from .combine.rebinned import Rebinned
     from .scan_spec import ScanSpec
 
-__all__ = ["BEGINNING", "Failure", "Report", "Skipped", "TopicReport"]
+__all__ = ["BEGINNING", "Failure", "Report", "Skipped", "Tally", "TopicReport"]
 
 #: The beginning of every report as JSON: such a file may be replaced by another report.
 BEGINNING = b'{\n  "pc2scan": "'
@@ -120,6 +121,27 @@ class Skipped(NamedTuple):
             else f"stamp {stamp_text(self.stamp_ns)}"
         )
         return f"{self.topic}, {when}: {self.reason}"
+
+
+class Tally(NamedTuple):
+    """What is compared or said once the whole recording has been read.
+
+    Attributes
+    ----------
+    path
+        The source.
+    counts
+        For each connection that is written its topic, its declared number of messages, and how many were read.
+    declared
+        How many messages the source declares; None if it does not say, or not all are written.
+    refusals
+        Warnings that consumers would refuse the scans, each with the topics that it is about.
+    """
+
+    path: Path
+    counts: Sequence[tuple[str, int | None, int]]
+    declared: int | None
+    refusals: Mapping[str, Sequence[str]]
 
 
 @dataclass(slots=True)
@@ -222,6 +244,19 @@ class TopicReport:
         """Add the beams that were removed from one more scan."""
         for name, number in found.items():
             self.removed_beams[name] = self.removed_beams.get(name, 0) + number
+
+    def add(self, other: TopicReport) -> None:
+        """Add what happened to the topic in another piece of the recording."""
+        self.messages_in += other.messages_in
+        self.messages_out += other.messages_out
+        self.skipped += other.skipped
+        self.points += other.points
+        self.empty_scans += other.empty_scans
+        self.motions += other.motions
+        self.tilts += other.tilts
+        self.count_removed(other.removed_beams)
+        if other.rebinned is not None:
+            self.count_rebinned(other.rebinned)
 
     def skip(self, count: int) -> None:
         """Count messages of a topic that is not written; they are missing unless the user dropped the topic."""

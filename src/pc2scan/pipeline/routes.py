@@ -186,9 +186,11 @@ def bind(routes: Iterable[OpenRoute], handles: Sequence[int]) -> None:
 
 
 def count_skipped(
-    routes: Mapping[int, OpenRoute], reader: Reader, start_ns: int | None, stop_ns: int | None
+    routes: Mapping[int, OpenRoute], reader: Reader, start_ns: int | None, stop_ns: int | None, *, latched: bool = True
 ) -> dict[int, OpenRoute]:
     """Count the messages of routes that write nothing, if the source's index has their numbers.
+
+    ``latched`` is whether latched messages from before the cut count.
 
     Returns
     -------
@@ -201,7 +203,7 @@ def count_skipped(
     for lasts in (False, True):
         chosen = [route.connection for route in skipped if route.lasts is lasts]
         if chosen:
-            counted |= reader.counts(chosen, None if lasts else start_ns, stop_ns)
+            counted |= reader.counts(chosen, None if lasts and latched else start_ns, stop_ns)
     for route in skipped:
         (entry,) = route.reports
         entry.skip(counted.get(route.connection.id, 0))

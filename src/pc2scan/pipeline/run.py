@@ -54,7 +54,7 @@ from .first_clouds import FirstClouds
 from .idle import doubts, refuse_unusable
 from .parameters import from_preset, preset_of
 from .plan import make_plan
-from .report import BEGINNING, Failure, Report, TopicReport
+from .report import BEGINNING, Failure, Report, Tally, TopicReport
 from .routes import (
     OpenRoute,
     bind,
@@ -81,12 +81,25 @@ if TYPE_CHECKING:
     from .conversion import Conversion, Measured
     from .levelling import LevelFrames
     from .options import ConvertOptions
+    from .piece import Made, Piece
     from .plan import Combination, Plan
     from .scan_spec import ScanSpec
     from .stages.deskew import Deskew
     from .stages.turn import Turn
 
-__all__ = ["OutputOptions", "Progress", "prepared", "report_failure", "report_file", "run", "scratch_bytes", "span_of"]
+__all__ = [
+    "OutputOptions",
+    "Progress",
+    "conclude",
+    "opened_plan",
+    "prepared",
+    "report_failure",
+    "report_file",
+    "run",
+    "run_piece",
+    "scratch_bytes",
+    "span_of",
+]
 
 
 class OutputOptions(NamedTuple):
@@ -184,8 +197,7 @@ def run(
     if output.scratch is not None or output.scratch_size is not None:
         raise UsageError("`scratch` and `scratch_size` have no effect: no source and no destination is a URL")
     began = time.monotonic()
-    report = Report([str(source) for source in sources], str(destination or ""), options.scans)
-    report.source_frame = options.frames.source_frame
+    report = _begun(sources, destination, options)
     with ExitStack() as stack:
         files = _Files(sources, destination, options.frames, also_read or {}, output)
         try:
@@ -198,6 +210,56 @@ def run(
         report.seconds = time.monotonic() - began
         files.deliver(report)
     return report
+
+
+def run_piece(
+    sources: Sequence[Path],
+    destination: Path,
+    options: ConvertOptions,
+    output: OutputOptions,
+    piece: Piece,
+    *,
+    also_read: Mapping[str, Path] | None = None,
+    progress: Progress | None = None,
+) -> Made:
+    """Convert one of the pieces that a recording is cut into; see `pc2scan.pipeline.pieces`.
+
+    Parameters
+    ----------
+    destination
+        Of the whole recording; files are named after it.
+    piece
+        Which one, and where its files go.
+    """
+    report = _begun(sources, destination, options)
+    with ExitStack() as stack:
+        files = _Files(sources, destination, options.frames, also_read or {}, output)
+        made = _run(files, options, output, stack, report, progress, None, piece)
+        assert made is not None
+        return made
+
+
+def _begun(sources: Sequence[Path], destination: Path | None, options: ConvertOptions) -> Report:
+    """Return a report of nothing yet."""
+    report = Report([str(source) for source in sources], str(destination or ""), options.scans)
+    report.source_frame = options.frames.source_frame
+    return report
+
+
+def opened_plan(
+    sources: Sequence[Path], options: ConvertOptions, stack: ExitStack
+) -> tuple[Reader, Sequence[Reader], Plan]:
+    """Open the sources, as one and each by itself, and decide what goes where.
+
+    Parameters
+    ----------
+    stack
+        Closes the sources.
+    """
+    refuse_unusable(options)
+    readers = open_recordings(sources, stack, verify=options.verify, strict=options.strict)
+    reader = as_one(readers)
+    return reader, readers, _plan(reader, options)
 
 
 def _run_at_urls(
@@ -334,14 +396,12 @@ def _run(
     report: Report,
     progress: Progress | None,
     warn: Callable[[str], None] | None,
-) -> None:
-    """Convert; everything except writing the report's file."""
+    piece: Piece | None = None,
+) -> Made | None:
+    """Convert; everything except writing the report's file, and for a piece except what depends on the others."""
     _refuse_missing_destination(files.sources, files.destination, output)
-    refuse_unusable(options)
-    readers = open_recordings(files.sources, stack, verify=options.verify, strict=options.strict)
-    reader = as_one(readers)
+    reader, readers, plan = opened_plan(files.sources, options, stack)
     report.bytes_read = reader.summary.size_bytes
-    plan = _plan(reader, options)
     converted = [route.connection for route in plan.routes if route.targets]
     summaries = [opened.summary for opened in readers]
     mark = "_repaired" if options.repair else "_scan"
@@ -381,21 +441,34 @@ def _run(
 
             last_ns = min(span.stop_ns or MAX_ROSBAG2_NS, reader.summary.end_ns or span.first_ns)
             report.files = expected_files(replace(output.cut, begin_ns=span.first_ns), target, last_ns, size)
-        return
+        return None
     if output.folder is not None:
         stack.enter_context(made_folder(output.folder))
     files.open_report(stack)
-    staging = (
-        staged_parts(path, overwrite=output.overwrite)
-        if in_parts
-        else staged(path, overwrite=output.overwrite, beside_recording=beside_recording)
-    )
+    if in_parts:
+        staging = staged_parts(path, overwrite=output.overwrite)
+    elif piece is not None:
+        # A process that was lost may have completed it.
+        staging = staged(piece.folder, overwrite=True, beside_recording=beside_recording)
+    else:
+        staging = staged(path, overwrite=output.overwrite, beside_recording=beside_recording)
     with staging as unfinished:
         span = span_of(reader, options)
         refuse_no_messages(reader, converted, span.start_ns, span.stop_ns)
-        firsts = FirstClouds(report, warn, partial(_transforms_of, files.read, options, span))
-        conversions, others = prepared(reader, plan, options, span, stack, report, firsts)
+        is_first = piece is None or piece.is_first
+        firsts = FirstClouds(report, warn, partial(_transforms_of, files.read, options, span)) if is_first else None
+        transforms = () if piece is None else piece.transforms
+        conversions, others = prepared(reader, plan, options, span, stack, report, firsts, transforms)
         cut = None if output.cut is None else replace(output.cut, begin_ns=span.first_ns)
+        begin_ns = span.first_ns
+        if piece is not None:
+            assert cut is not None
+            cut = replace(cut, first=piece.first_file)
+            span = span._replace(
+                start_ns=span.start_ns if piece.start_ns is None else piece.start_ns,
+                stop_ns=span.stop_ns if piece.stop_ns is None else piece.stop_ns,
+                latched=is_first,
+            )
         writer = open_writer(target, unfinished, path.name, cut)
         try:
             copying = target.chunks == chunk_format(reader.summary) != ""
@@ -410,12 +483,12 @@ def _run(
             bind(routes.values(), handles)
             if levels is not None:
                 levels.handle = handles[levels.handle]
-            routes = count_skipped(routes, reader, span.start_ns, span.stop_ns)
-            if not options.only_scans:
+            routes = count_skipped(routes, reader, span.start_ns, span.stop_ns, latched=span.latched)
+            if not options.only_scans and is_first:
                 carry_extras(reader, target, writer, report)
-            if added is not None:
+            if added is not None and is_first:
                 earliest_ns, latest_ns = target.times_ns
-                begin_ns = max(earliest_ns, min(span.first_ns, latest_ns))
+                begin_ns = max(earliest_ns, min(begin_ns, latest_ns))
                 write_static(options.frames, begin_ns, handles[added], target, writer, report)
             pool = _threads(options, stack)
             if pool is not None:
@@ -426,27 +499,49 @@ def _run(
 
                 rule = narrowed(rule, cut, reader.connections)
             stream(reader, routes, options, span, rule, pool, writer, report, progress, levels)
-            firsts.finish()
+            if firsts is not None:
+                firsts.finish()
             for spec in plan.specs:
                 if spec.made_type == LASERSCAN:
                     report.warnings += (each for each in ghosts(spec.params) if each not in report.warnings)
-            report.warnings += _refusals(routes.values(), target.serialization)
             files.refuse_changed()
             report.damage += [damage for each in (reader, *others) for damage in each.damage]
-            _compare_counts(reader, routes, options, report)
-            report.conclude()
-            if not options.repair:
-                refuse_nothing(report)
-                refuse_unsatisfied(report, options)
+            tally = _tally(reader, routes, target.serialization)
+            if piece is None:
+                conclude(report, tally, options)
             writer.finish()
         except BaseException:
             writer.abort()
             raise
+        if piece is not None:
+            from pc2scan.bags.rosbag2.writer import Rosbag2Writer  # noqa: PLC0415  # loaded by now
+
+            from .piece import Made  # noqa: PLC0415  # most recordings are converted in one piece
+
+            assert isinstance(writer, Rosbag2Writer)
+            return Made(report, tally, writer.info)
         report.bytes_written = _size(unfinished)
         if cut is not None:
             from .parts import files_in  # noqa: PLC0415  # most recordings are one file
 
             report.files = files_in(unfinished, path)
+    return None
+
+
+def conclude(report: Report, tally: Tally, options: ConvertOptions) -> None:
+    """Add to a report what only the whole conversion can tell.
+
+    Raises
+    ------
+    Pc2ScanError
+        If the result is not worth writing.
+    """
+    report.warnings += [f"{', '.join(names)}: {text}" for text, names in tally.refusals.items()]
+    _compare_counts(tally, options, report)
+    report.conclude()
+    if not options.repair:
+        refuse_nothing(report)
+        refuse_unsatisfied(report, options)
 
 
 def _transforms_of(sources: Sequence[Path], options: ConvertOptions, span: Span) -> TransformBuffer | None:
@@ -525,22 +620,28 @@ def _target(
     return target
 
 
-def _compare_counts(reader: Reader, routes: Mapping[int, OpenRoute], options: ConvertOptions, report: Report) -> None:
+def _tally(reader: Reader, routes: Mapping[int, OpenRoute], serialization: str) -> Tally:
+    """Return what is compared or said at the end."""
+    written = [route for route in routes.values() if route.writes]
+    return Tally(
+        reader.path,
+        [(route.connection.topic, route.connection.message_count, route.messages) for route in written],
+        # MCAP's writers may omit the counts by channel, and store the sum.
+        reader.summary.message_count if len(written) == len(reader.connections) else None,
+        _refusals(routes.values(), serialization),
+    )
+
+
+def _compare_counts(tally: Tally, options: ConvertOptions, report: Report) -> None:
     """Compare how many messages were read with how many the sources declare, for each connection.
 
     If known damage explains a difference, the report only has both numbers.
     """
     if options.start is not None or options.end is not None:
         return
-    written = [route for route in routes.values() if route.writes]
-    counts = [
-        (route.connection.topic, route.connection.message_count, route.messages)
-        for route in written
-        if route.connection.message_count is not None
-    ]
-    # MCAP's writers may omit the counts by channel, and store the sum.
-    declared = reader.summary.message_count if len(written) == len(reader.connections) else None
-    if declared is None and len(counts) == len(written):
+    counts = [(topic, known, read) for topic, known, read in tally.counts if known is not None]
+    declared = tally.declared
+    if declared is None and len(counts) == len(tally.counts):
         declared = sum(count for _, count, _ in counts)
     if declared is None:
         return
@@ -552,8 +653,8 @@ def _compare_counts(reader: Reader, routes: Mapping[int, OpenRoute], options: Co
         return
     missing = f"declares {declared} messages, {found} were found{details}"
     if options.strict:
-        raise DamageError(missing, path=reader.path, hint=RECOVER)
-    report.damage.append(Damage(missing, reader.path, messages_lost=max(0, lost)))
+        raise DamageError(missing, path=tally.path, hint=RECOVER)
+    report.damage.append(Damage(missing, tally.path, messages_lost=max(0, lost)))
 
 
 def prepared(
@@ -564,17 +665,24 @@ def prepared(
     stack: ExitStack,
     report: Report,
     firsts: FirstClouds | None = None,
+    transforms: Sequence[Path] = (),
 ) -> tuple[Mapping[ScanSpec | Combination, Conversion], Sequence[Reader]]:
     """Prepare the conversion of each output: read transforms, and measure what is ``auto``.
 
-    Returns the conversions, and the other recordings that transforms were read from.
+    Returns the conversions, and the other recordings that transforms were read from. ``transforms`` are files with all
+    transforms (see `pc2scan.tf.stored`), if other processes have read them.
     """
     asked = options.frames
     others: list[Reader] = []
     buffer: TransformBuffer | None = None
     if any(spec.needs_transforms for spec in plan.specs):
         others = open_recordings(asked.tf_from, stack, verify=options.verify, strict=options.strict)
-        buffer, warnings = read_transforms([reader, *others], asked)
+        if transforms:
+            from pc2scan.tf.stored import stored_transforms  # noqa: PLC0415  # only where several processes share them
+
+            buffer, warnings = stored_transforms(transforms, asked)
+        else:
+            buffer, warnings = read_transforms([reader, *others], asked)
         report.warnings += warnings
         if firsts is not None:
             firsts.buffer = buffer
@@ -736,8 +844,8 @@ def span_of(reader: Reader, options: ConvertOptions) -> Span:
     return Span(start, stop, beginning if start is None else max(start, beginning))
 
 
-def _refusals(routes: Iterable[OpenRoute], serialization: str) -> list[str]:
-    """Return warnings about consumers that would refuse the written scans; topics with the same warning share it."""
+def _refusals(routes: Iterable[OpenRoute], serialization: str) -> dict[str, list[str]]:
+    """Return warnings about consumers that would refuse the written scans, each with its topics."""
     topics: dict[str, dict[str, None]] = {}
     for output in (output for route in routes for output in route.outputs):
         spec = output.report.spec
@@ -746,7 +854,7 @@ def _refusals(routes: Iterable[OpenRoute], serialization: str) -> list[str]:
         chosen = next((preset_of(origin) for origin in spec.origins.values() if from_preset(origin)), "")
         if text := refusal(output.sample, serialization, chosen):
             topics.setdefault(text, {})[output.report.target or ""] = None
-    return [f"{', '.join(names)}: {text}" for text, names in topics.items()]
+    return {text: list(names) for text, names in topics.items()}
 
 
 def _size(path: Path) -> int:

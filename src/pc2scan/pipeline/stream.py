@@ -66,11 +66,15 @@ class _Outcome(NamedTuple):
 
 
 class Span(NamedTuple):
-    """The cut in log times: ``start_ns <= t < stop_ns`` (None: no limit), and its first time."""
+    """The cut in log times: ``start_ns <= t < stop_ns`` (None: no limit), and its first time.
+
+    ``latched`` is whether latched messages from before it are written, too.
+    """
 
     start_ns: int | None
     stop_ns: int | None
     first_ns: int
+    latched: bool = True
 
 
 def stream(
@@ -97,7 +101,9 @@ def stream(
 
         outcomes = with_scans(outcomes, _arrivals, joints, pool)
     steps = 0
-    unconnected = Unconnected(route.connection for route in routes.values() if route.convert is not None)
+    # In a piece that is not the first one, the first messages say nothing about the whole recording.
+    judged = [route.connection for route in routes.values() if route.convert is not None and span.latched]
+    unconnected = Unconnected(judged)
     # Closed before the threads are joined, so that work that has not begun is cancelled after an error.
     with closing(outcomes):
         for outcome in outcomes:
@@ -139,9 +145,9 @@ def _cut(
 ) -> Iterator[Iterable[Unit]]:
     """Return the units of the cut, after those with the latched messages from before it."""
     wanted = [route.connection for route in routes.values()]
-    start, stop, _ = span
+    start, stop = span.start_ns, span.stop_ns
     lasting = [route.connection for route in routes.values() if route.lasts]
-    if start is not None and lasting:
+    if start is not None and lasting and span.latched:
         yield reader.units(lasting, None, start)
     yield reader.units(wanted, start, stop, rule)
 

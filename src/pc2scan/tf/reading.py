@@ -12,7 +12,7 @@ from pc2scan.names import did_you_mean
 from .options import FrameOptions
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
     from pathlib import Path
 
     from pc2scan.bags.reader import Reader
@@ -20,8 +20,18 @@ if TYPE_CHECKING:
     from pc2scan.model import Connection
 
     from .buffer import TransformBuffer
+    from .builder import TransformBuilder
 
-__all__ = ["is_static", "read_some_transforms", "read_transforms", "recorded_transforms", "tf_connections"]
+__all__ = [
+    "begun_with",
+    "built",
+    "collect_transforms",
+    "is_static",
+    "read_some_transforms",
+    "read_transforms",
+    "recorded_transforms",
+    "tf_connections",
+]
 
 #: How long, and how many messages, of moving transforms tell how a robot is put together.
 _SOME_NS = 1_000_000_000
@@ -83,32 +93,54 @@ def read_transforms(readers: Iterable[Reader], options: FrameOptions) -> tuple[T
     TransformBuffer, list of str
         The transforms, and warnings: transforms that cannot be used, and messages that cannot be decoded.
     """
+    builder, warnings = begun_with(options), dict[str, int]()
+    for reader in readers:
+        collect_transforms(reader, options, builder, warnings)
+    return built(builder, warnings)
+
+
+def begun_with(options: FrameOptions) -> TransformBuilder:
+    """Return a builder that has the user's own transforms."""
     from .builder import TransformBuilder  # noqa: PLC0415  # only conversions with transforms need it
 
     builder = TransformBuilder()
     # The user's transforms replace the recording's: they are given because those are wrong or missing.
     builder.add((static.row(0) for static in options.static), static=True)
+    return builder
+
+
+def collect_transforms(
+    reader: Reader,
+    options: FrameOptions,
+    builder: TransformBuilder,
+    warnings: dict[str, int],
+    start_ns: int | None = None,
+    stop_ns: int | None = None,
+) -> None:
+    """Add a recording's transforms, of ``start_ns <= log_time_ns < stop_ns``, and count what cannot be decoded."""
+    connections = tf_connections(reader.connections, options.tf_topics)
+    if not connections:
+        return
     overridden = {static.child.removeprefix("/") for static in options.static}
-    warnings: dict[str, int] = {}
-    for reader in readers:
-        connections = tf_connections(reader.connections, options.tf_topics)
-        if not connections:
+    for message in reader.messages(connections, start_ns, stop_ns):
+        connection = message.connection
+        try:
+            rows = decode_transforms(message.data, connection.serialization)
+        except DecodeError as err:
+            text = f"{connection.topic}: a transform message cannot be decoded: {err.message}"
+            warnings[text] = warnings.get(text, 0) + 1
             continue
-        for message in reader.messages(connections):
-            connection = message.connection
-            try:
-                rows = decode_transforms(message.data, connection.serialization)
-            except DecodeError as err:
-                text = f"{connection.topic}: a transform message cannot be decoded: {err.message}"
-                warnings[text] = warnings.get(text, 0) + 1
-                continue
-            if overridden:
-                rows = [row for row in rows if row[1].removeprefix("/") not in overridden]
-            try:
-                builder.add(rows, static=is_static(connection.topic))
-            except RecordingError as err:
-                err.path, err.topic = reader.path, connection.topic
-                raise
+        if overridden:
+            rows = [row for row in rows if row[1].removeprefix("/") not in overridden]
+        try:
+            builder.add(rows, static=is_static(connection.topic))
+        except RecordingError as err:
+            err.path, err.topic = reader.path, connection.topic
+            raise
+
+
+def built(builder: TransformBuilder, warnings: Mapping[str, int]) -> tuple[TransformBuffer, list[str]]:
+    """Return what `read_transforms` does."""
     buffer = builder.build()
     texts = [f"{text} ({count} times)" if count > 1 else text for text, count in warnings.items()]
     texts += [

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from pc2scan.model import Attachment, Buffer, StoredChunk, Writer
     from pc2scan.threads import Threads
 
-__all__ = ["Rosbag2Writer", "open_mcap_storage", "open_writer"]
+__all__ = ["Rosbag2Writer", "joined_info", "open_mcap_storage", "open_writer", "write_info"]
 
 
 class _File(NamedTuple):
@@ -78,6 +78,11 @@ class Rosbag2Writer:
     cut
         Where a new file begins; None for one file.
 
+    Attributes
+    ----------
+    info
+        What metadata.yaml says, once the recording is finished.
+
     Raises
     ------
     OutputError
@@ -104,6 +109,7 @@ class Rosbag2Writer:
         self._connections: dict[int, Connection] = {}
         self._counts: dict[int, int] = {}
         self._span_ns: tuple[int, int] | None = None
+        self.info: dict[str, Any] = {}
         try:
             path.mkdir()
         except OSError as err:
@@ -191,22 +197,14 @@ class Rosbag2Writer:
 
     def finish(self) -> None:
         """Finish the storage, write metadata.yaml, and put everything on the disk."""
-        from pc2scan.files.staging import sync_directory  # noqa: PLC0415
-
         parts: Sequence[Part | _File] = [_File(self._file, self._counts, self._span_ns)]
         if self._split is None:
             self._keep_info(parts[0])
         self._storage.finish()
         if self._split is not None:
             parts = self._split.parts
-        try:
-            with (self._path / METADATA_NAME).open("x", encoding="utf-8", newline="\n") as file:
-                file.write(dump_yaml({ROOT: self._info(parts)}))
-                file.flush()
-                os.fsync(file.fileno())
-            sync_directory(self._path)
-        except OSError as err:
-            raise self._failed(err) from err
+        self.info = self._info(parts)
+        write_info(self._path, self.info)
 
     def abort(self) -> None:
         """Release the storage; the caller removes the directory."""
@@ -251,13 +249,62 @@ class Rosbag2Writer:
         return OutputError(f"cannot be written: {err.strerror}", path=self._path)
 
 
+def write_info(folder: Path, info: Mapping[str, Any]) -> None:
+    """Write metadata.yaml, and wait until it is on the disk.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be written.
+    """
+    from pc2scan.files.staging import sync_directory  # noqa: PLC0415
+
+    try:
+        with (folder / METADATA_NAME).open("x", encoding="utf-8", newline="\n") as file:
+            file.write(dump_yaml({ROOT: dict(info)}))
+            file.flush()
+            os.fsync(file.fileno())
+        sync_directory(folder)
+    except OSError as err:
+        raise OutputError(f"cannot be written: {err.strerror}", path=folder) from err
+
+
+def joined_info(infos: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return what metadata.yaml says of the files of recordings that have the same topics and follow each other.
+
+    Files without messages are not listed, unless there are no others.
+    """
+    files = [file for info in infos for file in info["files"]]
+    files = [file for file in files if file["message_count"]] or files[:1]
+    spans = []
+    for file in files:
+        if file["message_count"]:
+            first_ns = file["starting_time"]["nanoseconds_since_epoch"]
+            spans.append((first_ns, first_ns + file["duration"]["nanoseconds"]))
+    topics = [
+        {**entries[0], "message_count": sum(entry["message_count"] for entry in entries)}
+        for entries in zip(*(info["topics_with_message_count"] for info in infos), strict=True)
+    ]
+    return {
+        **infos[0],
+        **_extent_of(spans, sum(file["message_count"] for file in files)),
+        "topics_with_message_count": topics,
+        "relative_file_paths": [file["path"] for file in files],
+        "files": files,
+    }
+
+
 def _extent(parts: Sequence[Part | _File]) -> dict[str, Any]:
     """Return the times and the number of messages of files."""
     spans = [part.span_ns for part in parts if part.span_ns is not None]
+    return _extent_of(spans, sum(sum(part.counts.values()) for part in parts))
+
+
+def _extent_of(spans: Sequence[tuple[int, int]], message_count: int) -> dict[str, Any]:
     first_ns = min((first for first, _ in spans), default=MAX_ROSBAG2_NS)
     last_ns = max((last for _, last in spans), default=MAX_ROSBAG2_NS)
     return {
         "duration": {"nanoseconds": last_ns - first_ns},
         "starting_time": {"nanoseconds_since_epoch": first_ns},
-        "message_count": sum(sum(part.counts.values()) for part in parts),
+        "message_count": message_count,
     }

@@ -1,0 +1,393 @@
+"""An executor around another: a long recording that is split by time becomes several jobs, and their results one.
+
+The jobs of a recording are steps: where it is cut, its transforms (in stretches), its pieces. They write into the
+directory that becomes the recording, which is renamed when it is complete; see `pc2scan.pipeline.pieces`.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, field, replace
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from pc2scan.bags.destinations import beside_recording
+from pc2scan.errors import OutputError, Pc2ScanError, RecordingError
+from pc2scan.files.staging import staged
+from pc2scan.pipeline.piece import Piece
+from pc2scan.pipeline.pieces import join, joined_report, may_be_cut, read_stretch, stretches_of
+from pc2scan.pipeline.run import run_piece
+
+from .identity import Identity, identity_of
+from .staged import is_remote
+from .work import Job, Result, outcome_of
+from .workers import Began, Died, Ended, Progressed
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Generator, Iterator, Sequence
+
+    from pc2scan.bags.damage import Damage
+    from pc2scan.pipeline.piece import Made
+    from pc2scan.pipeline.pieces import Stretch, Stretches
+
+    from .workers import Event, Executor
+
+__all__ = ["PIECE_BYTES", "count_of", "in_pieces", "is_given_up"]
+
+#: A file beside the pieces of a recording that says that nobody wants them any more.
+_GIVEN_UP = "given-up"
+
+#: Bytes of a source that are worth a process of its own, whose start and whose look at the source take some tenths.
+PIECE_BYTES = 512_000_000
+
+
+class _Cut(NamedTuple):
+    """Decides where a recording is cut."""
+
+    piece_bytes: int
+
+    def do(self, job: Job, _progress: object) -> Stretches | None:
+        cut = job.request.output.cut
+        assert cut is not None
+        return stretches_of(_sources(job), job.request.options, cut, piece_bytes=self.piece_bytes)
+
+
+class _Transforms(NamedTuple):
+    """Reads the transforms of a stretch."""
+
+    sources: tuple[Path, ...]
+    file: Path
+    start_ns: int | None = None
+    stop_ns: int | None = None
+
+    def do(self, job: Job, _progress: object) -> list[Damage]:
+        _refuse_given_up(job)
+        return read_stretch(self.sources, job.request.options, self.file, self.start_ns, self.stop_ns)
+
+
+class _Convert(NamedTuple):
+    """Converts a piece."""
+
+    destination: str
+    piece: Piece
+
+    def do(self, job: Job, progress: Callable[[int, int, int], None] | None) -> Made:
+        _refuse_given_up(job)
+        request = job.request
+        return run_piece(
+            _sources(job),
+            Path(self.destination),
+            replace(request.options, jobs=job.threads),
+            request.output,
+            self.piece,
+            also_read=request.files,
+            progress=progress,
+        )
+
+
+def _refuse_given_up(job: Job) -> None:
+    if is_given_up(job):
+        raise OutputError("the recording was given up", path=Path(job.destination))
+
+
+def is_given_up(job: Job) -> bool:
+    """Whether another step of the recording has failed."""
+    return job.step is not None and (Path(job.destination).parent / _GIVEN_UP).exists()
+
+
+def _sources(job: Job) -> tuple[Path, ...]:
+    return tuple(map(Path, job.sources))
+
+
+def _cuttable(job: Job, piece_bytes: int) -> bool:
+    request = job.request
+    plain = request.export is None and not job.dry_run and not is_remote(job)
+    return plain and may_be_cut(request.output.cut) and job.size_bytes >= 2 * piece_bytes
+
+
+def count_of(jobs: Sequence[Job], piece_bytes: int | None = None) -> int:
+    """Return about how many processes could work on these jobs at a time."""
+    size = PIECE_BYTES if piece_bytes is None else piece_bytes
+    return sum(job.size_bytes // size if _cuttable(job, size) else 1 for job in jobs)
+
+
+def in_pieces(executor: Executor, piece_bytes: int | None = None) -> Executor:
+    """Return an executor that cuts long recordings; ``executor`` takes a deque of jobs that grows."""
+    size = PIECE_BYTES if piece_bytes is None else piece_bytes
+
+    def execute(jobs: Sequence[Job]) -> Generator[Event]:
+        # Copies of what is at URLs are made for whole recordings.
+        if not any(_cuttable(job, size) for job in jobs) or any(map(is_remote, jobs)):
+            yield from executor(jobs)
+            return
+        todo: deque[Job] = deque()
+        recordings: dict[str, _Recording] = {}
+        for job in jobs:
+            if _cuttable(job, size):
+                step = replace(job, key=_key(job, "index"), step=_Cut(size))
+                recordings[step.key] = _Recording(job, todo, recordings)
+                todo.append(step)
+            else:
+                todo.append(job)
+        events = executor(todo)
+        try:
+            for event in events:
+                key = event.result.key if isinstance(event, Ended) else getattr(event, "key", "")
+                recording = recordings.get(key)
+                if recording is None:
+                    yield event
+                else:
+                    yield from recording.take(key, event)
+        finally:
+            events.close()
+            for recording in set(recordings.values()):
+                recording.close()
+
+    return execute
+
+
+@dataclass(slots=True, eq=False)
+class _Recording:
+    """A recording that is converted in pieces.
+
+    Attributes
+    ----------
+    job
+        The job of the whole.
+    todo
+        What the executor does next.
+    owners
+        The recordings by the keys of their jobs.
+    """
+
+    job: Job
+    todo: deque[Job]
+    owners: dict[str, _Recording]
+    began: float = field(default_factory=time.monotonic)
+    started: str = ""
+    stack: ExitStack = field(default_factory=ExitStack)
+    folder: Path = field(default_factory=Path)
+    stretches: list[Stretch] = field(default_factory=list)
+    pieces: list[Piece] = field(default_factory=list)
+    made: dict[str, Any] = field(default_factory=dict)
+    waiting: set[str] = field(default_factory=set)
+    transforms: tuple[Path, ...] = ()
+    damage: list[Damage] = field(default_factory=list)
+    #: Of the source, as the first step saw it, with its checksum.
+    identity: Identity = field(default_factory=Identity)
+    sha256: str | None = None
+    attempts: int = 1
+    numbered: int = 0
+    shares: dict[str, float] = field(default_factory=dict)
+    next: Callable[[], Iterator[Event]] | None = None
+    error: Result | None = None
+    done: bool = False
+
+    def take(self, key: str, event: Event) -> Generator[Event]:
+        """Take what happens to one of its jobs, and say what happens to the whole."""
+        if self.done:
+            return
+        match event:
+            case Began():
+                if not self.started:
+                    self.started = _now()
+                    self.began = time.monotonic()
+                    yield Began(self.job.key)
+            case Progressed(_, done, total) if key in self.shares and self.error is None:
+                self.shares[key] = min(1.0, max(self.shares[key], done * len(self.pieces) / max(1, total)))
+                yield self._progressed()
+            case Died(_, why) if self.error is None:
+                yield Died(self.job.key, why)
+            case Ended(result):
+                self.attempts = max(self.attempts, result.attempts)
+                self.waiting.discard(key)
+                if result.error is None and self.error is None:
+                    if key in self.shares:
+                        self.shares[key] = 1.0
+                        yield self._progressed()
+                    try:
+                        yield from self._after(key, result)
+                    except Pc2ScanError as err:
+                        status, error = err.exit_status, err.as_dict()
+                        self._give_up(replace(result, outcome=outcome_of(status), exit_status=status, error=error))
+                elif self.error is None:
+                    self._give_up(result)
+                if self.error is not None and not self.waiting:
+                    yield self._failed(self.error)
+
+    def close(self) -> None:
+        """Remove what is not complete."""
+        if not self.done:
+            self.done = True
+            self._abandon()
+
+    def _give_up(self, result: Result) -> None:
+        """Keep the error of a step, and have the others end; what they write is removed when they have."""
+        self.error = result
+        dropped = {job.key for job in self.todo} & self.waiting
+        self.waiting -= dropped
+        left = [job for job in self.todo if job.key not in dropped]
+        self.todo.clear()
+        self.todo.extend(left)
+        if self.waiting:
+            with suppress(OSError):
+                (self.folder / _GIVEN_UP).touch()
+
+    def _abandon(self) -> None:
+        error = OutputError("interrupted", path=Path(self.job.destination))
+        self.stack.__exit__(type(error), error, None)
+
+    def _progressed(self) -> Progressed:
+        done = sum(self.shares.values()) / max(1, len(self.pieces))
+        return Progressed(self.job.key, round(1000 * done), 1000)
+
+    def _after(self, key: str, result: Result) -> Generator[Event]:
+        """Go on after a step."""
+        if key == _key(self.job, "index"):
+            self._cut(result)
+            return
+        if result.identity != self.identity:
+            raise RecordingError(
+                "was changed while it was read",
+                path=Path(self.job.sources[0]),
+                hint="wait until the recording is complete, or copy it",
+            )
+        self.made[key] = result.made
+        if not self.waiting and self.next is not None:
+            yield from self.next()
+
+    def _cut(self, result: Result) -> None:
+        """Begin with the transforms, or with the pieces; a recording that is not cut is one job."""
+        self.identity, self.sha256 = result.identity, result.sha256
+        cut: Stretches | None = result.made
+        if cut is None:
+            self.done = True
+            self.todo.appendleft(self.job)
+            return
+        self.stretches = list(cut.stretches)
+        destination = Path(self.job.destination)
+        self.folder = self.stack.enter_context(
+            staged(destination, overwrite=self.job.replaces, beside_recording=beside_recording)
+        )
+        try:
+            self.folder.mkdir()
+        except OSError as err:
+            raise OutputError(f"cannot be written: {err.strerror}", path=destination) from err
+        if not cut.needs_transforms:
+            self._convert()
+            return
+        sources, others = _sources(self.job), self.job.request.options.frames.tf_from
+        steps = [
+            _Transforms(sources, self.folder / f"transforms-{number}", each.start_ns, each.stop_ns)
+            for number, each in enumerate(cut.stretches)
+        ]
+        # Times outside of what is converted count, too.
+        steps[0] = steps[0]._replace(start_ns=None)
+        steps[-1] = steps[-1]._replace(stop_ns=None)
+        steps += [_Transforms((other,), self.folder / f"others-{n}") for n, other in enumerate(others)]
+        self.transforms = tuple(step.file for step in steps)
+        for number, step in enumerate(steps):
+            self._add(f"transforms {number + 1}", step, step.file)
+        self.next = self._transforms_read
+
+    def _add(self, name: str, step: _Transforms | _Convert, destination: Path) -> str:
+        key = _key(self.job, name)
+        self.owners[key] = self
+        self.waiting.add(key)
+        self.todo.append(
+            replace(self.job, key=key, step=step, destination=str(destination), checksum=False, shown=False)
+        )
+        return key
+
+    def _transforms_read(self) -> Iterator[Event]:
+        self.damage = [damage for found in self.made.values() for damage in found]
+        self._convert()
+        return iter(())
+
+    def _convert(self) -> None:
+        first = 0
+        self.pieces = []
+        for number, stretch in enumerate(self.stretches):
+            folder = self.folder / f"piece-{number}-{self.numbered}"
+            piece = Piece(folder, stretch.start_ns, stretch.stop_ns, number == 0, first, self.transforms)
+            self.pieces.append(piece)
+            first += stretch.files
+        self._submit(range(len(self.pieces)))
+
+    def _submit(self, numbers: Sequence[int]) -> None:
+        """Have pieces converted."""
+        for number in numbers:
+            piece = self.pieces[number]
+            self.shares[self._add(piece.folder.name, _Convert(self.job.destination, piece), piece.folder)] = 0.0
+        self.next = self._converted
+
+    def _converted(self) -> Iterator[Event]:
+        """Join the pieces if their files are numbered as one conversion numbers them; make the others again."""
+        made: list[Made] = [self.made[_key(self.job, piece.folder.name)] for piece in self.pieces]
+        self.numbered += 1
+        if not made[0].file_count and len(made) > 1:
+            # The first file begins with what is written first, wherever that is.
+            first, second, *others = self.stretches
+            self.stretches = [first._replace(stop_ns=second.stop_ns), *others]
+            piece = self.pieces[0]._replace(folder=self.folder / f"piece-0-{self.numbered}", stop_ns=second.stop_ns)
+            self.pieces = [piece, *self.pieces[2:]]
+            self._submit([0])
+            return
+        wrong = []
+        number = 0
+        for place, (piece, each) in enumerate(zip(self.pieces, made, strict=True)):
+            if piece.first_file != number and each.file_count:
+                folder = self.folder / f"piece-{place}-{self.numbered}"
+                self.pieces[place] = piece._replace(folder=folder, first_file=number)
+                wrong.append(place)
+            number += each.file_count
+        if wrong:
+            self._submit(wrong)
+            return
+        yield self._complete(made)
+
+    def _complete(self, made: list[Made]) -> Ended:
+        destination = Path(self.job.destination)
+        options = self.job.request.options
+        report = joined_report(made, self.damage, options)
+        join(self.folder, self.pieces, made)
+        self.done = True
+        self.stack.close()
+        files = sorted(destination.iterdir(), key=lambda path: (len(path.name), path.name))
+        report.files = [str(path) for path in files if path.name != "metadata.yaml"]
+        report.bytes_written = sum(path.stat().st_size for path in files)
+        report.seconds = time.monotonic() - self.began
+        return self._ended(
+            Result(
+                key=self.job.key,
+                outcome=outcome_of(report.exit_status),
+                exit_status=report.exit_status,
+                identity=self.identity,
+                sha256=self.sha256,
+                output_identity=identity_of([destination]),
+                report=report.as_dict(),
+                text=str(report) if self.job.shown else "",
+            )
+        )
+
+    def _failed(self, result: Result) -> Ended:
+        """End with the error of a step."""
+        self.done = True
+        self._abandon()
+        return self._ended(replace(result, sha256=self.sha256, made=None))
+
+    def _ended(self, result: Result) -> Ended:
+        seconds = time.monotonic() - self.began
+        started = self.started or _now()
+        return Ended(replace(result, key=self.job.key, started=started, seconds=seconds, attempts=self.attempts))
+
+
+def _key(job: Job, step: str) -> str:
+    return f"{job.key}: {step}"
+
+
+def _now() -> str:
+    return datetime.now(timezone.utc).isoformat(timespec="milliseconds")

@@ -1,0 +1,53 @@
+"""One of the pieces that a recording is converted in, each by a process of its own."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from .report import Report, Tally
+
+__all__ = ["Made", "Piece"]
+
+
+class Piece(NamedTuple):
+    """Which messages are converted, and where their files go.
+
+    Attributes
+    ----------
+    folder
+        The directory that the files are written in, with a metadata.yaml of their own.
+    start_ns, stop_ns
+        Only messages with ``start_ns <= log_time_ns < stop_ns``; None: from the beginning, to the end of what is
+        converted.
+    is_first
+        Whether it begins with what comes before the messages: latched ones from before the cut, attachments, the user's
+        transforms.
+    first_file
+        The number of its first file.
+    transforms
+        Files with all transforms; see `pc2scan.tf.stored`. None if the conversion needs no transforms.
+    """
+
+    folder: Path
+    start_ns: int | None
+    stop_ns: int | None
+    is_first: bool
+    first_file: int = 0
+    transforms: tuple[Path, ...] = ()
+
+
+class Made(NamedTuple):
+    """What a piece has become: its report, not yet concluded, and what metadata.yaml says of its files."""
+
+    report: Report
+    tally: Tally
+    info: Mapping[str, Any]
+
+    @property
+    def file_count(self) -> int:
+        """How many files have messages."""
+        return sum(file["message_count"] > 0 for file in self.info["files"])

@@ -1,0 +1,233 @@
+"""A long recording converted in pieces, each by a process of its own, perhaps on another machine.
+
+A rosbag2 recording that is split by time consists of files that do not depend on each other. So each piece is some of
+these files, cut out of the source by its index, and the pieces are what one conversion writes, byte for byte: all look
+at the whole source for whatever the whole decides (where time begins, all transforms, what is measured). Transforms are
+read in stretches, too, since nearly every chunk has some.
+
+The number of a file is in the file. How many files a piece has is known by the source's index, unless there are
+stretches of which nothing is written. What was numbered wrongly is made again.
+"""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from dataclasses import replace
+from itertools import pairwise
+from typing import TYPE_CHECKING, NamedTuple
+
+from pc2scan.bags.merged import as_one
+from pc2scan.bags.opening import open_recordings
+from pc2scan.bags.rosbag2.writer import joined_info, write_info
+from pc2scan.bags.zstd import SUFFIXES
+from pc2scan.errors import OutputError
+from pc2scan.tf.stored import store_transforms
+
+from .report import MAX_LISTED
+from .run import conclude, opened_plan, span_of
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+    from pathlib import Path
+
+    from pc2scan.bags.damage import Damage
+    from pc2scan.bags.reader import Reader
+    from pc2scan.bags.splitting import Cut
+
+    from .options import ConvertOptions
+    from .piece import Made, Piece
+    from .plan import Plan
+    from .report import Report, Tally, TopicReport
+    from .stream import Span
+
+__all__ = ["Stretch", "Stretches", "join", "joined_report", "may_be_cut", "read_stretch", "stretches_of"]
+
+#: More files than this are not counted one by one.
+_MOST_FILES = 5_000
+
+
+class Stretch(NamedTuple):
+    """Log times ``start_ns <= t < stop_ns`` (None: no limit), and how many files are expected of them."""
+
+    start_ns: int | None
+    stop_ns: int | None
+    files: int
+
+
+class Stretches(NamedTuple):
+    """How a recording can be cut.
+
+    Attributes
+    ----------
+    stretches
+        In order, without gaps.
+    needs_transforms
+        Whether the conversion needs transforms.
+    """
+
+    stretches: tuple[Stretch, ...]
+    needs_transforms: bool
+
+
+def may_be_cut(cut: Cut | None) -> bool:
+    """Whether the files of a recording depend on time alone."""
+    return cut is not None and bool(cut.duration_ns) and not cut.size and not cut.repeats
+
+
+def stretches_of(sources: Sequence[Path], options: ConvertOptions, cut: Cut, *, piece_bytes: int) -> Stretches | None:
+    """Decide where a recording is cut; None where one process converts it better.
+
+    That is the case for short recordings, damaged ones (whose index has to be found again by each process), those that
+    are compressed as a whole, and where scans are made of several messages, which may be of two pieces.
+
+    Parameters
+    ----------
+    cut
+        Where new files begin.
+    piece_bytes
+        Bytes of the source that are worth a process.
+
+    Raises
+    ------
+    Pc2ScanError
+        If the recording cannot be converted.
+    """
+    if any(source.name.lower().endswith(SUFFIXES) for source in sources):
+        return None
+    with ExitStack() as stack:
+        reader, _, plan = opened_plan(sources, options, stack)
+        span = span_of(reader, options)
+        end_ns = reader.summary.end_ns
+        if reader.damage or plan.combinations or end_ns is None:
+            return None
+        last_ns = end_ns if span.stop_ns is None else min(end_ns, span.stop_ns - 1)
+        edges = _edges(reader, plan, span, last_ns, replace(cut, begin_ns=span.first_ns))
+    pieces = min(len(edges), reader.summary.size_bytes // max(1, piece_bytes))
+    if pieces < 2:  # nothing to share
+        return None
+    # The first file begins with what is before it, the last one ends with the recording.
+    firsts = [len(edges) * number // pieces for number in range(pieces)] + [len(edges)]
+    stretches = tuple(
+        Stretch(edges[first] if first else None, edges[last] if last < len(edges) else None, last - first)
+        for first, last in pairwise(firsts)
+    )
+    return Stretches(stretches, any(spec.needs_transforms for spec in plan.specs))
+
+
+def _edges(reader: Reader, plan: Plan, span: Span, last_ns: int, cut: Cut) -> list[int]:
+    """Return where the files begin that are going to have messages, by the index."""
+    count = cut.cell(last_ns) + 1
+    if count > _MOST_FILES:
+        return []
+    written = [route.connection for route in plan.routes if route.passes or route.tasks]
+    edges = [cut.begin_ns + number * cut.duration_ns for number in range(count)]
+    found = []
+    for edge in edges:
+        stop_ns = edge + cut.duration_ns
+        counts = reader.counts(written, edge, stop_ns if span.stop_ns is None else min(stop_ns, span.stop_ns))
+        if len(counts) < len(written) or any(counts.values()):
+            found.append(edge)
+    return found
+
+
+def read_stretch(
+    sources: Sequence[Path], options: ConvertOptions, file: Path, start_ns: int | None, stop_ns: int | None
+) -> list[Damage]:
+    """Store the transforms of a stretch of a recording in a file; return the damage that was found."""
+    with ExitStack() as stack:
+        readers = open_recordings(sources, stack, verify=options.verify, strict=options.strict)
+        reader = as_one(readers)
+        store_transforms(reader, options.frames, file, start_ns, stop_ns)
+        return list(reader.damage)
+
+
+def join(folder: Path, pieces: Sequence[Piece], made: Sequence[Made]) -> None:
+    """Move the files of pieces into one directory, and write its metadata.yaml.
+
+    Parameters
+    ----------
+    folder
+        The directory, which has the folders of the pieces in it, and files of transforms. Both are removed.
+    pieces, made
+        The pieces in their order, and what they have become.
+
+    Raises
+    ------
+    OutputError
+        If that is not possible.
+    """
+    import shutil  # noqa: PLC0415
+
+    info = joined_info([each.info for each in made])
+    try:
+        wanted = set(info["relative_file_paths"])
+        for piece in pieces:
+            for file in piece.folder.iterdir():
+                if file.name in wanted:
+                    file.rename(folder / file.name)
+        for entry in folder.iterdir():
+            if entry.name not in wanted:
+                shutil.rmtree(entry) if entry.is_dir() else entry.unlink()
+    except OSError as err:
+        raise OutputError(f"the parts cannot be joined: {err.strerror}", path=folder) from err
+    write_info(folder, info)
+
+
+def joined_report(made: Sequence[Made], damage: Iterable[Damage], options: ConvertOptions) -> Report:
+    """Make one report of those of the pieces.
+
+    Parameters
+    ----------
+    damage
+        What was found beside: where transforms were read.
+
+    Raises
+    ------
+    Pc2ScanError
+        If the result is not worth writing.
+    """
+    report = made[0].report
+    topics = _by_key(report)
+    for other in (each.report for each in made[1:]):
+        for key, entry in _by_key(other).items():
+            if key in topics:
+                topics[key].add(entry)
+            else:
+                topics[key] = entry
+        report.skipped = [*report.skipped, *other.skipped][:MAX_LISTED]
+        report.warnings += (text for text in other.warnings if text not in report.warnings)
+        report.notes += (text for text in other.notes if text not in report.notes)
+        report.damage += other.damage
+        report.messages_read += other.messages_read
+    report.topics = list(topics.values())
+    # What a conversion finds of a place replaces what the reading of transforms has found of it.
+    places = {(each.path, each.offset) for each in report.damage}
+    report.damage += (each for each in damage if each.offset is None or (each.path, each.offset) not in places)
+    report.damage = list(dict.fromkeys(report.damage))
+    conclude(report, _whole(each.tally for each in made), options)
+    return report
+
+
+def _by_key(report: Report) -> dict[tuple[object, ...], TopicReport]:
+    """Return the entries of topics by what they are about."""
+    # Equal specs of different processes need not be equal: they may have filters of the user's.
+    specs = {id(spec): number for number, spec in enumerate(report.scans)}
+    return {
+        (each.topic, each.msgtype, each.target, each.action, each.note, specs.get(id(each.spec))): each
+        for each in report.topics
+    }
+
+
+def _whole(tallies: Iterable[Tally]) -> Tally:
+    """Return what the tallies of all pieces say together."""
+    first, *others = tallies
+    counts = [(topic, declared, read) for topic, declared, read in first.counts]
+    refusals = {text: dict.fromkeys(names) for text, names in first.refusals.items()}
+    for other in others:
+        counts = [
+            (topic, declared, read + more)
+            for (topic, declared, read), (_, _, more) in zip(counts, other.counts, strict=True)
+        ]
+        for text, names in other.refusals.items():
+            refusals.setdefault(text, {}).update(dict.fromkeys(names))
+    return first._replace(counts=counts, refusals={text: list(names) for text, names in refusals.items()})
