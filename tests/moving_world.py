@@ -237,6 +237,7 @@ def write_world(
     *,
     seconds: float = 2.0,
     odometry_hz: float = 100.0,
+    compression: str | None = None,
 ) -> Path:
     """Write an MCAP file of what lidars measure while the robot drives, with the transforms odom, base_link, lidars."""
     rows: list[tuple[int, str, bytes]] = []
@@ -251,7 +252,7 @@ def write_world(
     for lidar in lidars:
         types[lidar.topic] = LASERSCAN if lidar.kind == "flat" else POINTCLOUD2
         rows += ((message.log_time_ns, lidar.topic, message.data) for message in messages(drive, lidar, seconds))
-    writer = open_writer(plan_destination(path, source_ros_version=2), path, path.name)
+    writer = open_writer(plan_destination(path, compression=compression, source_ros_version=2), path, path.name)
     handles = {}
     for topic, msgtype in types.items():
         text, digest = definition(msgtype, 2)

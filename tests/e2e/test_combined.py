@@ -207,6 +207,34 @@ def test_any_number_of_jobs_gives_the_same_bytes(tmp_path: Path) -> None:
         assert len(found) == 1
 
 
+@pytest.mark.parametrize("phase", [0.037, 0.063])
+def test_points_that_wait_in_borrowed_memory_are_those_that_were_read(
+    phase: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    front = Lidar("/front", "front", FRONT.mount, columns=4000)
+    rear = Lidar("/rear", "rear", REAR.mount, columns=4000, phase=phase)
+    source = write_world(tmp_path / "w.mcap", [front, rear], seconds=1.0, compression="none")
+    for options in ({}, {"deskew": True}, {"reduce": "max"}, {"intensity_field": "intensity"}):
+        found = set()
+        for held in (64 << 20, 0):
+            monkeypatch.setattr("pc2scan.files.lent._MAX_KEPT", held)
+            for jobs in (1, 3):
+                done = pc2scan.convert(
+                    source,
+                    tmp_path / "out.mcap",
+                    topics=["/front:=/scan", "/rear:=/scan"],
+                    target_frame="base_link",
+                    fixed_frame="odom",
+                    min_height=0.1,
+                    jobs=jobs,
+                    overwrite=True,
+                    **options,
+                )
+                found.add((tmp_path / "out.mcap").read_bytes())
+        assert len(found) == 1
+        assert sum(topic.messages_out for topic in done.topics if topic.target == "/scan") >= 18
+
+
 def test_other_clocks_are_an_error_that_says_by_how_much(tmp_path: Path) -> None:
     ahead = Lidar("/rear", "rear", REAR.mount, clock=42.0)
     source = write_world(tmp_path / "w.mcap", [FRONT, ahead], seconds=1.0)

@@ -175,9 +175,10 @@ class Projector:
     def nearest_of(self, scans: Sequence[ProjectedScan]) -> ProjectedScan:
         """Return the scan of several parts, the same as `together`, if beams read the closest return."""
         ranges = np.full(self._beams, np.inf, np.float32)
-        counts = PointCounts()
-        for scan in scans:
+        counts = scans[0].counts if scans else PointCounts()
+        for scan in scans[1:]:
             counts += scan.counts
+        for scan in scans:
             np.minimum(ranges, scan.ranges, out=ranges)
         ranges[np.isinf(ranges)] = self._empty
         return ProjectedScan(ranges, counts, _NO_VALUES)

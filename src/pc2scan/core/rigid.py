@@ -211,6 +211,21 @@ def rotation_matrices(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
         )
 
 
+def _rows(quaternion: Sequence[float]) -> tuple[tuple[float, float, float], ...]:
+    """The rows of one rotation matrix: the same as `rotation_matrices`, in Python's numbers."""
+    x, y, z, w = quaternion
+    scale = 2.0 / (x * x + y * y + z * z + w * w)
+    xs, ys, zs = x * scale, y * scale, z * scale
+    wx, wy, wz = w * xs, w * ys, w * zs
+    xx, xy, xz = x * xs, x * ys, x * zs
+    yy, yz, zz = y * ys, y * zs, z * zs
+    return (
+        (1.0 - (yy + zz), xy - wz, xz + wy),
+        (xy + wz, 1.0 - (xx + zz), yz - wx),
+        (xz - wy, yz + wx, 1.0 - (xx + yy)),
+    )
+
+
 def _quaternion(m: Sequence[Sequence[float]]) -> tuple[float, float, float, float]:
     """Return the quaternion of a rotation matrix; its largest component is positive."""
     (m00, m01, m02), (m10, m11, m12), (m20, m21, m22) = m
@@ -354,8 +369,33 @@ class Rigid:
         `compose` multiplies quaternions as published, as tf2 does within a lookup: one that is 0.1 % too long scales by
         0.2 %.
         """
-        rotation = self.matrix
-        return Rigid.from_matrix(rotation @ other.matrix, rotation @ other.translation + self.translation)
+        # By far quicker than NumPy for nine numbers, and the same on every machine.
+        a, (b, c, d) = _rows(self.quaternion.tolist()), _rows(other.quaternion.tolist())
+        x, y, z = other.translation.tolist()
+        i, j, k, r = _quaternion(
+            [
+                (
+                    p * b[0] + q * c[0] + s * d[0],
+                    p * b[1] + q * c[1] + s * d[1],
+                    p * b[2] + q * c[2] + s * d[2],
+                )
+                for p, q, s in a
+            ]
+        )
+        length = math.sqrt(i * i + j * j + k * k + r * r)
+        u, v, w = self.translation.tolist()
+        (p, q, s), (e, f, g), (h, m, n) = a
+        return Rigid.from_pose(
+            (
+                p * x + q * y + s * z + u,
+                e * x + f * y + g * z + v,
+                h * x + m * y + n * z + w,
+                i / length,
+                j / length,
+                k / length,
+                r / length,
+            )
+        )
 
     def inverse(self) -> Rigid:
         """Return ``source_from_target``."""

@@ -11,6 +11,7 @@ from weakref import WeakValueDictionary
 
 from pc2scan.errors import OutputError, RecordingError
 
+from .lent import Buffers, Lent
 from .system import BINARY, read_at
 
 if TYPE_CHECKING:
@@ -38,9 +39,6 @@ on_demand: dict[Path, Callable[[int, int], None]] = {}
 
 #: Bytes of such a file that are there when it is opened as a whole: its beginning says what it is.
 _HEAD_BYTES = 1 << 17
-
-#: Buffers have multiples of this size, so that one serves chunks of different sizes.
-_ROUNDED_TO = 1 << 20
 
 
 def state_of(path: Path) -> tuple[tuple[str, int, int, int, int], ...]:
@@ -129,7 +127,7 @@ class SourceFile:
         self.next_start: int | None = None
         self._fetch = on_demand.get(path)
         self._descriptor = -1
-        self._buffers = _shared.setdefault("", _Buffers())
+        self._buffers = _shared.setdefault("", Buffers())
         try:
             self._descriptor = _open_regular(str(path), os.O_RDONLY | BINARY | getattr(os, "O_CLOEXEC", 0))
             self.size = os.fstat(self._descriptor).st_size - start
@@ -154,7 +152,7 @@ class SourceFile:
 
     def close(self) -> None:
         """Release the file; reading afterwards is an error."""
-        self._buffers = _Buffers()
+        self._buffers = Buffers()
         descriptor, self._descriptor = self._descriptor, -1
         if descriptor >= 0:
             os.close(descriptor)
@@ -198,20 +196,19 @@ class SourceFile:
         offset, length
             The bytes' place.
         callback
-            Must copy the bytes that it keeps (`pc2scan.model.own`), because the buffer is overwritten afterwards.
+            Must copy the bytes that it keeps (`pc2scan.model.own`), because the buffer is overwritten afterwards; or
+            keep the buffer (`pc2scan.files.lent.keep`).
         """
         if length not in _BORROWED_BYTES or not hasattr(os, "preadv"):
             return callback(memoryview(self.read(offset, length)))
         self._expect_inside(offset, length)
         try:
-            buffer = self._buffers.take(length)
+            lent = Lent(self._buffers, length)
         except MemoryError as err:
             raise self._too_large(offset, length) from err
-        try:
-            self._fill(memoryview(buffer)[:length], self.start + offset)
-            return callback(memoryview(buffer)[:length].toreadonly())
-        finally:
-            self._buffers.append(buffer)
+        view = memoryview(lent.buffer)[:length]
+        self._fill(view, self.start + offset)
+        return callback(view.toreadonly())
 
     def _expect_inside(self, offset: int, length: int) -> None:
         if offset + length > self.size:
@@ -243,21 +240,8 @@ class SourceFile:
         )
 
 
-class _Buffers(list[bytearray]):
-    """The free buffers. All open files share them, so that each thread that reads needs one."""
-
-    def take(self, length: int) -> bytearray:
-        """Return a buffer of at least this size; the caller appends it again."""
-        # Not checked first: another thread may take the buffer in between.
-        with suppress(IndexError):
-            buffer = self.pop()
-            if len(buffer) >= length:
-                return buffer
-        return bytearray(-(-length // _ROUNDED_TO) * _ROUNDED_TO)
-
-
 #: The buffers; they exist as long as any file is open.
-_shared: WeakValueDictionary[str, _Buffers] = WeakValueDictionary()
+_shared: WeakValueDictionary[str, Buffers] = WeakValueDictionary()
 
 
 class NewFile:

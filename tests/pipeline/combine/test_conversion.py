@@ -13,10 +13,12 @@ from pc2scan.core.params import ProjectionParams
 from pc2scan.core.points import Points
 from pc2scan.core.rigid import Rigid
 from pc2scan.errors import DecodeError
+from pc2scan.files.lent import Buffers, Lent
 from pc2scan.messages.laserscan import LaserScan, encode_laserscan
 from pc2scan.pipeline.cloud_to_scan import CloudToScan
+from pc2scan.pipeline.combine import conversion as combine
 from pc2scan.pipeline.combine.asked import Combining
-from pc2scan.pipeline.combine.conversion import CombineToScan, Prepared
+from pc2scan.pipeline.combine.conversion import CombineToScan, Prepared, kept_together
 from pc2scan.pipeline.combine.matching import Nearest
 from pc2scan.pipeline.conversion import Measured, Result
 from pc2scan.pipeline.scan_spec import ScanSpec, TopicRequest
@@ -123,6 +125,69 @@ def test_preparing_keeps_nothing_of_the_message(choice: dict[str, Any], kept: se
         each.field("x")[:] = 1.0
     assert encode_laserscan(made.scan(prepared[0], prepared).message, "cdr") == before
     assert all(each.points.fields.keys() == kept for each in prepared)
+
+
+def moving_frames() -> Frames:
+    builder = TransformBuilder()
+    builder.add([("base_link", frame, T0, *mount.pose) for frame, mount in MOUNTS.items()], static=True)
+    for tick in range(40):
+        moved = Rigid.from_rpy(0.0, 0.01, 0.02 * tick, (0.03 * tick, 0.0, 0.0))
+        builder.add([("odom", "base_link", T0 + tick * 10_000_000, *moved.pose)], static=False)
+    return Frames("base_link", "", builder.build(), 0)
+
+
+@pytest.mark.parametrize("filters", [(), (MinHeightSlope(-0.5, 0.05),)])
+def test_a_scan_is_the_same_whichever_one_its_messages_were_projected_for(
+    filters: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A message is projected for the scan that it seems to belong to; it may be another one."""
+
+    def scans() -> tuple[list[bytes], int]:
+        rng = np.random.default_rng(5)
+        params = ProjectionParams(target_frame="base_link", min_height=-0.5, angle_increment=0.02)
+        spec = ScanSpec(
+            topics=tuple(TopicRequest(topic, "/scan") for topic in TOPICS),
+            params=params,
+            fixed_frame="odom",
+            filters=filters,
+        )
+        made = CombineToScan(spec, TOPICS, moving_frames(), Measured(0.1), lambda: Nearest([0, 0, 0]))
+        stages = [made.stages(topic)[0] for topic in TOPICS]
+        first, second = (stages[0](cloud(rng, "a", T0 + ms * 1_000_000)) for ms in (0, 200))
+        rear: Prepared = stages[1](cloud(rng, "b", T0 + 237_000_000))
+        last = stages[0](cloud(rng, "a", T0 + 240_000_000))
+        found = [made.scan(lead, [lead, rear]) for lead in (first, second, last)]
+        counts = [result.counts for result in found]
+        assert counts[1] != counts[2]
+        assert [result.motion is not None for result in found] == [True] * 3
+        return [encode_laserscan(result.message, "cdr") + repr(result.counts).encode() for result in found], (
+            rear.nearest is not None
+        )
+
+    supposed, is_projected = scans()
+    assert is_projected
+    monkeypatch.setattr(combine, "_FEWEST_LEADS", 100)
+    late, is_projected = scans()
+    assert not is_projected
+    assert supposed == late
+
+
+@pytest.mark.parametrize("wrapped", [False, True])
+def test_only_points_that_stay_as_they_are_are_not_copied(wrapped: bool) -> None:
+    buffers = Buffers()
+    lent = Lent(buffers, 1 << 20)
+    rows = np.frombuffer(
+        memoryview(lent.buffer).toreadonly()[:960_000] if wrapped else lent.buffer, np.float32
+    ).reshape(-1, 4)
+    memory = kept_together(rows[:, axis] for axis in range(3))
+    assert memory is not None
+    assert kept_together([rows[:, 0], np.zeros(len(rows), np.float32)]) is None
+    # A copy of a small part takes less than all of it.
+    assert kept_together([rows[:1000, 0]]) is None
+    del lent
+    assert not buffers
+    del memory
+    assert len(buffers) == 1
 
 
 def test_a_missing_field_is_the_error_of_the_message_that_lacks_it() -> None:

@@ -1,7 +1,8 @@
 """Scans of several messages: what is done with each message by itself, and with those that belong together.
 
-A message is decoded, filtered and copied on whichever thread has it: what is left are its points, and where its sensor
-was. Which messages belong together is decided in their order. The points of these are then placed, as seen at the
+A message is decoded and filtered on whichever thread has it. It is projected at once where it is known by then from
+where the scan sees it: what is left is what the beams read of it. Otherwise its points are left, and where its sensor
+was. Which messages belong together is decided in their order. The points that are left are then placed, as seen at the
 scan's time, and projected, again on any thread.
 """
 
@@ -9,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from operator import attrgetter, mul
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -19,6 +21,8 @@ from pc2scan.core.params import ProjectionParams
 from pc2scan.core.points import Points
 from pc2scan.core.project import Part, ProjectedScan, Projector, compact
 from pc2scan.core.rigid import Rigid
+from pc2scan.errors import MessageError
+from pc2scan.files.lent import Memory, keep
 from pc2scan.messages.beams import beams_of
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
@@ -33,12 +37,13 @@ from pc2scan.tf.placing import Placement
 from .rebinned import rebinned
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-    from collections.abc import Set as AbstractSet
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
     from pc2scan.core.moving import MovingTransform
+    from pc2scan.core.project import Transform
+    from pc2scan.files.lent import Kept
     from pc2scan.model import Buffer
     from pc2scan.pipeline.conversion import Converted, Measured, Step
     from pc2scan.pipeline.first_clouds import Sample, TopicClouds
@@ -49,13 +54,19 @@ if TYPE_CHECKING:
     from .matching import Grouper
     from .rebinned import Rebinned
 
-__all__ = ["CombineToScan", "Prepared"]
+__all__ = ["CombineToScan", "Prepared", "kept_together"]
 
 #: Bytes that a message takes besides its arrays.
 _OVERHEAD = 2_000
 
 _DEFAULTS = ProjectionParams()
 _AXES = frozenset("xyz")
+
+#: Messages of the leading topic that are remembered, and how few do not tell how often they come.
+_LEADS = 16
+_FEWEST_LEADS = 2
+
+_NO_POINTS = Points(0, 0, "", {})
 
 #: The transform that changes nothing.
 _NOWHERE = Rigid.identity()
@@ -87,11 +98,18 @@ class Prepared(NamedTuple):
     flat
         Whether it is a LaserScan.
     nearest
-        What beams read of it, instead of its points, where nothing depends on the scan's time.
+        What beams read of it, if its points could be placed already.
+    motion
+        How far the sensor moved, if ``nearest`` has points that moved.
+    assumed
+        The reference and the frame of the scan that ``nearest`` was made for, with the points beside it for another
+        scan; None: there is no other.
     sample
         For `FirstClouds`, while it wants any.
     size
-        Bytes that it holds.
+        Bytes that it holds, in points that are copies.
+    memory
+        What the points are views of, if they are no copies: it stays as it is for as long as this is referred to.
     """
 
     source: int
@@ -107,8 +125,11 @@ class Prepared(NamedTuple):
     rejected: Mapping[str, int]
     flat: bool
     nearest: ProjectedScan | None
+    motion: Motion | None
+    assumed: tuple[int, str] | None
     sample: Sample | None
     size: int
+    memory: object
 
 
 class CombineToScan(Conversion):
@@ -158,6 +179,10 @@ class CombineToScan(Conversion):
             self._range_max = float(np.float32(params.range_max))
         #: Where it is known at once where points go, no message waits for the scan's time to be placed.
         self._rigid = not spec.fixed_frame and frames.up is None
+        #: Whether a message is in one scan at most: that of its own time, if it leads.
+        self._once = not (spec.combining.accumulates or spec.combining.every_ns)
+        #: The last messages of the leading topic that were prepared, in whatever order; replaced, never changed.
+        self._leads: list[Prepared] = []
         late = tuple(each for each in spec.filters if each.frame is Frame.TARGET and not self._rigid)
         early = tuple(each for each in spec.filters if each not in late)
         self._early = Select(early, frames) if early else None
@@ -222,7 +247,8 @@ class CombineToScan(Conversion):
         points = points if track is None else track.points
         target_from_fixed = fixed_from_source = level = None
         fixed = self.spec.fixed_frame
-        if fixed and track is None and frames.buffer is not None:
+        # Its own scan sees a message where it is mounted.
+        if fixed and track is None and frames.buffer is not None and not (self._once and number == 0):
             fixed_from_source = frames.buffer.lookup(fixed, source, stamp_ns, frames.tolerance_ns)
         if number == 0:
             if fixed:
@@ -235,15 +261,7 @@ class CombineToScan(Conversion):
             mount = selected.target_from_source if self._rigid else mount
         if not flat and self._intensity:
             points.field(self._intensity)
-        nearest = None
-        if self._rigid and not flat and not self._intensity and self._projector.reads_nearest:
-            nearest = self._projector.nearest(Part(*points.xyz(), None if mount is None else mount.as_float32()))
-            points = Points(points.sequence, stamp_ns, frame_id, {})
-        kept = self._kept | ({track.time_field} if track is not None else set()) | ({"index"} if flat else set())
-        points = _owned(points, kept) if nearest is None else points
-        size = _OVERHEAD + sum(values.nbytes for values in points.fields.values())
-        size += 0 if nearest is None else nearest.ranges.nbytes
-        return Prepared(
+        prepared = Prepared(
             number,
             stamp_ns,
             reference_ns,
@@ -256,10 +274,71 @@ class CombineToScan(Conversion):
             level,
             rejected,
             flat,
-            nearest,
+            None,
+            None,
+            None,
             sample,
-            size,
+            0,
+            None,
         )
+        if flat or self._intensity or not self._projector.reads_nearest:
+            return self._held(prepared)
+        if self._rigid or (self._once and number == 0):
+            if number == 0 and not self._rigid:
+                self._leads = [*self._leads[1 - _LEADS :], prepared._replace(points=_NO_POINTS, track=None)]
+            return self._projected(prepared)
+        return self._assumed(prepared) if self._once else self._held(prepared)
+
+    def _projected(self, prepared: Prepared) -> Prepared:
+        """Return a message without its points, but with what beams read of them."""
+        nearest, motion = self._nearest(prepared, prepared)
+        points = Points(prepared.points.sequence, prepared.stamp_ns, prepared.points.frame_id, {})
+        size = _OVERHEAD + nearest.ranges.nbytes
+        return prepared._replace(points=points, nearest=nearest, motion=motion, size=size)
+
+    def _assumed(self, prepared: Prepared) -> Prepared:
+        """Return a message as it will be needed if the scan is the one that it looks like by now.
+
+        Its points are in the processor's cache now, and it takes twice as long to project them when it is certain.
+        """
+        held = self._held(prepared)
+        leads = sorted(self._leads, key=attrgetter("stamp_ns"))
+        if len(leads) < _FEWEST_LEADS:
+            return held
+        lead = min(leads, key=lambda lead: abs(lead.stamp_ns - prepared.stamp_ns))
+        if 2 * abs(lead.stamp_ns - prepared.stamp_ns) > leads[-1].stamp_ns - leads[-2].stamp_ns:
+            return held
+        try:
+            nearest, motion = self._nearest(lead, prepared)
+        except MessageError:
+            # It is one of the scan, if it is that.
+            return held
+        return held._replace(nearest=nearest, motion=motion, assumed=(lead.reference_ns, lead.frame_id))
+
+    def _nearest(self, lead: Prepared, member: Prepared) -> tuple[ProjectedScan, Motion | None]:
+        """What beams of a scan read of a message, all its points counted, and how far its sensor moved."""
+        points, transform, rejected, motion = self._placed(lead, member)
+        nearest = self._projector.nearest(Part(*points.xyz(), _rounded(transform)))
+        if rejected:
+            nearest.counts += PointCounts(sum(rejected.values()), **rejected)
+        return nearest, motion
+
+    def _held(self, prepared: Prepared) -> Prepared:
+        """Return a message whose points stay as they are: it is there longer than what they are views of."""
+        track, points = prepared.track, prepared.points
+        if not prepared.flat and self._intensity:
+            # That the field is missing is the error of this message, not of the scan.
+            points.field(self._intensity)
+        names = {*self._kept, *(("index",) if prepared.flat else ()), *(() if track is None else (track.time_field,))}
+        views = {name: points.field(name) for name in dict.fromkeys(("x", "y", "z", *points.fields)) if name in names}
+        size = _OVERHEAD + sum(each.nbytes for each in views.values())
+        memory = None
+        if self.grouper is not None:
+            # Of a message that waits for long, or is in many scans, only what is needed is held.
+            memory = kept_together(views.values()) if self._once else None
+            views = views if memory is not None else _copied(views)
+        held = Points(points.sequence, points.stamp_ns, points.frame_id, views)
+        return prepared._replace(points=held, size=size, memory=memory)
 
     def scan(self, lead: Prepared, members: Sequence[Prepared]) -> Result:
         """Make the scan of messages that belong together.
@@ -276,24 +355,24 @@ class CombineToScan(Conversion):
         Result
             All points that were not rejected are in it, or behind closer ones.
         """
-        rejected = PointCounts()
+        others: list[PointCounts] = []
         parts: list[Part] = []
         known: list[ProjectedScan] = []
         motions: list[Motion] = []
         beams: list[tuple[Part, NDArray[np.int32]]] = []
         for member in members:
-            if member.nearest is not None:
+            if member.nearest is not None and member.assumed in {None, (lead.reference_ns, lead.frame_id)}:
                 known.append(member.nearest)
-                rejected += PointCounts(sum(member.rejected.values()), **member.rejected)
+                motions += [] if member.motion is None else [member.motion]
                 continue
             points, transform, found, motion = self._placed(lead, member)
-            rejected += PointCounts(sum(found.values()), **found)
+            if found:
+                others.append(PointCounts(sum(found.values()), **found))
             if motion is not None:
                 motions.append(motion)
             values = points.field(self._intensity) if self._intensity in points.fields else None
             by_height = not (member.flat and self._any_height)
-            moved = transform.as_float32() if isinstance(transform, Rigid) else transform
-            parts.append(Part(*points.xyz(), moved, values, any_height=not by_height))
+            parts.append(Part(*points.xyz(), _rounded(transform), values, any_height=not by_height))
             if member.flat:
                 beams.append((parts[-1], points.field("index")))
         if known:
@@ -319,7 +398,7 @@ class CombineToScan(Conversion):
         largest = Motion(*map(max, zip(*motions, strict=True))) if motions else None
         shared = self._rebinned(beams) if len(beams) == len(members) else None
         level = None if lead.level is None else lead.level.at(lead.reference_ns)
-        result = Result(message, scan.counts + rejected, empty, largest, lead.sample, level, shared)
+        result = Result(message, sum(others, scan.counts), empty, largest, lead.sample, level, shared)
         return result if self._remove is None else self._remove(result)
 
     def _placed(
@@ -336,10 +415,11 @@ class CombineToScan(Conversion):
             track = member.track._replace(points=member.points)
             moving = track.seen_from(lead.target_from_fixed, (mount or _NOWHERE,), lead.frame_id, lead.reference_ns)
             motion = moving.motion
-        elif lead.target_from_fixed is not None and member.fixed_from_source is not None:
+        elif lead.target_from_fixed is not None and member.stamp_ns == lead.reference_ns:
             # At one time the transform is that between the two frames, to the bit.
-            if member.stamp_ns != lead.reference_ns:
-                transform = lead.target_from_fixed.product(member.fixed_from_source)
+            motion = Motion(0.0, 0.0)
+        elif lead.target_from_fixed is not None and member.fixed_from_source is not None:
+            transform = lead.target_from_fixed.product(member.fixed_from_source)
             motion = _moved(transform, mount)
         if self._late is None:
             return member.points, transform if moving is None else moving.transform, member.rejected, motion
@@ -370,18 +450,40 @@ def _resolved(params: ProjectionParams, measured: Measured) -> ProjectionParams:
     return params.at_resolution(step) if step else replace(params, beams=0)
 
 
-def _owned(points: Points, names: AbstractSet[str]) -> Points:
-    """The points with copies of some of their fields: what they are views of may be used again."""
-    axes = compact(*points.xyz())
-    fields = {name: np.array(points.field(name)).reshape(-1) for name in points.fields if name in names - _AXES}
-    fields |= zip(("x", "y", "z"), axes, strict=True)
-    return Points(points.sequence, points.stamp_ns, points.frame_id, fields)
+def _rounded(transform: Rigid | MovingTransform | None) -> Transform | MovingTransform | None:
+    """A transform as it is applied to points."""
+    return transform.as_float32() if isinstance(transform, Rigid) else transform
+
+
+def kept_together(arrays: Iterable[NDArray[Any]]) -> Kept | None:
+    """Keep the memory that all these arrays are views of; None if they have to be copied."""
+    memory: Kept | None = None
+    whole: bytes | Memory | None = None
+    for array in arrays:
+        base: Any = array
+        while isinstance(base, np.ndarray | memoryview) and not isinstance(base, Memory):
+            base = base.obj if isinstance(base, memoryview) else base.base
+        if whole is None and isinstance(base, bytes | Memory):
+            whole = base
+            # Of a large chunk with many messages, a copy of one takes less.
+            spanned = sum(abs(step) * (count - 1) for step, count in zip(array.strides, array.shape, strict=True))
+            memory = keep(whole) if 2 * spanned >= len(base) else None
+        if memory is None or base is not whole:
+            return None
+    return memory
+
+
+def _copied(fields: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """Copies of fields: what they are views of may be used again."""
+    axes = compact(*(fields[axis] for axis in "xyz"))
+    copies = {name: np.array(values).reshape(-1) for name, values in fields.items() if name not in _AXES}
+    return copies | dict(zip("xyz", axes, strict=True))
 
 
 def _moved(transform: Rigid | None, mount: Rigid | None) -> Motion:
     """How far a sensor was from where it is mounted."""
-    one, other = transform or _NOWHERE, mount or _NOWHERE
-    turned = abs(float(one.quaternion @ other.quaternion))
-    norms = math.sqrt(float(one.quaternion @ one.quaternion) * float(other.quaternion @ other.quaternion))
-    distance = float(np.linalg.norm(one.translation - other.translation))
+    one, other = (transform or _NOWHERE).pose, (mount or _NOWHERE).pose
+    distance = math.dist(one[:3], other[:3])
+    turned = abs(sum(map(mul, one[3:], other[3:])))
+    norms = math.hypot(*one[3:]) * math.hypot(*other[3:])
     return Motion(distance, 2 * math.acos(min(1.0, turned / norms)) if norms else 0.0)

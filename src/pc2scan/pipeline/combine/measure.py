@@ -9,6 +9,7 @@ from functools import partial
 from itertools import islice
 from typing import TYPE_CHECKING, NamedTuple
 
+from pc2scan.bags.units import in_time_order
 from pc2scan.core.timing import median_interval_ns
 from pc2scan.errors import MessageError, ParameterError, UsageError, name_list
 from pc2scan.messages.clouds import CLOUDS
@@ -22,7 +23,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from pc2scan.bags.reader import Reader
-    from pc2scan.model import Connection
+    from pc2scan.core.points import Points
+    from pc2scan.model import Buffer, Connection, RawMessage
     from pc2scan.pipeline.plan import Combination
     from pc2scan.tf.placing import Frames
 
@@ -58,6 +60,16 @@ class _Firsts(NamedTuple):
     def period_ns(self) -> int | None:
         """The median interval."""
         return median_interval_ns(self.stamps)
+
+
+class _Times(NamedTuple):
+    """The times of a message, None if it cannot be decoded, and the increment of a LaserScan."""
+
+    topic: str
+    log_time_ns: int
+    stamp_ns: int | None
+    increment: float | None
+    size: int = 0
 
 
 def measured(
@@ -156,24 +168,35 @@ def _look(
     stop_ns: int | None,
     most: int,
 ) -> None:
-    decoders = {
+    decoders: dict[int, Callable[[Buffer], Points | LaserScan]] = {
         each.id: partial(decode_laserscan, serialization=each.serialization)
         if each.ros_type == LASERSCAN
         else CLOUDS[each.ros_type](each.serialization)
         for each in connections
     }
-    with closing(reader.messages(connections, start_ns, stop_ns)) as messages:
-        for message in islice(messages, most):
-            try:
-                decoded = decoders[message.connection.id](message.data)
-            except MessageError:
-                # What cannot be decoded is reported when its turn to be converted comes.
+
+    def times(message: RawMessage) -> _Times:
+        topic, log_time_ns = message.connection.topic, message.log_time_ns
+        try:
+            decoded = decoders[message.connection.id](message.data)
+        except MessageError:
+            # What cannot be decoded is reported when its turn to be converted comes.
+            return _Times(topic, log_time_ns, None, None)
+        increment = abs(decoded.angle_increment) if isinstance(decoded, LaserScan) else None
+        return _Times(topic, log_time_ns, decoded.stamp_ns, increment)
+
+    # Not the messages themselves: a cloud that is kept is copied.
+    units = reader.units(connections, start_ns, stop_ns)
+    with closing(in_time_order(units, times, path=reader.path)) as seen:
+        for each in islice(seen, most):
+            assert isinstance(each, _Times)
+            if each.stamp_ns is None:
                 continue
-            own = found[message.connection.topic]
-            own.stamps.append(decoded.stamp_ns)
-            own.delays.append(message.log_time_ns - decoded.stamp_ns)
-            if isinstance(decoded, LaserScan):
-                own.increments.append(abs(decoded.angle_increment))
+            own = found[each.topic]
+            own.stamps.append(each.stamp_ns)
+            own.delays.append(each.log_time_ns - each.stamp_ns)
+            if each.increment is not None:
+                own.increments.append(each.increment)
 
 
 def _windows(firsts: Mapping[str, _Firsts], topics: Sequence[str], window_ns: int | None) -> list[int]:
