@@ -87,7 +87,7 @@ THIRD_PARTY = {
     "text_enum": set[str](),
     "threads": set[str](),
     "files": {"isal", "lz4", "zstandard", "ruamel"},
-    "remote": {"fsspec"},
+    "remote": {"fsspec", "aiohttp"},
     "core": {"numpy"},
     "tf": {"numpy", "ruamel"},
     "messages": {"numpy", "rosbags"},

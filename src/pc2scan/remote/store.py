@@ -26,7 +26,18 @@ _VERSION = (
 #: Stores in which an upload is visible before it is complete, unless it gets its name afterwards.
 _GRADUAL = ("file", "memory")
 
-_DENIED = 403
+#: Seconds until a connection, and until the next bytes.
+_CONNECT_SECONDS, _READ_SECONDS = 10, 20
+
+_DENIED = (401, 403)
+_NOT_FOUND = 404
+_SERVER_ERROR = 500
+
+#: What errors of the stores' libraries are called whose transfer has ended too early.
+_CUT = ("ClientPayloadError", "IncompleteRead", "ResponseStreamingError", "ServerDisconnected", "ConnectionClosedError")
+#: And where nobody answers at all.
+_UNREACHABLE = ("ClientConnector", "EndpointConnectionError", "ConnectTimeout", "ConnectionRefused", "gaierror")
+
 _NO_RIGHTS = "check the credentials that the store's own tools use (environment, configuration files), and their rights"
 _OTHER_NAME = "choose another name, or remove it with the store's own tools"
 _AGAIN = "try it again; where it stays so, check the network and the store"
@@ -69,7 +80,7 @@ class Place:
             ) from err
         try:
             with self.reported():
-                self._fs, self.key = url_to_fs(self._url)
+                self._fs, self.key = url_to_fs(self._url, **_patience(self.scheme))
         except ImportError as err:
             raise UsageError(
                 f"{self.scheme}:// needs the library {self._library}, which is not installed",
@@ -323,28 +334,77 @@ class Place:
         except (Pc2ScanError, ImportError):
             raise
         except FileNotFoundError as err:
+            # fsspec says this of whatever a web server answers.
+            if err.__cause__ is not None and getattr(err.__cause__, "status", 0) != _NOT_FOUND:
+                raise self._error(err.__cause__, kind, writes=writes) from None
             if writes:
-                raise OutputError("there is no such bucket or folder", path=self.shown, hint=_NO_RIGHTS) from err
+                raise OutputError("there is no such bucket or folder", path=self.shown, hint=_NO_RIGHTS) from None
+            if "bucket does not exist" in str(err):
+                raise MissingError("there is no such bucket", path=self.shown, hint=_NO_RIGHTS) from None
             hint = "check its spelling; capital letters count, and some stores say this where rights are missing"
-            raise MissingError("there is nothing of this name", path=self.shown, hint=hint) from err
+            raise MissingError("there is nothing of this name", path=self.shown, hint=hint) from None
         except Exception as err:  # noqa: BLE001  # each store's library has errors of its own
-            name = type(err).__name__
-            # Their texts may have the URL with its signature: they are not shown.
-            if isinstance(err, PermissionError) or getattr(err, "status", 0) == _DENIED or "Credential" in name:
-                raise kind("access is refused (403, or no credentials)", path=self.shown, hint=_NO_RIGHTS) from None
-            if isinstance(err, OSError) and err.errno == errno.ENOSPC:
-                raise kind("no room for its local copy", path=self.shown, hint="`scratch` names another disk") from None
-            if "Timeout" in name:
-                raise kind(f"the store does not answer in time ({name})", path=self.shown, hint=_NO_ANSWER) from None
-            status = getattr(err, "status", None)
-            why = f"status {status}" if status else name
-            does = "written" if writes else "read"
-            raise kind(f"cannot be {does}: {why}", path=self.shown, hint=_NO_ANSWER) from None
+            raise self._error(err, kind, writes=writes) from None
+
+    def _error(self, err: BaseException, kind: type[Pc2ScanError], *, writes: bool) -> Pc2ScanError:
+        """Return our error for one of a store's library.
+
+        Its text is not shown: it may have the URL with its signature.
+        """
+        name, status = type(err).__name__, _status(err)
+        if isinstance(err, FileNotFoundError):
+            return kind("there is nothing of this name", path=self.shown)
+        if isinstance(err, PermissionError) or status in _DENIED or "Credential" in name:
+            return kind(f"access is refused ({status or 403}, or no credentials)", path=self.shown, hint=_NO_RIGHTS)
+        if isinstance(err, OSError) and err.errno == errno.ENOSPC:
+            return kind("no room for its local copy", path=self.shown, hint="`scratch` names another disk")
+        if name.startswith(_UNREACHABLE):
+            return kind(f"nobody answers at this address ({name})", path=self.shown, hint=_NO_ANSWER)
+        if "Timeout" in name:
+            return kind(f"the store does not answer in time ({name})", path=self.shown, hint=_NO_ANSWER)
+        does = "upload" if writes else "download"
+        if name.startswith(_CUT):
+            return kind(f"the {does} was cut off ({name})", path=self.shown, hint=_AGAIN)
+        if status is not None and status >= _SERVER_ERROR:
+            return kind(f"the store has an error of its own (status {status})", path=self.shown, hint=_AGAIN)
+        does = "written" if writes else "read"
+        return kind(f"cannot be {does}: {f'status {status}' if status else name}", path=self.shown, hint=_NO_ANSWER)
 
 
 def _object(entry: dict[str, Any]) -> Object:
     found = next((str(entry[name]) for name in _VERSION if entry.get(name) is not None), "")
     return Object(int(entry.get("size") or 0), found.strip('"'))
+
+
+def _patience(scheme: str) -> dict[str, Any]:
+    """How long a store is waited for, unless the user has configured it: by default S3 takes minutes to give up.
+
+    And a web server's file may take longer than five minutes, as long as bytes arrive.
+    """
+    from fsspec.config import conf  # noqa: PLC0415  # only an extra
+
+    if conf.get(scheme):
+        return {}
+    if scheme in {"s3", "s3a"}:
+        # s3fs tries five times by itself.
+        config = {"connect_timeout": _CONNECT_SECONDS, "read_timeout": _READ_SECONDS, "retries": {"max_attempts": 0}}
+        return {"config_kwargs": config}
+    if scheme in {"http", "https"}:
+        with suppress(ImportError):
+            from aiohttp import ClientTimeout  # noqa: PLC0415  # only where it is needed
+
+            timeout = ClientTimeout(total=None, sock_connect=_CONNECT_SECONDS, sock_read=_READ_SECONDS)
+            return {"client_kwargs": {"timeout": timeout}}
+    return {}
+
+
+def _status(err: BaseException) -> int | None:
+    """Return the status of the HTTP answer that an error is about; None for none."""
+    status = getattr(err, "status", None)
+    if status is None:
+        response = getattr(err.__cause__, "response", None)
+        status = response.get("ResponseMetadata", {}).get("HTTPStatusCode") if isinstance(response, dict) else None
+    return status if isinstance(status, int) else None
 
 
 def _called(check: Callable[[], None] | None) -> dict[str, Any]:

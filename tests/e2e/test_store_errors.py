@@ -1,0 +1,198 @@
+"""What is said of stores and web servers that refuse, hang, fail or cut a transfer off."""
+
+from __future__ import annotations
+
+import json
+import os
+import threading
+import time
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import TYPE_CHECKING
+
+import pytest
+
+import pc2scan
+from e2e.command import run
+from pc2scan.errors import MissingError, OutputError, Pc2ScanError, RecordingError
+from pc2scan.remote import store
+from support import ROOT
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+pytest.importorskip("fsspec")
+
+HALL = (ROOT / "fixtures" / "hall.bag").read_bytes()
+
+#: Environment for S3: nothing of the user's own.
+S3 = {"AWS_ACCESS_KEY_ID": "testing", "AWS_SECRET_ACCESS_KEY": "testing-secret", "AWS_DEFAULT_REGION": "us-east-1"}
+
+
+class Handler(BaseHTTPRequestHandler):
+    """Answers as the first part of the path says."""
+
+    protocol_version = "HTTP/1.1"
+
+    def log_message(self, *_: object) -> None:
+        """Say nothing."""
+
+    def do_HEAD(self) -> None:
+        self._answer(with_body=False)
+
+    def do_GET(self) -> None:
+        self._answer(with_body=True)
+
+    def do_PUT(self) -> None:
+        self.rfile.read(int(self.headers.get("Content-Length", 0)))
+        self._answer(with_body=False)
+
+    def _answer(self, *, with_body: bool) -> None:
+        kind = self.path.split("/")[1]
+        if kind.isdigit():
+            self.send_response(int(kind))
+            self.send_header("Content-Length", "0")
+            self.end_headers()
+            return
+        if kind == "silent":
+            self.server.ended.wait(20)  # type: ignore[attr-defined]
+            self.close_connection = True
+            return
+        self.send_response(200)
+        self.send_header("Content-Length", str(len(HALL)))
+        self.send_header("ETag", '"1"')
+        self.end_headers()
+        if with_body:
+            self.wfile.write(HALL[: len(HALL) // 2])
+            self.wfile.flush()
+            if kind == "stalls":
+                self.server.ended.wait(20)  # type: ignore[attr-defined]
+            self.close_connection = True
+
+
+@pytest.fixture(scope="module")
+def place() -> Iterator[str]:
+    with ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
+        server.ended = threading.Event()  # type: ignore[attr-defined]
+        server.daemon_threads = True
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        yield f"127.0.0.1:{server.server_port}"
+        server.ended.set()  # type: ignore[attr-defined]
+        server.shutdown()
+
+
+@pytest.fixture
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(store, "_READ_SECONDS", 1)
+    monkeypatch.setattr(store, "_CONNECT_SECONDS", 1)
+
+
+#: What a web server does, the error and a part of its message.
+WEB: tuple[tuple[str, type[Pc2ScanError], str], ...] = (
+    ("403", RecordingError, "access is refused (403"),
+    ("401", RecordingError, "access is refused (401"),
+    ("404", MissingError, "there is nothing of this name"),
+    ("500", RecordingError, "the store has an error of its own (status 500)"),
+    ("silent", RecordingError, "does not answer in time"),
+    ("stalls", RecordingError, "does not answer in time"),
+    ("cuts", RecordingError, "the download was cut off"),
+)
+
+
+@pytest.mark.usefixtures("impatient")
+@pytest.mark.parametrize(("kind", "error", "message"), WEB, ids=[kind for kind, _, _ in WEB])
+def test_a_web_server(kind: str, error: type[Pc2ScanError], message: str, place: str, tmp_path: Path) -> None:
+    pytest.importorskip("aiohttp", reason="aiohttp reads https")
+    (tmp_path / "scratch").mkdir()
+    url = f"http://me:secret@{place}/{kind}/hall.bag?token=geheim"
+    with pytest.raises(Pc2ScanError) as caught:
+        pc2scan.convert(url, tmp_path / "x.bag", scratch=tmp_path / "scratch")
+    assert type(caught.value) is error
+    assert message in caught.value.message
+    assert caught.value.path == f"http://{place}/{kind}/hall.bag"
+    assert caught.value.hint
+    shown = f"{caught.value} {caught.value.hint}"
+    assert "secret" not in shown
+    assert "geheim" not in shown
+    assert [path.name for path in tmp_path.iterdir()] == ["scratch"]
+    assert list((tmp_path / "scratch").iterdir()) == []
+
+
+@pytest.mark.usefixtures("impatient")
+def test_a_batch_goes_on(place: str, tmp_path: Path) -> None:
+    pytest.importorskip("aiohttp", reason="aiohttp reads https")
+    (tmp_path / "good.bag").write_bytes(HALL)
+    sources = [f"http://me:secret@{place}/{kind}/{kind}.bag?token=geheim" for kind in ("cuts", "stalls")]
+    report = pc2scan.batch([*sources, str(tmp_path / "good.bag")], tmp_path / "out", min_height=-0.3)
+    assert [outcome.outcome for outcome in report.outcomes] == ["failed", "converted", "failed"]
+    errors = {outcome.key: outcome.error for outcome in report.outcomes}
+    assert "cut off" in errors["cuts/cuts.bag"]
+    assert "does not answer in time" in errors["stalls/stalls.bag"]
+    manifest = (tmp_path / "out" / "manifest.jsonl").read_text()
+    assert "secret" not in manifest
+    assert "geheim" not in manifest
+
+
+@pytest.mark.usefixtures("impatient")
+@pytest.mark.parametrize(
+    ("endpoint", "message"),
+    [
+        ("http://{place}/403", "access is refused (403"),
+        ("http://{place}/500", "the store has an error of its own"),
+        ("http://{place}/silent", "does not answer in time"),
+        ("http://127.0.0.1:9", "nobody answers at this address"),
+    ],
+)
+def test_an_s3_server(endpoint: str, message: str, place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    s3fs = pytest.importorskip("s3fs", reason="s3fs reads S3")
+    monkeypatch.setattr(s3fs.S3FileSystem, "retries", 2)
+    for name, value in {**S3, "AWS_ENDPOINT_URL": endpoint.format(place=place)}.items():
+        monkeypatch.setenv(name, value)
+    s3fs.S3FileSystem.clear_instance_cache()
+    (tmp_path / "a.bag").write_bytes(HALL)
+    began = time.monotonic()
+    for call in (
+        lambda: pc2scan.info("s3://bucket/hall.bag"),
+        lambda: pc2scan.batch("s3://bucket/in", tmp_path / "out"),
+        lambda: pc2scan.batch(tmp_path / "a.bag", "s3://bucket/out"),
+        lambda: pc2scan.convert(tmp_path / "a.bag", "s3://bucket/x.bag"),
+    ):
+        with pytest.raises(Pc2ScanError) as caught:
+            call()
+        assert message in caught.value.message
+        assert isinstance(caught.value, RecordingError | OutputError)
+        assert caught.value.exit_status == 1
+        assert str(caught.value.path).startswith("s3://bucket")
+    assert time.monotonic() - began < 60
+    s3fs.S3FileSystem.clear_instance_cache()
+
+
+def test_the_command_ends_with_the_status_of_the_kind(place: str, tmp_path: Path) -> None:
+    pytest.importorskip("aiohttp", reason="aiohttp reads https")
+    for kind, status in (("403", 1), ("404", 2), ("cuts", 1)):
+        report = tmp_path / f"{kind}.json"
+        done = run(
+            *("convert", f"http://{place}/{kind}/hall.bag?token=geheim"),
+            *("-o", tmp_path / f"{kind}.bag", "--report", report),
+        )
+        assert done.status == status, done.stderr
+        assert done.stderr.startswith(f"error: http://{place}/{kind}/hall.bag: ")
+        assert "Traceback" not in done.stderr
+        assert "geheim" not in done.stderr + report.read_text()
+        assert json.loads(report.read_text())["exit_status"] == status
+
+
+def test_no_credentials(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    s3fs = pytest.importorskip("s3fs", reason="s3fs reads S3")
+    for name in [name for name in os.environ if name.startswith("AWS_")]:
+        monkeypatch.delenv(name)
+    nothing = tmp_path / "none"
+    settings = {"AWS_EC2_METADATA_DISABLED": "true", "AWS_ENDPOINT_URL": "http://127.0.0.1:9"}
+    for name in ("AWS_SHARED_CREDENTIALS_FILE", "AWS_CONFIG_FILE"):
+        settings[name] = str(nothing)
+    for name, value in settings.items():
+        monkeypatch.setenv(name, value)
+    s3fs.S3FileSystem.clear_instance_cache()
+    with pytest.raises(RecordingError, match=r"s3://bucket/a\.bag: access is refused \(403, or no credentials\)"):
+        pc2scan.info("s3://bucket/a.bag")
+    s3fs.S3FileSystem.clear_instance_cache()
