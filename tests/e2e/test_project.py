@@ -39,6 +39,20 @@ def test_there_is_one_version() -> None:
     assert named == {__version__}
 
 
+def test_actions_of_others_are_pinned() -> None:
+    """A tag can be moved to other code; a commit cannot."""
+    for name in FILES:
+        for action in re.findall(r"uses: (\S+/\S+)", (ROOT / name).read_text("utf-8")):
+            assert re.fullmatch(r"\S+@[0-9a-f]{40}", action), (name, action)
+
+
+def test_the_release_has_the_date_of_the_changelog() -> None:
+    changelog = (ROOT / "CHANGELOG.md").read_text("utf-8")
+    dated = re.search(rf"^## {re.escape(__version__)} \((\S+)\)$", changelog, re.MULTILINE)
+    assert dated is not None
+    assert f"\ndate-released: {dated[1]}\n" in (ROOT / "CITATION.cff").read_text("utf-8")
+
+
 @pytest.mark.parametrize("name", [".ci/run", ".ci/packages"])
 def test_scripts_are_shell(name: str) -> None:
     subprocess.run(["bash", "-n", str(ROOT / name)], check=True)
