@@ -10,7 +10,7 @@ from .errors import stamp_text
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-__all__ = ["Shown", "Table", "count", "duration", "listed", "plain", "size", "stamp"]
+__all__ = ["Shown", "Table", "agreeing", "count", "counted", "duration", "listed", "plain", "size", "stamp"]
 
 #: Characters of a line and of a cell of a table. ROS's own names have at most 255.
 _MAX_LINE = 4_000
@@ -72,6 +72,25 @@ def plain(text: str, most: int = _MAX_LINE) -> str:
 def count(number: int) -> str:
     """Format a count; zero is a dash."""
     return f"{number:,}" if number else "-"
+
+
+def counted(number: int, noun: str, verb: str = "") -> str:
+    """Render a number of things, with a verb, which is given as it is for several.
+
+    >>> counted(1, "scan"), counted(2_000, "other topic"), counted(1, "scan", "have")
+    ('1 scan', '2,000 other topics', '1 scan has')
+    """
+    things = f"{number:,} {noun}{'' if number == 1 else 's'}"
+    return f"{things} {agreeing(number, verb)}" if verb else things
+
+
+def agreeing(number: int, verb: str) -> str:
+    """Return the form of a verb for a number of things, given the one for several: are, were, have, differ.
+
+    >>> agreeing(1, "have"), agreeing(0, "were"), agreeing(1, "differ")
+    ('has', 'were', 'differs')
+    """
+    return {"are": "is", "were": "was", "have": "has"}.get(verb, f"{verb}s") if number == 1 else verb
 
 
 def size(number: float) -> str:

@@ -35,7 +35,7 @@ def said(*arguments: str) -> str:
         (
             ["convert", HALL, "--min-hight", "3"],
             "there is no option --min-hight",
-            "did you mean --max-height or --min-height or --min-height-slope?",
+            "did you mean --min-height or --max-height or --min-height-slope?",
         ),
         (["convert", HALL, "--start"], "--start requires an argument", "pc2scan convert --help shows what it takes"),
         (["tf", HALL, "--lookup", "a"], "--lookup requires 2 arguments", "pc2scan tf --help shows what it takes"),
@@ -52,7 +52,7 @@ def said(*arguments: str) -> str:
         ),
         (
             ["convert", HALL, "--jobs", "-2"],
-            "--jobs: -2 is not in the range x>=0",
+            "--jobs: -2 is not 0 or more",
             "pc2scan convert --help shows what it takes",
         ),
         (

@@ -345,7 +345,8 @@ def test_the_command(mcap: Path, tmp_path: Path) -> None:
     done = run("export", mcap, "-o", tmp_path / "scans.npz", "--pose-frame", "odom")
     assert done.status == 3, done.stderr
     assert "base_link in odom" in done.stdout
-    lines = [line for line in done.stdout.splitlines() if line.startswith("skipped: ")]
+    assert "skipped: " not in done.stdout
+    lines = [line for line in done.stderr.splitlines() if line.startswith("skipped: ")]
     assert lines[0].startswith("skipped: 2 messages: no pose in odom at the stamp; /scan, stamp 1699999999.900000000: ")
     assert "transform_tolerance" not in done.stdout
     done = run("export", mcap, "-o", tmp_path / "scans.npz", "--pose-frame", "odom", "--overwrite", "--json")

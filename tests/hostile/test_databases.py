@@ -109,7 +109,7 @@ def test_a_row_of_an_undescribed_topic_with_text_for_a_time(tmp_path: Path) -> N
     for command, further in commands.items():
         done = run_bounded(tmp_path, command, source, *further)
         assert done.status in (0, 3)
-        assert "1 messages are of topic 9, which is not described (1 message lost)" in done.stderr
+        assert "1 message is of topic 9, which is not described (1 message lost)" in done.stderr
 
 
 OTHER_KINDS = [

@@ -228,7 +228,7 @@ def test_beams_without_a_return_say_nothing_unless_asked(tmp_path: Path) -> None
 
 def test_nothing_to_draw_is_an_error(tmp_path: Path) -> None:
     source = with_scan(tmp_path, np.full(91, np.inf, np.float32))
-    with pytest.raises(ResultError, match="none of 1 scans has a return"):
+    with pytest.raises(ResultError, match="no return in 1 scan"):
         pc2scan.map(source)
     done = run("map", source, "-o", tmp_path / "map.yaml")
     assert done.status == 1

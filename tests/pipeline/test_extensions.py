@@ -186,7 +186,7 @@ def test_a_new_filter_is_blamed_for_empty_scans(tmp_path: Path) -> None:
     source = recorded(tmp_path / "a.mcap", POINTCLOUD2, [cloud()])
     report = pc2scan.convert(source, tmp_path / "b.mcap", params=BAND, filters=[EveryNth(1, highest=0)])
     (warning,) = report.warnings
-    assert warning == "1 of 1 scans on /scan have no return at all: 100% of all points were thinned out (see n)"
+    assert warning == "1 of 1 scan on /scan has no return at all: 100% of all points were thinned out (see n)"
 
 
 def test_a_field_that_a_filter_needs_is_looked_for_before_anything_is_written(tmp_path: Path) -> None:

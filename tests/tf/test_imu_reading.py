@@ -111,8 +111,8 @@ def test_messages_out_of_order_repeated_and_damaged() -> None:
     messages[10:12] = [messages[11], messages[10]]
     found = read(Recording(*messages, messages[7], {"raw": b"\0\1\0\0abc"}))
     assert found.ups.tobytes() == whole.ups.tobytes()
-    assert any("1 messages cannot be decoded" in warning for warning in found.warnings)
-    assert any("1 messages have the stamp of another one" in warning for warning in found.warnings)
+    assert any("1 message cannot be decoded" in warning for warning in found.warnings)
+    assert any("1 message ignored: the stamp of another one" in warning for warning in found.warnings)
 
 
 def test_a_few_messages_without_an_orientation_are_ignored_and_counted() -> None:
@@ -123,7 +123,7 @@ def test_a_few_messages_without_an_orientation_are_ignored_and_counted() -> None
     ]
     found = read(Recording(*messages))
     assert len(found.stamps_ns) == 180
-    assert found.warnings == ("/imu: 20 of 200 messages have no valid orientation, and are ignored",)
+    assert found.warnings == ("/imu: 20 of 200 messages ignored: no valid orientation",)
 
 
 def test_an_orientation_in_a_world_whose_z_is_down_is_reported() -> None:

@@ -19,7 +19,7 @@ class TestRefusal:
 
     def test_unknown_target(self) -> None:
         error = refusal(built(static=[row("base_link", "lidar", 0)]), "Base-Link", "lidar", at(1))
-        assert "no transform has the target frame 'Base-Link'" in error.message
+        assert "no transform has the frame 'Base-Link'" in error.message
         assert str(error.hint).startswith("did you mean base_link? ")
 
     def test_names_are_not_endless(self) -> None:

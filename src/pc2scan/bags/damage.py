@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.errors import stamp_text
-from pc2scan.shown import size
+from pc2scan.shown import counted, size
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -69,7 +69,7 @@ class Damage(NamedTuple):
         if self.messages_lost == 0 and not self.bytes_lost:
             return "nothing lost, but what was read there may be wrong"
         if self.messages_lost:
-            parts.append(f"{self.messages_lost:,} message{'s' if self.messages_lost > 1 else ''}")
+            parts.append(counted(self.messages_lost, "message"))
         return f"{' and '.join(parts)} lost" if parts else ""
 
     def _span(self) -> str:

@@ -152,6 +152,10 @@ def plan_destination(
     DestinationError
         If the name has the suffix of another format, or the options contradict it or each other.
     """
+    if str(path) == "-":
+        raise DestinationError(
+            "a recording is not written to standard output", hint="name a file: `destination=scans.mcap`"
+        )
     suffix = path.suffix.lower()
     written = _written()
     if suffix in _REFUSED_SUFFIXES and suffix not in written:

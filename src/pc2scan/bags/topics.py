@@ -6,13 +6,13 @@ import re
 from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING
 
-from pc2scan.errors import TopicError, name_list
+from pc2scan.errors import TopicError, UsageError, name_list
 from pc2scan.names import did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-__all__ = ["find_topic", "find_topics", "is_glob", "matches", "renamed", "short_types"]
+__all__ = ["find_topic", "find_topics", "is_glob", "matches", "new_topic", "renamed", "short_types"]
 
 
 def find_topic(asked: str, types: dict[str, set[str]], candidates: list[str], *kinds: str) -> str:
@@ -72,6 +72,29 @@ def matches(topic: str, patterns: Sequence[str]) -> bool:
     return any(
         topic == pattern or fnmatchcase(topic.removeprefix("/"), pattern.removeprefix("/")) for pattern in patterns
     )
+
+
+def new_topic(asked: str, option: str) -> str:
+    """Return a topic that is going to be written, with its leading slash.
+
+    Parameters
+    ----------
+    asked
+        The name; a ``*`` in it stands for what one on the other side matches.
+    option
+        What names it, for errors.
+
+    Raises
+    ------
+    UsageError
+        If it is not a name that ROS can have.
+    """
+    if not re.fullmatch(r"/?[A-Za-z_*][\w*]*(/[\w*]+)*", asked, re.ASCII):
+        raise UsageError(
+            f"{option}: {asked!r} is not a name that a topic can have",
+            hint="a name is of letters, digits and _, with / between its parts: /robot/scan",
+        )
+    return asked if asked.startswith("/") else f"/{asked}"
 
 
 def renamed(topic: str, pattern: str, target: str) -> str:

@@ -6,7 +6,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from pc2scan.shown import Shown, Table, count, duration, size
+from pc2scan.shown import Shown, Table, count, counted, duration, size
 from pc2scan.version import __version__
 
 if TYPE_CHECKING:
@@ -250,7 +250,7 @@ class BatchReport(Shown):
     def _total(self) -> Iterator[str]:
         counts = ", ".join(f"{number:,} {name}" for name, number in self.counts.items())
         would = "would be: " if self.dry_run else ""
-        yield f"{len(self.outcomes):,} recordings{f': {would}{counts}' if counts else ''}" + (
+        yield f"{counted(len(self.outcomes), 'recording')}{f': {would}{counts}' if counts else ''}" + (
             f"; {self.unchanged:,} unchanged since an earlier run" if self.unchanged else ""
         )
         done = [each for each in self.outcomes if each.action == "convert"]

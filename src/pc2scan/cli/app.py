@@ -41,7 +41,7 @@ class _Command(TyperCommand):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Complete ``--dask`` without an address, which Typer's options cannot do without."""
-        if self.name == "batch":
+        if self.name == "batch" and args:
             following = [*args[1:], ""]
             args = [
                 "--dask=local" if word == "--dask" and "://" not in after else word

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from pc2scan.shown import counted
+
 from .groups import Group
 from .options import ConversionGroup, OutputGroup, ScratchGroup, typed_words
 from .render import message, printable, show_parts, size, warn
@@ -250,7 +252,7 @@ def _show_plan(plan: "Plan", *, quiet: bool) -> None:
         reasons[why] = reasons.get(why, 0) + 1
     told = ", ".join(f"{number:,} {why}" for why, number in reasons.items())
     parts = [
-        f"{len(plan.steps):,} recordings",
+        counted(len(plan.steps), "recording"),
         f"{len(convert):,} to convert ({size(sum(step.found.identity.size_bytes for step in convert))}"
         + (f"; {told})" if told else ")"),
         *([f"{len(keep):,} unchanged"] if keep else []),
@@ -271,11 +273,11 @@ def _show_record(record: "Record", *, quiet: bool, dry_run: bool) -> None:
 
     facts = Facts.of(record.report or {})
     told = [
-        f"{facts.scans:,} scans",
+        counted(facts.scans, "scan"),
         *([f"{facts.empty_scans:,} empty"] if facts.empty_scans else []),
         *([f"{facts.skipped:,} skipped"] if facts.skipped else []),
         *([f"damaged: {facts.damage[0]}"] if facts.damage else []),
-        *([f"{facts.warnings} warnings"] if facts.warnings else []),
+        *([counted(facts.warnings, "warning")] if facts.warnings else []),
         f"{record.seconds:.1f} s",
     ]
     would = "would be " if dry_run else ""

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from pc2scan.errors import stamp_text
+from pc2scan.shown import counted
 
 from .render import printable, size
 
@@ -39,7 +40,7 @@ def show_recovery(report: Report, *, limit: int = SHOWN) -> None:
         return
     show_damage(report.damage, limit=limit)
     declared = report.messages_declared
-    found = f"{report.messages_read:,} messages"
+    found = counted(report.messages_read, "message")
     if declared is not None and declared > report.messages_read:
         found = f"{report.messages_read:,} of the {declared:,} messages that the source declares"
     stored = sum(place.bytes_lost for place in report.damage)

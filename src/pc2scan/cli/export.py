@@ -12,7 +12,7 @@ from . import completion
 from .damage import show_damage
 from .options import ConversionGroup, Json
 from .progress import progress_bar
-from .render import print_json, show_parts, warn
+from .render import message, print_json, show_parts, warn
 
 __all__ = ["export"]
 
@@ -113,7 +113,9 @@ def export(
     if as_json:
         print_json(report.as_dict())
     else:
-        show_parts(report.parts())
+        show_parts([report.table()])
+        for text in report.remarks():
+            typer.echo(message(text), err=True)
         for text in report.warnings:
             warn(text)
     show_damage(report.damage)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from pc2scan.errors import UsageError
+from pc2scan.shown import counted
 
 from . import completion
 from .options import Json, JUnitGroup
@@ -126,7 +127,7 @@ def _init(
     if quiet:
         return
     for name, size in made.files:
-        typer.echo(printable(f"{made.folder / name}  {size:,} bytes"))
+        typer.echo(printable(f"{made.folder / name}  {counted(size, 'byte')}"))
     typer.echo(message(f"next: look at {made.folder}/expected.txt, commit the folder, and: pc2scan golden {folder}"))
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from pc2scan.pipeline.parameters import PARAMETERS, in_words
+from pc2scan.shown import counted
 
 from .damage import SHOWN, show_recovery
 from .next_command import next_command
@@ -139,6 +140,6 @@ def show_each(each: Each) -> None:
     failed = len(each.outcomes) - written
     dry_run = any(outcome.report is not None and outcome.report.dry_run for outcome in each.outcomes)
     typer.echo(
-        f"\n{written} of {len(each.outcomes)} recordings {'would be ' if dry_run else ''}converted"
+        f"\n{written} of {counted(len(each.outcomes), 'recording')} {'would be ' if dry_run else ''}converted"
         + (f", {failed} failed" if failed else "")
     )

@@ -43,6 +43,7 @@ OPTIONS = {
     "keep": "--keep",
     "keep_clouds": "--keep-clouds",
     "lead": "--lead",
+    "at": "--at",
     "keep_used": "--keep-used",
     "launch_args": "--arg",
     "level": "--level",

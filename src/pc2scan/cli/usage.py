@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import re
+import shlex
 from typing import TYPE_CHECKING
 
 # Typer has these in no public place; it is held to versions in which they are here.
@@ -25,6 +27,9 @@ _KINDS = {
     "a valid float range": "a number",
 }
 
+#: Options of which less is the same are not what was meant.
+_ALIKE = 0.6
+
 
 def in_our_words(err: TyperUsageError, typed: Sequence[str]) -> UsageError:
     """Turn an error of Typer into one of ours; ``typed`` are the arguments, including the command's name."""
@@ -32,8 +37,13 @@ def in_our_words(err: TyperUsageError, typed: Sequence[str]) -> UsageError:
     command = err.ctx.command_path if err.ctx else " ".join(("pc2scan", *typed[:1]))
     hint = f"{command} --help shows what it takes"
     if isinstance(err, NoSuchOption):
-        if err.possibilities:
-            hint = f"did you mean {' or '.join(sorted(err.possibilities))}?"
+        near_options = _nearest_first(err.option_name, err.possibilities or ())
+        if near_options:
+            hint = f"did you mean {' or '.join(near_options)}?"
+        elif err.option_name == "--json":
+            hint = "--report report.json writes what happened as JSON"
+        elif file := next((word for word in typed if word.startswith("-") and os.path.lexists(word)), None):
+            hint = f"for the file of this name write ./{file}"
         return UsageError(f"there is no option {err.option_name}", hint=hint)
     if isinstance(err, MissingParameter) and err.param is not None:
         is_option = err.param.param_type_name == "option"
@@ -43,12 +53,26 @@ def in_our_words(err: TyperUsageError, typed: Sequence[str]) -> UsageError:
     if isinstance(err, BadParameter) and err.param is not None:
         value, is_not, kind = text.rpartition(" is not ")
         near = did_you_mean(value.strip("'"), re.findall(r"'([^']*)'", kind)) if kind.startswith("one of") else ""
+        kind = re.sub(r"^in the range x>=(\S+)$", r"\1 or more", kind)
         spellings = err.param.opts if err.param.param_type_name == "option" else [err.param.human_readable_name]
         return UsageError(f"{_spelling(spellings, typed)}: {value}{is_not}{_KINDS.get(kind, kind)}", hint=near or hint)
     if isinstance(err, BadOptionUsage):
         return UsageError(f"{err.option_name} {text.removeprefix(f'Option {err.option_name!r} ')}", hint=hint)
     text, _, near = text.partition(". Did you mean ")
+    if typed and f"No such command {typed[0]!r}" == text and os.path.lexists(typed[0]):
+        hint = f"the command comes first: pc2scan info {shlex.quote(typed[0])}"
     return UsageError(text[:1].lower() + text[1:], hint=f"did you mean {near}" if near else hint)
+
+
+def _nearest_first(typed: str, options: Sequence[str]) -> list[str]:
+    """Return options like the one that was typed; that alone which differs in underscores only."""
+    from difflib import SequenceMatcher
+
+    plain = typed.replace("_", "-").lower()
+    if plain in options:
+        return [plain]
+    likeness = {option: SequenceMatcher(None, plain.strip("-"), option.strip("-")).ratio() for option in options}
+    return sorted((option for option in options if likeness[option] >= _ALIKE), key=lambda option: -likeness[option])
 
 
 def _spelling(spellings: Sequence[str], typed: Sequence[str]) -> str:

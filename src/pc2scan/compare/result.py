@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from pc2scan.shown import Shown, Table
+from pc2scan.shown import Shown, Table, counted
 
 from .summary import summary
 
@@ -63,7 +63,8 @@ class Difference(Shown):
 
     def __repr__(self) -> str:
         apart = sum(not topic.same for topic in self.topics)
-        found = f"{apart} of {len(self.topics)} topics differ" if apart else f"{len(self.topics)} topics are the same"
+        topics = counted(len(self.topics), "topic")
+        found = f"{apart} of {topics} different" if apart else f"{topics} equal"
         return f"<Difference of {self.a!r} and {self.b!r}: {found}>"
 
     def _shown(self) -> Iterator[str | Table]:

@@ -10,6 +10,7 @@ from pc2scan.core.rounding import CORRECT, GLIBC
 from pc2scan.errors import stamp_text
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
+from pc2scan.shown import counted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -47,31 +48,31 @@ def summary(topics: Sequence[TopicDifference], left_aside: int, names: tuple[str
     apart = [topic for topic in topics if not topic.same]
     pairs = sum(topic.matched for topic in topics)
     if apart:
-        yield f"different: {len(apart)} of {_count(len(topics), 'topic')}"
+        yield f"different: {len(apart)} of {counted(len(topics), 'topic')}"
         yield from _advice(topics, names)
     else:
-        yield f"same: {_count(len(topics), 'topic')}, {_count(pairs, 'message')}"
+        yield f"same: {counted(len(topics), 'topic')}, {counted(pairs, 'message')}"
     if left_aside:
-        yield f"not compared: {_count(left_aside, 'other topic')} (`all_topics`)"
+        yield f"not compared: {counted(left_aside, 'other topic')} (`all_topics`)"
 
 
 def _lines(topic: TopicDifference, names: tuple[str, str]) -> Iterator[tuple[str, str]]:
     element, message = _WORDS.get(topic.msgtype, ("element", "message"))
     absent = [name for name, there in zip(names, (topic.topic_a, topic.topic_b), strict=True) if there is None]
-    total = _count(topic.matched - topic.differing, message)
+    total = counted(topic.matched - topic.differing, message)
     if absent:
         yield "messages", f"{topic.messages_a + topic.messages_b:,}; {absent[0]} has no such topic"
         return
-    elements = f", {_count(topic.elements, element)} compared" if topic.elements else ""
+    elements = f", {counted(topic.elements, element)} compared" if topic.elements else ""
     yield "messages", f"{topic.messages_a:,} in {names[0]}, {topic.messages_b:,} in {names[1]}: {total} equal{elements}"
     for label, unpaired in ((f"only in {names[0]}", topic.missing), (f"only in {names[1]}", topic.extra)):
         if unpaired.count:
-            yield label, f"{_count(unpaired.count, message)}: {_unpaired_text(unpaired)}"
+            yield label, f"{counted(unpaired.count, message)}: {_unpaired_text(unpaired)}"
     if topic.moved.count:
-        yield "order", f"{_count(topic.moved.count, message)} in another order: {_unpaired_text(topic.moved)}"
+        yield "order", f"{counted(topic.moved.count, message)} in another order: {_unpaired_text(topic.moved)}"
     for change in topic.changes.values():
         first = f", first {_times_text(change.times)}" if change.messages > 1 else f", {_times_text(change.times)}"
-        there = "" if change.name == "type" else f"in {_count(change.messages, message)}{first}: "
+        there = "" if change.name == "type" else f"in {counted(change.messages, message)}{first}: "
         sides = f"{_shortened(change.a)} in {names[0]}, {_shortened(change.b)} in {names[1]}" if change.a else change.b
         yield change.name, f"{there}{sides}"
     for found in topic.values.values():
@@ -82,7 +83,7 @@ def _lines(topic: TopicDifference, names: tuple[str, str]) -> Iterator[tuple[str
         yield from (("" if number else "libm", text) for number, text in enumerate(_libm(topic.libm, names)))
     if topic.worst is not None and topic.differing > 1:
         times, differing = topic.worst
-        yield f"worst {message}", f"{_times_text(times)}: {_count(differing, element)}"
+        yield f"worst {message}", f"{_times_text(times)}: {counted(differing, element)}"
 
 
 def _values(found: ValuesFound, topic: TopicDifference, element: str, message: str) -> str:
@@ -92,10 +93,10 @@ def _values(found: ValuesFound, topic: TopicDifference, element: str, message: s
     ]
     share = found.differing / topic.elements if topic.elements else 1.0
     shown = f"{share:.2%}" if share >= 0.0001 else "under 0.01%"
-    differing = f"{_count(found.differing, element)} of {topic.elements:,} ({shown})"
-    text = f"in {_count(found.messages, message)}: {differing}, {' and '.join(filter(None, parts))}"
+    differing = f"{counted(found.differing, element)} of {topic.elements:,} ({shown})"
+    text = f"in {counted(found.messages, message)}: {differing}, {' and '.join(filter(None, parts))}"
     if found.whole_shifts:
-        text += f"; {_count(found.whole_shifts, 'whole ' + message)} shifted by one {element}"
+        text += f"; {counted(found.whole_shifts, 'whole ' + message)} shifted by one {element}"
     if topic.allow_beams:
         text += f"; {'within' if topic.allows(found) else 'more than'} the allowed {topic.allow_beams:.2%}"
     return text
@@ -117,8 +118,8 @@ def _libm(found: Explanation, names: tuple[str, str]) -> Iterator[str]:
     """Say how many differing beams another libm explains, and by which evidence."""
     if found.scans:
         text = (
-            f"{found.explained:,} of {_count(found.beams, 'differing beam')} explained by the clouds on "
-            f"{', '.join(sorted(found.cloud_topics))} ({_count(found.scans, 'scan')})"
+            f"{found.explained:,} of {counted(found.beams, 'differing beam')} explained by the clouds on "
+            f"{', '.join(sorted(found.cloud_topics))} ({counted(found.scans, 'scan')})"
         )
         if found.glibc:
             old, new = names if found.glibc == "a" else names[::-1]
@@ -128,21 +129,21 @@ def _libm(found: Explanation, names: tuple[str, str]) -> Iterator[str]:
             yield f"{rest:,} differ for another reason"
         for name, returns, fits in zip(names, found.returns.tolist(), found.fitting.tolist(), strict=True):
             yield (
-                f"{name}: of {_count(returns, 'return')} {fits[GLIBC]:,} fit the points with glibc's angles, "
+                f"{name}: of {counted(returns, 'return')} {fits[GLIBC]:,} fit the points with glibc's angles, "
                 f"{fits[CORRECT]:,} with correct ones"
             )
     if found.scans_alone:
         possible = found.in_neighbour + found.hidden
         rest = found.beams_alone - possible
         yield (
-            f"at most {possible:,} of {_count(found.beams_alone, 'differing beam')} explained, by the scans alone: "
+            f"at most {possible:,} of {counted(found.beams_alone, 'differing beam')} explained, by the scans alone: "
             f"{found.in_neighbour:,} read what a neighbour reads in the other scan, {found.hidden:,} what it may hide"
             + (f"; {rest:,} differ for another reason" if rest else "")
         )
     if found.beams_not_judged:
-        yield f"{_count(found.beams_not_judged, 'differing beam')} not judged: the beams have other angles"
+        yield f"{counted(found.beams_not_judged, 'differing beam')} not judged: the beams have other angles"
     for reason, scans in found.reasons.most_common(_SHOWN):
-        yield f"{_count(scans, 'scan')} not compared with clouds: {reason}"
+        yield f"{counted(scans, 'scan')} not compared with clouds: {reason}"
 
 
 def _advice(topics: Sequence[TopicDifference], names: tuple[str, str]) -> Iterator[str]:
@@ -176,10 +177,6 @@ def _times_text(times: MessageTimes) -> str:
     if times.stamp_ns is None:
         return f"log time {stamp_text(times.log_time_ns)}"
     return f"stamp {stamp_text(times.stamp_ns)}"
-
-
-def _count(number: int, word: str) -> str:
-    return f"{number:,} {word}{'' if number == 1 else 's'}"
 
 
 def _shortened(text: str) -> str:

@@ -128,11 +128,12 @@ def format_of(name: str | None, destination: Path) -> Format:
         suffix = destination.suffix.lower()
         found = next((each for each in FORMATS.values() if each.suffix == suffix and not each.folder), None)
         if found is None:
-            raise UsageError(
-                "its suffix is that of no format", path=destination, hint=f"give `format`: {', '.join(FORMATS)}"
-            )
+            hint = f"give `format`: {', '.join(FORMATS)}"
+            if folder := next((each for each in FORMATS.values() if each.suffix == suffix and each.folder), None):
+                hint = f"a file for each cloud, in a folder: `destination={destination.stem}/`, `format={folder.name}`"
+            raise UsageError("its suffix is that of no format", path=destination, hint=hint)
         return found
     if name not in FORMATS:
-        hint = did_you_mean(name, FORMATS) or None
-        raise UsageError(f"`format` is {name!r}, it must be one of {', '.join(FORMATS)}", hint=hint)
+        near = did_you_mean(name, FORMATS) or None
+        raise UsageError(f"`format` is {name!r}, it must be one of {', '.join(FORMATS)}", hint=near)
     return FORMATS[name]

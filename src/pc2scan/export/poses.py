@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from pc2scan.bags.topics import find_topics
 from pc2scan.errors import DecodeError, RecordingError, TransformError, UsageError, name_list
 from pc2scan.messages.odometry import ODOMETRY, decode_odometry
+from pc2scan.shown import counted
 from pc2scan.tf.builder import TransformBuilder
 from pc2scan.tf.reading import read_transforms
 
@@ -229,6 +230,6 @@ def _read_odometry(reader: Reader, asked: PoseOptions) -> tuple[TransformBuffer,
     if frames is None:
         raise RecordingError("has no poses", path=reader.path, topic=topic)
     buffer = builder.build()
-    texts = [f"{topic}: {wrong:,} messages cannot be decoded"] if wrong else []
-    texts += [f"{topic}: {each.count:,} poses are not usable: {each.reason}" for each in buffer.rejections]
+    texts = [f"{topic}: {counted(wrong, 'message')} cannot be decoded"] if wrong else []
+    texts += [f"{topic}: {counted(each.count, 'pose')} not usable: {each.reason}" for each in buffer.rejections]
     return buffer, frames, texts

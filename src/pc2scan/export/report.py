@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from pc2scan.errors import stamp_text
 from pc2scan.pipeline.report import MAX_LISTED, Skipped
-from pc2scan.shown import Shown, Table, count, listed
+from pc2scan.shown import Shown, Table, count, counted, listed
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -122,11 +122,8 @@ class ExportReport(Shown):
             "exit_status": self.exit_status,
         }
 
-    def parts(self) -> Iterator[str | Table]:
-        """Yield the table, and lines below it."""
-        return self._shown()
-
-    def _shown(self) -> Iterator[str | Table]:
+    def table(self) -> Table:
+        """Return what was written, by topic."""
         rows = []
         for topic in self.topics:
             poses = f"{topic.base_frame} in {topic.pose_frame}" if topic.pose_frame else ""
@@ -135,18 +132,25 @@ class ExportReport(Shown):
                 span = f"{stamp_text(topic.first_ns)} to {stamp_text(topic.last_ns)}"
             rows.append([topic.topic, topic.path or "", count(topic.written), count(topic.skipped), poses, span])
         columns = ("topic", "file", "written", "skipped", "poses", "stamps")
-        yield Table(columns, rows, left=("topic", "file", "poses", "stamps"))
+        return Table(columns, rows, left=("topic", "file", "poses", "stamps"))
+
+    def remarks(self) -> Iterator[str]:
+        """Yield notes, and why messages were skipped."""
         yield from listed(self.notes, "note", _SHOWN)
         yield from listed([*map(self.explained, self.skipped_reasons.most_common())], "skipped", _SHOWN)
         if hint := next((entry.hint for entry in self.skipped if entry.hint), ""):
             yield f"hint: {hint}"
 
-    def explained(self, counted: tuple[str, int]) -> str:
+    def _shown(self) -> Iterator[str | Table]:
+        yield self.table()
+        yield from self.remarks()
+
+    def explained(self, found: tuple[str, int]) -> str:
         """Why messages were skipped, with the first of them."""
-        reason, number = counted
+        reason, number = found
         example = self._examples.get(reason)
         first = "" if example is None or example.reason == reason else f"; {example}"
-        return f"{number:,} message{'s' if number > 1 else ''}: {reason}{first}"
+        return f"{counted(number, 'message')}: {reason}{first}"
 
     def __repr__(self) -> str:
-        return f"<ExportReport: {self.messages:,} messages as {self.format} in {self.destination}>"
+        return f"<ExportReport: {counted(self.messages, 'message')} as {self.format} in {self.destination}>"

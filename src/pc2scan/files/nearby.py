@@ -31,9 +31,13 @@ def missing_hint(path: Path, suffixes: Iterable[str] = ()) -> str | None:
     Returns
     -------
     str or None
-        The file beside it with a similar name, or what there is, or the directory that is missing; None where nothing
-        can be said.
+        Where a link leads, the file beside it with a similar name, or what there is, or the directory that is
+        missing; None where nothing can be said.
     """
+    if str(path) == "-":
+        return "recordings are not read from a pipe: save it as a file first"
+    if path.is_symlink():
+        return f"it is a link to {path.readlink()}, which is not there"
     above = path.parent
     while not above.is_dir():
         if above == above.parent:

@@ -382,7 +382,10 @@ def check_place(dst: Path) -> None:
     except OSError as err:
         raise DestinationError(f"its directory cannot be there: {err.strerror}", path=dst) from err
     if not exists:
-        raise DestinationError("its directory does not exist", path=dst, hint=f"create it: mkdir -p {parent}")
+        from shlex import quote  # noqa: PLC0415  # few destinations are wrong
+
+        hint = f"create it: mkdir -p {quote(str(parent))}"
+        raise DestinationError("its directory does not exist", path=dst, hint=hint)
     _check_length(dst)
     if not parent.is_dir():
         raise DestinationError(f"{parent} is not a directory", path=dst)

@@ -16,7 +16,7 @@ from pc2scan.errors import DecodeError, TopicError, UsageError, stamp_text
 from pc2scan.json_types import json_value
 from pc2scan.messages.laserscan import LASERSCAN, decode_laserscan
 from pc2scan.names import did_you_mean
-from pc2scan.shown import Shown, Table, listed
+from pc2scan.shown import Shown, Table, counted, listed
 from pc2scan.tf.options import FrameOptions
 from pc2scan.tf.reading import read_transforms
 
@@ -73,7 +73,7 @@ class ConsumerCheck:
 
     def lines(self, scans: int) -> Iterator[str]:
         """Yield what is shown of it, given how many scans the topic has."""
-        share = "" if self.scans == scans else f" {self.scans:,} of {scans:,} scans"
+        share = "" if self.scans == scans else f" {self.scans:,} of {counted(scans, 'scan')}"
         yield f"  {self.consumer:<14}{self.outcome}{share}"
         verdict = self.verdict
         if verdict.rule:
@@ -140,7 +140,7 @@ class TopicCheck:
         beams = f"{low:,}" if low == high else f"{low:,} to {high:,}"
         frames = ", ".join(map(repr, self.frames[:_MAX_SHOWN])) + (", ..." if self.frames[_MAX_SHOWN:] else "")
         rate = "" if self.interval_ns is None else f", {1e9 / self.interval_ns:.2f} Hz"
-        return f"{self.scans:,} scans of {beams} beams{rate}, in frame {frames}"
+        return f"{counted(self.scans, 'scan')} of {beams} beams{rate}, in frame {frames}"
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -236,7 +236,7 @@ class Check(Shown):
             for topic, consumers in refusing.get(outcome, {}).items()
         ]
         if self.defects:
-            parts.append(f"{self.defects} defect{'s' if self.defects > 1 else ''}")
+            parts.append(counted(self.defects, "defect"))
         if not parts:
             return f"ok: accepted by {', '.join(self.counting)}"
         return f"{'not ok' if self.exit_status else 'ok'}; {'; '.join(parts)}"

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from pc2scan.core.consumers import Placed
 from pc2scan.core.rigid import Rigid
 from pc2scan.errors import TransformError
+from pc2scan.shown import counted
 
 from .scan_topic import Finding, Tally, finding
 
@@ -152,8 +153,8 @@ class ScanFrames:
                 finding(
                     "tilted",
                     "notice",
-                    f"{self._tilted.count:,} scans are tilted against {self._base}, by up to {self._tilt:.1f} deg: "
-                    "2D SLAM takes them for level",
+                    f"{counted(self._tilted.count, 'scan', 'are')} tilted against {self._base}, "
+                    f"by up to {self._tilt:.1f} deg: 2D SLAM takes them for level",
                     "for scans made from clouds: pc2scan convert --target-frame",
                     self._tilted,
                 )
@@ -165,8 +166,8 @@ class ScanFrames:
         # A lidar that tilts looks sideways for a moment.
         if 2 * self._sideways.count > self._looked:
             text = (
-                f"{self._sideways.count:,} scans are in a frame whose z axis is not up, as those of cameras "
-                f"(optical frames): it is turned by up to {self._tilt:.1f} deg from that of {self._base}"
+                f"{counted(self._sideways.count, 'scan', 'are')} in a frame whose z axis is not up, as those of "
+                f"cameras (optical frames): it is turned by up to {self._tilt:.1f} deg from that of {self._base}"
             )
             return [finding("optical-frame", "defect", text, hint, self._sideways)]
         named = [frame for frame in self._scans if frame.endswith(_OPTICAL)]

@@ -12,7 +12,7 @@ from pc2scan.core.consumers import CONSUMERS, OUTCOMES, Outcome, judge
 from pc2scan.errors import DecodeError
 from pc2scan.messages.consumed import consumed_scan
 from pc2scan.messages.laserscan import decode_laserscan
-from pc2scan.shown import Table
+from pc2scan.shown import Table, agreeing, counted
 
 from .spread import Spread, spread_of
 
@@ -84,7 +84,7 @@ class ScanInfo:
     def shown(self) -> Iterator[str | Table]:
         """Yield what `Info` shows of it."""
         rate = "" if self.rate_hz is None else f", {self.rate_hz:.2f} Hz"
-        yield f"{self.topic}: {self.sampled} scans sampled{rate}"
+        yield f"{self.topic}: {counted(self.sampled, 'scan')} sampled{rate}"
         for problem in self.problems:
             yield f"  cannot be decoded: {problem}"
         if self.angle_min is None or self.angle_max is None or self.angle_increment is None:
@@ -98,7 +98,11 @@ class ScanInfo:
             f"  limits  {self.range_min:.4g} to {self.range_max:.4g} m; scan_time {self.scan_time:.4g} s, "
             f"time_increment {self.time_increment:.4g} s"
         )
-        empty = f"; {self.empty} of {self.sampled} scans have none" if self.empty else ""
+        empty = (
+            f"; {self.empty} of {counted(self.sampled, 'scan')} {agreeing(self.empty, 'have')} none"
+            if self.empty
+            else ""
+        )
         yield (
             f"  returns {self.return_share:.1%} of the beams{empty}; {'with' if self.intensities else 'no'} intensities"
         )

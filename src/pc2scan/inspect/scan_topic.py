@@ -11,6 +11,7 @@ from pc2scan.core.consumers import CONSUMERS, OUTCOMES, Outcome, Placed, Scan, V
 from pc2scan.core.layout import TURN
 from pc2scan.errors import stamp_text
 from pc2scan.messages.consumed import consumed_scan
+from pc2scan.shown import agreeing, counted
 
 if TYPE_CHECKING:
     from pc2scan.messages.laserscan import LaserScan
@@ -236,7 +237,7 @@ class ScanTopic:
                 finding(
                     "undecodable",
                     "defect",
-                    f"{self._undecodable.count} messages are no scans: {self._reason}",
+                    f"{counted(self._undecodable.count, 'message')} cannot be read as a scan: {self._reason}",
                     "",
                     self._undecodable,
                 )
@@ -248,7 +249,7 @@ class ScanTopic:
                 finding(
                     "no-frame",
                     "defect",
-                    f"{self._of(self._no_frame)} have an empty frame_id",
+                    f"{self._of(self._no_frame, 'have')} an empty frame_id",
                     "pc2scan convert --source-frame names it for scans made from clouds",
                     self._no_frame,
                 )
@@ -263,7 +264,7 @@ class ScanTopic:
                 finding(
                     "length",
                     "defect",
-                    f"{self._of(self._length)} have another number of beams than the first: "
+                    f"{self._of(self._length, 'have')} another number of beams than the first: "
                     f"{min(self.beams):,} to {max(self.beams):,}",
                     "give all scans one number of beams",
                     self._length,
@@ -274,7 +275,7 @@ class ScanTopic:
                 finding(
                     "full-circle",
                     "defect",
-                    f"{self._of(self._turned)} cover more than a full circle: {self.first.beams:,} beams by "
+                    f"{self._of(self._turned, 'cover')} more than a full circle: {self.first.beams:,} beams by "
                     f"{math.degrees(self.first.angle_increment):.4g} deg, from angle_min {self.first.angle_min:.6g} to "
                     f"angle_max {self.first.angle_max:.6g} rad",
                     "angles in degrees? At most 2 pi (6.28319 rad) are a circle",
@@ -286,7 +287,7 @@ class ScanTopic:
                 finding(
                     "intensities",
                     "defect",
-                    f"{self._of(self._intensities)} have intensities, but not one a beam",
+                    f"{self._of(self._intensities, 'have')} intensities, but not one a beam",
                     "leave the intensities out, or give every beam one",
                     self._intensities,
                 )
@@ -295,14 +296,14 @@ class ScanTopic:
 
     def _stamp_findings(self) -> list[Finding]:
         found = []
-        for kind, tally, what in (
-            ("stamps-back", self._back, "have a stamp before that of the scan before"),
-            ("stamps-repeated", self._repeated, "repeat the stamp of the scan before"),
-            ("stamps-zero", self._zero_stamp, "have no stamp (0)"),
+        for kind, tally, verb, what in (
+            ("stamps-back", self._back, "have", "a stamp before that of the scan before"),
+            ("stamps-repeated", self._repeated, "repeat", "the stamp of the scan before"),
+            ("stamps-zero", self._zero_stamp, "have", "no stamp (0)"),
         ):
             if tally.count:
                 hint = "SLAM drops or mixes up such scans; look for a second publisher, or a clock that was set"
-                found.append(finding(kind, "defect", f"{self._of(tally)} {what}", hint, tally))
+                found.append(finding(kind, "defect", f"{self._of(tally, verb)} {what}", hint, tally))
         if self._offsets is not None and max(map(abs, self._offsets)) > _FAR_NS:
             side = "after" if sum(self._offsets) >= 0 else "before"
             low, high = sorted(offset / (1e9 if side == "after" else -1e9) for offset in self._offsets)
@@ -320,7 +321,7 @@ class ScanTopic:
                 finding(
                     "time-increment",
                     "notice",
-                    f"{self._of(self._slow)} take longer from the first beam to the last (time_increment) than "
+                    f"{self._of(self._slow, 'take')} longer from the first beam to the last (time_increment) than "
                     "from one scan to the next (scan_time)",
                     "time_increment * (beams - 1) should be at most scan_time",
                     self._slow,
@@ -331,7 +332,7 @@ class ScanTopic:
                 finding(
                     "times",
                     "notice",
-                    f"{self._of(self._times)} have a scan_time or time_increment that is no time",
+                    f"{self._of(self._times, 'have')} a scan_time or time_increment that is no time",
                     "",
                     self._times,
                 )
@@ -378,7 +379,7 @@ class ScanTopic:
                 finding(
                     "no-returns",
                     "defect" if every else "notice",
-                    f"{self._of(self._empty)} have no return at all",
+                    f"{self._of(self._empty, 'have')} no return at all",
                     "for scans made from clouds the summary of pc2scan convert names the parameter to blame",
                     self._empty,
                 )
@@ -405,8 +406,10 @@ class ScanTopic:
             found.append(Finding("ranges-nan", "notice", f"{_share(nan, total)} of the ranges are NaN", hint))
         return found
 
-    def _of(self, tally: Tally) -> str:
-        return f"{tally.count:,} of {self.scans:,} scans"
+    def _of(self, tally: Tally, verb: str = "") -> str:
+        """Return how many of the scans, with the verb's form for so many."""
+        of = f"{tally.count:,} of {counted(self.scans, 'scan')}"
+        return f"{of} {agreeing(tally.count, verb)}" if verb else of
 
 
 def finding(kind: str, level: Level, text: str, hint: str, tally: Tally) -> Finding:

@@ -15,8 +15,9 @@ from pc2scan.errors import DecodeError, TopicError
 from pc2scan.files.overlap import InputPath, OutputPath, refuse_overlap
 from pc2scan.files.text_output import text_output
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
+from pc2scan.shown import counted
 
-from .html import BEGINNING, html
+from .html import BEGINNING, check_page_name, html
 from .moments import moment
 from .scans import layer
 
@@ -64,11 +65,14 @@ def compared_view(
 
     Raises
     ------
+    UsageError
+        If the name is not that of a page.
     TopicError
         If neither recording has scans to show.
     DestinationError, OutputError
         If the page cannot be written.
     """
+    check_page_name(destination)
     refuse_overlap([InputPath(a), InputPath(b)], [OutputPath(destination)])
     with text_output(destination, beginning=BEGINNING, overwrite=overwrite) as deliver:
         deliver(_page(a, b, topics, rules, summary))
@@ -90,7 +94,7 @@ def _page(a: Path, b: Path, topics: Sequence[TopicPair], rules: Rules, summary: 
     blobs: dict[str, bytes] = {}
     moments = [
         {
-            "moment": f"{moment(one.stamp_ns)}, {len(beams)} beams differ",
+            "moment": f"{moment(one.stamp_ns)}, {counted(len(beams), 'beam', 'differ')}",
             "layers": [
                 layer(f"A: {a.name}", 0, one, blobs, differing=beams),
                 layer(f"B: {b.name}", 1, other, blobs, differing=beams),

@@ -16,17 +16,34 @@ import re
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
+from pc2scan.errors import UsageError
+
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
     from importlib.resources.abc import Traversable
+    from pathlib import Path
 
-__all__ = ["BEGINNING", "html", "script", "style"]
+__all__ = ["BEGINNING", "check_page_name", "html", "script", "style"]
 
 #: What every page begins with: such a file may be replaced by another page.
 BEGINNING = b"<!doctype html>\n<!-- pc2scan view -->\n"
 
 _IMPORT = re.compile(r'^import (?P<names>\{[^}]*\}) from "\./(?P<module>\w+)\.mjs";$', re.MULTILINE)
 _EXPORT = re.compile(r"^export (?=(?:async )?(?:function|const|let|class) (?P<name>\w+))", re.MULTILINE)
+
+
+def check_page_name(path: Path) -> None:
+    """Refuse to call a page something that browsers would not open as one.
+
+    Raises
+    ------
+    UsageError
+        If its suffix is not that of HTML.
+    """
+    if path.suffix.lower() not in (".html", ".htm"):
+        figure = "; pc2scan plot draws figures" if path.suffix.lower() in (".png", ".pdf", ".svg") else ""
+        page = path.with_suffix(".html").name if path.name else "page.html"
+        raise UsageError("is no name of a page", path=path, hint=f"pages are HTML: {page}{figure}")
 
 
 def html(description: Mapping[str, Any], blobs: Mapping[str, bytes]) -> str:

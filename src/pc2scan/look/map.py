@@ -30,7 +30,7 @@ from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.names import did_you_mean
 from pc2scan.pipeline.scan_spec import TopicRequest
-from pc2scan.shown import Shown, duration, listed
+from pc2scan.shown import Shown, counted, duration, listed
 from pc2scan.streams.scans import Scans
 from pc2scan.streams.stream import Selection
 from pc2scan.tf.reading import read_transforms
@@ -57,7 +57,7 @@ if TYPE_CHECKING:
 __all__ = ["Map", "MapOptions", "Skipped", "map_of", "write_map"]
 
 #: Cells smaller than that are more exact than any lidar, larger ones no map.
-_FINEST, _COARSEST = 0.001, 10.0
+_FINEST, _COARSEST = 0.001, 1.0
 
 #: A scan is tilted if its z axis has less than this of the map's: 5 degrees.
 _LEVEL = math.cos(math.radians(5))
@@ -100,7 +100,14 @@ class MapOptions:
 
     def __post_init__(self) -> None:
         if not _FINEST <= self.resolution <= _COARSEST:
-            raise UsageError(f"`resolution` is {self.resolution:g} m, it must be from {_FINEST:g} to {_COARSEST:g}")
+            # Most who write 5 mean centimetres.
+            meant = self.resolution / 100
+            raise UsageError(
+                f"`resolution` is {self.resolution:g} m, it must be from {_FINEST:g} to {_COARSEST:g}",
+                hint=f"for {self.resolution:g} cm write `resolution={meant:g}`"
+                if _FINEST <= meant <= _COARSEST
+                else None,
+            )
         if not self.max_range > 0:
             raise UsageError(f"`max_range` is {self.max_range:g} m, it must be more than 0")
         if not 0 <= self.clear_to < math.inf:
@@ -282,6 +289,9 @@ def write_map(
     """
     paths = map_paths(destination) if destination is not None else []
     if picture is not None:
+        if picture.suffix.lower() != ".png":
+            png = picture.with_suffix(".png").name if picture.name else "map.png"
+            raise UsageError("is no name of a PNG file", path=picture, hint=f"`png={png}`")
         paths = [picture] if destination is None else [paths[0], picture, paths[2]]
     if not paths:
         raise UsageError("nothing is to be written", hint="name the map, `destination=map.yaml`, or `png=map.png`")
@@ -393,7 +403,7 @@ def _stream(
 
 
 def _scans_are(number: int) -> str:
-    return f"{number:,} {'scan is' if number == 1 else 'scans are'}"
+    return f"{counted(number, 'scan', 'are')}"
 
 
 @dataclass(slots=True)
@@ -531,8 +541,9 @@ class _Drawn:
             )
         occupancy = self.grid.occupancy()
         if occupancy is None:
+            scans = counted(self.scans.total(), "scan")
             hint = "pc2scan view shows which points `min_height` and `max_height` reject" if converted else None
-            raise ResultError(f"none of {self.scans.total():,} scans has a return: there is nothing to draw", hint=hint)
+            raise ResultError(f"no return in {scans}: there is nothing to draw", hint=hint)
         further = list(notes)
         if self.tilted:
             further.append(

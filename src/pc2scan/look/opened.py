@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.bags.merged import as_one
 from pc2scan.bags.opening import open_recordings
-from pc2scan.errors import UsageError
+from pc2scan.errors import UsageError, stamp_text
 from pc2scan.tf.reading import read_transforms
 
 if TYPE_CHECKING:
@@ -35,8 +35,22 @@ class Opened(NamedTuple):
         return tuple(damage for each in (self.reader, *self.others) for damage in each.damage)
 
     def log_times(self, at: Sequence[TimeBound]) -> list[int]:
-        """Return moments as log times."""
-        return [bound.resolve(self.reader.summary.start_ns or 0) for bound in at]
+        """Return moments as log times.
+
+        Raises
+        ------
+        UsageError
+            If one is behind the end of the recording.
+        """
+        first_ns, last_ns = self.reader.summary.start_ns or 0, self.reader.summary.end_ns
+        times = [bound.resolve(first_ns) for bound in at]
+        if last_ns is not None and (late := [time for time in times if time > last_ns]):
+            raise UsageError(
+                f"`at` is {stamp_text(late[0])}, the recording is from {stamp_text(first_ns)} to {stamp_text(last_ns)}",
+                path=self.reader.path,
+                hint=f"`at=0` to `at={(last_ns - first_ns) / 1e9:.3f}` are in it",
+            )
+        return times
 
 
 @contextmanager

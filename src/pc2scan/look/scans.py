@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from pc2scan.bags.topics import find_topic
 from pc2scan.errors import MessageError, RecordingError, TopicError, TransformError, name_list
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
+from pc2scan.shown import counted
 
 from .moments import moment, spread
 from .packed import described, packed
@@ -113,7 +114,7 @@ def scans_page(
     if not moments:
         why = f"no scan can be shown; {failed[0]}" if failed else f"no scans on {', '.join(topics)}"
         raise RecordingError(why, path=reader.path)
-    notes = [f"{len(failed)} scans are not shown; {failed[0]}."] if failed else []
+    notes = [f"Not shown: {counted(len(failed), 'scan')}; {failed[0]}."] if failed else []
     return {"kind": "scans", "notes": notes, "moments": moments, "findings": []}, blobs
 
 

@@ -20,6 +20,7 @@ from pc2scan.pipeline.scan_spec import ScanSpec
 from pc2scan.pipeline.stages.deskew import Deskew, PointTime
 from pc2scan.pipeline.stages.select import Select
 from pc2scan.pipeline.turning import measured_turns
+from pc2scan.shown import counted
 from pc2scan.tf.placing import Frames
 
 from .moments import moment, spread
@@ -146,7 +147,7 @@ def take_shots(
         why = f"no cloud can be shown; {failed[0]}" if failed else f"no clouds on {', '.join(topics)}"
         raise RecordingError(why, path=reader.path)
     if failed:
-        notes.append(f"{len(failed)} of {len(failed) + len(shots)} clouds are not shown; {failed[0]}.")
+        notes.append(f"Not shown: {len(failed)} of {counted(len(failed) + len(shots), 'cloud')}; {failed[0]}.")
     return Shots(shots, params, notes)
 
 

@@ -14,7 +14,7 @@ from pc2scan.messages.clouds import CLOUDS
 from pc2scan.tf.options import FrameOptions
 
 from .clouds import clouds_page
-from .html import BEGINNING, html
+from .html import BEGINNING, check_page_name, html
 from .moments import moment
 from .opened import opened, title_of
 from .scans import findings, scan_connections, scans_page
@@ -64,12 +64,15 @@ class Page:
 
         Raises
         ------
+        UsageError
+            If its name is not that of a page.
         DestinationError
             If something else is there.
         OutputError
             If it cannot be written.
         """
         path = path_of("destination", destination)
+        check_page_name(path)
         with text_output(path, beginning=BEGINNING, overwrite=overwrite) as deliver:
             deliver(self.html)
         return path
@@ -90,11 +93,14 @@ def view(
 
     Raises
     ------
+    UsageError
+        If its name is not that of a page.
     DestinationError
         If something else than such a page is there.
     OutputError
         If the page cannot be written.
     """
+    check_page_name(destination)
     refuse_overlap(
         [*map(InputPath, sources), *(InputPath(file, "file of `tf_from`") for file in options.frames.tf_from)],
         [OutputPath(destination)],

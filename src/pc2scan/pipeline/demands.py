@@ -6,6 +6,7 @@ from collections import Counter
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import ResultError
+from pc2scan.shown import agreeing, counted
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -55,7 +56,8 @@ def refuse_unsatisfied(report: Report, options: ConvertOptions) -> None:
     for topic in _converted(report):
         if options.fail_on and topic.empty_scans:
             raise ResultError(
-                f"{topic.empty_scans:,} of {topic.messages_out:,} scans on {topic.target} have no return "
+                f"{topic.empty_scans:,} of {counted(topic.messages_out, 'scan')} on {topic.target} "
+                f"{agreeing(topic.empty_scans, 'have')} no return "
                 f"(`fail_on={options.fail_on}`)",
                 hint=_first(report.warnings, f"on {topic.target} "),
             )
@@ -70,7 +72,7 @@ def refuse_unsatisfied(report: Report, options: ConvertOptions) -> None:
     if report.damage:
         raise ResultError("a source is damaged (`fail_on=warning`)", path=report.damage[0].path)
     if report.skipped_count:
-        raise ResultError(f"{report.skipped_count:,} messages were skipped (`fail_on=warning`)")
+        raise ResultError(f"{counted(report.skipped_count, 'message', 'were')} skipped (`fail_on=warning`)")
     if report.warnings:
         raise ResultError(f"{report.warnings[0]} (`fail_on=warning`)")
 

@@ -15,6 +15,7 @@ import numpy as np
 from pc2scan.core.counts import PointCounts
 from pc2scan.core.level import cells_of, level_floor, thinned
 from pc2scan.core.params import ProjectionParams
+from pc2scan.shown import counted
 
 from .parameters import from_preset
 
@@ -291,7 +292,7 @@ class TopicClouds:
 
 
 def _clouds(count: int) -> str:
-    return "cloud" if count == 1 else f"{count} clouds"
+    return "cloud" if count == 1 else counted(count, "cloud")
 
 
 def _number(value: float, unit: str) -> str:

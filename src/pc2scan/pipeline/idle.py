@@ -128,7 +128,7 @@ def _angles(spec: ScanSpec) -> list[str]:
     if increment >= _COARSE and origins.get("angle_increment", "default") != "default" and not params.beams:
         found.append(
             f"angle_increment is {increment:g} rad, which is {math.degrees(increment):.3g} degrees a beam: "
-            f"{params.length} beams; for {increment:g} degrees write `angle_increment={increment:g}deg`"
+            f"{params.length} beams; for {increment:g} deg write `angle_increment={increment:g}deg`"
         )
     span = params.angle_max - params.angle_min
     if span > FULL_TURN:

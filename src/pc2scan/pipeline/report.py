@@ -12,7 +12,7 @@ from pc2scan.core.params import ProjectionParams
 from pc2scan.core.rule import REJECTIONS, Rejection
 from pc2scan.errors import stamp_text
 from pc2scan.json_types import json_value
-from pc2scan.shown import Shown, Table, count, listed, size
+from pc2scan.shown import Shown, Table, agreeing, count, counted, listed, size
 from pc2scan.version import __version__
 
 from .parameters import from_preset
@@ -439,18 +439,21 @@ class Report(Shown):
         elif counts is not None and topic.action == "joined" and counts.scans_without:
             first, last, number = counts.silence
             self.warnings.append(
-                f"{counts.scans_without:,} scans on {scans} have nothing of {topic.topic}; {number:,} in a row, "
+                f"{counted(counts.scans_without, 'scan')} on {scans} {agreeing(counts.scans_without, 'have')} "
+                f"nothing of {topic.topic}; {number:,} in a row, "
                 f"from {stamp_text(first)} to {stamp_text(last)}"
             )
         if counts is not None and counts.unmatched:
             self.notes.append(
-                f"{counts.unmatched:,} of {counts.messages:,} messages of {topic.topic} are in no scan on {scans}"
+                f"{counts.unmatched:,} of {counted(counts.messages, 'message')} of {topic.topic} "
+                f"{agreeing(counts.unmatched, 'are')} in no scan on {scans}"
             )
         if topic.removed_beams:
             returns = topic.removed_beams["returns"]
             for name, number in topic.removed_beams.items():
                 if name != "returns":
-                    self.notes.append(f"{scans}: {number:,} of {returns:,} beams were {name}, and are removed")
+                    of = f"{scans}: {number:,} of {counted(returns, 'beam')}"
+                    self.notes.append(f"{of} {agreeing(number, 'were')} {name}, and {agreeing(number, 'are')} removed")
         if beams := topic.rebinned:
             note = f"{scans}: of {beams.beams:,} beams {beams.shared:,} share one of the new scans with another"
             self.notes.append(f"{note}; {beams.between:,} of the new ones lie between two neighbours, without a return")
@@ -465,7 +468,8 @@ class Report(Shown):
         """Return warnings that name the cause of scans without returns, and of points that a default rejects."""
         points = topic.points
         if topic.empty_scans:
-            empty = f"{topic.empty_scans} of {topic.messages_out} scans on {topic.target} have no return at all"
+            scans = f"{counted(topic.messages_out, 'scan')} on {topic.target}"
+            empty = f"{topic.empty_scans:,} of {scans} {agreeing(topic.empty_scans, 'have')} no return at all"
             return [f"{empty}: {self._blame(topic)}"]
         warnings = []
         for each in self.rejections.values():
@@ -632,6 +636,6 @@ def _loss_warning(topics: Sequence[TopicReport]) -> str:
     listed = [f"{topic.topic} ({topic.messages_in:,}: {topic.note})" for topic in topics[:_MAX_WARNED]]
     more = len(topics) - len(listed)
     return (
-        f"{count:,} message{'s' if count > 1 else ''} of {len(topics)} topic{'s' if len(topics) > 1 else ''} "
-        f"{'are' if count > 1 else 'is'} skipped: {', '.join(listed)}{f' and {more} more' if more else ''}"
+        f"{counted(count, 'message')} of {counted(len(topics), 'topic')} "
+        f"{agreeing(count, 'are')} skipped: {', '.join(listed)}{f' and {more} more' if more else ''}"
     )

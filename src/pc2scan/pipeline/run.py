@@ -41,6 +41,7 @@ from pc2scan.files.text_output import check_text_output, text_output
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.model import MAX_ROSBAG2_NS
 from pc2scan.remote.urls import is_url, shown_path
+from pc2scan.shown import agreeing, counted
 from pc2scan.tf.options import FrameOptions
 from pc2scan.tf.placing import Frames
 from pc2scan.tf.reading import read_some_transforms, read_transforms
@@ -651,7 +652,7 @@ def _compare_counts(tally: Tally, options: ConvertOptions, report: Report) -> No
     details = count_details(counts)
     if (declared == found and not details) or any(damage.loses for damage in report.damage):
         return
-    missing = f"declares {declared} messages, {found} were found{details}"
+    missing = f"declares {counted(declared, 'message')}, {found:,} {agreeing(found, 'were')} found{details}"
     if options.strict:
         raise DamageError(missing, path=tally.path, hint=RECOVER)
     report.damage.append(Damage(missing, tally.path, messages_lost=max(0, lost)))

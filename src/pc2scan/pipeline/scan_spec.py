@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from pc2scan.bags.topics import is_glob
+from pc2scan.bags.topics import is_glob, new_topic
 from pc2scan.core.counts import PointCounts
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import UsageError
@@ -41,12 +41,12 @@ class TopicRequest(NamedTuple):
         Raises
         ------
         UsageError
-            If a side of ``:=`` is empty.
+            If a side of ``:=`` is empty, or the right one is no name of a topic.
         """
         source, remapped, target = text.partition(":=")
         if not source or (remapped and not target):
             raise UsageError(f"{text!r} is not a topic", hint="write /points or /points:=/scan")
-        return cls(source, target or None)
+        return cls(source, new_topic(target, f"`topics={text}`") if target else None)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -120,6 +120,8 @@ class ScanSpec:
     output_type: str = ""
 
     def __post_init__(self) -> None:
+        if self.keep_used:
+            object.__setattr__(self, "keep_used", new_topic(self.keep_used, "`keep_used`"))
         if not self.reverse and self.channels is not None:
             raise UsageError("`channels` and `range_cutoff` go with `reverse`")
         self._check_stages()

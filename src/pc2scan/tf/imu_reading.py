@@ -14,6 +14,7 @@ from pc2scan.core.gravity import up_by_gravity
 from pc2scan.core.upright import up_in
 from pc2scan.errors import DecodeError, TopicError, UsageError, name_list
 from pc2scan.messages.imu import IMU, decode_imu
+from pc2scan.shown import counted
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -133,9 +134,9 @@ def read_up(readers: Sequence[Reader], request: ImuRequest, most: int | None = N
     )
     warnings = []
     if messages.undecoded:
-        warnings.append(f"{topic}: {messages.undecoded} messages cannot be decoded: {messages.why}")
+        warnings.append(f"{topic}: {counted(messages.undecoded, 'message')} cannot be decoded: {messages.why}")
     if repeated := len(messages.stamps_ns) - len(stamps):
-        warnings.append(f"{topic}: {repeated} messages have the stamp of another one, and are ignored")
+        warnings.append(f"{topic}: {counted(repeated, 'message')} ignored: the stamp of another one")
     frame = request.frame or _only_frame(topic, messages.frames)
     known, ups, notes, further = _ups(topic, stamps, ups, turning, acceleration)
     return MeasuredUp(topic, frame, stamps[known], ups, tuple(notes), (*warnings, *further))
@@ -205,7 +206,7 @@ def _ups(
     if 2 * len(known) >= len(ups) and not (never_changes and not fault):
         warnings = _disagreement(topic, ups[oriented & felt], acceleration[oriented & felt], fault)
         if lost := len(ups) - len(known):
-            warnings.append(f"{topic}: {lost:,} of {len(ups):,} messages have no valid orientation, and are ignored")
+            warnings.append(f"{topic}: {lost:,} of {counted(len(ups), 'message')} ignored: no valid orientation")
         return known, ups[known], [f"{topic}: up is known by the orientations of {len(known):,} messages"], warnings
     if fault:
         raise UsageError(
@@ -215,7 +216,7 @@ def _ups(
     known = np.flatnonzero(felt)
     warnings = []
     if lost := len(ups) - len(known):
-        warnings.append(f"{topic}: {lost:,} of {len(ups):,} messages have no rates or accelerations, and are ignored")
+        warnings.append(f"{topic}: {lost:,} of {counted(len(ups), 'message')} ignored: no rates or accelerations")
     found = up_by_gravity(stamps_ns[known], turning[known], acceleration[known], gravity)
     unit = " (in units of g)" if gravity < 2 else ""
     why = "its orientation never changes" if never_changes else _why_no_orientation(ups)

@@ -50,8 +50,10 @@ def unknown_frame(
         there_are += f"; [{rejected.child}] in [{rejected.parent}] was rejected: {rejected.reason}"
     near = did_you_mean(name, sorted(frames))
     advice = "`static_tf` or `tf_from` adds a transform, `source_frame` corrects a wrong frame_id"
+    # What is looked up may be a target frame, a fixed frame or a level one: users know which they named.
+    kind = "source frame" if role == "source_frame" else "frame"
     return UnconnectedError(
-        f"no transform has the {_ROLES[role]} frame {name!r}; {there_are}",
+        f"no transform has the {kind} {name!r}; {there_are}",
         stamp_ns=stamp_ns,
         hint=f"{near} {advice}".strip(),
     )

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from pc2scan.errors import DecodeError, RecordingError, UsageError, name_list
 from pc2scan.messages.tfmessage import TF_TYPES, decode_transforms
 from pc2scan.names import did_you_mean
+from pc2scan.shown import counted
 
 from .options import FrameOptions
 
@@ -144,7 +145,8 @@ def built(builder: TransformBuilder, warnings: Mapping[str, int]) -> tuple[Trans
     buffer = builder.build()
     texts = [f"{text} ({count} times)" if count > 1 else text for text, count in warnings.items()]
     texts += [
-        f"{r.count} transforms from {r.parent!r} to {r.child!r} are not usable: {r.reason}" for r in buffer.rejections
+        f"{counted(r.count, 'transform')} from {r.parent!r} to {r.child!r} not usable: {r.reason}"
+        for r in buffer.rejections
     ]
     return buffer, texts
 

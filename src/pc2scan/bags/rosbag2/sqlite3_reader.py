@@ -39,6 +39,7 @@ from pc2scan.files.compression import ZSTD_MAGIC
 from pc2scan.files.limits import MAX_CONNECTIONS
 from pc2scan.files.temporary import making_copy, private_folder, sqlite_is_full
 from pc2scan.model import Connection, Definition, RawMessage, Summary, declared_counts
+from pc2scan.shown import counted
 
 from .sqlite3_checks import TIMES_SUM, index_trouble, table_trouble
 from .sqlite3_codes import CORRUPT, ERROR, FULL, IOERR_SHORT_READ, NOTADB, code_of
@@ -525,7 +526,9 @@ class Sqlite3Reader(Reader):
             if topic_id not in described:
                 timed = isinstance(first_ns, int) and isinstance(last_ns, int)
                 self._log.note(
-                    self._damage(f"{count} messages are of topic {topic_id!r:.40}, which is not described"),
+                    self._damage(
+                        f"{counted(count, 'message', 'are')} of topic {topic_id!r:.40}, which is not described"
+                    ),
                     key=("topic", topic_id),
                     messages_lost=count,
                     first_ns=first_ns if timed else None,

@@ -1,0 +1,111 @@
+"""What people type by mistake, through the real command: an error that says what to type, and nothing on the disk."""
+
+from __future__ import annotations
+
+import shutil
+from typing import TYPE_CHECKING
+
+import pytest
+
+import pc2scan
+from e2e.command import run
+from support import ROOT
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+HALL = ROOT / "fixtures" / "hall.bag"
+
+
+@pytest.fixture
+def scans(tmp_path: Path) -> Path:
+    """A recording of scans, in a folder of its own."""
+    path = tmp_path / "source" / "scans.mcap"
+    path.parent.mkdir()
+    pc2scan.convert(HALL, path, min_height=-0.3)
+    return path
+
+
+def test_new_topics_have_a_leading_slash(tmp_path: Path) -> None:
+    done = run("convert", HALL, "-o", tmp_path / "a.mcap", "--topic", "points:=front/scan", "--keep-used", "used")
+    assert done.status == 0, done.stderr
+    topics = {topic.topic for topic in pc2scan.info(tmp_path / "a.mcap").topics}
+    assert {"/front/scan", "/used"} <= topics
+
+
+@pytest.mark.parametrize("words", [("--keep-used", "my points"), ("--topic", "/points:=/my scan")])
+def test_new_topics_have_names_that_ros_can_have(tmp_path: Path, words: tuple[str, str]) -> None:
+    done = run("convert", HALL, "-o", tmp_path / "a.mcap", *words)
+    assert done.status == 2
+    assert f"error: {words[0]}" in done.stderr
+    assert "is not a name that a topic can have" in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_cell_of_5_m_was_meant_to_be_one_of_5_cm(scans: Path, tmp_path: Path) -> None:
+    done = run("map", scans, "--png", tmp_path / "m.png", "--resolution", "5")
+    assert done.status == 2
+    assert done.stderr.splitlines() == [
+        "error: --resolution is 5 m, it must be from 0.001 to 1",
+        "hint: for 5 cm write --resolution 0.05",
+    ]
+    assert run("map", scans, "--png", tmp_path / "m.png", "--resolution", "5cm").status == 0
+
+
+def test_a_picture_of_a_map_is_a_png(scans: Path, tmp_path: Path) -> None:
+    done = run("map", scans, "--png", tmp_path / "m.jpg")
+    assert done.status == 2
+    assert done.stderr.splitlines()[-1] == "hint: --png m.png"
+    assert not (tmp_path / "m.jpg").exists()
+
+
+def test_one_is_not_several(tmp_path: Path) -> None:
+    done = run("convert", HALL, "-o", tmp_path / "a.mcap", "--end", "0.05", "--min-height", "90", "--max-height", "91")
+    assert "1 of 1 scan on /scan has no return at all" in " ".join(done.stderr.split())
+    done = run("batch", HALL, "-o", tmp_path / "out", "--min-height", "-0.3")
+    assert "1 recordings" not in done.stdout + done.stderr
+    assert "1 recording" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "hint"),
+    [
+        (("convert", "drive.bag", "--min-hieght", "0"), "did you mean --min-height or --max-height"),
+        (("convert", "drive.bag", "--min_height", "0"), "did you mean --min-height?"),
+        (("convert", "drive.bag", "--json"), "--report report.json writes what happened as JSON"),
+        (("drive.bag",), "the command comes first: pc2scan info drive.bag"),
+        (("convert", "-drive.bag"), "for the file of this name write ./-drive.bag"),
+        (("convert", "gone.bag"), "it is a link to nowhere.bag, which is not there"),
+        (("convert", "-"), "recordings are not read from a pipe: save it as a file first"),
+        (("convert", "drive.bag", "-o", "-"), "name a file: -o scans.mcap"),
+        (("view", "drive.bag", "-o", "page.pdf"), "pages are HTML: page.html; pc2scan plot draws figures"),
+        (("view", "drive.bag", "-o", "page.html", "--at", "99"), "--at 0 to --at 0.405 are in it"),
+        (("diff", "drive.bag", "-drive.bag", "--view", "page"), "for the file of this name write ./-drive.bag"),
+        (("diff", "drive.bag", "./-drive.bag", "--view", "page"), "pages are HTML: page.html"),
+        (("export", "drive.bag", "-o", "clouds.pcd"), "a file for each cloud, in a folder: -o clouds/, --format pcd"),
+        (("batch",), "pc2scan batch --help shows what it takes"),
+        (("convert", "drive.bag", "-o", "my scans/a.bag"), "create it: mkdir -p 'my scans'"),
+    ],
+)
+def test_the_hint_is_what_to_type(tmp_path: Path, words: tuple[str, ...], hint: str) -> None:
+    for name in ("drive.bag", "-drive.bag"):
+        shutil.copy(HALL, tmp_path / name)
+    (tmp_path / "gone.bag").symlink_to("nowhere.bag")
+    before = sorted(tmp_path.iterdir())
+    done = run(*words, cwd=tmp_path)
+    assert done.status == 2
+    assert f"hint: {hint}" in done.stderr
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_a_fixed_frame_is_not_called_the_target_frame(tmp_path: Path) -> None:
+    done = run("convert", HALL, "-o", tmp_path / "a.bag", "--deskew", "--fixed-frame", "map")
+    assert done.status == 1
+    assert "no transform has the frame 'map'" in done.stderr
+
+
+def test_a_server_that_is_not_there_is_not_a_file_that_is_not_there(tmp_path: Path) -> None:
+    pytest.importorskip("aiohttp")
+    done = run("convert", "https://127.0.0.1:1/drive.bag", "-o", tmp_path / "a.bag")
+    assert done.status == 1
+    assert "nobody answers at this address" in done.stderr
