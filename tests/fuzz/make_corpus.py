@@ -34,6 +34,7 @@ from builders import (
 )
 from fuzz import clouds, rays
 from fuzz.decoders import CORPUS
+from fuzz.mutants.database import wal_checksums
 from messages.test_imu import imu_message
 from pc2scan import ProjectionParams
 from pc2scan.bags.mcap.reader import McapReader
@@ -132,8 +133,18 @@ def _pages() -> Iterator[tuple[str, str, bytes]]:
                 database.executemany("INSERT INTO messages VALUES (NULL, ?, ?, ?)", rows)
                 database.commit()
                 log = path.with_name("a.db3-wal")
-                logged = log.read_bytes() if log.exists() else b""
+                logged = _with_fixed_salts(log.read_bytes(), 512) if log.exists() else b""
                 yield "pages", journal, len(logged).to_bytes(2, "little") + path.read_bytes() + logged
+
+
+def _with_fixed_salts(log: bytes, page_size: int) -> bytes:
+    """Return a write-ahead log with constant salts, and the checksums that follow. SQLite's salts are random."""
+    salts = b"pc2scan."
+    fixed = bytearray(log)
+    fixed[16:24] = salts
+    for start in range(32, len(log), 24 + page_size):
+        fixed[start + 8 : start + 16] = salts
+    return wal_checksums(bytes(fixed), page_size)
 
 
 def _clouds() -> Iterator[tuple[str, str, bytes]]:
@@ -187,11 +198,11 @@ def _scan_text() -> str:
     return render_messages(messages)
 
 
-def main() -> None:
+def main(folder: Path = CORPUS) -> None:
     """Write one file for each."""
     for decoder, name, data in inputs():
-        (CORPUS / decoder).mkdir(parents=True, exist_ok=True)
-        (CORPUS / decoder / name).write_bytes(data)
+        (folder / decoder).mkdir(parents=True, exist_ok=True)
+        (folder / decoder / name).write_bytes(data)
 
 
 if __name__ == "__main__":
