@@ -15,7 +15,7 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from pc2scan.core.consumers import Placed, Scan
+    from pc2scan.core.consumers import Scan, ScanTransforms
 
 f = np.float32
 
@@ -42,7 +42,7 @@ def number_of_range_readings(scan: Scan) -> int:
     return int(std_round((float(angle_max) - float(angle_min)) / float(angle_increment)) + residual)
 
 
-def transforms(needs: tuple[str, ...], placed: Placed) -> bool:
+def transforms(needs: tuple[str, ...], placed: ScanTransforms) -> bool:
     """Whether a scan has the transforms that a consumer looks up."""
     return not any(getattr(placed, role) is False for role in needs)
 
@@ -54,7 +54,7 @@ def worst(off: float, increment: float) -> str:
     return "shifted" if share <= 1.1 else "misplaced"
 
 
-def slam_toolbox(scan: Scan, first: Scan | None, placed: Placed) -> str:
+def slam_toolbox(scan: Scan, first: Scan | None, placed: ScanTransforms) -> str:
     if not transforms(("odometry", "robot"), placed):
         return "ignored"
     laser = first or scan
@@ -87,7 +87,7 @@ def turned(scan: Scan, first: Scan) -> bool:
     )
 
 
-def cartographer(scan: Scan, _first: Scan | None, placed: Placed) -> str:
+def cartographer(scan: Scan, _first: Scan | None, placed: ScanTransforms) -> str:
     if not transforms(("robot",), placed):
         return "ignored"
     if not f(scan.range_min) >= f(0):
@@ -116,7 +116,7 @@ def infinite_hits(scan: Scan) -> str:
     return "misplaced" if scan.infinite and f(np.inf) <= f(scan.range_max) else "accepted"
 
 
-def gmapping(scan: Scan, first: Scan | None, placed: Placed) -> str:
+def gmapping(scan: Scan, first: Scan | None, placed: ScanTransforms) -> str:
     if not transforms(("odometry", "robot"), placed):
         return "ignored"
     # initMapper: abs(abs(up.z()) - 1) > 0.001
@@ -159,17 +159,17 @@ def gmapping_off(low: float, high: float, step: float, beams: int, *, upwards: b
     return off
 
 
-def amcl(scan: Scan, _first: Scan | None, placed: Placed) -> str:
+def amcl(scan: Scan, _first: Scan | None, placed: ScanTransforms) -> str:
     if not transforms(("odometry", "robot"), placed):
         return "ignored"
     return "ignored" if float(f(scan.range_max)) <= 0.0 else "accepted"
 
 
-def nav2(scan: Scan, _first: Scan | None, placed: Placed) -> str:
+def nav2(scan: Scan, _first: Scan | None, placed: ScanTransforms) -> str:
     return infinite_hits(scan) if transforms(("robot",), placed) else "ignored"
 
 
-def mrpt(scan: Scan, _first: Scan | None, placed: Placed) -> str:
+def mrpt(scan: Scan, _first: Scan | None, placed: ScanTransforms) -> str:
     if not transforms(("robot",), placed):
         return "ignored"
     if not scan.beams > 1:
@@ -201,6 +201,6 @@ def mrpt_off(low: float, high: float, step: float, n: int) -> float:
     return off
 
 
-RULES: dict[str, Callable[[Scan, Scan | None, Placed], str]] = {
+RULES: dict[str, Callable[[Scan, Scan | None, ScanTransforms], str]] = {
     rule.__name__: rule for rule in (slam_toolbox, cartographer, gmapping, amcl, nav2, mrpt)
 }

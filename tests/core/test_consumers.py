@@ -9,7 +9,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from core.consumer_rules import RULES, number_of_range_readings
-from pc2scan.core.consumers import CONSUMERS, OUTCOMES, Placed, Scan, Verdict, expected_by_karto, judge, last_beam
+from pc2scan.core.consumers import (
+    CONSUMERS,
+    OUTCOMES,
+    Scan,
+    ScanTransforms,
+    Verdict,
+    expected_by_karto,
+    judge,
+    last_beam,
+)
 from pc2scan.core.params import ProjectionParams, beam_count
 
 #: Degrees: 20 fields of view by 15 increments.
@@ -46,12 +55,12 @@ def centered(scan: Scan) -> Scan:
     return replace(scan, angle_max=last_beam(scan))
 
 
-def judged(scan: Scan, first: Scan | None = None, placed: Placed | None = None) -> dict[str, str]:
+def judged(scan: Scan, first: Scan | None = None, placed: ScanTransforms | None = None) -> dict[str, str]:
     return {consumer: judge(consumer, scan, first, placed).outcome for consumer in CONSUMERS}
 
 
-def ruled(scan: Scan, first: Scan | None = None, placed: Placed | None = None) -> dict[str, str]:
-    return {consumer: rule(scan, first, placed or Placed()) for consumer, rule in RULES.items()}
+def ruled(scan: Scan, first: Scan | None = None, placed: ScanTransforms | None = None) -> dict[str, str]:
+    return {consumer: rule(scan, first, placed or ScanTransforms()) for consumer, rule in RULES.items()}
 
 
 #: What is good for all: gmapping alone places the beams half an increment to the right.
@@ -116,10 +125,10 @@ def scans() -> st.SearchStrategy[Scan]:
     )
 
 
-def places() -> st.SearchStrategy[Placed]:
+def places() -> st.SearchStrategy[ScanTransforms]:
     known = st.sampled_from([None, True, False])
     return st.builds(
-        Placed,
+        ScanTransforms,
         frame_id=st.sampled_from(["laser", "/laser", ""]),
         odometry=known,
         robot=known,
@@ -128,7 +137,9 @@ def places() -> st.SearchStrategy[Placed]:
 
 
 @given(scans(), st.one_of(st.none(), scans()), places())
-def test_every_consumer_agrees_with_its_rule_on_anything(scan: Scan, first: Scan | None, placed: Placed) -> None:
+def test_every_consumer_agrees_with_its_rule_on_anything(
+    scan: Scan, first: Scan | None, placed: ScanTransforms
+) -> None:
     assert judged(scan, first, placed) == ruled(scan, first, placed)
 
 
@@ -137,7 +148,7 @@ def test_no_numbers_stop_the_check(scan: Scan, data: st.DataObject) -> None:
     numbers = st.one_of(st.floats(width=32), st.sampled_from([math.nan, math.inf, -math.inf, 0.0, 3e38, -3e38, 1e-45]))
     names = ("angle_min", "angle_max", "angle_increment", "time_increment")
     scan = replace(scan, **{name: data.draw(numbers) for name in names})  # type: ignore[arg-type]
-    for placed in (Placed(), Placed(up=-1.0)):
+    for placed in (ScanTransforms(), ScanTransforms(up=-1.0)):
         assert set(judged(scan, None, placed).values()) <= set(OUTCOMES)
 
 
@@ -305,27 +316,27 @@ def test_ranges_that_stand_for_no_return_at_the_end_of_the_range() -> None:
 
 @pytest.mark.parametrize("consumer", ["slam_toolbox", "gmapping", "amcl"])
 def test_scans_without_a_pose_are_dropped(consumer: str) -> None:
-    verdict = judge(consumer, GOOD, None, Placed(frame_id="laser", odometry=False, robot=True))
+    verdict = judge(consumer, GOOD, None, ScanTransforms(frame_id="laser", odometry=False, robot=True))
     assert (verdict.outcome, verdict.unplaced) == ("ignored", True)
     assert "odometry" in verdict.rule
 
 
 @pytest.mark.parametrize("consumer", CONSUMERS)
 def test_every_consumer_needs_the_robots_frame(consumer: str) -> None:
-    verdict = judge(consumer, GOOD, None, Placed(odometry=True, robot=False, missing="there is no frame"))
+    verdict = judge(consumer, GOOD, None, ScanTransforms(odometry=True, robot=False, missing="there is no frame"))
     assert (verdict.outcome, verdict.observed) == ("ignored", "there is no frame")
-    assert not judge(consumer, GOOD, None, Placed(odometry=True, robot=True, up=1.0)).refused
+    assert not judge(consumer, GOOD, None, ScanTransforms(odometry=True, robot=True, up=1.0)).refused
 
 
 def test_gmapping_does_not_start_with_tilted_scans_and_takes_them_for_level_later() -> None:
-    tilted = Placed(odometry=True, robot=True, up=math.cos(math.radians(7.6)))
+    tilted = ScanTransforms(odometry=True, robot=True, up=math.cos(math.radians(7.6)))
     verdict = judge("gmapping", GOOD, None, tilted)
     assert (verdict.outcome, verdict.unplaced) == ("ignored", True)
     assert not judge("gmapping", GOOD, GOOD, tilted).refused
 
 
 def test_slam_toolbox_reverses_the_ranges_of_a_sensor_that_is_upside_down() -> None:
-    below = Placed(odometry=True, robot=True, up=-1.0)
+    below = ScanTransforms(odometry=True, robot=True, up=-1.0)
     assert judge("slam_toolbox", GOOD, None, below).outcome == "accepted"
     side = replace(GOOD, angle_min=0.0, angle_max=2.0)
     assert judge("slam_toolbox", side).outcome == "accepted"
@@ -347,7 +358,7 @@ def test_gmappings_beams() -> None:
     turned = replace(GOOD, angle_min=1.0, angle_increment=-0.25)
     assert judge("gmapping", replace(turned, angle_max=-0.75)).outcome == "accepted"
     assert judge("gmapping", replace(turned, angle_max=-1.0)).outcome == "shifted"
-    below = Placed(up=-1.0)
+    below = ScanTransforms(up=-1.0)
     assert judge("gmapping", half_open, None, below).outcome == "shifted"
     assert judge("gmapping", replace(GOOD, angle_max=0.75), None, below).outcome == "accepted"
 

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pc2scan.core import kernel, plain
-from pc2scan.core.occupancy import FREE, OCCUPIED, UNSEEN, OccupancyGrid, beams_of, placed_beams
+from pc2scan.core.occupancy import FREE, OCCUPIED, UNSEEN, OccupancyGrid, observing_beams, placed_beams
 from pc2scan.core.rigid import Rigid
 from pc2scan.core.unproject import UnprojectParams, deskew, unproject
 from pc2scan.errors import DecodeError, ParameterError, UsageError
@@ -140,21 +140,21 @@ def test_marks_are_used_again() -> None:
 
 def test_what_the_beams_of_a_scan_say() -> None:
     ranges = np.array([np.nan, np.inf, -np.inf, 0.05, 0.1, 5.0, 9.9, 10.0, 11.0, -1.0], np.float32)
-    beams = beams_of(ranges, 0.1, 10.0)
+    beams = observing_beams(ranges, 0.1, 10.0)
     # 0.1 as float32 is more than 0.1.
     assert beams.numbers.tolist() == [4, 5, 6]
     assert beams.hits.all()
-    shorter = beams_of(ranges, 0.1, 10.0, longest=6.0)
+    shorter = observing_beams(ranges, 0.1, 10.0, longest=6.0)
     assert shorter.lengths.tolist() == [pytest.approx(0.1), 5.0, 6.0]
     assert shorter.hits.tolist() == [True, True, False]
-    clearing = beams_of(ranges, 0.1, 10.0, longest=6.0, clear_to=4.0)
+    clearing = observing_beams(ranges, 0.1, 10.0, longest=6.0, clear_to=4.0)
     assert clearing.numbers.tolist() == [1, 4, 5, 6, 7, 8]
     assert clearing.lengths.tolist() == [4.0, pytest.approx(0.1), 5.0, 6.0, 4.0, 4.0]
     assert clearing.hits.tolist() == [False, True, True, False, False, False]
-    assert beams_of(ranges, 0.1, 10.0, clear_to=99.0).lengths.max() == 10.0
-    endless = beams_of(ranges, 0.1, np.inf)
+    assert observing_beams(ranges, 0.1, 10.0, clear_to=99.0).lengths.max() == 10.0
+    endless = observing_beams(ranges, 0.1, np.inf)
     assert endless.numbers.tolist() == [4, 5, 6, 7, 8]
-    assert beams_of(ranges, 0.1, np.nan).numbers.size == 0
+    assert observing_beams(ranges, 0.1, np.nan).numbers.size == 0
 
 
 @pytest.mark.parametrize("moving", [False, True])
@@ -165,7 +165,7 @@ def test_beams_are_where_laser_geometry_has_them(moving: bool) -> None:
     start = Rigid.from_rpy(0.02, -0.03, 0.4, (1.0, 2.0, 0.5))
     end = Rigid.from_rpy(0.01, -0.02, 0.6, (1.3, 2.1, 0.5))
     angles = float(angle_min) + np.arange(300) * float(increment)
-    beams = beams_of(ranges, 0.5, 10.0)
+    beams = observing_beams(ranges, 0.5, 10.0)
     directions = np.stack((np.cos(angles), np.sin(angles)))
     origins, ends = placed_beams(beams, directions, 300, start, end if moving else None)
     points = unproject(

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from core.consumer_rules import RULES
-from pc2scan.core.consumers import CONSUMERS, Placed, Scan, judge
+from pc2scan.core.consumers import CONSUMERS, Scan, ScanTransforms, judge
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.presets import PRESETS
 from pc2scan.core.project import project
@@ -60,7 +60,7 @@ def test_a_preset_is_accepted_on_the_grid(consumer: str, start: str) -> None:
             )
             scan = scan_of(params)
             assert judge(consumer, scan).outcome == "accepted", (field, increment)
-            assert RULES[consumer](scan, None, Placed()) == "accepted"
+            assert RULES[consumer](scan, None, ScanTransforms()) == "accepted"
             if params.geometry == "centered":
                 assert_others(scan)
 

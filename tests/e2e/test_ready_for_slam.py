@@ -12,7 +12,7 @@ import pytest
 from core.consumer_rules import RULES
 from e2e.command import run
 from e2e.outputs import opened
-from pc2scan.core.consumers import Placed, Scan
+from pc2scan.core.consumers import Scan, ScanTransforms
 from pc2scan.core.presets import PRESETS
 from support import ROOT
 
@@ -46,7 +46,7 @@ def test_a_preset_is_accepted_by_its_consumer(consumer: str, tmp_path: Path) -> 
     scans = opened(destination).scans()
     assert len(scans) == 5
     first = described(scans[0])
-    assert {RULES[consumer](described(scan), first, Placed()) for scan in scans} == {"accepted"}
+    assert {RULES[consumer](described(scan), first, ScanTransforms()) for scan in scans} == {"accepted"}
     # gmapping wants angle_max one increment behind the last beam.
     steps = 360 if consumer == "gmapping" else 359
     for scan in scans:

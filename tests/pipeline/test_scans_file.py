@@ -15,7 +15,7 @@ from pc2scan.pipeline import scans_schema
 from pc2scan.pipeline.combine.asked import Combining
 from pc2scan.pipeline.parameters import PARAMETERS, Setting
 from pc2scan.pipeline.scan_spec import ScanSpec, TopicRequest
-from pc2scan.pipeline.scans_file import CHOICES, load_scans, refuse_beside
+from pc2scan.pipeline.scans_file import OUTPUT_KEYS, load_scans, refuse_beside
 from pc2scan.pipeline.stages.height_slope import MinHeightSlope
 from pc2scan.pipeline.stages.where import Where
 from pc2scan.requests import given_among
@@ -223,15 +223,15 @@ def test_the_schema_is_the_one_that_is_shipped() -> None:
     shipped = (files("pc2scan") / "pipeline" / "scans.schema.json").read_text()
     assert shipped == scans_schema.schema_text(), "python -m pc2scan.pipeline.scans_schema > scans.schema.json"
     properties = json.loads(shipped)["$defs"]["output"]["properties"]
-    assert properties.keys() == CHOICES.keys() | PARAMETERS.keys()
+    assert properties.keys() == OUTPUT_KEYS.keys() | PARAMETERS.keys()
 
 
 def test_the_file_has_whatever_an_output_has() -> None:
     """A choice that `ScanSpec` gets is an entry in the table."""
     elsewhere = {"name", "place", "topics", "origins", "params", "filters", "reverse", "channels", "output_type"}
     elsewhere |= {"combining"}
-    assert set(Combining._fields) - {"window_ns", "span_ns", "count", "every_ns"} <= CHOICES.keys()
-    assert ScanSpec.__dataclass_fields__.keys() - elsewhere <= CHOICES.keys()
+    assert set(Combining._fields) - {"window_ns", "span_ns", "count", "every_ns"} <= OUTPUT_KEYS.keys()
+    assert ScanSpec.__dataclass_fields__.keys() - elsewhere <= OUTPUT_KEYS.keys()
 
 
 def valid(value: Any, rule: dict[str, Any], root: dict[str, Any]) -> bool:
@@ -261,7 +261,7 @@ def valid(value: Any, rule: dict[str, Any], root: dict[str, Any]) -> bool:
     return not isinstance(value, list) or all(valid(each, rule["items"], root) for each in value)
 
 
-@pytest.mark.parametrize("name", [*CHOICES, *PARAMETERS])
+@pytest.mark.parametrize("name", [*OUTPUT_KEYS, *PARAMETERS])
 def test_the_schema_and_the_code_agree_about_every_key(name: str) -> None:
     root = scans_schema.schema()
     tried: list[Any] = [True, 2, 0.5, "middle", "auto", ["x > 1"], {"x": 1}, "median", "centered", "nan", "correct"]

@@ -137,7 +137,7 @@ def compare_arrays(
         raise ValueError(f"{reference.dtype}{reference.shape} cannot be compared with {value.dtype}{value.shape}")
     a, b = (np.ascontiguousarray(array, kind) for array in (reference, value))
     elements = len(a)
-    differs = ~_same(a, b, tolerance)
+    differs = ~_equal_values(a, b, tolerance)
     rows: NDArray[np.bool_] = differs if differs.ndim == 1 else np.any(differs, axis=1)
     total = int(np.count_nonzero(rows))
     if not total:
@@ -153,10 +153,10 @@ def compare_arrays(
 def differing(reference: NDArray[Any], value: NDArray[Any], tolerance: Tolerance = EXACT) -> NDArray[np.bool_]:
     """Return which elements `compare_arrays` counts as differing; both ``(n,)``, of one dtype in any byte order."""
     kind = reference.dtype.newbyteorder("=")
-    return ~_same(np.ascontiguousarray(reference, kind), np.ascontiguousarray(value, kind), tolerance)
+    return ~_equal_values(np.ascontiguousarray(reference, kind), np.ascontiguousarray(value, kind), tolerance)
 
 
-def _same(a: NDArray[Any], b: NDArray[Any], tolerance: Tolerance) -> NDArray[np.bool_]:
+def _equal_values(a: NDArray[Any], b: NDArray[Any], tolerance: Tolerance) -> NDArray[np.bool_]:
     """Return which values are equal; all of one shape and dtype."""
     result: NDArray[np.bool_]
     if a.dtype.kind != "f":
@@ -183,7 +183,7 @@ def _explained(
     explained = np.zeros(len(a), bool)
     # For each pair of neighbours: the left one of a equals the right one of b, or the other way round.
     for left, right in ((a, b), (b, a)):
-        found = both & _same(left[:-1], right[1:], tolerance) & (left[:-1] >= low) & (left[:-1] <= high)
+        found = both & _equal_values(left[:-1], right[1:], tolerance) & (left[:-1] >= low) & (left[:-1] <= high)
         found &= np.isfinite(left[:-1])
         explained[:-1] |= found
         explained[1:] |= found
@@ -192,9 +192,9 @@ def _explained(
 
 def _whole_shift(a: NDArray[Any], b: NDArray[Any], tolerance: Tolerance, limits: tuple[float, float]) -> int:
     returns = np.isfinite(a) & (a >= limits[0]) & (a <= limits[1])
-    if returns[:-1].any() and _same(a[:-1], b[1:], tolerance).all():
+    if returns[:-1].any() and _equal_values(a[:-1], b[1:], tolerance).all():
         return 1
-    if returns[1:].any() and _same(a[1:], b[:-1], tolerance).all():
+    if returns[1:].any() and _equal_values(a[1:], b[:-1], tolerance).all():
         return -1
     return 0
 

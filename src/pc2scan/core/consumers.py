@@ -38,8 +38,8 @@ __all__ = [
     "CONSUMERS",
     "OUTCOMES",
     "Outcome",
-    "Placed",
     "Scan",
+    "ScanTransforms",
     "Verdict",
     "expected_by_karto",
     "judge",
@@ -185,7 +185,7 @@ class Scan:
         )
 
 
-class Placed(NamedTuple):
+class ScanTransforms(NamedTuple):
     """What the transforms at a scan's stamp say about its frame.
 
     Attributes
@@ -209,7 +209,7 @@ class Placed(NamedTuple):
 
 
 #: For scans without known transforms.
-_ANYWHERE = Placed()
+_ANYWHERE = ScanTransforms()
 
 
 class Verdict(NamedTuple):
@@ -246,7 +246,7 @@ class Verdict(NamedTuple):
         return self.outcome in ("ignored", "aborts")
 
 
-def judge(consumer: str, scan: Scan, first: Scan | None = None, placed: Placed | None = None) -> Verdict:
+def judge(consumer: str, scan: Scan, first: Scan | None = None, placed: ScanTransforms | None = None) -> Verdict:
     """Return what a consumer does with a scan.
 
     Parameters
@@ -312,7 +312,7 @@ _NEEDS: dict[str, tuple[str, ...]] = {
 }
 
 
-def _unplaced(consumer: str, placed: Placed, *, started: bool) -> Verdict | None:
+def _unplaced(consumer: str, placed: ScanTransforms, *, started: bool) -> Verdict | None:
     """Return the verdict on a scan that a consumer ignores because of its transforms; None if it uses the scan."""
     lacking = [role for role in _NEEDS[consumer] if getattr(placed, role) is False]
     if lacking:
@@ -342,7 +342,7 @@ def _tilted(up: float) -> bool:
     return not abs(abs(up) - 1) <= _GMAPPING_TILT
 
 
-def _slam_toolbox(scan: Scan, first: Scan, placed: Placed) -> Verdict:
+def _slam_toolbox(scan: Scan, first: Scan, placed: ScanTransforms) -> Verdict:
     expected = expected_by_karto(first)
     if expected != scan.beams:
         if scan.beams != first.beams and expected == first.beams:
@@ -386,7 +386,7 @@ def _slam_toolbox(scan: Scan, first: Scan, placed: Placed) -> Verdict:
     )
 
 
-def _cartographer(scan: Scan, _first: Scan, placed: Placed) -> Verdict:
+def _cartographer(scan: Scan, _first: Scan, placed: ScanTransforms) -> Verdict:
     def aborts(rule: str, observed: str, allowed: str, cure: str) -> Verdict:
         return Verdict("cartographer", "aborts", rule, observed, allowed, cure)
 
@@ -441,7 +441,7 @@ def _cartographer(scan: Scan, _first: Scan, placed: Placed) -> Verdict:
     return Verdict("cartographer")
 
 
-def _gmapping(scan: Scan, first: Scan, placed: Placed) -> Verdict:
+def _gmapping(scan: Scan, first: Scan, placed: ScanTransforms) -> Verdict:
     if first.beams >= _GMAPPING_BEAMS:
         return Verdict(
             "gmapping",
@@ -475,7 +475,7 @@ def _gmapping(scan: Scan, first: Scan, placed: Placed) -> Verdict:
     return kept if kept.outcome != "accepted" else _half_open(scan, placed)
 
 
-def _half_open(scan: Scan, placed: Placed) -> Verdict:
+def _half_open(scan: Scan, placed: ScanTransforms) -> Verdict:
     """Return the verdict of gmapping on the places of a scan's beams.
 
     It orders beams by growing angle, and places beam ``i`` at ``(i - N / 2) * angle_increment`` from the middle between
@@ -509,7 +509,7 @@ def _half_open(scan: Scan, placed: Placed) -> Verdict:
     )
 
 
-def _amcl(scan: Scan, _first: Scan, _placed: Placed) -> Verdict:
+def _amcl(scan: Scan, _first: Scan, _placed: ScanTransforms) -> Verdict:
     if scan.range_max <= 0:
         return Verdict(
             "amcl",
@@ -522,11 +522,11 @@ def _amcl(scan: Scan, _first: Scan, _placed: Placed) -> Verdict:
     return Verdict("amcl")
 
 
-def _nav2(scan: Scan, _first: Scan, _placed: Placed) -> Verdict:
+def _nav2(scan: Scan, _first: Scan, _placed: ScanTransforms) -> Verdict:
     return _infinite_hits("nav2", scan) if scan.infinite and scan.range_max == math.inf else Verdict("nav2")
 
 
-def _mrpt(scan: Scan, _first: Scan, _placed: Placed) -> Verdict:
+def _mrpt(scan: Scan, _first: Scan, _placed: ScanTransforms) -> Verdict:
     if scan.beams < _MRPT_BEAMS:
         return Verdict(
             "mrpt",
@@ -615,7 +615,7 @@ def _kept_angles(consumer: str, scan: Scan, first: Scan) -> Verdict:
 
 
 #: The consumers by name, in the order in which they are shown.
-CONSUMERS: dict[str, Callable[[Scan, Scan, Placed], Verdict]] = {
+CONSUMERS: dict[str, Callable[[Scan, Scan, ScanTransforms], Verdict]] = {
     "slam_toolbox": _slam_toolbox,
     "cartographer": _cartographer,
     "gmapping": _gmapping,

@@ -99,9 +99,9 @@ def up_by_gravity(
     gaps = np.flatnonzero(np.diff(stamps_ns) > LONGEST_GAP_NS) + 1
     for begin, end in pairwise([0, *gaps.tolist(), len(samples)]):
         part = samples[begin:end]
-        state = _filtered(part, None, _first_bias(part, bias), later[begin:end])
-        state = _filtered(part[::-1] * _BACKWARD, state.up, state.reversed().bias, earlier[begin:end][::-1])
-        bias = _filtered(part, state.up, state.reversed().bias, later[begin:end]).bias
+        state = _filter(part, None, _first_bias(part, bias), later[begin:end])
+        state = _filter(part[::-1] * _BACKWARD, state.up, state.reversed().bias, earlier[begin:end][::-1])
+        bias = _filter(part, state.up, state.reversed().bias, later[begin:end]).bias
     both = later + earlier
     lengths = np.sqrt(np.einsum("ni,ni->n", both, both))[:, np.newaxis]
     # Two opposite directions have no mean, so one of them is returned.
@@ -109,7 +109,7 @@ def up_by_gravity(
 
 
 def _first_bias(samples: NDArray[np.float64], expected: tuple[float, ...]) -> tuple[float, ...]:
-    """Return the bias of the gyroscope for which the first seconds fit best to gravity; see `_filtered` for the rows.
+    """Return the bias of the gyroscope for which the first seconds fit best to gravity; see `_filter` for the rows.
 
     ``R`` is the rotation from the IMU to its first pose, by the gyroscope alone. If the rotation is correct, ``R a`` is
     gravity; a bias turns it by ``S b``, where ``S`` is the integral of ``R``. Solved by least squares, with the
@@ -162,7 +162,7 @@ def _rows(samples: NDArray[np.float64]) -> Iterator[list[float]]:
         yield from samples[begin : begin + _BLOCK].tolist()
 
 
-def _filtered(
+def _filter(
     samples: NDArray[np.float64], up: tuple[float, ...] | None, bias: tuple[float, ...], out: NDArray[np.float64]
 ) -> _State:
     """Filter rows of a time, an angular velocity and an acceleration in units of gravity.

@@ -369,14 +369,14 @@ def _grounded(kind: Kind, floor: Plane, planes: Sequence[Plane]) -> Ground:
     return Ground(kind, floor.up, floor.height, None if ceiling is None else ceiling.height)
 
 
-def _between(one: Plane, other: Plane) -> float:
+def _angle_between(one: Plane, other: Plane) -> float:
     """Return the angle between two planes' normals, degrees."""
     return math.degrees(math.acos(max(-1.0, min(1.0, float(np.dot(one.up, other.up))))))
 
 
 def _opposite(plane: Plane, planes: Sequence[Plane]) -> Plane | None:
     """Return the ceiling of a floor, or the opposite wall of a wall."""
-    return next((other for other in planes if _between(plane, other) > 172 and other.beyond < 0.05), None)
+    return next((other for other in planes if _angle_between(plane, other) > 172 and other.beyond < 0.05), None)
 
 
 def _doubt(plane: Plane, planes: Sequence[Plane], view: _View) -> str:
@@ -401,7 +401,7 @@ def _doubt(plane: Plane, planes: Sequence[Plane], view: _View) -> str:
 def _rivals(plane: Plane, planes: Sequence[Plane], *, upside_down: bool) -> str:
     """Return why another plane may be the ground, and this one a wall; empty if not."""
     for other in planes:
-        between = _between(plane, other)
+        between = _angle_between(plane, other)
         if between < 4:
             continue
         nearer = other.nearest < plane.nearest or other.height < 0.9 * plane.height
@@ -430,7 +430,7 @@ def _mirrored(plane: Plane, planes: Sequence[Plane], view: _View, *, upside_down
     if total < 2.1:
         return "rooms are higher"
     for wall in planes:
-        if 70 < _between(plane, wall) < 110:
+        if 70 < _angle_between(plane, wall) < 110:
             facing = _opposite(wall, planes)
             if facing is not None and wall.height + facing.height < 1.35 * total:
                 return "it may be a wall: the room is no wider than high"

@@ -105,7 +105,7 @@ def level_floor(cells: _Points) -> Floor | None:
     distance = np.zeros(len(cells))
     for _ in range(4):
         members = cells[inliers]
-        found = _fitted(members, 1 / tolerance[inliers] ** 2) if len(members) >= 10 else None
+        found = _fitted_plane(members, 1 / tolerance[inliers] ** 2) if len(members) >= 10 else None
         if found is None:
             return None
         slope = found
@@ -120,7 +120,7 @@ def level_floor(cells: _Points) -> Floor | None:
     return Floor((-slope[0] / length, -slope[1] / length, 1 / length), height)
 
 
-def _fitted(points: _Points, weights: NDArray[np.float64]) -> tuple[float, float, float] | None:
+def _fitted_plane(points: _Points, weights: NDArray[np.float64]) -> tuple[float, float, float] | None:
     """Return the least-squares plane z = a x + b y + c; None if the points are on a line."""
     middle = (weights[:, None] * points).sum(axis=0) / weights.sum()
     x, y, z = (points - middle).T

@@ -30,7 +30,17 @@ if TYPE_CHECKING:
 
     from .rigid import Rigid
 
-__all__ = ["FREE", "LONGEST", "OCCUPIED", "UNSEEN", "Beams", "Occupancy", "OccupancyGrid", "beams_of", "placed_beams"]
+__all__ = [
+    "FREE",
+    "LONGEST",
+    "OCCUPIED",
+    "UNSEEN",
+    "ObservingBeams",
+    "Occupancy",
+    "OccupancyGrid",
+    "observing_beams",
+    "placed_beams",
+]
 
 #: A rectangle of cells: columns and rows from the first two numbers to the last two (exclusive).
 _Bounds: TypeAlias = tuple[int, int, int, int]
@@ -52,7 +62,7 @@ _GROWTH = 4
 _LEAST_GROWTH = 64
 
 
-class Beams(NamedTuple):
+class ObservingBeams(NamedTuple):
     """The beams of a scan that observe free or occupied space.
 
     Attributes
@@ -89,14 +99,14 @@ class Occupancy(NamedTuple):
     y: float
 
 
-def beams_of(
+def observing_beams(
     ranges: NDArray[np.float32],
     range_min: float,
     range_max: float,
     *,
     longest: float = math.inf,
     clear_to: float = 0.0,
-) -> Beams:
+) -> ObservingBeams:
     """Return the beams of a scan that observe free or occupied space.
 
     A range from ``range_min`` to less than ``range_max`` is a return, as for laser_geometry. Beams without a return
@@ -123,18 +133,18 @@ def beams_of(
     lengths[empty] = min(clear_to, range_max)
     hits = returns & (lengths <= longest)
     numbers = np.flatnonzero(returns | empty)
-    return Beams(numbers, np.minimum(lengths[numbers], longest), hits[numbers])
+    return ObservingBeams(numbers, np.minimum(lengths[numbers], longest), hits[numbers])
 
 
 def placed_beams(
-    beams: Beams, directions: NDArray[np.float64], count: int, start: Rigid, end: Rigid | None = None
+    beams: ObservingBeams, directions: NDArray[np.float64], count: int, start: Rigid, end: Rigid | None = None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the beams in coordinates of the map.
 
     Parameters
     ----------
     beams
-        The result of `beams_of`.
+        The result of `observing_beams`.
     directions
         (2, M): cosines and sines of all beams of the scan.
     count
@@ -261,7 +271,7 @@ class OccupancyGrid:
             now[3] + up * (now[3] > before[3]),
         )
         chosen = with_room if _area(with_room) <= self._most else needed
-        self._cells = _moved(self._cells, old, chosen)
+        self._cells = _resized(self._cells, old, chosen)
         self._first = chosen[:2]
 
     def _too_large(self, width: int, height: int) -> UsageError:
@@ -305,7 +315,7 @@ def _area(bounds: _Bounds) -> int:
     return (bounds[2] - bounds[0]) * (bounds[3] - bounds[1])
 
 
-def _moved(cells: NDArray[np.int16], old: _Bounds, new: _Bounds) -> NDArray[np.int16]:
+def _resized(cells: NDArray[np.int16], old: _Bounds, new: _Bounds) -> NDArray[np.int16]:
     """Return a grid with other bounds; its new cells are unobserved."""
     moved = np.full((new[3] - new[1], new[2] - new[0]), UNKNOWN * 256, np.int16)
     left, below, right, above = max(old[0], new[0]), max(old[1], new[1]), min(old[2], new[2]), min(old[3], new[3])

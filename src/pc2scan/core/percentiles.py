@@ -29,7 +29,7 @@ def percentiles(values: ArrayLike, *percents: float) -> tuple[float, ...]:
     (1.0, 2.5, 3.7)
     """
     ordered: NDArray[Any] = np.sort(values, axis=None)
-    return tuple(_between(ordered, percent / 100 * (len(ordered) - 1)) for percent in percents)
+    return tuple(_interpolated(ordered, percent / 100 * (len(ordered) - 1)) for percent in percents)
 
 
 def median(values: ArrayLike) -> float:
@@ -43,7 +43,7 @@ def median(values: ArrayLike) -> float:
     return float(ordered[half] + ordered[-1 - half]) / 2
 
 
-def _between(ordered: NDArray[Any], place: float) -> float:
+def _interpolated(ordered: NDArray[Any], place: float) -> float:
     below = math.floor(place)
     low, high = float(ordered[below]), float(ordered[min(below + 1, len(ordered) - 1)])
     # Interpolated from the nearer value, as NumPy does, so that the results are equal.

@@ -363,12 +363,12 @@ def compact(x: NDArray[Any], y: NDArray[Any], z: NDArray[Any]) -> tuple[NDArray[
         and x.strides == y.strides == z.strides
         and (y.__array_interface__["data"][0], z.__array_interface__["data"][0]) == (place + 4, place + 8)
     ):
-        rows = np.asarray(_Rows(interface, x, z)).copy().reshape(-1).view(np.float32).reshape(-1, 3)
+        rows = np.asarray(_PackedPoints(interface, x, z)).copy().reshape(-1).view(np.float32).reshape(-1, 3)
         return rows[:, 0], rows[:, 1], rows[:, 2]
     return np.array(x).reshape(-1), np.array(y).reshape(-1), np.array(z).reshape(-1)
 
 
-class _Rows:
+class _PackedPoints:
     """Memory of points as items of twelve bytes: x, y and z."""
 
     def __init__(self, interface: dict[str, Any], *owners: NDArray[Any]) -> None:

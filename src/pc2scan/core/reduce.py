@@ -102,7 +102,7 @@ def surfaces(
     sensor; the median is in the middle. Returns behind the surface are ignored, so that no range lies between a near
     object and a far one.
     """
-    limits = _limits(beams, ranges, count, depth, slope)
+    limits = _surface_limits(beams, ranges, count, depth, slope)
     near = np.flatnonzero(ranges <= limits[beams])
     own = beams[near]
     order = near[np.lexsort((ranges[near], own))]
@@ -113,7 +113,7 @@ def surfaces(
     return found
 
 
-def _limits(
+def _surface_limits(
     beams: NDArray[Any], ranges: NDArray[np.float32], count: int, depth: float, slope: float
 ) -> NDArray[np.float64]:
     """Return how far the closest surface of each beam extends, metres; inf for a beam without returns."""
@@ -157,7 +157,7 @@ def read(beams: NDArray[Any], ranges: NDArray[np.float32], count: int, params: P
         places = np.arange(beams.size) - begins[beams[order]]
         return np.sort(order[(places < params.kth) & seen[beams[order]]])
     if how == "surface":
-        limits = _limits(
+        limits = _surface_limits(
             beams, ranges, count, params.surface_depth, params.surface_slope * params.layout.angle_increment
         )
         return np.flatnonzero(ranges <= limits[beams])

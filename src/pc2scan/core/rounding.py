@@ -151,7 +151,7 @@ def prove(readings: Readings, points: Iterable[tuple[NDArray[np.float32], NDArra
     if not rules:
         return None
     returns = readings.returns()
-    looks = [_Look(rule, returns) for rule in rules]
+    looks = [_PointMatches(rule, returns) for rule in rules]
     with np.errstate(all="ignore"):
         for x, y in points:
             reach = np.sqrt(np.square(x, dtype=np.float64) + np.square(y, dtype=np.float64)).astype(np.float32)
@@ -169,7 +169,7 @@ def prove(readings: Readings, points: Iterable[tuple[NDArray[np.float32], NDArra
     return Proof(a_glibc, b_glibc, np.isfinite(returns).sum(axis=-1), fitting[best])
 
 
-class _Look:
+class _PointMatches:
     """Compares the points of a cloud with two scans, if beams are numbered by a rule."""
 
     def __init__(self, rule: NDArray[np.float64], returns: tuple[NDArray[np.float32], NDArray[np.float32]]) -> None:

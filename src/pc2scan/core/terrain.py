@@ -202,10 +202,10 @@ def _floor_like(cells: _Cells) -> NDArray[np.bool_]:
         # Cells of a wall are close together, so the cell to compare with is used until one is far enough behind it.
         renewed = there & (followed | (low < height))
         height, distance = np.where(renewed, low, height), np.where(renewed, where, distance)
-    return found & _beside(cells, 1) & _beside(cells, -1)
+    return found & _has_neighbour_beside(cells, 1) & _has_neighbour_beside(cells, -1)
 
 
-def _beside(cells: _Cells, step: int) -> NDArray[np.bool_]:
+def _has_neighbour_beside(cells: _Cells, step: int) -> NDArray[np.bool_]:
     """Return whether cells have a cell of about the same height in the next sector.
 
     On a wall at a small angle, each sector has another part, nearer or farther away.

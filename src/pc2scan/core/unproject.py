@@ -141,12 +141,12 @@ class UnprojectedScan:
     @property
     def xyz(self) -> NDArray[np.float32]:
         """Coordinates, float32, shape (N, 3), metres; a read-only view of `points`."""
-        return _columns(self.points, "x")
+        return _three_fields(self.points, "x")
 
     @property
     def viewpoint(self) -> NDArray[np.float32] | None:
         """The position of the sensor, float32, shape (N, 3), metres; a read-only view, or None if not requested."""
-        return _columns(self.points, "vp_x") if "vp_x" in (self.points.dtype.names or ()) else None
+        return _three_fields(self.points, "vp_x") if "vp_x" in (self.points.dtype.names or ()) else None
 
     def with_xyz(self, xyz: ArrayLike, viewpoint: ArrayLike | None = None) -> UnprojectedScan:
         """Return the scan with other coordinates of the points, and of the sensor.
@@ -165,9 +165,9 @@ class UnprojectedScan:
         """
         points = self.points.copy()
         with np.errstate(over="ignore"):
-            _columns(points, "x")[:] = xyz
+            _three_fields(points, "x")[:] = xyz
             if viewpoint is not None and self.viewpoint is not None:
-                _columns(points, "vp_x")[:] = viewpoint
+                _three_fields(points, "vp_x")[:] = viewpoint
         points.flags.writeable = False
         return replace(self, points=points)
 
@@ -370,7 +370,7 @@ def _rejected(distances: NDArray[np.float64], at_least: NDArray[np.bool_], kept:
     return RejectedBeams(nan=counts[0], infinite=counts[1], below_min=counts[2], beyond_max=remaining)
 
 
-def _columns(points: NDArray[np.void], first: str) -> NDArray[np.float32]:
+def _three_fields(points: NDArray[np.void], first: str) -> NDArray[np.float32]:
     """Return a view of three neighbouring float32 fields of packed points, (N, 3)."""
     begin = (points.dtype.names or ()).index(first)
     words = points.view("<f4").reshape(len(points), points.dtype.itemsize // 4)

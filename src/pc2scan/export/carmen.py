@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from pc2scan.streams.scans import Scan
 
-    from .poses import Placed
+    from .poses import PosesAtStamp
 
 __all__ = ["CarmenWriter", "FlaserWriter"]
 
@@ -65,7 +65,7 @@ class CarmenWriter:
         self._first_ns: int | None = None
         self._long_lines = 0
 
-    def add(self, item: Scan, placed: Placed | None) -> None:
+    def add(self, item: Scan, placed: PosesAtStamp | None) -> None:
         """Write a line; raises a `UsageError` for what these lines cannot say."""
         assert placed is not None
         numbers = (item.angle_min, item.angle_increment)

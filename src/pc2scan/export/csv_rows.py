@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from pc2scan.streams.scans import Scan
 
-    from .poses import Placed
+    from .poses import PosesAtStamp
 
 __all__ = ["CsvWriter"]
 
@@ -33,7 +33,7 @@ class CsvWriter:
         self._beams = SameBeams("a CSV file", angles=False)
         self._begun = False
 
-    def add(self, item: Scan, placed: Placed | None) -> None:
+    def add(self, item: Scan, placed: PosesAtStamp | None) -> None:
         """Write a row."""
         self._beams.check(item)
         if not self._begun:

@@ -15,7 +15,7 @@ from pc2scan.names import did_you_mean
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from .poses import Placed
+    from .poses import PosesAtStamp
 
 __all__ = ["FORMATS", "Format", "Writer", "format_of"]
 
@@ -23,7 +23,7 @@ __all__ = ["FORMATS", "Format", "Writer", "format_of"]
 class Writer(Protocol):
     """Writes the messages of one topic."""
 
-    def add(self, item: Any, placed: Placed | None) -> None:
+    def add(self, item: Any, placed: PosesAtStamp | None) -> None:
         """Write a message.
 
         Parameters

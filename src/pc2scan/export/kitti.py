@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from pc2scan.streams.clouds import Cloud
 
-    from .poses import Placed
+    from .poses import PosesAtStamp
 
 __all__ = ["KittiWriter"]
 
@@ -40,7 +40,7 @@ class KittiWriter:
         self._count = 0
         self._first_ns = 0
 
-    def add(self, item: Cloud, placed: Placed | None) -> None:
+    def add(self, item: Cloud, placed: PosesAtStamp | None) -> None:
         """Write a cloud's returns: points with a NaN or an infinite coordinate are none."""
         fields = item.fields
         name = next((each for each in _INTENSITIES if each in fields), None)

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from pc2scan.streams.scans import Scan
 
-    from .poses import Placed
+    from .poses import PosesAtStamp
 
 __all__ = ["NpzWriter"]
 
@@ -46,10 +46,10 @@ class NpzWriter:
         self._posed = posed
         self._beams = SameBeams("an .npz archive", angles=True)
         self._first: Scan | None = None
-        self._placed: Placed | None = None
+        self._placed: PosesAtStamp | None = None
         self._arrays: dict[str, _GrowingArray] = {}
 
-    def add(self, item: Scan, placed: Placed | None) -> None:
+    def add(self, item: Scan, placed: PosesAtStamp | None) -> None:
         """Append a scan to the arrays."""
         self._beams.check(item)
         if self._first is None:

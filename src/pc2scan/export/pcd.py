@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from pc2scan.streams.clouds import Cloud
 
-    from .poses import Placed
+    from .poses import PosesAtStamp
 
 __all__ = ["PcdWriter"]
 
@@ -36,7 +36,7 @@ class PcdWriter:
         self._posed = posed
         self._names: dict[int, int] = {}
 
-    def add(self, item: Cloud, placed: Placed | None) -> None:
+    def add(self, item: Cloud, placed: PosesAtStamp | None) -> None:
         """Write a cloud; raises an `UnwritableError` where a field has a name that a header cannot hold."""
         points = item.points()
         names = points.dtype.names or ()

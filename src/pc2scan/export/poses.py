@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.options import FrameOptions
 
-__all__ = ["Placed", "PoseOptions", "Poses", "open_poses"]
+__all__ = ["PoseOptions", "Poses", "PosesAtStamp", "open_poses"]
 
 #: What the robot's own frame is usually called, best one first.
 _BASES = ("base_link", "base_footprint")
@@ -60,7 +60,7 @@ class PoseOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class Placed:
+class PosesAtStamp:
     """Where the robot, and the sensor of a message, are at its stamp.
 
     Attributes
@@ -123,7 +123,7 @@ class Poses:
         self._bases: dict[str, str] = {}
         self.pose_frame = asked.pose_frame.removeprefix("/") or frames[0]
 
-    def at(self, sensor_frame: str, stamp_ns: int) -> Placed:
+    def at(self, sensor_frame: str, stamp_ns: int) -> PosesAtStamp:
         """Return where the robot is at the stamp of a message.
 
         Raises
@@ -141,7 +141,7 @@ class Poses:
             robot = self._odometry.lookup(self.pose_frame, child, stamp_ns)
             if base != child:
                 robot = robot.compose(self._transforms.lookup(child, base, stamp_ns))
-        return Placed(self.pose_frame, base, robot, self._transforms, sensor_frame, stamp_ns)
+        return PosesAtStamp(self.pose_frame, base, robot, self._transforms, sensor_frame, stamp_ns)
 
     def _base_of(self, sensor_frame: str) -> str:
         found = self._bases.get(sensor_frame)

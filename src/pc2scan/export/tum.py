@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from pc2scan.streams.scans import Scan
 
-    from .poses import Placed
+    from .poses import PosesAtStamp
 
 __all__ = ["TumWriter"]
 
@@ -26,7 +26,7 @@ class TumWriter:
         self._file = TextFile(path)
         self._last_ns: int | None = None
 
-    def add(self, item: Scan, placed: Placed | None) -> None:
+    def add(self, item: Scan, placed: PosesAtStamp | None) -> None:
         """Write a line; raises `UnwritableError` for a stamp that is not later than the one before."""
         assert placed is not None
         if self._last_ns is not None and item.stamp_ns <= self._last_ns:

@@ -375,8 +375,8 @@ def info(
     with ExitStack() as stack:
         readers = open_recordings(sources, stack)
         reader = as_one(readers)
-        counts, start_ns, end_ns = _counts(reader)
-        topics = _topics(reader.connections, counts, start_ns, end_ns)
+        counts, start_ns, end_ns = _message_counts(reader)
+        topics = _topic_infos(reader.connections, counts, start_ns, end_ns)
         buffer, warnings = None, list[str]()
         others = open_recordings(asked.tf_from, stack)
         if target_frame or others:
@@ -411,7 +411,7 @@ def _file_info(path: Path, summary: Summary) -> FileInfo:
     )
 
 
-def _counts(reader: Reader) -> tuple[Counter[int], int | None, int | None]:
+def _message_counts(reader: Reader) -> tuple[Counter[int], int | None, int | None]:
     """Return messages by connection, and the first and the last log time; the messages are read only if necessary."""
     summary = reader.summary
     if summary.start_ns is not None and summary.end_ns is not None and not reader.damage:
@@ -431,7 +431,7 @@ def _counts(reader: Reader) -> tuple[Counter[int], int | None, int | None]:
     return counts, start_ns, end_ns
 
 
-def _topics(
+def _topic_infos(
     connections: Sequence[Connection], counts: Counter[int], start_ns: int | None, end_ns: int | None
 ) -> list[TopicInfo]:
     groups: dict[tuple[str, str, str], list[Connection]] = {}
@@ -480,10 +480,10 @@ def _samples(
             connections[connection.topic].append(connection)
     # The points are in memory until all topics have been read.
     most = min(_MAX_POINTS, _MAX_POINTS_HELD // len(connections)) // samples + 1
-    cloud_looks = {name: _Look(name, most, places) for name in connections if name in clouds}
+    cloud_looks = {name: _CloudSample(name, most, places) for name in connections if name in clouds}
     rates = {topic.topic: topic.rate_hz for topic in topics if topic.msgtype == LASERSCAN}
     scan_looks = {name: ScanLook(name, rates[name], most) for name in connections if name in scans}
-    looks: dict[str, _Look | ScanLook] = {**cloud_looks, **scan_looks}
+    looks: dict[str, _CloudSample | ScanLook] = {**cloud_looks, **scan_looks}
     for message in sampled(reader, connections, samples, start_ns, end_ns):
         looks[message.connection.topic].add(message)
     return (
@@ -492,7 +492,7 @@ def _samples(
     )
 
 
-class _Look:
+class _CloudSample:
     """Collects the properties of a topic's sampled clouds, from at most ``most`` points of each."""
 
     def __init__(self, topic: str, most: int, places: Frames) -> None:

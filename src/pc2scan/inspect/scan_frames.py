@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from pc2scan.core.consumers import Placed
+from pc2scan.core.consumers import ScanTransforms
 from pc2scan.core.rigid import Rigid
 from pc2scan.errors import TransformError
 from pc2scan.shown import counted
@@ -71,7 +71,7 @@ class ScanFrames:
         self._tilt = 0.0
         self._named = bool(base_frame)
 
-    def add(self, frame_id: str, stamp_ns: int) -> Placed:
+    def add(self, frame_id: str, stamp_ns: int) -> ScanTransforms:
         """Look up one scan's transforms."""
         frame = frame_id.removeprefix("/")
         self._scans[frame] = self._scans.get(frame, 0) + 1
@@ -84,7 +84,7 @@ class ScanFrames:
         if robot is None and self._trees and self._base not in self._trees and not self._named:
             # What the robot's frame is called is not known.
             known = None
-        return Placed(
+        return ScanTransforms(
             frame_id=frame_id,
             odometry=odometry is not None,
             robot=known,
@@ -104,7 +104,7 @@ class ScanFrames:
             return None, err.message
 
     def _up(self, base_from_scan: Rigid, stamp_ns: int) -> float:
-        """See `Placed.up`; counts how the sensor is tilted."""
+        """See `ScanTransforms.up`; counts how the sensor is tilted."""
         ahead, left, up = (float(part) for part in base_from_scan.matrix[:, 2])
         # Upside down is level too.
         level = min(abs(up), 1.0)

@@ -7,7 +7,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
-from pc2scan.core.consumers import CONSUMERS, OUTCOMES, Outcome, Placed, Scan, Verdict, judge
+from pc2scan.core.consumers import CONSUMERS, OUTCOMES, Outcome, Scan, ScanTransforms, Verdict, judge
 from pc2scan.core.layout import TURN
 from pc2scan.errors import stamp_text
 from pc2scan.messages.consumed import consumed_scan
@@ -156,7 +156,7 @@ class ScanTopic:
         self._undecodable.add(log_time_ns)
         self._reason = self._reason or reason
 
-    def add(self, message: LaserScan, log_time_ns: int, placed: Placed | None = None) -> None:
+    def add(self, message: LaserScan, log_time_ns: int, placed: ScanTransforms | None = None) -> None:
         """Look at the next scan; without ``placed``, transforms are not considered."""
         stamp_ns = message.stamp_ns
         scan = consumed_scan(message)

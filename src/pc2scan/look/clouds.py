@@ -74,7 +74,7 @@ def clouds_page(
     topics: dict[str, list[dict[str, Any]]] = {}
     for number, shot in enumerate(taken.shots):
         columns = {name: column[::step] for name, column in shot.columns.items()}
-        entry = {**_described(shot, buffer), "data": described(_name(number), columns), "filtered": None}
+        entry = {**_shot_as_dict(shot, buffer), "data": described(_name(number), columns), "filtered": None}
         if shot.filtered is not None:
             named = {"filtered": shot.filtered[::step]}
             entry["filtered"] = described(f"filtered-{number}", named)
@@ -105,7 +105,7 @@ def _shown(params: ProjectionParams) -> dict[str, float | bool | str]:
     return {name: str(v) if isinstance(v, float) and math.isinf(v) else v for name, v in values.items()}
 
 
-def _described(shot: Shot, buffer: TransformBuffer | None) -> dict[str, Any]:
+def _shot_as_dict(shot: Shot, buffer: TransformBuffer | None) -> dict[str, Any]:
     frame_id, rigid, _ = shot.place
     return {
         "moment": shot.moment,

@@ -16,7 +16,7 @@ import numpy as np
 
 from pc2scan.arguments import path_of
 from pc2scan.bags.topics import find_topics, matches
-from pc2scan.core.occupancy import FREE, LONGEST, OCCUPIED, Occupancy, OccupancyGrid, beams_of, placed_beams
+from pc2scan.core.occupancy import FREE, LONGEST, OCCUPIED, Occupancy, OccupancyGrid, observing_beams, placed_beams
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.rigid import Rigid
 from pc2scan.core.unproject import beam_angles, last_beam_ns
@@ -54,7 +54,7 @@ if TYPE_CHECKING:
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.placing import LevelTransform
 
-__all__ = ["Map", "MapOptions", "Skipped", "map_of", "write_map"]
+__all__ = ["Map", "MapOptions", "NotDrawn", "map_of", "write_map"]
 
 #: Cells smaller than that are more exact than any lidar, larger ones no map.
 _FINEST, _COARSEST = 0.001, 1.0
@@ -117,7 +117,7 @@ class MapOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class Skipped:
+class NotDrawn:
     """Messages of a topic that are not in the map, for one reason."""
 
     topic: str
@@ -167,7 +167,7 @@ class Map(Shown):
     duration: float
     scans: dict[str, int]
     converted: bool
-    skipped: tuple[Skipped, ...]
+    skipped: tuple[NotDrawn, ...]
     notes: tuple[str, ...]
     damage: tuple[Damage, ...]
 
@@ -432,7 +432,7 @@ class _Drawn:
             if level is not None:
                 start = start.compose(Rigid.from_pose(level.row[3:]))
             end = self._end(scan) if level is None else None
-            beams = beams_of(
+            beams = observing_beams(
                 scan.ranges,
                 scan.range_min,
                 scan.range_max,
@@ -568,7 +568,7 @@ class _Drawn:
             duration=(stamps[-1] - stamps[0]) / 1e9,
             scans=dict(self.scans),
             converted=converted,
-            skipped=tuple(Skipped(topic, reason, count) for (topic, reason), count in self.skipped.most_common()),
+            skipped=tuple(NotDrawn(topic, reason, count) for (topic, reason), count in self.skipped.most_common()),
             notes=tuple(further),
             damage=damage,
         )

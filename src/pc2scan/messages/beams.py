@@ -14,10 +14,10 @@ from pc2scan.errors import DecodeError
 if TYPE_CHECKING:
     from .laserscan import LaserScan
 
-__all__ = ["Beams", "beams_of"]
+__all__ = ["ScanPoints", "beams_of"]
 
 
-class Beams(NamedTuple):
+class ScanPoints(NamedTuple):
     """The returns of a LaserScan.
 
     Attributes
@@ -26,7 +26,7 @@ class Beams(NamedTuple):
         In the plane z = 0 of the scan's frame, as laser_geometry places them: float32 ``x``, ``y``, ``z``, and
         ``intensity`` if the scan has intensities; ``index``, the number of the beam, int32; and `TIME`.
     total
-        Beams of the scan.
+        How many beams the scan has.
     rejected
         How many of them are no points, by the projection's reasons: ``nan``, and ``range``: infinite, below
         ``range_min``, or ``range_max`` and more.
@@ -37,7 +37,7 @@ class Beams(NamedTuple):
     rejected: dict[str, int]
 
 
-def beams_of(scan: LaserScan) -> Beams:
+def beams_of(scan: LaserScan) -> ScanPoints:
     """Return the returns of a scan.
 
     Raises
@@ -63,4 +63,4 @@ def beams_of(scan: LaserScan) -> Beams:
     rejected = found.rejected
     beyond = rejected.infinite + rejected.below_min + rejected.beyond_max
     points = Points(scan.sequence, scan.stamp_ns, scan.frame_id, fields)
-    return Beams(points, found.beam_count, {"nan": rejected.nan, "range": beyond})
+    return ScanPoints(points, found.beam_count, {"nan": rejected.nan, "range": beyond})

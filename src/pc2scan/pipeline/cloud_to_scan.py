@@ -50,14 +50,6 @@ class _Beams:
         self.no_returns = np.full(params.length, params.empty_range, np.float32).tobytes()
 
 
-def _resolved(params: ProjectionParams, measured: Measured) -> ProjectionParams:
-    """Return the parameters with the measured number of beams; without clouds that of ``angle_increment`` is used."""
-    if params.beams != "auto":
-        return params
-    step = measured.azimuth_step
-    return params.at_resolution(step) if step else dataclasses.replace(params, beams=0)
-
-
 class CloudToScan(Conversion):
     """Converts clouds to scans, as upstream's pointcloud_to_laserscan_node.cpp does, or as the parameters say.
 
@@ -99,7 +91,7 @@ class CloudToScan(Conversion):
     ) -> None:
         self._timings = timings or {}
         # The size of a scan: the cloud's header, ranges and intensities. Its other fields take fewer bytes.
-        longest = max([_resolved(params, each).length for each in self._timings.values()], default=params.length)
+        longest = max([each.resolve(params).length for each in self._timings.values()], default=params.length)
         super().__init__(output_type, OF_CLOUDS[output_type], 1024 + 8 * longest)
         self.params = params
         self._frames = frames
@@ -132,7 +124,7 @@ class CloudToScan(Conversion):
     def stages(self, topic: str) -> tuple[Step, ...]:
         """Return the stages of one topic's messages, with its timing: place, select, project; see `Conversion`."""
         measured = self._timings.get(topic, self._default)
-        beams = self._beams or _Beams(_resolved(self.params, measured))
+        beams = self._beams or _Beams(measured.resolve(self.params))
         firsts = None if self._first_clouds is None else self._first_clouds(topic)
         project = partial(self._scan, measured, beams, firsts)
         select = () if self._select is None else (self._select,)

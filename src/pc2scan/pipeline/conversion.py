@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from pc2scan.core.counts import PointCounts
+    from pc2scan.core.params import ProjectionParams
     from pc2scan.messages.outputs import OutputType
     from pc2scan.messages.used_points import UsedPoints
     from pc2scan.model import Buffer
@@ -88,6 +89,12 @@ class Measured(NamedTuple):
     time_increment: float = 0.0
     first_beam_ns: int = 0
     azimuth_step: float = 0.0
+
+    def resolve(self, params: ProjectionParams) -> ProjectionParams:
+        """Return parameters whose ``beams`` is not auto: as measured, or without clouds as ``angle_increment`` says."""
+        if params.beams != "auto":
+            return params
+        return params.at_resolution(self.azimuth_step) if self.azimuth_step else replace(params, beams=0)
 
 
 class Conversion(ABC):
@@ -170,37 +177,37 @@ def converter(
     """
     first = conversions[0]
     if len(conversions) == 1:
-        return partial(_alone, first.for_topic(topic, source, target, source_type))
-    tree: list[_Node] = []
+        return partial(_convert_alone, first.for_topic(topic, source, target, source_type))
+    tree: list[_StepNode] = []
     for place, conversion in enumerate(conversions):
         nodes = tree
         for step in (*conversion.stages(topic), conversion.encoder(target)):
             node = next((node for node in nodes if node.step == step), None)
             if node is None:
-                node = _Node(step, [], [])
+                node = _StepNode(step, [], [])
                 nodes.append(node)
             node.places.append(place)
             nodes = node.further
     return partial(_all, first.decoder(source, source_type), tree, len(conversions))
 
 
-class _Node(NamedTuple):
+class _StepNode(NamedTuple):
     """A step, the conversions that need it, and their next steps."""
 
     step: Step
     places: list[int]
-    further: list[_Node]
+    further: list[_StepNode]
 
 
 def _all(
-    decode: Callable[[Buffer], Any], tree: Sequence[_Node], count: int, data: Buffer
+    decode: Callable[[Buffer], Any], tree: Sequence[_StepNode], count: int, data: Buffer
 ) -> list[Converted | MessageError]:
     found: list[Any] = [None] * count
     _follow(tree, decode(data), found)
     return found
 
 
-def _follow(nodes: Sequence[_Node], value: Any, found: list[Any]) -> None:
+def _follow(nodes: Sequence[_StepNode], value: Any, found: list[Any]) -> None:
     """Apply each step to a value, and the steps behind it to the result."""
     for step, places, further in nodes:
         made: Any
@@ -215,7 +222,7 @@ def _follow(nodes: Sequence[_Node], value: Any, found: list[Any]) -> None:
                 found[place] = made
 
 
-def _alone(convert: Callable[[Buffer], Converted], data: Buffer) -> tuple[Converted]:
+def _convert_alone(convert: Callable[[Buffer], Converted], data: Buffer) -> tuple[Converted]:
     return (convert(data),)
 
 

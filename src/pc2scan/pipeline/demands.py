@@ -25,7 +25,7 @@ def refuse_nothing(report: Report) -> None:
     ResultError
         The error names the most frequent reason.
     """
-    converted = _converted(report)
+    converted = _converted_topics(report)
     if any(topic.messages_out for topic in converted):
         return
     read = sum(topic.messages_in for topic in converted)
@@ -53,13 +53,13 @@ def refuse_unsatisfied(report: Report, options: ConvertOptions) -> None:
     ResultError
         The error has the numbers and the option.
     """
-    for topic in _converted(report):
+    for topic in _converted_topics(report):
         if options.fail_on and topic.empty_scans:
             raise ResultError(
                 f"{topic.empty_scans:,} of {counted(topic.messages_out, 'scan')} on {topic.target} "
                 f"{agreeing(topic.empty_scans, 'have')} no return "
                 f"(`fail_on={options.fail_on}`)",
-                hint=_first(report.warnings, f"on {topic.target} "),
+                hint=_reason_in(report.warnings, f"on {topic.target} "),
             )
         share = topic.points.used / topic.points.total if topic.points.total else 0.0
         if share < options.min_used:
@@ -77,11 +77,11 @@ def refuse_unsatisfied(report: Report, options: ConvertOptions) -> None:
         raise ResultError(f"{report.warnings[0]} (`fail_on=warning`)")
 
 
-def _converted(report: Report) -> list[TopicReport]:
+def _converted_topics(report: Report) -> list[TopicReport]:
     return [topic for topic in report.topics if topic.action == "converted"]
 
 
-def _first(warnings: Sequence[str], part: str) -> str | None:
+def _reason_in(warnings: Sequence[str], part: str) -> str | None:
     """Return the text after the first colon of the first warning that contains ``part``."""
     found = next((warning for warning in warnings if part in warning), "")
     return found.partition(": ")[2] or None

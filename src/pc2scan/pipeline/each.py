@@ -117,7 +117,7 @@ def run_each(
         raise UsageError("no source given")
     if any(map(is_url, (*sources, output.folder, output.report))):
         raise UsageError("`each` takes local paths, not URLs", hint="convert each URL by itself")
-    result = Each(list(_named(sources, output)))
+    result = Each(list(_with_destinations(sources, output)))
     _refuse_collisions(result.outcomes)
     inputs = [InputPath(outcome.source) for outcome in result.outcomes]
     for outcome in result.outcomes:
@@ -152,7 +152,7 @@ def run_each(
     return result
 
 
-def _named(sources: Sequence[Path], output: OutputOptions) -> Iterator[Outcome]:
+def _with_destinations(sources: Sequence[Path], output: OutputOptions) -> Iterator[Outcome]:
     """Yield the recordings with their destinations."""
     for source in (path for given in sources for path in _expanded(given)):
         try:

@@ -252,7 +252,7 @@ class TopicClouds:
             ("angle", angles, "the angle", "rad", "angle_min", "angle_max"),
         )
         parts = [
-            f"{low} is {_number(getattr(params, low), unit)} and {high} {_number(getattr(params, high), unit)}, "
+            f"{low} is {_limit(getattr(params, low), unit)} and {high} {_limit(getattr(params, high), unit)}, "
             f"but {name} is {_percentiles(values, unit)}"
             for reason, values, name, unit, low, high in observed
             if len(values) and counts.rejected[reason] >= _NOTABLE_SHARE * counts.total
@@ -271,7 +271,7 @@ class TopicClouds:
         if not wrong:
             return ""
         z = np.concatenate([sample.placed[:, 2] for sample in self._samples])
-        given = " and ".join(f"{name} is {_number(getattr(params, name), 'm')}" for name in wrong)
+        given = " and ".join(f"{name} is {_limit(getattr(params, name), 'm')}" for name in wrong)
         metres = " ".join(f"`{name}={getattr(params, name) / 1000:g}`" for name in wrong)
         return (
             f"{given}, but z on {self._topic} is {_percentiles(z, 'm')}: heights are metres; if these are millimetres, "
@@ -295,7 +295,7 @@ def _clouds(count: int) -> str:
     return "cloud" if count == 1 else counted(count, "cloud")
 
 
-def _number(value: float, unit: str) -> str:
+def _limit(value: float, unit: str) -> str:
     """Return a limit as text: upstream's defaults mean no limit."""
     if value == ProjectionParams().min_height:
         return f"above 0 {unit}"

@@ -81,10 +81,10 @@ def forecast(
     report.conclude()
     counts = reader.counts([route.connection for route in routes.values()], start_ns, stop_ns)
     _fill_in(routes, counts, report)
-    sizes |= _gathered(reader, routes, sizes, start_ns, stop_ns)
+    sizes |= _correct_intervals(reader, routes, sizes, start_ns, stop_ns)
     others = [key for key in routes if key not in sizes]
     sizes |= _other_sizes(reader, [routes[key].connection for key in others])
-    report.bytes_written = _written(reader, target, routes, counts, sizes)
+    report.bytes_written = _written_size(reader, target, routes, counts, sizes)
     return sum((counts.get(key) or 0) * (size.passed + size.made + _INDEXED) for key, size in sizes.items())
 
 
@@ -134,7 +134,7 @@ def _converted_sizes(
                         result = output.joint.alone(cast("Any", result))
                     if not isinstance(result, MessageError):
                         data = (result.used or b"") if output.used else result.data
-                        size += _packed(data) if is_packed else len(data)
+                        size += _compressed_size(data) if is_packed else len(data)
                         output.report.messages_out += 1
                     if not isinstance(result, MessageError) and not output.used:
                         output.report.points += result.counts
@@ -151,7 +151,7 @@ def _converted_sizes(
     return sizes
 
 
-def _packed(data: bytes) -> int:
+def _compressed_size(data: bytes) -> int:
     """Return about the size of a message after compression."""
     import zlib  # noqa: PLC0415  # dry runs only
 
@@ -190,7 +190,7 @@ def _fill_in(routes: Mapping[int, OpenRoute], counts: Mapping[int, int], report:
         report.notes.append(f"no index counts the messages on {', '.join(sorted(set(uncounted)))}")
 
 
-def _gathered(
+def _correct_intervals(
     reader: Reader,
     routes: Mapping[int, OpenRoute],
     sizes: Mapping[int, _Size],
@@ -214,7 +214,7 @@ def _gathered(
     return found
 
 
-def _written(
+def _written_size(
     reader: Reader,
     target: Destination,
     routes: Mapping[int, OpenRoute],

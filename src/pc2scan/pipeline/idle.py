@@ -57,12 +57,17 @@ def doubts(options: ConvertOptions) -> list[str]:
     for spec in options.scans:
         label = f"{spec.name}: " if spec.name else ""
         given = {name for name, origin in spec.origins.items() if from_option(origin)}
-        doubtful = (*_frames(options, spec, given), *_combining(spec), *_returns(spec, given), *_angles(spec))
+        doubtful = (
+            *_frame_doubts(options, spec, given),
+            *_combining_doubts(spec),
+            *_return_doubts(spec, given),
+            *_angle_doubts(spec),
+        )
         found += (label + each for each in doubtful)
     return found
 
 
-def _frames(options: ConvertOptions, spec: ScanSpec, given: set[str]) -> list[str]:
+def _frame_doubts(options: ConvertOptions, spec: ScanSpec, given: set[str]) -> list[str]:
     params, frames = spec.params, options.frames
     found = []
     if spec.level and spec.imu and spec.fixed_frame and not (spec.deskew or spec.may_combine):
@@ -91,7 +96,7 @@ def _frames(options: ConvertOptions, spec: ScanSpec, given: set[str]) -> list[st
     return found
 
 
-def _combining(spec: ScanSpec) -> list[str]:
+def _combining_doubts(spec: ScanSpec) -> list[str]:
     asked = spec.combining
     found = []
     if asked.count == 1:
@@ -106,7 +111,7 @@ def _combining(spec: ScanSpec) -> list[str]:
     return found
 
 
-def _returns(spec: ScanSpec, given: set[str]) -> list[str]:
+def _return_doubts(spec: ScanSpec, given: set[str]) -> list[str]:
     params = spec.params
     if spec.reverse:
         return []
@@ -119,7 +124,7 @@ def _returns(spec: ScanSpec, given: set[str]) -> list[str]:
     return found
 
 
-def _angles(spec: ScanSpec) -> list[str]:
+def _angle_doubts(spec: ScanSpec) -> list[str]:
     params, origins = spec.params, spec.origins
     if spec.reverse:
         return []

@@ -121,7 +121,7 @@ def launch_node(text: str, path: Path, arguments: Mapping[str, str], node: str |
         If the text is not a launch file, an argument has no value, or there is no node of pointcloud_to_laserscan, or
         more than one.
     """
-    reader = _Reader(path, dict(arguments))
+    reader = _LaunchReader(path, dict(arguments))
     nodes = list(reader.nodes(_parsed(text, path)))
     if not nodes:
         raise ParameterError(
@@ -142,7 +142,7 @@ def launch_node(text: str, path: Path, arguments: Mapping[str, str], node: str |
             f"{path}: several nodes could be meant: {name_list(names)}",
             f"choose one, for example `node={names[0]}`",
         )
-        others = any(_direction(element) == "laserscan_to_pointcloud" for _, element, _ in chosen)
+        others = any(_direction_of(element) == "laserscan_to_pointcloud" for _, element, _ in chosen)
         if others or len(set(names)) < len(names):
             raise ParameterError(message, hint=hint)
         raise SeveralNodesError(message, nodes=tuple(names), hint=hint)
@@ -209,7 +209,7 @@ class _Scope:
 _Found = tuple[str, _Element, _Scope]
 
 
-class _Reader:
+class _LaunchReader:
     """Walks the elements of a file, and knows the values of its arguments."""
 
     def __init__(self, path: Path, arguments: dict[str, str]) -> None:
@@ -236,16 +236,16 @@ class _Reader:
             elif tag in {"remap", "set_remap"} and self._applies(element):
                 scope = _Scope(scope.namespace, (*scope.remaps, self._remap(element)))
             elif tag in {"push-ros-namespace", "push_ros_namespace"} and self._applies(element):
-                scope = _Scope(_joined(scope.namespace, self._read(element, "namespace")), scope.remaps)
+                scope = _Scope(_qualified_name(scope.namespace, self._read(element, "namespace")), scope.remaps)
             elif tag in {"group", "node_container", "load_composable_node"}:
                 if self._applies(element):
                     space = self._read(element, "ns") if tag == "group" else ""
-                    yield from self.nodes(element, _Scope(_joined(scope.namespace, space), scope.remaps))
-            elif tag in {"node", "composable_node"} and _is_ours(element) and self._applies(element):
+                    yield from self.nodes(element, _Scope(_qualified_name(scope.namespace, space), scope.remaps))
+            elif tag in {"node", "composable_node"} and _is_upstream_node(element) and self._applies(element):
                 space = self._read(element, "ns") or self._read(element, "namespace")
-                inner = _Scope(_joined(scope.namespace, space), scope.remaps)
-                own = self._read(element, "name") or _direction(element)
-                yield _joined(inner.namespace, own), element, inner
+                inner = _Scope(_qualified_name(scope.namespace, space), scope.remaps)
+                own = self._read(element, "name") or _direction_of(element)
+                yield _qualified_name(inner.namespace, own), element, inner
 
     def node(self, name: str, element: _Element, scope: _Scope) -> LaunchNode:
         """Read a node."""
@@ -268,11 +268,11 @@ class _Reader:
                 params.append(LaunchParam(left.lstrip("_"), right, "value", element.line))
             elif not left.startswith("__"):
                 remaps.append(word)
-        own = _TOPICS[_direction(element)]
+        own = _TOPICS[_direction_of(element)]
         resolved = tuple(
-            _resolved(remap, scope.namespace) for remap in remaps if remap.partition(":=")[0].strip("~/") in own
+            _qualified_remap(remap, scope.namespace) for remap in remaps if remap.partition(":=")[0].strip("~/") in own
         )
-        return LaunchNode(name, _direction(element), tuple(params), resolved, tuple(self.ignored))
+        return LaunchNode(name, _direction_of(element), tuple(params), resolved, tuple(self.ignored))
 
     def _params(self, element: _Element, above: str = "") -> Iterator[LaunchParam]:
         source = self._read(element, "from")
@@ -402,25 +402,25 @@ class _Reader:
         )
 
 
-def _is_ours(element: _Element) -> bool:
+def _is_upstream_node(element: _Element) -> bool:
     said = [element.attributes.get(name, "") for name in ("pkg", "type", "exec", "plugin", "args")]
     return any("pointcloud_to_laserscan" in text or "laserscan_to_pointcloud" in text for text in said)
 
 
-def _direction(element: _Element) -> Direction:
+def _direction_of(element: _Element) -> Direction:
     said = "".join(element.attributes.get(name, "") for name in ("type", "exec", "plugin", "args"))
     said = said.lower().replace("_", "").replace("pointcloudtolaserscan/", "").replace("pointcloudtolaserscan::", "")
     return "laserscan_to_pointcloud" if "laserscantopointcloud" in said else "pointcloud_to_laserscan"
 
 
-def _joined(above: str, name: str) -> str:
+def _qualified_name(above: str, name: str) -> str:
     """Return a name inside a namespace."""
     if name.startswith("/"):
         return name.rstrip("/")
     return "/".join(filter(None, (above, name.strip("/")))) if above else f"/{name}".rstrip("/")
 
 
-def _resolved(remap: str, namespace: str) -> str:
+def _qualified_remap(remap: str, namespace: str) -> str:
     """Return a remapping with the fully qualified name on its right side."""
     left, _, right = remap.partition(":=")
-    return f"{left}:={_joined(namespace, right)}"
+    return f"{left}:={_qualified_name(namespace, right)}"

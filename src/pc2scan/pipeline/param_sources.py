@@ -101,7 +101,7 @@ def resolve_sources(
     if file is not None:
         from .params_file import load_params_file  # noqa: PLC0415
 
-        loaded = load_params_file(file, node=node, arguments=_arguments(launch_args))
+        loaded = load_params_file(file, node=node, arguments=_launch_arguments(launch_args))
         found += loaded.settings
         ignored, remaps, files = loaded.ignored, loaded.remaps, loaded.files
         if reverse and loaded.direction == "pointcloud_to_laserscan":
@@ -114,7 +114,7 @@ def resolve_sources(
     return ResolvedSources(resolved.params, resolved.origin, reverse, ignored, remaps, files)
 
 
-def _arguments(texts: Sequence[str]) -> dict[str, str]:
+def _launch_arguments(texts: Sequence[str]) -> dict[str, str]:
     """Read arguments of a launch file; a later one beats an earlier one."""
     arguments = {}
     for text in texts:

@@ -191,7 +191,7 @@ _HELP: dict[str, tuple[str, str]] = {
 _UPSTREAMS = frozenset(list(_HELP)[: list(_HELP).index("geometry")])
 
 
-def _table() -> Mapping[str, Parameter]:
+def _parameter_table() -> Mapping[str, Parameter]:
     """Join the table above with the defaults of `ProjectionParams`, in the order of the latter."""
     both: frozenset[Direction] = frozenset(get_args(Direction))
     rows = {}
@@ -212,7 +212,7 @@ def _table() -> Mapping[str, Parameter]:
 
 
 #: Every parameter by its ROS name: upstream's in upstream's order, then pc2scan's own.
-PARAMETERS: Mapping[str, Parameter] = _table()
+PARAMETERS: Mapping[str, Parameter] = _parameter_table()
 
 #: The origin of parameters that are given as keywords in Python.
 CALL = "the call"
@@ -284,7 +284,7 @@ def shown(value: object) -> str:
     return "a list" if isinstance(value, list | tuple) else repr(value)
 
 
-def _typed(parameter: Parameter, setting: Setting) -> float | bool | str:
+def _typed_value(parameter: Parameter, setting: Setting) -> float | bool | str:
     """Return the value of a setting in the type of its parameter.
 
     A whole number is accepted where a float is expected; ROS 2 itself requires ``30.0``. A number may have a unit, or
@@ -368,7 +368,7 @@ def resolve(
         name = ALIASES.get(setting.name, setting.name)
         if name not in known:
             raise unknown_parameter(setting.name, setting.origin, direction)
-        value = _typed(PARAMETERS[name], setting)
+        value = _typed_value(PARAMETERS[name], setting)
         rival = winners.get(RIVALS.get(name, ""))
         if rival is not None:
             if rival.source == setting.source:

@@ -136,10 +136,10 @@ def _from_yaml(text: str, path: Path, node: str | None) -> ParamsFile:
             raise ParameterError(f"{path}: its aliases multiply to more values than the file has characters")
     ros1 = not any(_MARK in leaf.path for leaf in leaves)
     sections = _ros1_sections(leaves) if ros1 else _ros2_sections(leaves, path)
-    target = _chosen(sections, node, path)
+    target = _node_to_read(sections, node, path)
     if ros1:
         sections = _with_nested(sections, target)
-    return _merged(sections, target, ros1=ros1)
+    return _merged_sections(sections, target, ros1=ros1)
 
 
 def _from_launch(text: str, path: Path, node: str | None, arguments: Mapping[str, str]) -> ParamsFile:
@@ -328,7 +328,7 @@ def _with_nested(sections: _Sections, target: str) -> _Sections:
     return {target: own}
 
 
-def _chosen(sections: _Sections, node: str | None, file: Path) -> str:
+def _node_to_read(sections: _Sections, node: str | None, file: Path) -> str:
     """Return the name of the node to read: a key of ``sections``, or a name that wildcards match."""
     if node is not None:
         return _asked_for(sections, node, file)
@@ -348,8 +348,8 @@ def _chosen(sections: _Sections, node: str | None, file: Path) -> str:
             return only
     message = f"{file}: no section is named pointcloud_to_laserscan or laserscan_to_pointcloud, and "
     if upstreams:
-        _raise_several(f"{message}several have only their parameters; found {_listed(sections)}", upstreams)
-    raise ParameterError(f"{message}none has only their parameters; found {_listed(sections)}")
+        _raise_several(f"{message}several have only their parameters; found {_section_names(sections)}", upstreams)
+    raise ParameterError(f"{message}none has only their parameters; found {_section_names(sections)}")
 
 
 def _raise_several(message: str, nodes: list[str]) -> NoReturn:
@@ -378,11 +378,11 @@ def _asked_for(sections: _Sections, node: str, file: Path) -> str:
         return wanted
     near = did_you_mean(node, sections) or None
     raise ParameterError(
-        f"{file}: no section is for the node {node!r} (from `node`); found {_listed(sections)}", hint=near
+        f"{file}: no section is for the node {node!r} (from `node`); found {_section_names(sections)}", hint=near
     )
 
 
-def _listed(sections: Iterable[str]) -> str:
+def _section_names(sections: Iterable[str]) -> str:
     names = sorted(sections)
     more = f" and {len(names) - 10} more" if len(names) > 10 else ""
     return (", ".join(names[:10]) or "none") + more
@@ -437,7 +437,7 @@ def _most_specific(patterns: Collection[str]) -> list[str]:
     ]
 
 
-def _merged(sections: _Sections, target: str, *, ros1: bool) -> ParamsFile:
+def _merged_sections(sections: _Sections, target: str, *, ros1: bool) -> ParamsFile:
     """Merge the sections that apply to a node, wildcards below, and check the names."""
     # The sort is stable, so that of two equally specific sections the later one wins, as in ROS 2.
     applying = sorted((s for s in sections if _matches(s, target)), key=_vagueness, reverse=True)

@@ -120,7 +120,7 @@ def make_plan(connections: Sequence[Connection], options: ConvertOptions) -> Pla
             for task in _tasks(spec, topic, kind, found[topic], combined[spec])
         )
         passes = not options.only_scans and (
-            options.keep_clouds if tasks else _chosen(topic, options.keep, options.drop)
+            options.keep_clouds if tasks else _is_written(topic, options.keep, options.drop)
         )
         routes.append(Route(connection, tasks, passes))
     _refuse_collisions(routes)
@@ -145,11 +145,11 @@ def _combinations(
     """Return the topics whose messages become scans together."""
     if spec.reverse:
         return []
-    with _about(spec):
-        return _together(spec, targets, types, options)
+    with _naming_output(spec):
+        return _combined_topics(spec, targets, types, options)
 
 
-def _together(
+def _combined_topics(
     spec: ScanSpec, targets: Mapping[str, Sequence[str]], types: dict[str, set[str]], options: ConvertOptions
 ) -> list[Combination]:
     sources: dict[str, list[str]] = {}
@@ -188,12 +188,12 @@ def _placed_targets(
     connections: Sequence[Connection], spec: ScanSpec, options: ConvertOptions
 ) -> dict[str, tuple[str, ...]]:
     """Return `_targets` of an output; an error names the output."""
-    with _about(spec):
+    with _naming_output(spec):
         return _targets(connections, spec, options)
 
 
 @contextmanager
-def _about(spec: ScanSpec) -> Generator[None]:
+def _naming_output(spec: ScanSpec) -> Generator[None]:
     """Add the name of an output to errors."""
     try:
         yield
@@ -339,7 +339,7 @@ def _idle_patterns(
     return idle
 
 
-def _chosen(topic: str, keep: Sequence[str], drop: Sequence[str]) -> bool:
+def _is_written(topic: str, keep: Sequence[str], drop: Sequence[str]) -> bool:
     return (not keep or matches(topic, keep)) and not matches(topic, drop)
 
 

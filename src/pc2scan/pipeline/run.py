@@ -521,7 +521,7 @@ def _run(
 
             assert isinstance(writer, Rosbag2Writer)
             return Made(report, tally, writer.info)
-        report.bytes_written = _size(unfinished)
+        report.bytes_written = _size_on_disk(unfinished)
         if cut is not None:
             from .parts import files_in  # noqa: PLC0415  # most recordings are one file
 
@@ -741,7 +741,7 @@ def _deskew(
     if where.turn is not None:
         from .turning import measured_turns  # noqa: PLC0415  # few points have no times
 
-        with _about(spec):
+        with _naming_output(spec):
             turns, notes = measured_turns(reader, sources, spec.point_time, span.start_ns, span.stop_ns)
         label = f"{spec.name}: " if spec.name else ""
         report.notes += (label + note for note in notes)
@@ -787,7 +787,7 @@ def _combined(
     sources = [
         route.connection for route in plan.routes if any(task.combination is combination for task in route.tasks)
     ]
-    with _about(spec):
+    with _naming_output(spec):
         timing, grouper, notes, warnings = measured(reader, combination, sources, frames, span.start_ns, span.stop_ns)
     label = f"{spec.name}: " if spec.name else ""
     report.notes += (label + note for note in notes)
@@ -802,7 +802,7 @@ def _measured(
 ) -> Mapping[str, Measured]:
     from .measure import measure  # noqa: PLC0415  # only if something is to be measured
 
-    with _about(spec):
+    with _naming_output(spec):
         timings, notes = measure(reader, converted, spec, frames, span.start_ns, span.stop_ns)
     label = f"{spec.name}: " if spec.name else ""
     report.notes += (label + note for note in notes)
@@ -810,7 +810,7 @@ def _measured(
 
 
 @contextmanager
-def _about(spec: ScanSpec) -> Generator[None]:
+def _naming_output(spec: ScanSpec) -> Generator[None]:
     """Add the name of an output, and the origin of a parameter, to errors."""
     try:
         yield
@@ -858,7 +858,7 @@ def _refusals(routes: Iterable[OpenRoute], serialization: str) -> dict[str, list
     return {text: list(names) for text, names in topics.items()}
 
 
-def _size(path: Path) -> int:
+def _size_on_disk(path: Path) -> int:
     """Return the size in bytes of a file, or of all files in a folder."""
     try:
         if path.is_dir():

@@ -19,13 +19,13 @@ from .scan_spec import ScanSpec, TopicRequest
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-__all__ = ["CHOICES", "Choice", "ScansFile", "load_scans", "refuse_beside"]
+__all__ = ["OUTPUT_KEYS", "OutputKey", "ScansFile", "load_scans", "refuse_beside"]
 
 #: The most levels of nesting.
 _MAX_DEPTH = 20
 
 
-class Choice(NamedTuple):
+class OutputKey(NamedTuple):
     """A key of an output that is not a parameter of the projection.
 
     ``kind`` is ``text``, ``texts`` (one or a list), ``flag``, ``number`` or ``time`` (seconds, or text); ``words`` are
@@ -38,31 +38,31 @@ class Choice(NamedTuple):
 
 
 #: The choices by key. Keys that are attributes of `ScanSpec` are copied; `_filters` and `_spec` read the others.
-CHOICES: Mapping[str, Choice] = {
-    "sources": Choice("texts", "Topic, or topics, that become this output. Default: the only topic with clouds."),
-    "preset": Choice("text", "A consumer of the scans: parameters that suit it."),
-    "params_file": Choice("text", "A ROS parameter file, relative to this file. It beats the preset."),
-    "node": Choice("text", "The node whose section of the parameter file is read."),
-    "where": Choice("texts", "Use only points whose fields fulfil this: ring in (3, 4) and intensity > 10."),
-    "exclude_box": Choice("texts", "Reject points in a box: frame x0 x1 y0 y1 z0 z1."),
-    "exclude_polygon": Choice("texts", "Reject points in a polygon: frame x0 y0 x1 y1 x2 y2 ..."),
-    "min_height_slope": Choice("number", "Reject points below min_height + this * range."),
-    "ground": Choice("text", "Whether points on the ground are used.", ("keep", "remove")),
-    "deskew": Choice("flag", "Transform each point by the pose at its own time, through fixed_frame."),
-    "fixed_frame": Choice("text", "A frame that does not move, such as odom."),
-    "point_time": Choice(
+OUTPUT_KEYS: Mapping[str, OutputKey] = {
+    "sources": OutputKey("texts", "Topic, or topics, that become this output. Default: the only topic with clouds."),
+    "preset": OutputKey("text", "A consumer of the scans: parameters that suit it."),
+    "params_file": OutputKey("text", "A ROS parameter file, relative to this file. It beats the preset."),
+    "node": OutputKey("text", "The node whose section of the parameter file is read."),
+    "where": OutputKey("texts", "Use only points whose fields fulfil this: ring in (3, 4) and intensity > 10."),
+    "exclude_box": OutputKey("texts", "Reject points in a box: frame x0 x1 y0 y1 z0 z1."),
+    "exclude_polygon": OutputKey("texts", "Reject points in a polygon: frame x0 y0 x1 y1 x2 y2 ..."),
+    "min_height_slope": OutputKey("number", "Reject points below min_height + this * range."),
+    "ground": OutputKey("text", "Whether points on the ground are used.", ("keep", "remove")),
+    "deskew": OutputKey("flag", "Transform each point by the pose at its own time, through fixed_frame."),
+    "fixed_frame": OutputKey("text", "A frame that does not move, such as odom."),
+    "point_time": OutputKey(
         "text", "Field with the times of points, and its unit: t or t:ns; or azimuth, or azimuth:0.1:cw:end."
     ),
-    "stamp": Choice("text", "The time of a deskewed scan.", ("header", "start", "middle", "end")),
-    "level": Choice("flag", "Make scans in a frame without the roll and pitch of the target frame."),
-    "lead": Choice("text", "Of several sources, the one whose stamps the scans have. Default: the first."),
-    "window": Choice("time", "How far stamps of the other sources may be from it. Default: half the median period."),
-    "accumulate": Choice("time", "All points of the last seconds in each scan; or of the last clouds: 10clouds."),
-    "every": Choice("time", "One scan for each interval of this many seconds, instead of one for each cloud."),
-    "rebin": Choice("flag", "Sources are LaserScans instead of clouds."),
-    "remove": Choice("texts", "Remove beams that are shadows or speckles: shadows, speckles filter_window=3."),
-    "keep_used": Choice("text", "Topic for the points that the scan's beams read, with the beam's number."),
-    "imu": Choice("text", "With level: the IMU that measures which way is up, as TOPIC or TOPIC:FRAME."),
+    "stamp": OutputKey("text", "The time of a deskewed scan.", ("header", "start", "middle", "end")),
+    "level": OutputKey("flag", "Make scans in a frame without the roll and pitch of the target frame."),
+    "lead": OutputKey("text", "Of several sources, the one whose stamps the scans have. Default: the first."),
+    "window": OutputKey("time", "How far stamps of the other sources may be from it. Default: half the median period."),
+    "accumulate": OutputKey("time", "All points of the last seconds in each scan; or of the last clouds: 10clouds."),
+    "every": OutputKey("time", "One scan for each interval of this many seconds, instead of one for each cloud."),
+    "rebin": OutputKey("flag", "Sources are LaserScans instead of clouds."),
+    "remove": OutputKey("texts", "Remove beams that are shadows or speckles: shadows, speckles filter_window=3."),
+    "keep_used": OutputKey("text", "Topic for the points that the scan's beams read, with the beam's number."),
+    "imu": OutputKey("text", "With level: the IMU that measures which way is up, as TOPIC or TOPIC:FRAME."),
 }
 
 _TOP = ("defaults", "scans")
@@ -123,7 +123,7 @@ def load_scans(asked: Path | Mapping[str, Any] | Sequence[Any], overriding: Sequ
         If something is not valid; the error has its place.
     """
     if isinstance(asked, Path):
-        root, base = _read(asked), asked.parent
+        root, base = _read_file(asked), asked.parent
     else:
         root, base = _of_python(asked, "scans", 0), Path()
         if isinstance(root.value, list) or (isinstance(root.value, dict) and not root.value.keys() & set(_TOP)):
@@ -150,7 +150,7 @@ def load_scans(asked: Path | Mapping[str, Any] | Sequence[Any], overriding: Sequ
 _EXAMPLE = "write scans: {/scan: {min_height: 0.1}, /scan_low: {max_height: 0.1}}"
 
 
-def _read(path: Path) -> _Entry:
+def _read_file(path: Path) -> _Entry:
     from .params_file import read_text  # noqa: PLC0415  # only for a file
     from .yaml_nodes import compose  # noqa: PLC0415
 
@@ -158,10 +158,10 @@ def _read(path: Path) -> _Entry:
     root = compose(text, str(path))
     if root is None:
         raise UsageError(f"{path}: the file is empty", hint=_EXAMPLE)
-    return _Reader(path, len(text)).entry(root, "", 0)
+    return _EntryReader(path, len(text)).entry(root, "", 0)
 
 
-class _Reader:
+class _EntryReader:
     """Converts the nodes of a file to entries; there are at most as many as the file has characters."""
 
     def __init__(self, path: Path, most: int) -> None:
@@ -170,7 +170,7 @@ class _Reader:
 
     def entry(self, node: Any, name: str, depth: int, line: int = 1) -> _Entry:
         """Read a node; its place is ``line``, the line of its key."""
-        from .yaml_nodes import is_empty, is_mapping, is_scalar, scalar_value  # noqa: PLC0415  # `_read` has imported it
+        from .yaml_nodes import is_empty, is_mapping, is_scalar, scalar_value  # noqa: PLC0415  # `_read_file` has imported it
 
         place = f"{self._path}, line {line}"
         self._left -= 1
@@ -218,7 +218,7 @@ def _outputs(root: _Entry) -> Iterator[tuple[str, _Entry]]:
         found = "there are none" if scans is None or scans.value in ({}, [], None) else f"got {_found(scans)}"
         raise UsageError(f"{(scans or root).place}: expected outputs under 'scans', {found}", hint=_EXAMPLE)
     seen: dict[str, str] = {}
-    for topic, given in _named(scans):
+    for topic, given in _listed_outputs(scans):
         entry = _Entry({}, given.place) if given.value is None else given
         if not isinstance(entry.value, dict):
             raise UsageError(f"{entry.place}: {topic} must be a mapping, got {_found(entry)}", hint=_EXAMPLE)
@@ -231,7 +231,7 @@ def _outputs(root: _Entry) -> Iterator[tuple[str, _Entry]]:
         yield full, entry
 
 
-def _named(scans: _Entry) -> Iterator[tuple[str, _Entry]]:
+def _listed_outputs(scans: _Entry) -> Iterator[tuple[str, _Entry]]:
     if isinstance(scans.value, dict):
         yield from scans.value.items()
         return
@@ -253,17 +253,18 @@ def _spec(
             name = ALIASES.get(key, key)
             if name in PARAMETERS:
                 settings.append(Setting(name, _scalar(found, key), f"{found.place}, {key}", source))
-            elif key in CHOICES:
+            elif key in OUTPUT_KEYS:
                 chosen.setdefault(key, found)
             else:
-                known = (*names_of("pointcloud_to_laserscan"), *CHOICES)
+                known = (*names_of("pointcloud_to_laserscan"), *OUTPUT_KEYS)
                 near = did_you_mean(key, known)
                 raise UsageError(
                     f"{found.place}: unknown key {key!r}",
-                    hint=near or f"an output has {', '.join(CHOICES)}, and the parameters of pointcloud_to_laserscan",
+                    hint=near
+                    or f"an output has {', '.join(OUTPUT_KEYS)}, and the parameters of pointcloud_to_laserscan",
                 )
-    values = {key: _chosen(key, found) for key, found in chosen.items()}
-    with _placed(entry, topic, chosen):
+    values = {key: _checked_value(key, found) for key, found in chosen.items()}
+    with _naming_place(entry, topic, chosen):
         file = Path(base, values["params_file"]) if "params_file" in values else None
         resolved = resolve_sources(settings, file=file, node=values.get("node"), preset=values.get("preset"))
         if resolved.reverse:
@@ -272,7 +273,7 @@ def _spec(
         spec = ScanSpec(
             name=topic,
             place=entry.place,
-            topics=tuple(TopicRequest(_topic(source), topic) for source in sources),
+            topics=tuple(TopicRequest(_checked_topic(source), topic) for source in sources),
             origins=resolved.origin,
             params=resolved.params,
             combining=Combining.of(**{name: values[name] for name in _COMBINING if name in values}),
@@ -302,14 +303,14 @@ def _filters(values: Mapping[str, Any], min_height: float) -> Iterable[Any]:
     return filters_from(where, box, polygon, slope, min_height, ground)
 
 
-def _topic(source: str) -> str:
+def _checked_topic(source: str) -> str:
     if ":=" in source or not source:
         raise UsageError(f"'sources' has {source!r}, which is not a topic", hint="an output's topic is its key")
     return source
 
 
 @contextmanager
-def _placed(entry: _Entry, topic: str, chosen: Mapping[str, _Entry]) -> Iterator[None]:
+def _naming_place(entry: _Entry, topic: str, chosen: Mapping[str, _Entry]) -> Iterator[None]:
     """Add an output's topic and place to errors."""
     try:
         yield
@@ -328,9 +329,9 @@ def _scalar(entry: _Entry, key: str) -> Any:
     return entry.value
 
 
-def _chosen(key: str, entry: _Entry) -> Any:
+def _checked_value(key: str, entry: _Entry) -> Any:
     """Return the value of a choice, checked to be of its kind."""
-    kind, _, words = CHOICES[key]
+    kind, _, words = OUTPUT_KEYS[key]
     value = entry.value
     if kind == "texts":
         each = value if isinstance(value, list) else [entry]

@@ -9,11 +9,11 @@ import json
 from typing import TYPE_CHECKING, Any
 
 from .parameters import PARAMETERS, default_in_words
-from .scans_file import CHOICES
+from .scans_file import OUTPUT_KEYS
 
 if TYPE_CHECKING:
     from .parameters import Parameter
-    from .scans_file import Choice
+    from .scans_file import OutputKey
 
 __all__ = ["schema", "schema_text"]
 
@@ -27,7 +27,7 @@ _KINDS: dict[str, dict[str, Any]] = {
 }
 
 
-def _choice(choice: Choice) -> dict[str, Any]:
+def _choice(choice: OutputKey) -> dict[str, Any]:
     kind = {"enum": list(choice.words)} if choice.words else _KINDS[choice.kind]
     return {"description": choice.help, **kind}
 
@@ -50,7 +50,7 @@ def _parameter(parameter: Parameter) -> dict[str, Any]:
 def schema() -> dict[str, Any]:
     """Return the schema (JSON Schema, draft 2020-12)."""
     rows = [row for row in PARAMETERS.values() if "pointcloud_to_laserscan" in row.directions]
-    properties = {name: _choice(choice) for name, choice in CHOICES.items()}
+    properties = {name: _choice(choice) for name, choice in OUTPUT_KEYS.items()}
     properties |= {row.name: _parameter(row) for row in rows}
     output = {"$ref": "#/$defs/output"}
     listed = {

@@ -136,11 +136,11 @@ def _outcomes(
     """Return the results of the messages in the cut, after those of latched messages from before it."""
     work = partial(_outcome_or_later, routes)
     window = min((spec.params.queue_size for spec in options.scans if spec.params.queue_size), default=None)
-    for units in _cut(reader, routes, span, rule):
+    for units in _units_of_cut(reader, routes, span, rule):
         yield from schedule(units, work, pool, window=window, path=reader.path)
 
 
-def _cut(
+def _units_of_cut(
     reader: Reader, routes: Mapping[int, OpenRoute], span: Span, rule: ChunkRule | None
 ) -> Iterator[Iterable[Unit]]:
     """Return the units of the cut, after those with the latched messages from before it."""

@@ -295,7 +295,7 @@ def _dataset(scans: Sequence[Scan]) -> Any:
     for scan in scans:
         if len(scan.ranges) != len(first.ranges) or any(getattr(scan, n) != getattr(first, n) for n in _GEOMETRY):
             raise UsageError(
-                f"the scans do not have the same beams: {_described(first)}, but {_described(scan)}",
+                f"the scans do not have the same beams: {_layout_text(first)}, but {_layout_text(scan)}",
                 hint="to_dataframe() takes any scans; or choose one with topic=",
             )
     data = {"ranges": (("time", "beam"), np.stack([scan.ranges for scan in scans]), {"units": "m"})}
@@ -316,7 +316,7 @@ def _dataset(scans: Sequence[Scan]) -> Any:
     return xarray.Dataset(data, coordinates, common)
 
 
-def _described(scan: Scan) -> str:
+def _layout_text(scan: Scan) -> str:
     return (
         f"{len(scan.ranges)} from {scan.angle_min:.6g} to {scan.angle_max:.6g} rad on {scan.topic} "
         f"at {stamp_text(scan.stamp_ns)}"

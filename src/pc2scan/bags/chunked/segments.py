@@ -10,13 +10,14 @@ from operator import attrgetter
 from typing import TYPE_CHECKING, Protocol
 
 from pc2scan.bags.units import Stretch, Unit, by_start
+from pc2scan.model import declared_counts
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable
 
     from pc2scan.bags.units import Item, Loaded
     from pc2scan.files.source import SourceFile
-    from pc2scan.model import ChunkRule, RawMessage
+    from pc2scan.model import ChunkRule, Connection, RawMessage
 
 #: Reading fewer uncompressed bytes takes less time than handing them to another thread.
 _WORTH_A_THREAD = 1 << 20
@@ -129,6 +130,26 @@ class LoadSegment(Protocol):
     def __call__(self, segment: Segment, callback: Callable[[RawMessage], Item], *, whole: bool) -> Loaded[Item]:
         """Return the callback's result for each message, or the chunk as a whole."""
         ...
+
+
+def counted(
+    connections: Collection[Connection],
+    start_ns: int | None,
+    stop_ns: int | None,
+    counts_between: Callable[[frozenset[int]], dict[int, int]],
+) -> dict[int, int]:
+    """Count messages by what the file declares, and by its index what it does not declare, or in a cut.
+
+    Parameters
+    ----------
+    connections, start_ns, stop_ns
+        As for `pc2scan.bags.reader.Reader.counts`.
+    counts_between
+        Counts the messages of connections with these ids, by the index.
+    """
+    declared = declared_counts(connections) if start_ns is None and stop_ns is None else {}
+    ids = frozenset(connection.id for connection in connections) - declared.keys()
+    return declared | counts_between(ids) if ids else declared
 
 
 def units_of(

@@ -13,7 +13,7 @@ from mcap import records
 from mcap.opcode import Opcode
 
 from pc2scan.bags.chunked.salvaged import Salvaged, note_salvaged
-from pc2scan.bags.chunked.segments import standing_alone, units_of
+from pc2scan.bags.chunked.segments import counted, standing_alone, units_of
 from pc2scan.bags.chunked.spans import SpanCheck
 from pc2scan.bags.damage import DamageLog
 from pc2scan.bags.many import MAX_TOGETHER, Many, mapped
@@ -31,7 +31,6 @@ from pc2scan.model import (
     RawMessage,
     StoredChunk,
     Summary,
-    declared_counts,
     own,
 )
 
@@ -417,13 +416,13 @@ class McapReader(PartReader):
         self, connections: Collection[Connection], start_ns: int | None = None, stop_ns: int | None = None
     ) -> dict[int, int]:
         """Count by the statistics, or for a cut by message indexes; see `pc2scan.bags.reader.Reader`."""
-        declared = declared_counts(connections) if start_ns is None and stop_ns is None else {}
-        ids = frozenset(connection.id for connection in connections) - declared.keys()
-        if not ids:
-            return declared
-        from .counts import counts_between  # noqa: PLC0415  # only topics that are skipped need it
 
-        return declared | counts_between(self._file, self._index.segments, ids, start_ns, stop_ns)
+        def by_index(ids: frozenset[int]) -> dict[int, int]:
+            from .counts import counts_between  # noqa: PLC0415  # only topics that are skipped need it
+
+            return counts_between(self._file, self._index.segments, ids, start_ns, stop_ns)
+
+        return counted(connections, start_ns, stop_ns, by_index)
 
     def attachments(self) -> Iterator[Attachment]:
         """Yield attachments in the order of the file; each is read when it is needed."""

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 
 from pc2scan.bags.chunked.entries import IndexCheck
 from pc2scan.bags.chunked.salvaged import Salvaged, note_salvaged
-from pc2scan.bags.chunked.segments import standing_alone, units_of
+from pc2scan.bags.chunked.segments import counted, standing_alone, units_of
 from pc2scan.bags.chunked.spans import SpanCheck
 from pc2scan.bags.damage import DamageLog
 from pc2scan.bags.many import Many, mapped
 from pc2scan.bags.parts import AnotherBeginsError, PartReader, note_next, opened_parts
-from pc2scan.model import StoredChunk, Summary, declared_counts
+from pc2scan.model import StoredChunk, Summary
 
 from .chunks import Places, decompressed, messages_in, with_payload
 from .copies import first_uses, whole_chunk
@@ -246,13 +246,13 @@ class Rosbag1Reader(PartReader):
         self, connections: Collection[Connection], start_ns: int | None = None, stop_ns: int | None = None
     ) -> dict[int, int]:
         """Count by the index, or for a cut by the chunks' index records; see `pc2scan.bags.reader.Reader`."""
-        declared = declared_counts(connections) if start_ns is None and stop_ns is None else {}
-        ids = frozenset(connection.id for connection in connections) - declared.keys()
-        if not ids:
-            return declared
-        from .counts import counts_between  # noqa: PLC0415  # only topics that are skipped need it
 
-        return declared | counts_between(self._file, self._index.segments, ids, start_ns, stop_ns)
+        def by_index(ids: frozenset[int]) -> dict[int, int]:
+            from .counts import counts_between  # noqa: PLC0415  # only topics that are skipped need it
+
+            return counts_between(self._file, self._index.segments, ids, start_ns, stop_ns)
+
+        return counted(connections, start_ns, stop_ns, by_index)
 
     @property
     def damage(self) -> tuple[Damage, ...]:

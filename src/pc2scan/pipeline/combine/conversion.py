@@ -9,7 +9,6 @@ scan's time, and projected, again on any thread.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from operator import attrgetter, mul
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -163,7 +162,7 @@ class CombineToScan(Conversion):
         deskew: Deskew | None = None,
         first_clouds: Callable[[str], TopicClouds] | None = None,
     ) -> None:
-        params = _resolved(spec.params, measured)
+        params = measured.resolve(spec.params)
         super().__init__(spec.made_type, OF_CLOUDS[spec.made_type], 0)
         self.spec = spec
         self.topics = tuple(topics)
@@ -440,14 +439,6 @@ class CombineToScan(Conversion):
 
 def _as_it_is(prepared: Prepared) -> Prepared:
     return prepared
-
-
-def _resolved(params: ProjectionParams, measured: Measured) -> ProjectionParams:
-    """The parameters with as many beams as were measured."""
-    if params.beams != "auto":
-        return params
-    step = measured.azimuth_step
-    return params.at_resolution(step) if step else replace(params, beams=0)
 
 
 def _rounded(transform: Rigid | MovingTransform | None) -> Transform | MovingTransform | None:

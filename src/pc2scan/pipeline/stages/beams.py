@@ -39,10 +39,10 @@ class Shadows:
     name: ClassVar[str] = "shadows"
 
     def __post_init__(self) -> None:
-        _check(0 <= self.min_angle <= 90, "min_angle", self.min_angle, "0 to 90 degrees")
-        _check(90 <= self.max_angle <= 180, "max_angle", self.max_angle, "90 to 180 degrees")
-        _check(1 <= self.window <= 1000, "window", self.window, "1 to 1000 beams")
-        _check(0 <= self.neighbors <= 1000, "neighbors", self.neighbors, "0 to 1000 beams")
+        _refuse_unless(0 <= self.min_angle <= 90, "min_angle", self.min_angle, "0 to 90 degrees")
+        _refuse_unless(90 <= self.max_angle <= 180, "max_angle", self.max_angle, "90 to 180 degrees")
+        _refuse_unless(1 <= self.window <= 1000, "window", self.window, "1 to 1000 beams")
+        _refuse_unless(0 <= self.neighbors <= 1000, "neighbors", self.neighbors, "0 to 1000 beams")
 
     def __call__(self, ranges: NDArray[np.float32], increment: float, *, closed: bool) -> NDArray[np.bool_]:
         """Return which beams to remove."""
@@ -72,10 +72,10 @@ class Speckles:
         types = {"0": "Distance", "1": "RadiusOutlier"}
         object.__setattr__(self, "filter_type", types.get(self.filter_type, self.filter_type))
         known = self.filter_type in types.values()
-        _check(known, "filter_type", self.filter_type, "Distance (0) or RadiusOutlier (1)")
-        _check(self.max_range >= 0, "max_range", self.max_range, "0 m or more")
-        _check(self.max_range_difference >= 0, "max_range_difference", self.max_range_difference, "0 m or more")
-        _check(1 <= self.filter_window <= 1000, "filter_window", self.filter_window, "1 to 1000 beams")
+        _refuse_unless(known, "filter_type", self.filter_type, "Distance (0) or RadiusOutlier (1)")
+        _refuse_unless(self.max_range >= 0, "max_range", self.max_range, "0 m or more")
+        _refuse_unless(self.max_range_difference >= 0, "max_range_difference", self.max_range_difference, "0 m or more")
+        _refuse_unless(1 <= self.filter_window <= 1000, "filter_window", self.filter_window, "1 to 1000 beams")
 
     def __call__(self, ranges: NDArray[np.float32], increment: float, *, closed: bool) -> NDArray[np.bool_]:
         """Return which beams to remove."""
@@ -95,7 +95,7 @@ BeamFilter = Shadows | Speckles
 _FILTERS: dict[str, type[Shadows | Speckles]] = {kind.name: kind for kind in (Shadows, Speckles)}
 
 
-def _check(holds: bool, name: str, value: object, allowed: str) -> None:  # the result of the check
+def _refuse_unless(holds: bool, name: str, value: object, allowed: str) -> None:  # the result of the check
     if not holds:
         raise UsageError(f"`remove`: {name} is {value}, it must be {allowed}")
 
@@ -124,11 +124,11 @@ def beam_filter(text: str) -> BeamFilter:
                 f"`remove`: {name} has no parameter {key!r}, only {', '.join(defaults)}",
                 hint=did_you_mean(key, defaults) or None,
             )
-        given[key] = _read(name, key, value, defaults[key])
+        given[key] = _read_value(name, key, value, defaults[key])
     return kind(**given)  # type: ignore[arg-type]  # of the types of the defaults
 
 
-def _read(name: str, key: str, value: str, default: object) -> object:
+def _read_value(name: str, key: str, value: str, default: object) -> object:
     """Return a value of the same type as the default."""
     try:
         if isinstance(default, bool):

@@ -69,7 +69,7 @@ class ExcludeBox:
         UsageError
             If the text cannot be read, or is not a box.
         """
-        frame, numbers = _numbers("exclude_box", text, _BOX)
+        frame, numbers = _frame_and_numbers("exclude_box", text, _BOX)
         if len(numbers) != 6:
             raise UsageError(f"`exclude_box`: {text!r} has {len(numbers)} numbers, a box has 6", hint=_BOX)
         x0, x1, y0, y1, z0, z1 = numbers
@@ -129,7 +129,7 @@ class ExcludePolygon:
         UsageError
             If the text cannot be read, or is not a polygon.
         """
-        frame, numbers = _numbers("exclude_polygon", text.translate(str.maketrans("[]()", "    ")), _POLYGON)
+        frame, numbers = _frame_and_numbers("exclude_polygon", text.translate(str.maketrans("[]()", "    ")), _POLYGON)
         if len(numbers) % 2:
             raise UsageError(f"`exclude_polygon`: {text!r} has {len(numbers)} numbers, an odd one", hint=_POLYGON)
         return cls(frame, tuple(zip(numbers[::2], numbers[1::2], strict=True)))
@@ -149,7 +149,7 @@ class ExcludePolygon:
         return kept
 
 
-def _numbers(option: str, text: str, usage: str) -> tuple[str, list[float]]:
+def _frame_and_numbers(option: str, text: str, usage: str) -> tuple[str, list[float]]:
     """Read a frame and the numbers after it."""
     words = text.replace(",", " ").split()
     numbers = []

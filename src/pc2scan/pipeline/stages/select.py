@@ -42,7 +42,7 @@ class Selected(NamedTuple):
     motion: MovingTransform | None = None
 
 
-class _Seen:
+class _KeptPoints:
     """The points that are kept so far, in each frame that a filter needed."""
 
     def __init__(self, points: Points) -> None:
@@ -112,7 +112,7 @@ class Select:
             If there is no transform to a filter's frame at the cloud's stamp.
         """
         rejected = {chosen.name: 0 for chosen in self._filters}
-        seen = _Seen(points)
+        seen = _KeptPoints(points)
         steps = [(chosen.frame, chosen) for chosen in self._filters]
         if moving is not None:
             steps.sort(key=lambda step: step[0] is Frame.TARGET)
@@ -136,7 +136,7 @@ class Select:
         return Selected(kept, place.target_from_source, rejected)
 
     def _place(
-        self, seen: _Seen, frame: Frame | str, place: Placement, moving: Moving | None, rejected: dict[str, int]
+        self, seen: _KeptPoints, frame: Frame | str, place: Placement, moving: Moving | None, rejected: dict[str, int]
     ) -> None:
         """Return the points in another frame."""
         points = seen.by_frame[Frame.SOURCE]

@@ -112,12 +112,12 @@ class Where:
 
 
 @dataclass(frozen=True, slots=True)
-class _Node:
+class _Expression:
     """A part of a condition: a field, a number, or a function of other parts; ``column`` is where it begins."""
 
     column: int
     function: Callable[..., Any] | None = None
-    parts: tuple[_Node, ...] = ()
+    parts: tuple[_Expression, ...] = ()
     is_condition: bool = False
     field: str = ""
     number: float | None = None
@@ -130,7 +130,7 @@ class _Node:
 
 
 @dataclass(frozen=True, slots=True)
-class _Comparison(_Node):
+class _Comparison(_Expression):
     """A comparison of two parts."""
 
     def __call__(self, points: Points) -> Any:
@@ -138,7 +138,7 @@ class _Comparison(_Node):
         return self.function(left, right)  # type: ignore[misc]  # a comparison has one
 
 
-def _operand(part: _Node, other: _Node, points: Points) -> Any:
+def _operand(part: _Expression, other: _Expression, points: Points) -> Any:
     """Return the values of a side of a comparison: float32 if a field of float32 is compared with a number."""
     named, number = (part, other) if part.field else (other, part)
     if named.field and number.number is not None:
@@ -148,11 +148,11 @@ def _operand(part: _Node, other: _Node, points: Points) -> Any:
     return part(points)
 
 
-def _joined(function: Callable[..., Any], conditions: Sequence[_Node]) -> _Node:
+def _joined_conditions(function: Callable[..., Any], conditions: Sequence[_Expression]) -> _Expression:
     """Return one condition that joins several."""
     first, *others = conditions
     for other in others:
-        first = _Node(first.column, function, (first, other), True)
+        first = _Expression(first.column, function, (first, other), True)
     return first
 
 
@@ -176,7 +176,7 @@ class _Parser:
         self._depth = 0
         self.fields: dict[str, None] = {}
 
-    def whole(self) -> _Node:
+    def whole(self) -> _Expression:
         """Read the whole condition."""
         condition = self._condition(self._either())
         if self._next.kind != "end":
@@ -222,54 +222,56 @@ class _Parser:
     def _error(self, column: int, what: str, hint: str | None = None) -> UsageError:
         return UsageError(f"`where`: column {column} of {self._text!r}: {what}", hint=hint or _EXAMPLE)
 
-    def _condition(self, node: _Node) -> _Node:
+    def _condition(self, node: _Expression) -> _Expression:
         if not node.is_condition:
             raise self._error(node.column, "expected a comparison; this is a number", "compare it: ring == 3")
         return node
 
-    def _value(self, node: _Node) -> _Node:
+    def _value(self, node: _Expression) -> _Expression:
         if node.is_condition:
             raise self._error(node.column, "expected a number; this is a condition")
         return node
 
-    def _either(self) -> _Node:
+    def _either(self) -> _Expression:
         node = self._both()
         while self._take("or"):
-            node = _Node(node.column, np.logical_or, (self._condition(node), self._condition(self._both())), True)
+            node = _Expression(node.column, np.logical_or, (self._condition(node), self._condition(self._both())), True)
         return node
 
-    def _both(self) -> _Node:
+    def _both(self) -> _Expression:
         node = self._negation()
         while self._take("and"):
-            node = _Node(node.column, np.logical_and, (self._condition(node), self._condition(self._negation())), True)
+            node = _Expression(
+                node.column, np.logical_and, (self._condition(node), self._condition(self._negation())), True
+            )
         return node
 
-    def _negation(self) -> _Node:
+    def _negation(self) -> _Expression:
         column = self._next.column
         if self._take("not"):
-            return _Node(column, np.logical_not, (self._condition(self._deeper(self._negation)),), True)
+            return _Expression(column, np.logical_not, (self._condition(self._deeper(self._negation)),), True)
         return self._comparison()
 
-    def _comparison(self) -> _Node:
+    def _comparison(self) -> _Expression:
         left = self._sum()
         column = left.column
-        checks: list[_Node] = []
+        checks: list[_Expression] = []
         while sign := self._take(*_COMPARISONS):
             right = self._value(self._sum())
             checks.append(_Comparison(column, _COMPARISONS[sign], (self._value(left), right), True))
             left = right
         if checks:
-            return _joined(np.logical_and, checks)
+            return _joined_conditions(np.logical_and, checks)
         is_negated = self._next.text == "not" and self._tokens[self._place + 1].text == "in"
         self._place += is_negated
         if not self._take("in"):
             return left
         value = self._value(left)
         equal = [_Comparison(column, operator.eq, (value, number), True) for number in self._numbers()]
-        found = _joined(np.logical_or, equal)
-        return _Node(column, np.logical_not, (found,), True) if is_negated else found
+        found = _joined_conditions(np.logical_or, equal)
+        return _Expression(column, np.logical_not, (found,), True) if is_negated else found
 
-    def _numbers(self) -> list[_Node]:
+    def _numbers(self) -> list[_Expression]:
         """Return the numbers in parentheses after ``in``."""
         self._expect("(")
         numbers = [self._literal()]
@@ -278,36 +280,36 @@ class _Parser:
         self._expect(")")
         return numbers
 
-    def _literal(self) -> _Node:
+    def _literal(self) -> _Expression:
         column, sign = self._next.column, -1 if self._take("-") else 1
         token = self._next
         if token.kind != "number":
             raise self._error(token.column, f"expected a number, not {self._shown}")
         self._place += 1
-        return _Node(column, number=sign * float(token.text))
+        return _Expression(column, number=sign * float(token.text))
 
-    def _sum(self) -> _Node:
+    def _sum(self) -> _Expression:
         node = self._product()
         while sign := self._take("+", "-"):
-            node = _Node(node.column, _ARITHMETIC[sign], (self._value(node), self._value(self._product())))
+            node = _Expression(node.column, _ARITHMETIC[sign], (self._value(node), self._value(self._product())))
         return node
 
-    def _product(self) -> _Node:
+    def _product(self) -> _Expression:
         node = self._factor()
         while sign := self._take("*", "/", "%"):
-            node = _Node(node.column, _ARITHMETIC[sign], (self._value(node), self._value(self._factor())))
+            node = _Expression(node.column, _ARITHMETIC[sign], (self._value(node), self._value(self._factor())))
         return node
 
-    def _factor(self) -> _Node:
+    def _factor(self) -> _Expression:
         token = self._next
         if token.kind == "number" or (token.text == "-" and self._tokens[self._place + 1].kind == "number"):
             return self._literal()
         if token.kind == "name" and token.text not in _WORDS:
             self._place += 1
             self.fields[token.text] = None
-            return _Node(token.column, field=token.text)
+            return _Expression(token.column, field=token.text)
         if self._take("-"):
-            return _Node(token.column, operator.neg, (self._value(self._deeper(self._factor)),))
+            return _Expression(token.column, operator.neg, (self._value(self._deeper(self._factor)),))
         function = self._take("abs")
         if not function and self._next.text != "(":
             raise self._error(token.column, f"expected a field or a number, not {self._shown}")
@@ -315,10 +317,10 @@ class _Parser:
         node = self._deeper(self._either)
         self._expect(")")
         if function:
-            return _Node(token.column, np.abs, (self._value(node),))
+            return _Expression(token.column, np.abs, (self._value(node),))
         return replace(node, column=token.column)
 
-    def _deeper(self, read: Callable[[], _Node]) -> _Node:
+    def _deeper(self, read: Callable[[], _Expression]) -> _Expression:
         """Read a nested part; raise if it is too deep."""
         if self._depth >= _DEEPEST:
             raise self._error(self._next.column, f"more than {_DEEPEST} levels of parentheses, signs and nots")
