@@ -1,0 +1,258 @@
+"""What the clouds of a topic look like, from a few of them spread over the recording."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pc2scan.core.level import thinned
+from pc2scan.errors import DecodeError, TransformError
+from pc2scan.json_types import json_value
+from pc2scan.messages.clouds import CLOUDS
+from pc2scan.messages.pointcloud2 import DATATYPES, POINTCLOUD2, decode_pointcloud2
+from pc2scan.shown import Table
+from pc2scan.tf.mounting import mounting
+
+from .spread import Spread, finite, spread_of
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from pc2scan.core.points import Points
+    from pc2scan.model import RawMessage
+    from pc2scan.tf.buffer import TransformBuffer
+    from pc2scan.tf.mounting import Mounting
+    from pc2scan.tf.placing import Frames
+
+__all__ = ["CloudInfo", "CloudLook"]
+
+#: The width of the largest bar of the histogram of heights, and how many bars it has.
+_BAR = 40
+_BINS = 12
+
+#: How many clouds of a topic are searched for the ground.
+_MAX_SAMPLES = 10
+
+
+@dataclass(slots=True)
+class CloudInfo:
+    """The properties of the clouds of one topic, from a sample spread over the recording.
+
+    Attributes
+    ----------
+    sampled
+        How many clouds were read.
+    frames
+        All ``frame_id`` of these clouds.
+    fields
+        Name, datatype and offset in bytes (0 for messages other than PointCloud2), in the message's order.
+    shape
+        Height and width of the first cloud.
+    point_step
+        Bytes of a point; 0 for messages other than PointCloud2.
+    points_min, points_max
+        Points per cloud.
+    nan_share
+        Share of points with a NaN coordinate.
+    zero_share
+        Share of points at exactly (0, 0, 0), which some drivers write for no return.
+    x, y, z, range
+        Spreads; ``range`` is hypot(x, y), which the projection compares with range_min and range_max.
+    height_edges, height_counts
+        Histogram of z between its first and last half percent; the outermost bars include all points beyond.
+    above_zero_share
+        Share of points with z > 0, which upstream's default min_height keeps.
+    target_frame
+        The frame of x, y, z and heights; empty for the clouds' own.
+    mounting
+        How the clouds are mounted, and which options suit that; None if no cloud could be decoded.
+    problems
+        Why sampled clouds cannot be decoded, each reason once.
+    """
+
+    topic: str
+    sampled: int = 0
+    frames: tuple[str, ...] = ()
+    fields: tuple[tuple[str, str, int], ...] = ()
+    shape: tuple[int, int] = (0, 0)
+    point_step: int = 0
+    points_min: int = 0
+    points_max: int = 0
+    nan_share: float = 0.0
+    zero_share: float = 0.0
+    x: Spread | None = None
+    y: Spread | None = None
+    z: Spread | None = None
+    range: Spread | None = None
+    height_edges: tuple[float, ...] = ()
+    height_counts: tuple[int, ...] = ()
+    above_zero_share: float = 0.0
+    target_frame: str = ""
+    mounting: Mounting | None = None
+    problems: tuple[str, ...] = ()
+
+    def shown(self) -> Iterator[str | Table]:
+        """Yield the text of `Info` about the clouds."""
+        yield f"{self.topic}: {self.sampled} clouds sampled"
+        yield from (f"  cannot be decoded: {problem}" for problem in self.problems)
+        if not self.fields:
+            return
+        points = f"{self.points_min:,}" + (f" to {self.points_max:,}" if self.points_max > self.points_min else "")
+        height, width = self.shape
+        yield f"  frame   {', '.join(map(repr, self.frames))}"
+        is_laid_out = self.point_step > 0
+        yield f"  points  {points} a cloud ({height} x {width})" + f", {self.point_step} bytes each" * is_laid_out
+        fields = [f"{name} {kind}" + f" @{offset}" * is_laid_out for name, kind, offset in self.fields]
+        yield f"  fields  {', '.join(fields)}"
+        yield f"  NaN {self.nan_share:.1%}, (0, 0, 0) {self.zero_share:.1%}, z > 0 {self.above_zero_share:.1%}"
+        spreads = {name: spread for name in ("x", "y", "z", "range") if (spread := getattr(self, name)) is not None}
+        if spreads:
+            yield ""
+            yield Table(
+                ("[m]", "min", "5%", "median", "95%", "max"),
+                [(name, *(f"{v:.3f}" for v in (s.min, s.p5, s.median, s.p95, s.max))) for name, s in spreads.items()],
+                left=("[m]",),
+            )
+        if self.height_counts:
+            yield ""
+            yield "  heights (z)" + (f" in {self.target_frame}" if self.target_frame else "")
+            most, total = max(self.height_counts), sum(self.height_counts)
+            edges = zip(self.height_edges, self.height_edges[1:], self.height_counts, strict=False)
+            for low, high, number in reversed(list(edges)):
+                bar = "#" * round(_BAR * number / most)
+                yield f"  {low:9.2f} to {high:8.2f} m {number / total:6.1%} {bar}"
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return JSON's types."""
+        found = asdict(self)
+        if self.mounting is not None:
+            found["mounting"] = {**json_value(self.mounting), "warning": self.mounting.warning}
+        return found
+
+
+class CloudLook:
+    """Collects the properties of a topic's sampled clouds, from at most ``most`` points of each."""
+
+    def __init__(self, topic: str, most: int, places: Frames) -> None:
+        self._result = CloudInfo(topic, target_frame=places.target_frame)
+        self._most = most
+        self._places = places
+        self._samples: list[NDArray[np.float64]] = []
+        self._stamp_ns, self._origin_z = 0, 0.0
+        self._parts: list[NDArray[np.floating[Any]]] = []
+        self._frames: dict[str, None] = {}
+        self._problems: dict[str, None] = {}
+        self._sizes: list[int] = []
+
+    def add(self, message: RawMessage) -> None:
+        """Add a cloud."""
+        self._result.sampled += 1
+        try:
+            cloud = CLOUDS[message.connection.ros_type](message.connection.serialization)(message.data)
+            coordinates = cloud.xyz()
+            count = coordinates[0].size
+            step = -(-count // self._most) or 1
+            with np.errstate(invalid="ignore"):  # a NaN may be a signalling one
+                points = np.stack([_as_floats(_thinned(c, step)) for c in coordinates])
+            moved = self._places.place(cloud.frame_id, cloud.stamp_ns).target_from_source
+            sample = thinned(*coordinates)
+            if moved is not None:
+                points = moved.apply(points.T).T
+                sample = moved.rotation.apply(sample)
+        except (DecodeError, TransformError) as err:
+            self._problems[err.message] = None
+            return
+        if not self._sizes:
+            _describe(self._result, cloud, message)
+            self._stamp_ns = cloud.stamp_ns
+            self._origin_z = 0.0 if moved is None else float(moved.translation[2])
+        if len(self._samples) < _MAX_SAMPLES:
+            self._samples.append(sample)
+        self._frames[cloud.frame_id] = None
+        self._sizes.append(count)
+        self._parts.append(points)
+
+    def described(self, buffer: TransformBuffer | None) -> CloudInfo:
+        """Return the properties, and release the points."""
+        result = self._result
+        result.frames, result.problems = tuple(self._frames), tuple(self._problems)
+        if self._sizes:
+            result.points_min, result.points_max = min(self._sizes), max(self._sizes)
+            parts, self._parts = self._parts, []
+            # A signalling NaN is treated as any other NaN.
+            with np.errstate(invalid="ignore"):
+                points = np.concatenate(parts, axis=1, dtype=np.float64)
+            _measure(result, points)
+            places, samples = self._places, self._samples
+            frame = places.source_frame or next(iter(self._frames))
+            result.mounting = mounting(
+                result.topic,
+                frame,
+                samples,
+                buffer,
+                judged_in=places.target_frame,
+                origin_z=self._origin_z,
+                stamp_ns=self._stamp_ns,
+            )
+            self._samples = []
+        return result
+
+
+def _as_floats(column: NDArray[Any]) -> NDArray[np.floating[Any]]:
+    """Return float32 coordinates unchanged, all others as float64, which represents them exactly."""
+    return column.astype(np.float32 if column.dtype.kind == "f" and column.dtype.itemsize == 4 else np.float64)
+
+
+def _thinned(column: NDArray[Any], step: int) -> NDArray[Any]:
+    """Return every ``step``-th point. Rows with gaps between them have no flat view, so their columns are thinned."""
+    return column[::step] if column.ndim == 1 else column[:, ::step].ravel()
+
+
+def _describe(result: CloudInfo, points: Points, message: RawMessage) -> None:
+    if message.connection.ros_type != POINTCLOUD2:
+        shape = points.field("x").shape
+        result.shape = (shape[0] if len(shape) > 1 else 1, shape[-1])
+        result.fields = tuple((name, values.dtype.name, 0) for name, values in points.fields.items())
+        return
+    cloud = decode_pointcloud2(message.data, message.connection.serialization)
+    result.shape = (cloud.height, cloud.width)
+    result.point_step = cloud.point_step
+    result.fields = tuple(
+        (
+            f.name,
+            np.dtype(DATATYPES[f.datatype]).name if f.datatype in DATATYPES else f"datatype {f.datatype}",
+            f.offset,
+        )
+        for f in cloud.fields
+    )
+
+
+def _measure(result: CloudInfo, points: NDArray[np.float64]) -> None:
+    total = points.shape[1]
+    if not total:
+        return
+    x, y, z = points
+    invalid = np.isnan(points).any(axis=0)
+    zero = (points == 0).all(axis=0)
+    result.nan_share = float(invalid.mean())
+    result.zero_share = float(zero.mean())
+    # Points at the origin are no returns.
+    valid = ~(invalid | zero)
+    result.above_zero_share = float((z[valid] > 0).mean()) if valid.any() else 0.0
+    result.x, result.y, result.z = (spread_of(axis[valid]) for axis in (x, y, z))
+    with np.errstate(over="ignore"):
+        result.range = spread_of(np.hypot(x[valid], y[valid]))
+    heights = finite(z[valid])
+    if heights.size:
+        low, high = np.percentile(heights, [0.5, 99.5])
+        # Wide enough that the edges of the bars are different numbers.
+        least = max(1e-9 * max(abs(low), abs(high)), 0.0 if high > low else 1.0)
+        if high - low < least:
+            low, high = low - least / 2, high + least / 2
+        counts, edges = np.histogram(np.clip(heights, low, high), _BINS, (low, high))
+        result.height_edges = tuple(float(edge) for edge in edges)
+        result.height_counts = tuple(int(count) for count in counts)
