@@ -5,10 +5,10 @@ from __future__ import annotations
 import os
 import shlex
 import time
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from pc2scan.bags.damage import RECOVER, Damage, count_details
 from pc2scan.bags.destinations import (
@@ -25,26 +25,19 @@ from pc2scan.bags.merged import as_one
 from pc2scan.bags.opening import open_recordings
 from pc2scan.errors import (
     DamageError,
-    DestinationError,
     MissingError,
     OutputError,
-    ParameterError,
     Pc2ScanError,
-    RecordingError,
     TopicError,
     UsageError,
 )
-from pc2scan.files.overlap import InputPath, OutputPath, refuse_overlap
-from pc2scan.files.source import state_of
 from pc2scan.files.staging import check_destination, check_parts, made_folder, parts_beside, staged, staged_parts
-from pc2scan.files.text_output import check_text_output, text_output
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.model import MAX_ROSBAG2_NS
 from pc2scan.remote.urls import is_url, shown_path
 from pc2scan.shown import agreeing, counted
 from pc2scan.tf.options import FrameOptions
-from pc2scan.tf.placing import Frames
-from pc2scan.tf.reading import read_some_transforms, read_transforms
+from pc2scan.tf.reading import read_some_transforms
 from pc2scan.threads import Threads
 
 from .acceptance import ghosts, refusal
@@ -55,7 +48,8 @@ from .first_clouds import FirstClouds
 from .idle import doubts, refuse_unusable
 from .parameters import from_preset, preset_of
 from .plan import make_plan
-from .report import BEGINNING, Failure, Report, Tally, TopicReport
+from .prepare import prepared
+from .report import Failure, Report, Tally, TopicReport
 from .routes import (
     OpenRoute,
     bind,
@@ -66,34 +60,29 @@ from .routes import (
     static_connection,
     write_static,
 )
+from .run_files import OutputOptions, RunFiles, report_file, scratch_bytes
 from .scheduler import cores
 from .stream import Progress, Span, stream
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
     from pathlib import Path
 
     from pc2scan.bags.destinations import Destination
     from pc2scan.bags.reader import Reader
-    from pc2scan.bags.splitting import Cut
     from pc2scan.model import Connection, Summary
     from pc2scan.tf.buffer import TransformBuffer
 
-    from .conversion import Conversion, Measured
     from .levelling import LevelFrames
     from .options import ConvertOptions
     from .piece import Made, Piece
-    from .plan import Combination, Plan
-    from .scan_spec import ScanSpec
-    from .stages.deskew import Deskew
-    from .stages.turn import Turn
+    from .plan import Plan
 
 __all__ = [
     "OutputOptions",
     "Progress",
     "conclude",
     "opened_plan",
-    "prepared",
     "report_failure",
     "report_file",
     "run",
@@ -101,73 +90,6 @@ __all__ = [
     "scratch_bytes",
     "span_of",
 ]
-
-
-class OutputOptions(NamedTuple):
-    """Options of the destination; None means the container's default.
-
-    Attributes
-    ----------
-    storage
-        The storage of a rosbag2 directory: ``mcap`` or ``sqlite3``.
-    compression
-        ``none``, ``lz4``, ``zstd`` or ``bz2``, as the container allows. With None, chunks that are copied
-        whole keep their compression.
-    profile
-        The profile of an ``.mcap`` file: ``ros1`` or ``ros2``.
-    metadata_version
-        The metadata version of a rosbag2 directory.
-    overwrite
-        Whether an existing destination, and an existing file at the report's path, are replaced.
-    report
-        Path of the report as JSON; None for no file.
-    folder
-        Folder of a destination that is named after the source; None: next to the source. It is created if it does not
-        exist.
-    to
-        Format of the destination: ``bag``, ``mcap`` or ``rosbag2``; None: by its name, or the source's.
-    dry_run
-        Whether nothing is written, not even the report: the result is only estimated.
-    like_source
-        Whether a named destination has the storage of the source, like a destination that is named after the source.
-    cut
-        Where a new file begins; None for a recording in one file.
-    scratch, scratch_size
-        Folder of the local copies of URLs, and how many bytes they may take; None: the system's folder for temporary
-        files, without a limit.
-    """
-
-    storage: str | None = None
-    compression: str | None = None
-    profile: str | None = None
-    metadata_version: int = 8
-    overwrite: bool = False
-    report: Path | None = None
-    folder: Path | None = None
-    to: str | None = None
-    dry_run: bool = False
-    like_source: bool = False
-    cut: Cut | None = None
-    scratch: Path | None = None
-    scratch_size: int | None = None
-
-
-def scratch_bytes(text: str | None) -> int | None:
-    """Read a size such as ``20GB``; None for None.
-
-    Raises
-    ------
-    UsageError
-        If the text is not a size.
-    """
-    if text is None:
-        return None
-    from pc2scan.core.quantities import byte_size  # noqa: PLC0415  # few conversions are of URLs
-
-    size = byte_size(text)
-    if not size:
-        raise UsageError(f"`scratch_size` is {text!r}, it must be a size above 0", hint="with its unit: 500MB, 20GB")
-    return size
 
 
 def run(
@@ -200,7 +122,7 @@ def run(
     began = time.monotonic()
     report = _begun(sources, destination, options)
     with ExitStack() as stack:
-        files = _Files(sources, destination, options.frames, also_read or {}, output)
+        files = RunFiles(sources, destination, options.frames, also_read or {}, output)
         try:
             _run(files, options, output, stack, report, progress, warn)
         except Exception as err:
@@ -234,7 +156,7 @@ def run_piece(
     """
     report = _begun(sources, destination, options)
     with ExitStack() as stack:
-        files = _Files(sources, destination, options.frames, also_read or {}, output)
+        files = RunFiles(sources, destination, options.frames, also_read or {}, output)
         made = _run(files, options, output, stack, report, progress, None, piece)
         assert made is not None
         return made
@@ -316,81 +238,11 @@ def report_failure(
     failure: Failure, sources: Sequence[Path], output: OutputOptions, also_read: Mapping[str, Path]
 ) -> None:
     """Write the report of a run that failed before its options were known."""
-    _Files(sources, None, FrameOptions(), also_read, output).deliver_failure(failure)
-
-
-class _Files:
-    """The files that a run reads and writes, and its report.
-
-    Attributes
-    ----------
-    sources, destination
-        Paths; ``destination`` is None until it is known.
-    """
-
-    def __init__(
-        self,
-        sources: Sequence[Path],
-        destination: Path | None,
-        frames: FrameOptions,
-        also_read: Mapping[str, Path],
-        output: OutputOptions,
-    ) -> None:
-        self.sources = sources
-        self.destination = destination
-        self.read = (*sources, *frames.tf_from)
-        named = [*(("`tf_from`", other) for other in frames.tf_from), *also_read.items()]
-        self._inputs = [*map(InputPath, sources), *(InputPath(file, f"file of {option}") for option, file in named)]
-        self._states = [state_of(path) for path in self.read]
-        self._output = output
-        #: Other files that the destination replaces: parts of a recording of the same name.
-        self.parts: Sequence[Path] = ()
-        self._write_report: Callable[[str], None] | None = None
-
-    def open_report(self, stack: ExitStack) -> None:
-        """Raise if an input would be overwritten, or if the report cannot be written."""
-        report = [] if self._output.report is None else [OutputPath(self._output.report, "`report`")]
-        paths = [] if self.destination is None else [self.destination, *self.parts]
-        destination = [OutputPath(path) for path in paths]
-        refuse_overlap(self._inputs, [*destination, *report])
-        self._write_report = report_file(self._output, stack)
-
-    def deliver(self, report: Report) -> None:
-        """Write the report. If that fails, the recording stays, and the exit status and a warning say so."""
-        if self._write_report is None:
-            return
-        try:
-            self._write_report(report.as_json())
-        except (DestinationError, OutputError) as err:
-            report.undelivered = True
-            report.warnings.append(f"{err.path}: the report is not written: {err.message}; {report.destination} is")
-
-    def deliver_failure(self, report: Report | Failure) -> None:
-        """Write the report of a run that failed, if possible; the error itself is raised in any case."""
-        if self._output.report is None or self._output.dry_run:
-            return
-        if report.error is not None and report.error.path == self._output.report:
-            # The error is that this file cannot be written.
-            return
-        with suppress(DestinationError, OutputError), ExitStack() as stack:
-            if self._write_report is None:
-                self.open_report(stack)
-            if self._write_report is not None:
-                self._write_report(report.as_json())
-
-    def refuse_changed(self) -> None:
-        """Raise if a source changed during the run: the result may mix its old and new bytes."""
-        for source, state in zip(self.read, self._states, strict=True):
-            if state_of(source) != state:
-                raise RecordingError(
-                    "was changed while it was read",
-                    path=source,
-                    hint="wait until the recording is complete, or copy it",
-                )
+    RunFiles(sources, None, FrameOptions(), also_read, output).deliver_failure(failure)
 
 
 def _run(
-    files: _Files,
+    files: RunFiles,
     options: ConvertOptions,
     output: OutputOptions,
     stack: ExitStack,
@@ -563,23 +415,6 @@ def _refuse_missing_destination(sources: Sequence[Path], destination: Path | Non
     )
 
 
-def report_file(output: OutputOptions, stack: ExitStack) -> Callable[[str], None] | None:
-    """Check that the report can be written, before anything else is; return the function that writes it.
-
-    None if no report is requested, and in a dry run.
-    """
-    if output.report is None:
-        return None
-    try:
-        if output.dry_run:
-            check_text_output(output.report, beginning=BEGINNING, overwrite=output.overwrite)
-            return None
-        return stack.enter_context(text_output(output.report, beginning=BEGINNING, overwrite=output.overwrite))
-    except (DestinationError, OutputError) as err:
-        err.message = f"the report cannot go there: {err.message}"
-        raise
-
-
 def _plan(reader: Reader, options: ConvertOptions) -> Plan:
     """Plan the conversion; if a recording is damaged, errors about missing topics mention it."""
     damage = reader.damage
@@ -658,63 +493,6 @@ def _compare_counts(tally: Tally, options: ConvertOptions, report: Report) -> No
     report.damage.append(Damage(missing, tally.path, messages_lost=max(0, lost)))
 
 
-def prepared(
-    reader: Reader,
-    plan: Plan,
-    options: ConvertOptions,
-    span: Span,
-    stack: ExitStack,
-    report: Report,
-    firsts: FirstClouds | None = None,
-    transforms: Sequence[Path] = (),
-) -> tuple[Mapping[ScanSpec | Combination, Conversion], Sequence[Reader]]:
-    """Prepare the conversion of each output: read transforms, and measure what is ``auto``.
-
-    Returns the conversions, and the other recordings that transforms were read from. ``transforms`` are files with all
-    transforms (see `pc2scan.tf.stored`), if other processes have read them.
-    """
-    asked = options.frames
-    others: list[Reader] = []
-    buffer: TransformBuffer | None = None
-    if any(spec.needs_transforms for spec in plan.specs):
-        others = open_recordings(asked.tf_from, stack, verify=options.verify, strict=options.strict)
-        if transforms:
-            from pc2scan.tf.stored import stored_transforms  # noqa: PLC0415  # only where several processes share them
-
-            buffer, warnings = stored_transforms(transforms, asked)
-        else:
-            buffer, warnings = read_transforms([reader, *others], asked)
-        report.warnings += warnings
-        if firsts is not None:
-            firsts.buffer = buffer
-    ups = None
-    if buffer is not None and any(spec.level for spec in plan.specs):
-        from .levelling import Ups  # noqa: PLC0415  # only where scans are level
-
-        ups = Ups([reader, *others], buffer, report)
-    conversions: dict[ScanSpec | Combination, Conversion] = {}
-    for spec in plan.specs:
-        frames = Frames(source_frame=asked.source_frame)
-        if spec.needs_transforms:
-            tolerance_ns = round(spec.params.transform_tolerance * 1e9)
-            up = ups.of(spec, tolerance_ns) if ups is not None and spec.level else None
-            frames = Frames(spec.params.target_frame, asked.source_frame, buffer, tolerance_ns, up)
-        if spec.reverse:
-            from .scan_to_cloud import ScanToCloud  # noqa: PLC0415  # each direction loads its own arithmetic
-
-            conversions[spec] = ScanToCloud(spec.channels, frames, deskewed=spec.deskew, output_type=spec.made_type)
-            continue
-        combined = [each for each in plan.combinations if each.spec is spec]
-        for combination in combined:
-            conversions[combination] = _combined(reader, plan, combination, frames, span, report, firsts)
-        if not combined or any(task.key is spec for route in plan.routes for task in route.tasks):
-            converted = [route.connection for route in plan.routes if any(task.key is spec for task in route.tasks)]
-            timings = _measured(reader, converted, spec, frames, span, report) if spec.needs_measuring else None
-            deskew = _deskew(reader, converted, spec, frames, span, report)
-            conversions[spec] = _to_scans(spec, frames, timings, deskew, firsts)
-    return conversions, others
-
-
 def _level_frames(
     reader: Reader, plan: Plan, target: Destination, options: ConvertOptions, declared: Declarations, report: Report
 ) -> LevelFrames | None:
@@ -727,98 +505,6 @@ def _level_frames(
     entry = TopicReport(connection.topic, connection.ros_type, connection.topic, "added", "from `level`")
     report.topics.append(entry)
     return LevelFrames(declared.add(connection), target.serialization, entry)
-
-
-def _deskew(
-    reader: Reader, sources: Sequence[Connection], spec: ScanSpec, frames: Frames, span: Span, report: Report
-) -> Deskew | None:
-    if not spec.deskew:
-        return None
-    from .stages.deskew import Deskew, PointTime  # noqa: PLC0415  # only with deskewing
-
-    where = PointTime.parse(spec.point_time) if spec.point_time else PointTime()
-    turns: Mapping[str, Turn] = {}
-    if where.turn is not None:
-        from .turning import measured_turns  # noqa: PLC0415  # few points have no times
-
-        with _naming_output(spec):
-            turns, notes = measured_turns(reader, sources, spec.point_time, span.start_ns, span.stop_ns)
-        label = f"{spec.name}: " if spec.name else ""
-        report.notes += (label + note for note in notes)
-    return Deskew(frames, spec.fixed_frame, where, spec.stamp, turns)
-
-
-def _to_scans(
-    spec: ScanSpec,
-    frames: Frames,
-    timings: Mapping[str, Measured] | None,
-    deskew: Deskew | None,
-    firsts: FirstClouds | None,
-) -> Conversion:
-    from .cloud_to_scan import CloudToScan  # noqa: PLC0415  # each direction loads its own arithmetic
-
-    judges = None if firsts is None else partial(firsts.of, spec)
-    return CloudToScan(
-        spec.params,
-        frames,
-        timings,
-        spec.filters,
-        deskew,
-        spec.made_type,
-        judges,
-        keeps_used=bool(spec.keep_used),
-        remove=spec.remove,
-    )
-
-
-def _combined(
-    reader: Reader,
-    plan: Plan,
-    combination: Combination,
-    frames: Frames,
-    span: Span,
-    report: Report,
-    firsts: FirstClouds | None,
-) -> Conversion:
-    from .combine.conversion import CombineToScan  # noqa: PLC0415  # few scans are made of several messages
-    from .combine.measure import measured  # noqa: PLC0415
-
-    spec = combination.spec
-    sources = [
-        route.connection for route in plan.routes if any(task.combination is combination for task in route.tasks)
-    ]
-    with _naming_output(spec):
-        timing, grouper, notes, warnings = measured(reader, combination, sources, frames, span.start_ns, span.stop_ns)
-    label = f"{spec.name}: " if spec.name else ""
-    report.notes += (label + note for note in notes)
-    report.warnings += (label + warning for warning in warnings)
-    judges = None if firsts is None else partial(firsts.of, spec)
-    deskew = _deskew(reader, sources, spec, frames, span, report)
-    return CombineToScan(spec, combination.sources, frames, timing, grouper, deskew, judges)
-
-
-def _measured(
-    reader: Reader, converted: Sequence[Connection], spec: ScanSpec, frames: Frames, span: Span, report: Report
-) -> Mapping[str, Measured]:
-    from .measure import measure  # noqa: PLC0415  # only if something is to be measured
-
-    with _naming_output(spec):
-        timings, notes = measure(reader, converted, spec, frames, span.start_ns, span.stop_ns)
-    label = f"{spec.name}: " if spec.name else ""
-    report.notes += (label + note for note in notes)
-    return timings
-
-
-@contextmanager
-def _naming_output(spec: ScanSpec) -> Generator[None]:
-    """Add the name of an output, and the origin of a parameter, to errors."""
-    try:
-        yield
-    except UsageError as err:
-        if isinstance(err, ParameterError) and (origin := spec.origins.get(err.name)):
-            err.message += f" (from {origin})"
-        err.message = (f"{spec.name}: " if spec.name else "") + err.message
-        raise
 
 
 def _ros_version(connections: Iterable[Connection]) -> int | None:

@@ -15,8 +15,9 @@ from pc2scan.messages.laserscan import LASERSCAN, decode_laserscan
 from pc2scan.pipeline.beforehand import Unconnected
 from pc2scan.pipeline.options import ConvertOptions
 from pc2scan.pipeline.plan import make_plan
+from pc2scan.pipeline.prepare import prepared
 from pc2scan.pipeline.report import Report, TopicReport
-from pc2scan.pipeline.run import prepared, span_of
+from pc2scan.pipeline.run import span_of
 
 from . import packages
 from .stream import Read, Source, Stream

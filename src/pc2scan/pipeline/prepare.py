@@ -1,0 +1,182 @@
+"""Prepares the conversions of a run: reads transforms, and measures what is ``auto``, before the first message."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from functools import partial
+from typing import TYPE_CHECKING
+
+from pc2scan.bags.opening import open_recordings
+from pc2scan.errors import ParameterError, UsageError
+from pc2scan.tf.placing import Frames
+from pc2scan.tf.reading import read_transforms
+
+if TYPE_CHECKING:
+    from collections.abc import Generator, Mapping, Sequence
+    from contextlib import ExitStack
+    from pathlib import Path
+
+    from pc2scan.bags.reader import Reader
+    from pc2scan.model import Connection
+    from pc2scan.tf.buffer import TransformBuffer
+
+    from .conversion import Conversion, Measured
+    from .first_clouds import FirstClouds
+    from .options import ConvertOptions
+    from .plan import Combination, Plan
+    from .report import Report
+    from .scan_spec import ScanSpec
+    from .stages.deskew import Deskew
+    from .stages.turn import Turn
+    from .stream import Span
+
+__all__ = ["prepared"]
+
+
+def prepared(
+    reader: Reader,
+    plan: Plan,
+    options: ConvertOptions,
+    span: Span,
+    stack: ExitStack,
+    report: Report,
+    firsts: FirstClouds | None = None,
+    transforms: Sequence[Path] = (),
+) -> tuple[Mapping[ScanSpec | Combination, Conversion], Sequence[Reader]]:
+    """Prepare the conversion of each output: read transforms, and measure what is ``auto``.
+
+    Returns the conversions, and the other recordings that transforms were read from. ``transforms`` are files with all
+    transforms (see `pc2scan.tf.stored`), if other processes have read them.
+    """
+    asked = options.frames
+    others: list[Reader] = []
+    buffer: TransformBuffer | None = None
+    if any(spec.needs_transforms for spec in plan.specs):
+        others = open_recordings(asked.tf_from, stack, verify=options.verify, strict=options.strict)
+        if transforms:
+            from pc2scan.tf.stored import stored_transforms  # noqa: PLC0415  # only where several processes share them
+
+            buffer, warnings = stored_transforms(transforms, asked)
+        else:
+            buffer, warnings = read_transforms([reader, *others], asked)
+        report.warnings += warnings
+        if firsts is not None:
+            firsts.buffer = buffer
+    ups = None
+    if buffer is not None and any(spec.level for spec in plan.specs):
+        from .levelling import Ups  # noqa: PLC0415  # only where scans are level
+
+        ups = Ups([reader, *others], buffer, report)
+    conversions: dict[ScanSpec | Combination, Conversion] = {}
+    for spec in plan.specs:
+        frames = Frames(source_frame=asked.source_frame)
+        if spec.needs_transforms:
+            tolerance_ns = round(spec.params.transform_tolerance * 1e9)
+            up = ups.of(spec, tolerance_ns) if ups is not None and spec.level else None
+            frames = Frames(spec.params.target_frame, asked.source_frame, buffer, tolerance_ns, up)
+        if spec.reverse:
+            from .scan_to_cloud import ScanToCloud  # noqa: PLC0415  # each direction loads its own arithmetic
+
+            conversions[spec] = ScanToCloud(spec.channels, frames, deskewed=spec.deskew, output_type=spec.made_type)
+            continue
+        combined = [each for each in plan.combinations if each.spec is spec]
+        for combination in combined:
+            conversions[combination] = _combined(reader, plan, combination, frames, span, report, firsts)
+        if not combined or any(task.key is spec for route in plan.routes for task in route.tasks):
+            converted = [route.connection for route in plan.routes if any(task.key is spec for task in route.tasks)]
+            timings = _measured(reader, converted, spec, frames, span, report) if spec.needs_measuring else None
+            deskew = _deskew(reader, converted, spec, frames, span, report)
+            conversions[spec] = _to_scans(spec, frames, timings, deskew, firsts)
+    return conversions, others
+
+
+def _deskew(
+    reader: Reader, sources: Sequence[Connection], spec: ScanSpec, frames: Frames, span: Span, report: Report
+) -> Deskew | None:
+    if not spec.deskew:
+        return None
+    from .stages.deskew import Deskew, PointTime  # noqa: PLC0415  # only with deskewing
+
+    where = PointTime.parse(spec.point_time) if spec.point_time else PointTime()
+    turns: Mapping[str, Turn] = {}
+    if where.turn is not None:
+        from .turning import measured_turns  # noqa: PLC0415  # few points have no times
+
+        with _naming_output(spec):
+            turns, notes = measured_turns(reader, sources, spec.point_time, span.start_ns, span.stop_ns)
+        label = f"{spec.name}: " if spec.name else ""
+        report.notes += (label + note for note in notes)
+    return Deskew(frames, spec.fixed_frame, where, spec.stamp, turns)
+
+
+def _to_scans(
+    spec: ScanSpec,
+    frames: Frames,
+    timings: Mapping[str, Measured] | None,
+    deskew: Deskew | None,
+    firsts: FirstClouds | None,
+) -> Conversion:
+    from .cloud_to_scan import CloudToScan  # noqa: PLC0415  # each direction loads its own arithmetic
+
+    judges = None if firsts is None else partial(firsts.of, spec)
+    return CloudToScan(
+        spec.params,
+        frames,
+        timings,
+        spec.filters,
+        deskew,
+        spec.made_type,
+        judges,
+        keeps_used=bool(spec.keep_used),
+        remove=spec.remove,
+    )
+
+
+def _combined(
+    reader: Reader,
+    plan: Plan,
+    combination: Combination,
+    frames: Frames,
+    span: Span,
+    report: Report,
+    firsts: FirstClouds | None,
+) -> Conversion:
+    from .combine.conversion import CombineToScan  # noqa: PLC0415  # few scans are made of several messages
+    from .combine.measure import measured  # noqa: PLC0415
+
+    spec = combination.spec
+    sources = [
+        route.connection for route in plan.routes if any(task.combination is combination for task in route.tasks)
+    ]
+    with _naming_output(spec):
+        timing, grouper, notes, warnings = measured(reader, combination, sources, frames, span.start_ns, span.stop_ns)
+    label = f"{spec.name}: " if spec.name else ""
+    report.notes += (label + note for note in notes)
+    report.warnings += (label + warning for warning in warnings)
+    judges = None if firsts is None else partial(firsts.of, spec)
+    deskew = _deskew(reader, sources, spec, frames, span, report)
+    return CombineToScan(spec, combination.sources, frames, timing, grouper, deskew, judges)
+
+
+def _measured(
+    reader: Reader, converted: Sequence[Connection], spec: ScanSpec, frames: Frames, span: Span, report: Report
+) -> Mapping[str, Measured]:
+    from .measure import measure  # noqa: PLC0415  # only if something is to be measured
+
+    with _naming_output(spec):
+        timings, notes = measure(reader, converted, spec, frames, span.start_ns, span.stop_ns)
+    label = f"{spec.name}: " if spec.name else ""
+    report.notes += (label + note for note in notes)
+    return timings
+
+
+@contextmanager
+def _naming_output(spec: ScanSpec) -> Generator[None]:
+    """Add the name of an output, and the origin of a parameter, to errors."""
+    try:
+        yield
+    except UsageError as err:
+        if isinstance(err, ParameterError) and (origin := spec.origins.get(err.name)):
+            err.message += f" (from {origin})"
+        err.message = (f"{spec.name}: " if spec.name else "") + err.message
+        raise

@@ -1,0 +1,178 @@
+"""The files of a run: how the destination is written, what is read, and the report."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack, suppress
+from typing import TYPE_CHECKING, NamedTuple
+
+from pc2scan.errors import DestinationError, OutputError, RecordingError, UsageError
+from pc2scan.files.overlap import InputPath, OutputPath, refuse_overlap
+from pc2scan.files.source import state_of
+from pc2scan.files.text_output import check_text_output, text_output
+
+from .report import BEGINNING
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+    from pathlib import Path
+
+    from pc2scan.bags.splitting import Cut
+    from pc2scan.tf.options import FrameOptions
+
+    from .report import Failure, Report
+
+__all__ = ["OutputOptions", "RunFiles", "report_file", "scratch_bytes"]
+
+
+class OutputOptions(NamedTuple):
+    """Options of the destination; None means the container's default.
+
+    Attributes
+    ----------
+    storage
+        The storage of a rosbag2 directory: ``mcap`` or ``sqlite3``.
+    compression
+        ``none``, ``lz4``, ``zstd`` or ``bz2``, as the container allows. With None, chunks that are copied
+        whole keep their compression.
+    profile
+        The profile of an ``.mcap`` file: ``ros1`` or ``ros2``.
+    metadata_version
+        The metadata version of a rosbag2 directory.
+    overwrite
+        Whether an existing destination, and an existing file at the report's path, are replaced.
+    report
+        Path of the report as JSON; None for no file.
+    folder
+        Folder of a destination that is named after the source; None: next to the source. It is created if it does not
+        exist.
+    to
+        Format of the destination: ``bag``, ``mcap`` or ``rosbag2``; None: by its name, or the source's.
+    dry_run
+        Whether nothing is written, not even the report: the result is only estimated.
+    like_source
+        Whether a named destination has the storage of the source, like a destination that is named after the source.
+    cut
+        Where a new file begins; None for a recording in one file.
+    scratch, scratch_size
+        Folder of the local copies of URLs, and how many bytes they may take; None: the system's folder for temporary
+        files, without a limit.
+    """
+
+    storage: str | None = None
+    compression: str | None = None
+    profile: str | None = None
+    metadata_version: int = 8
+    overwrite: bool = False
+    report: Path | None = None
+    folder: Path | None = None
+    to: str | None = None
+    dry_run: bool = False
+    like_source: bool = False
+    cut: Cut | None = None
+    scratch: Path | None = None
+    scratch_size: int | None = None
+
+
+def scratch_bytes(text: str | None) -> int | None:
+    """Read a size such as ``20GB``; None for None.
+
+    Raises
+    ------
+    UsageError
+        If the text is not a size.
+    """
+    if text is None:
+        return None
+    from pc2scan.core.quantities import byte_size  # noqa: PLC0415  # few conversions are of URLs
+
+    size = byte_size(text)
+    if not size:
+        raise UsageError(f"`scratch_size` is {text!r}, it must be a size above 0", hint="with its unit: 500MB, 20GB")
+    return size
+
+
+class RunFiles:
+    """The files that a run reads and writes, and its report.
+
+    Attributes
+    ----------
+    sources, destination
+        Paths; ``destination`` is None until it is known.
+    """
+
+    def __init__(
+        self,
+        sources: Sequence[Path],
+        destination: Path | None,
+        frames: FrameOptions,
+        also_read: Mapping[str, Path],
+        output: OutputOptions,
+    ) -> None:
+        self.sources = sources
+        self.destination = destination
+        self.read = (*sources, *frames.tf_from)
+        named = [*(("`tf_from`", other) for other in frames.tf_from), *also_read.items()]
+        self._inputs = [*map(InputPath, sources), *(InputPath(file, f"file of {option}") for option, file in named)]
+        self._states = [state_of(path) for path in self.read]
+        self._output = output
+        #: Other files that the destination replaces: parts of a recording of the same name.
+        self.parts: Sequence[Path] = ()
+        self._write_report: Callable[[str], None] | None = None
+
+    def open_report(self, stack: ExitStack) -> None:
+        """Raise if an input would be overwritten, or if the report cannot be written."""
+        report = [] if self._output.report is None else [OutputPath(self._output.report, "`report`")]
+        paths = [] if self.destination is None else [self.destination, *self.parts]
+        destination = [OutputPath(path) for path in paths]
+        refuse_overlap(self._inputs, [*destination, *report])
+        self._write_report = report_file(self._output, stack)
+
+    def deliver(self, report: Report) -> None:
+        """Write the report. If that fails, the recording stays, and the exit status and a warning say so."""
+        if self._write_report is None:
+            return
+        try:
+            self._write_report(report.as_json())
+        except (DestinationError, OutputError) as err:
+            report.undelivered = True
+            report.warnings.append(f"{err.path}: the report is not written: {err.message}; {report.destination} is")
+
+    def deliver_failure(self, report: Report | Failure) -> None:
+        """Write the report of a run that failed, if possible; the error itself is raised in any case."""
+        if self._output.report is None or self._output.dry_run:
+            return
+        if report.error is not None and report.error.path == self._output.report:
+            # The error is that this file cannot be written.
+            return
+        with suppress(DestinationError, OutputError), ExitStack() as stack:
+            if self._write_report is None:
+                self.open_report(stack)
+            if self._write_report is not None:
+                self._write_report(report.as_json())
+
+    def refuse_changed(self) -> None:
+        """Raise if a source changed during the run: the result may mix its old and new bytes."""
+        for source, state in zip(self.read, self._states, strict=True):
+            if state_of(source) != state:
+                raise RecordingError(
+                    "was changed while it was read",
+                    path=source,
+                    hint="wait until the recording is complete, or copy it",
+                )
+
+
+def report_file(output: OutputOptions, stack: ExitStack) -> Callable[[str], None] | None:
+    """Check that the report can be written, before anything else is; return the function that writes it.
+
+    None if no report is requested, and in a dry run.
+    """
+    if output.report is None:
+        return None
+    try:
+        if output.dry_run:
+            check_text_output(output.report, beginning=BEGINNING, overwrite=output.overwrite)
+            return None
+        return stack.enter_context(text_output(output.report, beginning=BEGINNING, overwrite=output.overwrite))
+    except (DestinationError, OutputError) as err:
+        err.message = f"the report cannot go there: {err.message}"
+        raise
