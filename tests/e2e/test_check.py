@@ -52,7 +52,7 @@ def test_scans_without_transforms_are_not_ok(tmp_path: Path) -> None:
     assert done.status == 1
     assert "slam_toolbox  ignored" in done.stdout
     assert "here  the recording has no transforms; allowed: transforms at the scan's stamp" in done.stdout
-    assert "--tf-from takes them from another recording" in done.stdout
+    assert "--tf-from reads them from another recording" in done.stdout
 
 
 @pytest.mark.parametrize(

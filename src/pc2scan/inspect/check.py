@@ -1,4 +1,4 @@
-"""Whether the scans of a recording would be accepted by those who read them."""
+"""Checks whether consumers would accept the scans of a recording."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ if TYPE_CHECKING:
     from pc2scan.tf.buffer import TransformBuffer
 
 
-#: Frames, and damaged places, that are shown as text.
+#: How many frames, and how many damaged places, are shown as text.
 _MAX_SHOWN = 5
 
 __all__ = ["Check", "ConsumerCheck", "TopicCheck", "check"]
 
-#: Scans between two calls of the progress function.
+#: How many scans are between two calls of the progress function.
 _PROGRESS_EVERY = 64
 
 
@@ -56,13 +56,13 @@ class ConsumerCheck:
     consumer
         Its name.
     outcome
-        The worst that happens to any scan.
+        The worst outcome of any scan.
     scans
-        To how many it happens.
+        How many scans have this outcome.
     verdict
-        The rule, the numbers and the cure, of the first of them.
+        The rule, the numbers and the cure, for the first of these scans.
     stamp_ns
-        That one's stamp.
+        The stamp of the first of these scans.
     """
 
     consumer: str
@@ -72,7 +72,7 @@ class ConsumerCheck:
     stamp_ns: int
 
     def lines(self, scans: int) -> Iterator[str]:
-        """Yield what is shown of it, given how many scans the topic has."""
+        """Yield the text of a report, given how many scans the topic has."""
         share = "" if self.scans == scans else f" {self.scans:,} of {counted(scans, 'scan')}"
         yield f"  {self.consumer:<14}{self.outcome}{share}"
         verdict = self.verdict
@@ -84,14 +84,14 @@ class ConsumerCheck:
 
 @dataclass(frozen=True, slots=True)
 class TopicCheck:
-    """What was found of one topic.
+    """The result of one topic.
 
     Attributes
     ----------
     scans
         How many were decoded.
     frames
-        The ``frame_id`` that occur.
+        All ``frame_id`` of the scans.
     beams
         The smallest and the largest number of beams.
     interval_ns
@@ -114,7 +114,7 @@ class TopicCheck:
     findings: tuple[Finding, ...]
 
     def lines(self, asked: tuple[str, ...]) -> Iterator[str]:
-        """Yield what is shown of it, with the verdicts of these consumers, or of all."""
+        """Yield the text of a report, with the verdicts of these consumers, or of all."""
         yield f"{self.topic}: {self._summary()}"
         if self.first is not None:
             scan = self.first
@@ -145,7 +145,7 @@ class TopicCheck:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Check(Shown):
-    """What was found of a recording's scans.
+    """The result of checking a recording's scans.
 
     Attributes
     ----------
@@ -154,9 +154,9 @@ class Check(Shown):
     asked
         The given consumers; empty means all.
     topics
-        One entry a topic, by name.
+        One entry for each topic, by name.
     warnings
-        Transforms that cannot be used, and why.
+        Which transforms cannot be used, and why.
     damage
         The damage of the recordings; a defect.
     """
@@ -174,25 +174,25 @@ class Check(Shown):
 
     @property
     def accepted(self) -> bool:
-        """Whether every consumer that counts takes every scan of every topic; where there is none it does not.
+        """Whether all consumers that count accept every scan of every topic; False without scans.
 
-        Beams that are shifted, by up to one increment, count only where consumers were asked for: no scan satisfies
-        slam_toolbox and gmapping at once, unless it is a full circle.
+        Beams that are shifted, by up to one increment, count only if consumers are given: no scan satisfies both
+        slam_toolbox and gmapping, unless it is a full circle.
         """
         return all(self.takes(topic, consumer) for topic in self.topics for consumer in self.counting)
 
     def takes(self, topic: TopicCheck, consumer: str) -> bool:
-        """Whether a consumer takes every scan of a topic; see `accepted`."""
+        """Whether a consumer accepts every scan of a topic; see `accepted`."""
         taken = ("accepted",) if self.asked else ("accepted", "shifted")
         return {each.consumer: each.outcome for each in topic.consumers}.get(consumer) in taken
 
     def counts(self, finding: Finding) -> bool:
-        """Whether a finding makes the scans no good: a defect; with consumers asked for, only if it is `unusable`."""
+        """Whether a finding is a failure: a defect, or if consumers are given, only one that is `unusable`."""
         return finding.level == "defect" and (not self.asked or finding.kind in _UNUSABLE)
 
     @property
     def unusable(self) -> bool:
-        """Whether scans are of no use to anyone: empty, in an optical frame, or wider than a circle."""
+        """Whether no consumer can use the scans: empty, in an optical frame, or wider than a circle."""
         return any(
             finding.level == "defect" and finding.kind in _UNUSABLE
             for topic in self.topics
@@ -201,7 +201,7 @@ class Check(Shown):
 
     @property
     def defects(self) -> int:
-        """How many findings are defects; a damaged recording is one more."""
+        """How many findings are defects; a damaged recording counts as one."""
         found = sum(finding.level == "defect" for topic in self.topics for finding in topic.findings)
         return found + bool(self.damage)
 
@@ -209,19 +209,19 @@ class Check(Shown):
     def exit_status(self) -> int:
         """0 if the scans are good, 1 if not.
 
-        With consumers asked for: whether these accept every scan of every topic, and none is `unusable`. Without:
-        whether all do, and there is no defect.
+        If consumers are given: 0 if these accept every scan of every topic, and none is `unusable`. Otherwise: 0 if all
+        do, and there is no defect.
         """
         return int(not self.accepted or self.unusable or (not self.asked and self.defects > 0))
 
     def lines(self) -> Iterator[str]:
-        """Yield what was found, topic by topic, and who would not take what."""
+        """Yield the results by topic, and which consumers would not accept what."""
         for topic in self.topics:
             yield from topic.lines(self.asked)
         yield self._conclusion()
 
     def _conclusion(self) -> str:
-        """Say in one line who would not take what, the worst first."""
+        """Return in one line which consumers would not accept what, the worst first."""
         several = len(self.topics) > 1
         refusing: dict[str, dict[str, list[str]]] = {}
         for topic in self.topics:
@@ -271,35 +271,35 @@ def check(
     frames: FrameOptions | None = None,
     progress: Callable[[int, int, int], None] | None = None,
 ) -> Check:
-    """Check what those who read laser scans would do with the ones of a recording.
+    """Check what consumers would do with the scans of a recording.
 
     Parameters
     ----------
     sources
-        A recording, or several that are one.
+        Recordings; several are read as one.
     consumers
-        Whose verdicts count, of `pc2scan.core.consumers.CONSUMERS`; empty means all, and defects count too. All are
-        reported in any case.
+        The consumers that count, of `pc2scan.core.consumers.CONSUMERS`; empty means all, and then defects count, too.
+        All are reported in any case.
     topics
-        LaserScan topics to look at; empty means all.
+        LaserScan topics to check; empty means all.
     odom_frame, base_frame
         The frames that scans must be connected with; an empty ``base_frame`` means ``base_link``, or
-        ``base_footprint`` where that is not there.
+        ``base_footprint`` if the former does not exist.
     frames
-        Where transforms come from; None means the recording's ``/tf`` and ``/tf_static``.
+        The source of transforms; None: the recording's ``/tf`` and ``/tf_static``.
     progress
-        Called now and then with the bytes read so far, the bytes in all, and the scans read so far.
+        Called regularly with the bytes read so far, the bytes in all, and the scans read so far.
 
     Raises
     ------
     UsageError
-        If a consumer is unknown, there is no such topic, or several namespaces have transforms and none was named.
+        If a consumer is unknown, there is no such topic, or several namespaces have transforms and none was given.
     RecordingError
         If a source cannot be read.
 
     Notes
     -----
-    The scans are read once, and none is kept; the transforms are read before them.
+    The scans are read once, and are not held in memory; the transforms are read before them.
     """
     asked = tuple(dict.fromkeys(consumers))
     for consumer in asked:
@@ -362,7 +362,7 @@ def _check_topics(
 
 
 def _with_mountings(found: Sequence[TopicCheck], reader: Reader, buffer: TransformBuffer) -> list[TopicCheck]:
-    """Add what the clouds of the recording tell of the frames of its scans."""
+    """Add findings about the scans' frames, from the clouds of the recording."""
     tilted = mounting_findings(reader, buffer, [frame for topic in found for frame in topic.frames])
     return [
         replace(topic, findings=(*(tilted[frame] for frame in topic.frames if frame in tilted), *topic.findings))

@@ -1,4 +1,4 @@
-"""What the clouds of a topic look like, from a few of them spread over the recording."""
+"""The properties of the clouds of a topic, from a sample spread over the recording."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The names in a recording, as far as they are found quickly: for the shell's completion."""
+"""Finds names in a recording quickly, for the shell's completion."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 __all__ = ["sampled"]
 
-#: How often, for each sample, a stream may be opened for those topics only that lack it.
+#: How often, for each sample, a stream may be opened only for the topics that lack it.
 _NARROWED = 4
 
 

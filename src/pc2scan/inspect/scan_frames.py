@@ -22,25 +22,25 @@ __all__ = ["BASE_FRAMES", "ScanFrames"]
 #: The usual names of a robot's body; the first that exists is used.
 BASE_FRAMES = ("base_link", "base_footprint")
 
-#: A sensor is tilted if its z axis has this much less than 1 of the robot's: 2.6 degrees.
+#: A sensor is tilted if the cosine between its z axis and the robot's is below 1 by this much: 2.6 degrees.
 _TILT = 0.001
 
-#: A frame's z axis is not up at all if it has less than this of the robot's: 45 degrees and more.
+#: A frame's z axis is not up if the cosine between it and the robot's is below this: 45 degrees and more.
 _SIDEWAYS = math.sqrt(0.5)
 
-#: How frames of cameras are called, whose z axis looks forward (REP 103).
+#: The names of camera frames, whose z axis points forward (REP 103).
 _OPTICAL = ("_optical_frame", "_optical")
 
-_HINT = "`pc2scan tf` shows the frames; `tf_from` takes transforms from another recording"
+_HINT = "`pc2scan tf` shows the frames; `tf_from` reads transforms from another recording"
 
 
 def _no_transforms() -> Finding:
-    """What is reported of a recording without any transforms."""
+    """Return the finding about a recording without any transforms."""
     return Finding(
         "no-transforms",
         "notice",
         "the recording has no transforms: SLAM and navigation drop scans that they cannot place",
-        "keep /tf and /tf_static when recording or converting; `tf_from` takes them from another recording",
+        "keep /tf and /tf_static when recording or converting; `tf_from` reads them from another recording",
     )
 
 
@@ -50,7 +50,7 @@ class ScanFrames:
     Parameters
     ----------
     buffer
-        Every transform of the recording.
+        All transforms of the recording.
     odom_frame
         The frame in which the robot drives.
     base_frame
@@ -82,7 +82,7 @@ class ScanFrames:
         robot, why = self._moved(frame, self._base, stamp_ns)
         known: bool | None = robot is not None
         if robot is None and self._trees and self._base not in self._trees and not self._named:
-            # What the robot's frame is called is not known.
+            # The name of the robot's frame is unknown.
             known = None
         return ScanTransforms(
             frame_id=frame_id,
@@ -93,7 +93,7 @@ class ScanFrames:
         )
 
     def _moved(self, frame: str, target: str, stamp_ns: int) -> tuple[Rigid | None, str]:
-        """The transform to a frame at a stamp, or why there is none."""
+        """Return the transform to a frame at a stamp, or why there is none."""
         if frame == target:
             return Rigid.identity(), ""
         if not self._trees:
@@ -106,7 +106,7 @@ class ScanFrames:
     def _up(self, base_from_scan: Rigid, stamp_ns: int) -> float:
         """See `ScanTransforms.up`; counts how the sensor is tilted."""
         ahead, left, up = (float(part) for part in base_from_scan.matrix[:, 2])
-        # Upside down is level too.
+        # A sensor that is upside down is level, too.
         level = min(abs(up), 1.0)
         self._looked += 1
         if level < _SIDEWAYS:
@@ -114,7 +114,7 @@ class ScanFrames:
         if level < 1 - _TILT:
             self._tilted.add(stamp_ns)
         self._tilt = max(self._tilt, math.degrees(math.acos(level)))
-        # gmapping moves the point (0, 0, 1 + the sensor's height) of the robot's frame into that of the scan.
+        # gmapping transforms the point (0, 0, 1 + the sensor's height) from the robot's frame to the scan's.
         x, y, _ = (float(part) for part in base_from_scan.translation)
         return up - x * ahead - y * left
 
@@ -163,7 +163,7 @@ class ScanFrames:
 
     def _optical_findings(self) -> list[Finding]:
         hint = "for scans made from clouds: pc2scan convert --target-frame base_link; a scan lies in the x-y plane"
-        # A lidar that tilts looks sideways for a moment.
+        # A tilting lidar points sideways for a moment.
         if 2 * self._sideways.count > self._looked:
             text = (
                 f"{counted(self._sideways.count, 'scan', 'are')} in a frame whose z axis is not up, as those of "

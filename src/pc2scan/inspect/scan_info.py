@@ -1,4 +1,4 @@
-"""What the LaserScans of a topic look like, from a few of them spread over the recording."""
+"""The properties of the LaserScans of a topic, from a sample spread over the recording."""
 
 from __future__ import annotations
 
@@ -29,30 +29,30 @@ __all__ = ["ScanInfo", "ScanLook"]
 
 @dataclass(frozen=True, slots=True)
 class ScanInfo:
-    """What the scans of one topic look like, from a few of them spread over the recording.
+    """The properties of the scans of one topic, from a sample spread over the recording.
 
     Attributes
     ----------
     sampled
-        Scans looked at.
+        How many scans were read.
     rate_hz
-        Messages but the first, over the time of the recording; None for fewer than two.
+        Messages without the first, divided by the duration of the recording; None for fewer than two.
     frames
-        The ``frame_id`` that occur in them.
+        All ``frame_id`` of these scans.
     beams_min, beams_max
         Lengths of ``ranges``.
     angle_min, angle_max, angle_increment, range_min, range_max, scan_time, time_increment
-        Of the first of them, as in the message: radians, metres and seconds. None without any.
+        Values of the first of these scans, as in the message: radians, metres and seconds. None without any.
     intensities
-        Whether the first has any.
+        Whether the first scan has any.
     return_share, infinite_share, nan_share, short_share, long_share
         Shares of the ranges that are within the limits, +inf, NaN, below ``range_min``, and finite above ``range_max``.
     range
         Spread of the ranges that are within the limits.
     empty
-        Scans without any return.
+        How many scans have no return.
     consumers
-        What each consumer does with them, the worst of all, whatever the transforms: see `pc2scan.core.consumers`.
+        The worst outcome for each consumer, without considering transforms: see `pc2scan.core.consumers`.
     problems
         Why sampled scans cannot be decoded, each reason once.
     """
@@ -82,7 +82,7 @@ class ScanInfo:
     problems: tuple[str, ...] = ()
 
     def shown(self) -> Iterator[str | Table]:
-        """Yield what `Info` shows of it."""
+        """Yield the text of `Info` about the scans."""
         rate = "" if self.rate_hz is None else f", {self.rate_hz:.2f} Hz"
         yield f"{self.topic}: {counted(self.sampled, 'scan')} sampled{rate}"
         for problem in self.problems:
@@ -133,16 +133,16 @@ class ScanInfo:
 
 
 class ScanLook:
-    """What the sampled scans of a topic have shown.
+    """Collects the properties of a topic's sampled scans.
 
     Parameters
     ----------
     topic
-        Its name.
+        The topic's name.
     rate_hz
-        How often its scans come; None if that is not known.
+        The rate of its scans; None if unknown.
     most
-        How many ranges of a scan are kept; of longer ones every second, third, ... is.
+        How many ranges of a scan are used; of longer scans every second, third, ... range is used.
     """
 
     def __init__(self, topic: str, rate_hz: float | None, most: int) -> None:
@@ -157,7 +157,7 @@ class ScanLook:
         self._problems: dict[str, None] = {}
 
     def add(self, message: RawMessage) -> None:
-        """Look at a scan."""
+        """Add a scan."""
         self._sampled += 1
         try:
             decoded = decode_laserscan(message.data, message.connection.serialization)
@@ -175,7 +175,7 @@ class ScanLook:
         self._returns.append(ranges[(ranges >= low) & (ranges <= high) & (ranges < np.inf)].copy())
 
     def described(self) -> ScanInfo:
-        """Return the description."""
+        """Return the properties."""
         problems = tuple(self._problems)
         if not self._scans:
             return ScanInfo(self._topic, self._sampled, self._rate_hz, problems=problems)

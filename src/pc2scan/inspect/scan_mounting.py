@@ -1,4 +1,4 @@
-"""Whether scans lie level, by the ground in the clouds that their recording also has."""
+"""Checks whether scans are level, by the ground in the clouds of the same recording."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = ["mounting_findings"]
 
-#: Clouds of a topic that are searched for the ground.
+#: How many clouds of a topic are searched for the ground.
 _CLOUDS = 3
 
 
@@ -39,7 +39,7 @@ def mounting_findings(reader: Reader, buffer: TransformBuffer, frames: Iterable[
     Parameters
     ----------
     frames
-        Those of the scans.
+        The frames of the scans.
 
     Returns
     -------
@@ -53,7 +53,7 @@ def mounting_findings(reader: Reader, buffer: TransformBuffer, frames: Iterable[
         for message in islice(reader.messages([c for c in wanted if c.topic == name]), _CLOUDS):
             try:
                 cloud = CLOUDS[message.connection.ros_type](message.connection.serialization)(message.data)
-                # A few points are copied: the bytes of the message are used again.
+                # Some points are copied, because the buffer of the message is reused.
                 clouds.append(_Cloud(cloud.frame_id, cloud.stamp_ns, thinned(*cloud.xyz())))
             except DecodeError:
                 clouds.clear()
@@ -68,7 +68,7 @@ def mounting_findings(reader: Reader, buffer: TransformBuffer, frames: Iterable[
 
 
 def _finding(topic: str, clouds: list[_Cloud], buffer: TransformBuffer, frame: str) -> Finding | None:
-    """What the clouds of a topic show in a scan's frame; None if nothing is wrong, or they do not reach it."""
+    """Return the defect that a topic's clouds show in a scan's frame; None if there is none, or no transform."""
     samples: list[NDArray[np.float64]] = []
     for cloud in clouds:
         points = cloud.points

@@ -18,13 +18,13 @@ if TYPE_CHECKING:
 
 __all__ = ["Finding", "Judged", "Level", "ScanTopic", "Tally", "finding"]
 
-#: ``defect``: against what the message means, or of no use to anyone. ``notice``: worth knowing.
+#: ``defect``: against the definition of the message, or of no use. ``notice``: worth knowing.
 Level = Literal["defect", "notice"]
 
-#: Intervals between stamps are counted in classes that are this much apart, 1 %: their median takes no memory.
+#: Intervals between stamps are counted in classes with this ratio, 1 %, so that their median needs little memory.
 _CLASS = math.log(1.01)
 
-#: An interval that differs from the median by more than this share of it is reported: scans are missing or repeated.
+#: An interval that differs from the median by more than this share is reported: scans are missing or repeated.
 _STUTTER = 0.5
 
 #: A ``scan_time`` that differs from the median interval by more than this share of it is reported.
@@ -33,7 +33,8 @@ _SCAN_TIME = 0.2
 #: Rounding of a driver's ``time_increment``.
 _ROUNDING = 1.01
 
-#: Stamps and log times farther apart than this are reported, nanoseconds: the clocks differ, it is no delay.
+#: Stamps and log times farther apart than this, nanoseconds, are reported: the difference is one of clocks, not a
+#: delay.
 _FAR_NS = 1_000_000_000
 
 
@@ -48,13 +49,13 @@ class Finding:
     level
         ``defect`` or ``notice``.
     text
-        What, with the numbers.
+        The problem, with the numbers.
     hint
-        What to do; empty if unknown.
+        What the user can do; empty if unknown.
     count
-        Number of scans.
+        How many scans have it.
     stamp_ns
-        The stamp of the first of them; None if it does not concern single scans.
+        The stamp of the first of these scans; None if it does not concern single scans.
     """
 
     kind: str
@@ -90,20 +91,20 @@ class Judged:
     reason: Verdict | None = None
 
     def add(self, verdict: Verdict, stamp_ns: int) -> None:
-        """Count the verdict on one more scan, whatever its transforms."""
+        """Count the verdict on one more scan, without considering its transforms."""
         self.counts[verdict.outcome] += 1
         self.firsts.setdefault(verdict.outcome, (verdict, stamp_ns))
 
     def add_unplaced(self, verdict: Verdict, stamp_ns: int) -> None:
-        """Count a scan that is ignored for its transforms."""
+        """Count a scan that is ignored because of its transforms."""
         self.unplaced.add(stamp_ns)
         self.reason = self.reason or verdict
 
     def worst(self) -> tuple[Verdict, int, int] | None:
-        """The verdict on the scan that fares worst, how many do, and its stamp; None if there was no scan.
+        """Return the worst verdict, the number of scans with it, and the first one's stamp; None without scans.
 
-        Transforms count only where no scan has them: some without at the beginning and the end are usual. What is wrong
-        with the scans themselves comes first.
+        Missing transforms count only if no scan has them: at the beginning and the end they are usual. Problems of the
+        scans themselves come first.
         """
         if not self.counts:
             return None
@@ -124,11 +125,11 @@ class ScanTopic:
     first
         The first of them.
     frames
-        The ``frame_id`` that occur, with the number of scans.
+        All ``frame_id``, with their numbers of scans.
     beams
-        The lengths of ``ranges`` that occur, with the number of scans.
+        All lengths of ``ranges``, with their numbers of scans.
     judged
-        By consumer.
+        The verdicts by consumer.
     """
 
     def __init__(self) -> None:
@@ -157,7 +158,7 @@ class ScanTopic:
         self._reason = self._reason or reason
 
     def add(self, message: LaserScan, log_time_ns: int, placed: ScanTransforms | None = None) -> None:
-        """Look at the next scan; without ``placed``, transforms are not considered."""
+        """Add the next scan; without ``placed``, transforms are not considered."""
         stamp_ns = message.stamp_ns
         scan = consumed_scan(message)
         self.scans += 1
@@ -212,7 +213,7 @@ class ScanTopic:
 
     @property
     def interval_ns(self) -> float | None:
-        """The median of the intervals between stamps, to one percent; None for fewer than two scans."""
+        """Return the median of the intervals between stamps, to one percent; None for fewer than two scans."""
         total = sum(self._intervals.values())
         seen = 0
         for number in sorted(self._intervals):
@@ -222,7 +223,7 @@ class ScanTopic:
         return None
 
     def _mean(self, number: int) -> float:
-        """The mean of the intervals of one class."""
+        """Return the mean of the intervals of one class."""
         return self._totals[number] / self._intervals[number]
 
     def findings(self) -> list[Finding]:
@@ -257,7 +258,12 @@ class ScanTopic:
         if len(self.frames) > 1:
             named = ", ".join(repr(name) for name in list(self.frames)[:5])
             found.append(
-                Finding("frames", "notice", f"{len(self.frames)} frames on one topic: {named}", "one topic a sensor")
+                Finding(
+                    "frames",
+                    "notice",
+                    f"{len(self.frames)} frames on one topic: {named}",
+                    "use a topic for each sensor",
+                )
             )
         if self._length.count:
             found.append(
@@ -288,7 +294,7 @@ class ScanTopic:
                     "intensities",
                     "defect",
                     f"{self._of(self._intensities, 'have')} intensities, but not one a beam",
-                    "leave the intensities out, or give every beam one",
+                    "write no intensities, or one for every beam",
                     self._intensities,
                 )
             )
@@ -413,12 +419,12 @@ class ScanTopic:
 
 
 def finding(kind: str, level: Level, text: str, hint: str, tally: Tally) -> Finding:
-    """Tell of what was tallied."""
+    """Return the finding about a tally."""
     return Finding(kind, level, text, hint, tally.count, tally.stamp_ns)
 
 
 def _turn(scan: Scan) -> float:
-    """How far a scan turns from its first beam to its last, or says that it does, radians."""
+    """Return the angle from a scan's first beam to its last, or between its advertised angles, radians."""
     return max(abs(scan.angle_max - scan.angle_min), (scan.beams - 1) * abs(scan.angle_increment))
 
 

@@ -28,13 +28,13 @@ class Spread:
 
 
 def finite(values: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
-    """Values that can be computed with: finite, and so far from the largest number that their differences are too."""
+    """Return the finite values whose differences are finite, too."""
     known: NDArray[np.floating[Any]] = values[np.abs(values) < _LARGEST]
     return known
 
 
 def spread_of(values: NDArray[np.floating[Any]]) -> Spread | None:
-    """Return the spread of the finite ones among some values; None if there are none."""
+    """Return the spread of the finite values; None if there are none."""
     known = finite(values)
     if not known.size:
         return None

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 __all__ = ["FrameTree", "frame_tree"]
 
-#: Damaged places that are shown as text.
+#: How many damaged places are shown as text.
 _MAX_SHOWN = 5
 
 
@@ -39,7 +39,7 @@ class FrameTree(Shown):
     trees
         Connected frames; more than one tree means that some frames are disconnected.
     warnings
-        Transforms that cannot be used, and why.
+        Which transforms cannot be used, and why.
     buffer
         For lookups.
     damage
@@ -60,7 +60,7 @@ class FrameTree(Shown):
         target, source
             Frame names.
         stamp_ns
-            When, in nanoseconds since 1970. Default: the latest time that all frames on the way have.
+            The time, nanoseconds since 1970. Default: the latest time that all frames on the way have.
 
         Returns
         -------
@@ -75,7 +75,7 @@ class FrameTree(Shown):
         try:
             return self.buffer.lookup(target, source, stamp_ns)
         except TransformError as err:
-            # The latest time is no stamp.
+            # None means the latest time.
             err.stamp_ns = stamp_ns or None
             raise
 
@@ -131,7 +131,7 @@ def frame_tree(sources: Sequence[Path], options: FrameOptions | None = None) -> 
     RecordingError
         If a source cannot be read.
     UsageError
-        If several namespaces have transforms and none was named.
+        If several namespaces have transforms and none was given.
     """
     options = options or FrameOptions()
     read = [*sources, *options.tf_from]

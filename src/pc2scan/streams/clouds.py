@@ -38,9 +38,9 @@ class Cloud:
     Attributes
     ----------
     topic
-        Where it was published.
+        The topic that it was published on.
     log_time_ns
-        When it was recorded, nanoseconds since 1970.
+        The time of recording, nanoseconds since 1970.
     """
 
     topic: str
@@ -59,7 +59,7 @@ class Cloud:
 
     @property
     def log_time(self) -> np.datetime64:
-        """When it was recorded, as ``numpy.datetime64`` in nanoseconds; ``NaT`` where that cannot hold it."""
+        """The time of recording as ``numpy.datetime64`` in nanoseconds; ``NaT`` if that cannot represent it."""
         return datetime64(self.log_time_ns)
 
     @property
@@ -79,7 +79,7 @@ class Cloud:
 
     @property
     def is_dense(self) -> bool:
-        """Whether the publisher says that no point is NaN."""
+        """Whether the publisher declares that no point is NaN (``is_dense``)."""
         return self._message.is_dense
 
     @property
@@ -88,7 +88,7 @@ class Cloud:
         return tuple(field.name for field in self._message.fields)
 
     def __len__(self) -> int:
-        """Return how many points there are, NaN and (0, 0, 0) included."""
+        """Return the number of points, including NaN and (0, 0, 0)."""
         return self._message.points
 
     def __getitem__(self, name: str) -> NDArray[Any]:
@@ -102,7 +102,7 @@ class Cloud:
         Returns
         -------
         numpy.ndarray
-            Shape (points,), in the recorded type; a copy. Of a field with several elements the first.
+            Shape (points,), in the recorded type; a copy. Only the first element of a field with several.
 
         Raises
         ------
@@ -117,7 +117,7 @@ class Cloud:
         return values.astype(values.dtype.newbyteorder("=")).ravel()
 
     def keys(self) -> tuple[str, ...]:
-        """Return the names of the fields: a cloud is taken wherever a mapping of fields is."""
+        """Return the names of the fields, so that a cloud is accepted wherever a mapping of fields is."""
         return self.fields
 
     def xyz(self) -> NDArray[np.floating[Any]]:
@@ -137,7 +137,7 @@ class Cloud:
         columns = self._message.xyz()
         dtype = np.result_type(np.float32, *(column.dtype for column in columns))
         points = np.empty((len(self), 3), dtype)
-        with np.errstate(invalid="ignore"):  # a NaN may be one that signals
+        with np.errstate(invalid="ignore"):  # a NaN may be a signalling one
             for index, column in enumerate(columns):
                 points[:, index] = column.ravel()
         return points
@@ -193,7 +193,7 @@ class Cloud:
         return columns
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # To other processes, and into files: a view cannot go there, its bytes can.
+        # For other processes and files: a view cannot be pickled, its bytes can.
         message = self._message
         described = [getattr(message, each.name) for each in dataclass_fields(message) if each.name[0] != "_"]
         values = [bytes(value) if isinstance(value, memoryview) else value for value in described]
@@ -214,7 +214,7 @@ def _restored(topic: str, log_time_ns: int, values: Sequence[Any]) -> Cloud:
 class Clouds(Stream[Cloud]):
     """The clouds of a recording, read as they are iterated over; `pc2scan.clouds` makes it.
 
-    The recording is opened at once, so that what is wrong with the request is an error here and not in the loop.
+    The recording is opened immediately, so that a wrong request raises here and not in the loop.
     Each loop reads from the beginning. The files are closed when the loop ends or is left, or with `close` or a
     ``with`` statement.
 
@@ -223,7 +223,7 @@ class Clouds(Stream[Cloud]):
     topics
         The topics of the clouds.
     damage
-        What is damaged in the recording, as far as the last loop read it.
+        The damage that the last loop found.
     skipped, skipped_count
         Messages that the last loop could not use: the first hundred, and how many.
     """
@@ -269,19 +269,19 @@ class Clouds(Stream[Cloud]):
 
 
 def _common(names: Iterable[str], parts: Sequence[dict[str, NDArray[Any]]]) -> list[str]:
-    """The names that every part has."""
+    """Return the names that every part has."""
     return [name for name in names if all(name in part for part in parts)]
 
 
 def _kept(data: Buffer) -> Buffer:
-    """The data, copied if a view of them would keep something larger in memory, or is borrowed."""
+    """Return the data, copied if a view would keep something larger in memory, or is borrowed."""
     if isinstance(data, memoryview) and isinstance(data.obj, bytes) and 2 * len(data) >= len(data.obj):
         return data
     return data if isinstance(data, bytes) else bytes(data)
 
 
 def _scans_instead(reader: Reader) -> str | None:
-    """What to do about a recording that has scans, but no clouds."""
+    """Return the hint for a recording that has scans, but no clouds."""
     if not any(connection.ros_type == LASERSCAN for connection in reader.connections):
         return None
     return "it has LaserScan topics: pc2scan.scans() reads these"

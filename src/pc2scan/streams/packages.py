@@ -1,4 +1,4 @@
-"""Packages that pc2scan does without: tables need them."""
+"""Optional packages, which tables need."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ __all__ = ["pandas", "xarray"]
 
 
 def pandas() -> Any:
-    """The package pandas; an ImportError that says what to do if it is not installed."""
+    """Return the package pandas; raise an ImportError with what to install if it is missing."""
     return _package("pandas", "to_dataframe")
 
 
 def xarray() -> Any:
-    """The package xarray; an ImportError that says what to do if it is not installed."""
+    """Return the package xarray; raise an ImportError with what to install if it is missing."""
     return _package("xarray", "to_xarray")
 
 

@@ -1,4 +1,4 @@
-"""LaserScan messages as objects with arrays, read from a recording or made of its clouds on the way."""
+"""LaserScan messages as objects with arrays, read from a recording, or made from its clouds."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Scan", "Scans"]
 
-#: What all scans of one table have to agree in: its beams.
+#: The attributes that all scans of one table must share: their beams.
 _GEOMETRY = ("angle_min", "angle_max", "angle_increment")
 _LIMITS = ("range_min", "range_max", "time_increment", "scan_time")
 
@@ -50,9 +50,9 @@ class Scan:
     Attributes
     ----------
     topic
-        Where it was published.
+        The topic that it was published on.
     log_time_ns
-        When it was recorded, nanoseconds since 1970.
+        The time of recording, nanoseconds since 1970.
     stamp_ns
         ``header.stamp``, nanoseconds since 1970.
     frame
@@ -93,19 +93,19 @@ class Scan:
 
     @property
     def log_time(self) -> np.datetime64:
-        """When it was recorded, as ``numpy.datetime64`` in nanoseconds; ``NaT`` where that cannot hold it."""
+        """The time of recording as ``numpy.datetime64`` in nanoseconds; ``NaT`` if that cannot represent it."""
         return datetime64(self.log_time_ns)
 
     @property
     def angles(self) -> NDArray[np.float64]:
-        """Where each beam looks, shape (beams,), radians: ``angle_min + i * angle_increment``."""
+        """The direction of each beam, shape (beams,), radians: ``angle_min + i * angle_increment``."""
         angles: NDArray[np.float64] = self.angle_min + np.arange(len(self.ranges)) * np.float64(self.angle_increment)
         return angles
 
     @property
     def valid(self) -> NDArray[np.bool_]:
         """Which beams have a return, shape (beams,): ``range_min <= range < range_max``, which NaN and inf are not."""
-        with np.errstate(invalid="ignore"):  # a NaN may be one that signals
+        with np.errstate(invalid="ignore"):  # a NaN may be a signalling one
             valid: NDArray[np.bool_] = (self.ranges >= np.float64(self.range_min)) & (
                 self.ranges < np.float64(self.range_max)
             )
@@ -176,7 +176,7 @@ class Scan:
 class Scans(Stream[Scan]):
     """The scans of a recording, read as they are iterated over; `pc2scan.scans` makes it.
 
-    The recording is opened at once, so that what is wrong with the request is an error here and not in the loop.
+    The recording is opened immediately, so that a wrong request raises here and not in the loop.
     Each loop reads from the beginning. The files are closed when the loop ends or is left, or with `close` or a
     ``with`` statement.
 
@@ -185,9 +185,9 @@ class Scans(Stream[Scan]):
     topics
         The topics of the scans.
     notes
-        What was measured for scans that are made of clouds, or chosen without being asked for.
+        Values that were measured, or chosen by default, for scans that are made of clouds.
     damage
-        What is damaged in the recording, as far as the last loop read it.
+        The damage that the last loop found.
     skipped, skipped_count
         Messages that the last loop could not use: the first hundred, and how many.
     """
@@ -213,7 +213,7 @@ class Scans(Stream[Scan]):
     def _converting(self, stack: ExitStack, reader: Reader, options: ConvertOptions) -> Source:
         """Convert clouds as `pc2scan.convert` does."""
         if not options.scan.topics:
-            # The only one, or an error.
+            # The only topic, or an error.
             self._selection.chosen(reader, options.scan.source_types, _scans_instead)
         plan = make_plan(reader.connections, options)
         span = span_of(reader, options)
@@ -282,7 +282,7 @@ class Scans(Stream[Scan]):
         ImportError
             If xarray is not installed.
         UsageError
-            If there is no scan, or the beams of the scans are not the same. `to_dataframe` takes any.
+            If there is no scan, or the beams of the scans are not the same. `to_dataframe` accepts any scans.
         """
         packages.xarray()
         return _dataset(list(self))
@@ -297,7 +297,7 @@ def _dataset(scans: Sequence[Scan]) -> Any:
         if len(scan.ranges) != len(first.ranges) or any(getattr(scan, n) != getattr(first, n) for n in _GEOMETRY):
             raise UsageError(
                 f"the scans do not have the same beams: {_layout_text(first)}, but {_layout_text(scan)}",
-                hint="to_dataframe() takes any scans; or choose one with topic=",
+                hint="to_dataframe() accepts any scans; or choose one with topic=",
             )
     data = {"ranges": (("time", "beam"), np.stack([scan.ranges for scan in scans]), {"units": "m"})}
     if all(len(scan.intensities) == len(first.ranges) for scan in scans):
@@ -366,7 +366,7 @@ def _converted(convert: Callable[[Buffer], Converted], targets: Sequence[str], m
 
 
 class _Conversion:
-    """Accounts for a conversion as `pc2scan.convert` does."""
+    """Counts the results of a conversion, as `pc2scan.convert` does."""
 
     def __init__(self, report: Report, routes: Sequence[Route]) -> None:
         self._report = report
@@ -387,7 +387,7 @@ class _Conversion:
         report.topics += entries.values()
 
     def note(self, message: Read) -> None:
-        """Take note of a message; see `Account`."""
+        """Count a message; see `Account`."""
         if self._unconnected.is_possible:
             self._unconnected.note(message.connection, message.error)
         for entry in self._entries[message.connection.id]:
@@ -404,13 +404,13 @@ class _Conversion:
                     entry.tilts.append(message.converted.level.tilt)
 
     def warnings(self) -> Sequence[str]:
-        """Return what the user should know; see `Account`."""
+        """Return warnings for the user; see `Account`."""
         self._report.conclude()
         return self._report.warnings
 
 
 def _clouds_instead(reader: Reader) -> str | None:
-    """What to do about a recording that has clouds, but no scans."""
+    """Return the hint for a recording that has clouds, but no scans."""
     if not any(connection.ros_type in CLOUDS for connection in reader.connections):
         return None
     return "its clouds become scans with parameters: `preset`, `params_file`, or any of them by name, `min_height=-0.3`"

@@ -1,4 +1,4 @@
-"""The messages of a recording, one after the other: opened, cut, and closed again."""
+"""Reads the messages of a recording one after the other: opens it, applies the cut, and closes it."""
 
 from __future__ import annotations
 
@@ -38,23 +38,23 @@ Item = TypeVar("Item")
 #: Messages between two calls of the progress function.
 _PROGRESS_EVERY = 16
 
-#: Topics that a representation names.
+#: How many topics ``repr`` names.
 _SHOWN = 3
 
-#: Messages between two calls of a progress function.
+#: How many messages are between two calls of a progress function.
 _PROGRESS_EVERY = 64
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Selection:
-    """What is read.
+    """The request: what is read.
 
     Attributes
     ----------
     paths
-        Recordings; several are one.
+        Recordings; several are read as one.
     topics
-        As they were asked for; empty means the only one of its type.
+        The requested topics; empty means the only one of its type.
     start, end
         The cut, by log time.
     on_error
@@ -87,12 +87,12 @@ class Selection:
         kinds
             The types of the topics, in ROS 2's spelling.
         hint
-            What to do about a recording without any.
+            Returns the hint for a recording without such topics.
 
         Raises
         ------
         TopicError
-            If a topic is missing or has another type, or none was asked for and there is not exactly one.
+            If a topic is missing or has another type, or if none was requested and there is not exactly one.
         """
         types: dict[str, set[str]] = {}
         found: dict[str, list[Connection]] = {}
@@ -124,7 +124,7 @@ class Selection:
 
 
 class Read(NamedTuple):
-    """What became of a message: its items, or why there are none; of a conversion, what became of its points too."""
+    """The result of a message: its items, or the error; for a conversion, also the counts of its points."""
 
     connection: Connection
     log_time_ns: int
@@ -135,14 +135,14 @@ class Read(NamedTuple):
 
 
 class Account(Protocol):
-    """What is made of the messages as a whole."""
+    """Counts the results of all messages."""
 
     def note(self, message: Read) -> None:
-        """Take note of a message. Raises a `MessageError` if it is clear by now that no other one can be used."""
+        """Count a message. Raises a `MessageError` if it is certain that no other message can be used."""
         ...
 
     def warnings(self) -> Sequence[str]:
-        """Return what the user should know, at the end."""
+        """Return warnings for the user, at the end."""
         ...
 
 
@@ -154,17 +154,17 @@ class Source(NamedTuple):
     readers
         The recording, and others that were opened for it; all are closed with ``stack``.
     topics
-        Those that the items have.
+        The topics of the items.
     connections
-        What is read.
+        The connections that are read.
     start_ns, stop_ns
         The cut: ``start_ns <= log_time_ns < stop_ns``.
     read
         Makes the items of a message.
     latched
-        Connections whose messages from before the cut are read too.
+        Connections whose messages from before the cut are read, too.
     account
-        Takes note of what becomes of each message; None where nobody asks.
+        Counts the result of each message; None if not needed.
     """
 
     stack: ExitStack
@@ -179,25 +179,25 @@ class Source(NamedTuple):
 
     @property
     def damage(self) -> tuple[Damage, ...]:
-        """What is damaged, as far as the recordings were read."""
+        """The damage in the parts of the recordings that were read."""
         return tuple(damage for reader in self.readers for damage in reader.damage)
 
     def messages(self) -> Iterator[Read]:
-        """What became of the messages, by log time."""
+        """Yield the results of the messages, by log time."""
         reader = self.readers[0]
         parts = [reader.units(self.connections, self.start_ns, self.stop_ns)]
         if self.latched and self.start_ns is not None:
             parts.insert(0, reader.units(self.latched, None, self.start_ns))
         for units in parts:
             with closing(in_time_order(units, self.read, path=reader.path)) as found:
-                # Whole chunks come only where a rule allows them.
+                # Whole chunks are yielded only if a rule allows it.
                 yield from found  # type: ignore[misc]
 
 
 class Stream(ABC, Generic[Item]):
     """The messages of a recording, read as they are iterated over.
 
-    The recording is opened at once, so that what is wrong with the request is an error here and not in the loop.
+    The recording is opened immediately, so that a wrong request raises here and not in the loop.
     Each loop reads it from the beginning. Its files are closed when the loop ends, is left and forgotten, or with
     `close` or a ``with`` statement.
 
@@ -206,7 +206,7 @@ class Stream(ABC, Generic[Item]):
     topics
         The topics that are read.
     damage
-        What is damaged in the recording, as far as the last loop read it.
+        The damage that the last loop found.
     skipped
         The first hundred messages that the last loop could not use.
     skipped_count
@@ -218,13 +218,13 @@ class Stream(ABC, Generic[Item]):
         self._live: WeakSet[Generator[Item]] = WeakSet()
         self.skipped: list[Skipped] = []
         self.skipped_count = 0
-        #: Takes what the user should know of a conversion, instead of Python's warnings; its owner reports the rest.
+        #: Receives the warnings of a conversion, instead of Python's warnings; its owner reports the rest.
         self.listener: Callable[[str], None] | None = None
-        #: Called now and then with bytes read, bytes in all, and messages read.
+        #: Called regularly with bytes read, bytes in all, and messages read.
         self.progress: Callable[[int, int, int], None] | None = None
         source = self._open()
         self._prepared: Source | None = source
-        #: Closes what is open if nobody iterates.
+        #: Closes the open files if the object is never iterated over.
         self._release = finalize(self, source.stack.close)
         self._release.atexit = False
         self.topics = source.topics
@@ -232,7 +232,7 @@ class Stream(ABC, Generic[Item]):
 
     @abstractmethod
     def _source(self, stack: ExitStack, reader: Reader) -> Source:
-        """Find out what is read of an open recording."""
+        """Return what is read from an open recording."""
 
     def _open(self) -> Source:
         asked = self._selection
@@ -243,20 +243,20 @@ class Stream(ABC, Generic[Item]):
             if source.start_ns is not None or source.stop_ns is not None:
                 with suppress(TopicError):
                     refuse_no_messages(source.readers[0], source.connections, source.start_ns, source.stop_ns)
-            # All is well: what is open stays so.
+            # No error: the files stay open.
             return source._replace(stack=stack.pop_all())
 
     def __iter__(self) -> Generator[Item]:
         items = self._items(self._taken())
         self._live.add(items)
-        # From here on the generator closes the files, whatever becomes of it.
+        # From here on the generator closes the files in any case.
         next(items)
         return items
 
     def reads(self, progress: Progress | None = None) -> Generator[Read]:
-        """Yield what became of each message, for callers that report it themselves: Python's warnings are not used.
+        """Yield the result of each message, for callers that report it themselves: Python's warnings are not used.
 
-        At the end, `listener` gets what the user should know of a conversion.
+        At the end, `listener` receives the warnings of a conversion.
 
         Parameters
         ----------
@@ -266,7 +266,7 @@ class Stream(ABC, Generic[Item]):
         Raises
         ------
         MessageError
-            If it is clear by now that no message can be used.
+            If it is certain that no message can be used.
         """
         source = self._taken()
         with source.stack, closing(_accounted(source)) as messages:
@@ -317,7 +317,7 @@ class Stream(ABC, Generic[Item]):
                     warnings.warn(text, RecordingWarning, stacklevel=2)
 
     def _skip(self, message: Read) -> None:
-        """Account for a message that cannot be used; the first one is warned of, the others are listed."""
+        """Count a message that cannot be used; warn of the first one, list the others."""
         error = message.error
         assert error is not None
         error.topic = message.connection.topic
@@ -354,7 +354,7 @@ class Stream(ABC, Generic[Item]):
 
 
 def _accounted(source: Source) -> Generator[Read]:
-    """What became of each message; the account has taken note of it."""
+    """Yield the result of each message, after the account has counted it."""
     with closing(source.messages()) as messages:  # type: ignore[type-var]
         for message in messages:
             if source.account is not None:

@@ -1,4 +1,4 @@
-"""Times of messages as NumPy has them."""
+"""Converts times of messages to NumPy's."""
 
 from __future__ import annotations
 
@@ -11,5 +11,5 @@ _LARGEST = 2**63 - 1
 
 
 def datetime64(nanoseconds: int) -> np.datetime64:
-    """Nanoseconds since 1970 as ``numpy.datetime64`` in nanoseconds; ``NaT`` for what 64 bits cannot hold."""
+    """Return nanoseconds since 1970 as ``numpy.datetime64``; ``NaT`` for values beyond 64 bits."""
     return np.datetime64(nanoseconds, "ns") if abs(nanoseconds) <= _LARGEST else np.datetime64("NaT", "ns")
