@@ -93,7 +93,13 @@ def functions() -> str:
 
 
 def schemas() -> str:
-    """Return the JSON schemas of the files that pc2scan reads."""
+    """Return the JSON schemas of the files that pc2scan reads and writes."""
     files = sorted((ROOT / "src").rglob("*.schema.json"))
     parts = [f"## {path.name}\n\n```json\n{path.read_text('utf-8').strip()}\n```\n" for path in files]
-    return "\n".join(["# Schemas\n", "For editors that check YAML as it is typed.\n", *parts])
+    return "\n".join(
+        [
+            "# Schemas\n",
+            "Of scans files and dataset files, for editors that check YAML; of reports and manifests, for programs.\n",
+            *parts,
+        ]
+    )

@@ -1,0 +1,127 @@
+"""The JSON schemas of the report and the manifest: real ones have exactly what they say."""
+
+from __future__ import annotations
+
+import json
+from importlib.resources import files
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from e2e.command import run
+from support import ROOT
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+HALL = ROOT / "fixtures" / "hall.bag"
+SCHEMAS = {
+    name: json.loads((files("pc2scan") / folder / name).read_text("utf-8"))
+    for folder, name in (("pipeline", "report.schema.json"), ("batch", "manifest.schema.json"))
+}
+TYPES: dict[str, Any] = {
+    "null": type(None),
+    "string": str,
+    "integer": int,
+    "number": (int, float),
+    "boolean": bool,
+    "array": list,
+    "object": dict,
+}
+
+
+def violations(value: Any, schema: dict[str, Any], root: dict[str, Any], place: str = "$") -> list[str]:
+    """What of a document a schema does not allow: the keywords that ours use, and no others."""
+    assert schema.keys() <= {
+        *("$schema", "$id", "$ref", "$defs", "title", "description", "type", "enum", "anyOf"),
+        *("properties", "required", "additionalProperties", "items", "minItems", "maxItems"),
+    }
+    if reference := schema.get("$ref"):
+        file, _, pointer = reference.partition("#")
+        root = SCHEMAS[file] if file else root
+        target = root
+        for step in pointer.split("/")[1:]:
+            target = target[step]
+        return violations(value, target, root, place)
+    if options := schema.get("anyOf"):
+        tried = [violations(value, each, root, place) for each in options]
+        return [] if [] in tried else [f"{place}: none of {len(tried)}", *tried[0]]
+    kinds = schema.get("type", list(TYPES))
+    kinds = [kinds] if isinstance(kinds, str) else kinds
+    fits = any(isinstance(value, TYPES[kind]) and (not isinstance(value, bool) or kind == "boolean") for kind in kinds)
+    if not fits or value not in schema.get("enum", [value]):
+        return [f"{place}: {value!r} is not {schema.get('enum', kinds)}"]
+    found = []
+    if isinstance(value, dict):
+        known, more = schema.get("properties", {}), schema.get("additionalProperties", True)
+        found += [f"{place}: {name} is missing" for name in schema.get("required", ()) if name not in value]
+        for name, each in value.items():
+            if name in known or isinstance(more, dict):
+                found += violations(each, known.get(name, more), root, f"{place}.{name}")
+            elif not more:
+                found.append(f"{place}: {name} is too much")
+    if isinstance(value, list):
+        if not schema.get("minItems", 0) <= len(value) <= schema.get("maxItems", len(value)):
+            found.append(f"{place}: {len(value)} items")
+        for number, each in enumerate(value):
+            found += violations(each, schema.get("items", {}), root, f"{place}[{number}]")
+    return found
+
+
+SCANS = "scans:\n  /low: {max_height: 0.3, min_height: -0.3}\n  /high: {min_height: 0.3}\n"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("--min-height", "-0.3"),
+        ("--target-frame", "nowhere"),
+        ("--deskew", "--fixed-frame", "odom", "--level", "--stamp", "end", "--on-error", "skip"),
+        ("--accumulate", "2", "--fixed-frame", "odom", "--target-frame", "base_link"),
+        ("--scans", "scans.yaml"),
+        ("--split", "0.2s", "--remove", "shadows", "--where", "ring > 2", "--keep-used", "/used"),
+        ("--drop", "/tf", "--target-frame", "odom"),
+    ],
+    ids=" ".join,
+)
+def test_a_report_is_as_its_schema_says(tmp_path: Path, words: tuple[str, ...]) -> None:
+    (tmp_path / "scans.yaml").write_text(SCANS)
+    run("convert", HALL, "-o", tmp_path / "out.bag", "--report", "report.json", *words, cwd=tmp_path)
+    report = json.loads((tmp_path / "report.json").read_text("utf-8"))
+    schema = SCHEMAS["report.schema.json"]
+    assert violations(report, schema, schema) == []
+    del report["topics"]
+    assert violations(report | {"more": 1}, schema, schema) == ["$: topics is missing", "$: more is too much"]
+
+
+def test_reports_of_damaged_and_rebinned_recordings(tmp_path: Path) -> None:
+    cut = tmp_path / "cut.bag"
+    cut.write_bytes(HALL.read_bytes()[:300_000])
+    schema = SCHEMAS["report.schema.json"]
+    scans = tmp_path / "scans.bag"
+    assert run("convert", HALL, "-o", scans, "--min-height", "-0.3").status == 0
+    for number, words in enumerate(
+        (
+            ("repair", cut),
+            ("convert", cut),
+            ("convert", scans, "--rebin", "--beams", "90"),
+            ("convert", scans, "--reverse"),
+        )
+    ):
+        run(*words, "-o", tmp_path / f"{number}.bag", "--report", tmp_path / f"{number}.json")
+        report = json.loads((tmp_path / f"{number}.json").read_text("utf-8"))
+        assert violations(report, schema, schema) == []
+        assert bool(report["damage"]) == (number < 2)
+
+
+@pytest.mark.parametrize("words", [(), ("--export", "npz")])
+def test_a_manifest_is_as_its_schema_says(tmp_path: Path, words: tuple[str, ...]) -> None:
+    empty = tmp_path / "broken.bag"
+    empty.write_bytes(HALL.read_bytes()[:100])
+    run("batch", HALL, empty, "-o", tmp_path / "out", "--min-height", "-0.3", *words)
+    lines = (tmp_path / "out" / "manifest.jsonl").read_text("utf-8").splitlines()
+    schema = SCHEMAS["manifest.schema.json"]
+    records = [json.loads(line) for line in lines]
+    assert {record["outcome"] for record in records} == {"converted", "failed"}
+    for record in records:
+        assert violations(record, schema, schema) == []
