@@ -1,7 +1,7 @@
 """Makes the pictures of the README again: ``python docs/pictures/make.py [FOLDER]``.
 
-A cloud of the fixtures, the map of a drive that the tests simulate, scans of robots that move, and the chart of
-docs/benchmarks.md. Needs what the tests need.
+A cloud of the fixtures and scans of it that are wrong, the map of a drive that the tests simulate, scans of robots that
+move, and the chart of docs/benchmarks.md. Needs what the tests need.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ sys.path.insert(0, str(ROOT / "tests"))
 
 import moving  # noqa: E402  # beside this one
 import speed  # noqa: E402  # this, too
+import wrong  # noqa: E402  # and this
 
 from builders import write_mcap  # noqa: E402  # a folder of its own
 from drives import drive_recording  # noqa: E402
@@ -36,6 +37,7 @@ def main(folder: Path) -> None:
         pc2scan("map", drive, "--png", folder / "map.png")
     moving.main(folder)
     speed.main(folder)
+    wrong.main(folder)
 
 
 if __name__ == "__main__":

@@ -120,6 +120,21 @@ def test_the_dataset_recipe_ends_in_scans_that_are_accepted(tmp_path: Path) -> N
     assert "ok: accepted by slam_toolbox" in done.stdout
 
 
+def test_the_recipe_of_each_program_makes_what_it_accepts(tmp_path: Path) -> None:
+    shutil.copy(ROOT / "fixtures" / "hall.bag", tmp_path / "drive.bag")
+    section = PAGES["slam"].partition("## A recipe for each program")[2].partition("\n## ")[0]
+    commands = [words for block in code_blocks("sh", section) for words in commands_in(block)]
+    assert {words[-1] for words in commands if words[0] == "check"} >= {
+        "slam_toolbox",
+        "cartographer",
+        "gmapping",
+        "mrpt",
+    }
+    for words in commands:
+        done = run(*words, cwd=tmp_path)
+        assert (done.status, done.stderr) == (0, ""), words
+
+
 def test_exit_statuses_are_told_alike() -> None:
     help_text = run("--help").stdout
     report = PAGES["report"]
