@@ -91,7 +91,7 @@ THIRD_PARTY = {
     "core": {"numpy"},
     "tf": {"numpy", "ruamel"},
     "messages": {"numpy", "rosbags"},
-    "bags": {"numpy", "rosbags", "mcap", "lz4", "ruamel"},
+    "bags": {"numpy", "rosbags", "lz4", "ruamel"},
     "pipeline": {"numpy", "ruamel"},
     "inspect": {"numpy"},
     "compare": {"numpy"},
@@ -239,7 +239,7 @@ LOADED_BY_CONVERT = {
         "chunked damage destinations formats many mcap merged opening parts reader rosbag1 topics units zstd"
     ),
     "pc2scan.bags.chunked": "entries salvaged segments spans",
-    "pc2scan.bags.mcap": "records writer",
+    "pc2scan.bags.mcap": "record_types records writer",
     "pc2scan.bags.rosbag1": "chunks copies counts entries index lz4_frames reader records",
     "pc2scan.cli": (
         "app completion convert damage fitting groups interrupts memory next_command options outcome progress "

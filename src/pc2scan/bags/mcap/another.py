@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mcap.opcode import Opcode
-
 from pc2scan.bags.parts import AnotherBeginsError
 
+from .record_types import Opcode
 from .records import MAGIC, RECORD
 
 if TYPE_CHECKING:

@@ -11,15 +11,14 @@ from collections import Counter
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from mcap import records
-from mcap.opcode import Opcode
-
 from pc2scan.bags.chunked.segments import Segment
 from pc2scan.bags.damage import MAX_PLACES
 from pc2scan.errors import DamageError
 from pc2scan.files.crc32 import crc32
 
+from . import record_types as records
 from .chunks import CHUNK_HEAD_SIZE, ChunkSegment, chunk_at
+from .record_types import Opcode
 from .records import CHUNK, MAGIC, MESSAGE, OP_CHUNK, OP_MESSAGE, OP_MESSAGE_INDEX, RECORD, UINT64, parse, split
 
 if TYPE_CHECKING:

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import struct
 from array import array
 from collections import deque
 from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
-
-from mcap import records
-from mcap.opcode import Opcode
 
 from pc2scan.bags.chunked.salvaged import Salvaged, note_salvaged
 from pc2scan.bags.chunked.segments import counted, standing_alone, units_of
@@ -34,11 +30,13 @@ from pc2scan.model import (
     own,
 )
 
+from . import record_types as records
 from .chunks import ChunkSegment, chunk_at, message_at, payload, with_payload
 from .copies import agreed, whole_by_content, whole_by_index
 from .data_crc import data_crc
 from .entries import index_check
 from .index import ExtraIndex, McapIndex, find_declarations, find_index
+from .record_types import Opcode
 from .records import FIRST_PRIVATE, MESSAGE, OP_MESSAGE, RECORD, RecordFile, parse, split
 
 if TYPE_CHECKING:
@@ -433,13 +431,12 @@ class McapReader(PartReader):
                 # The CRC follows the data, which follow two times, two strings and their own length.
                 texts = len(record.name.encode()) + len(record.media_type.encode())
                 covered = 8 + 8 + 4 + 4 + texts + 8 + len(record.data)
-                (crc,) = struct.unpack_from("<I", content, covered)
             except DamageError as err:
                 self._log.note(err, offset=offset, bytes_lost=len(content))
                 continue
-            if self._verify and crc and (actual := crc32(memoryview(content)[:covered])) != crc:
+            if self._verify and record.crc and (actual := crc32(memoryview(content)[:covered])) != record.crc:
                 self._log.note(
-                    self._file.damage(f"attachment {record.name!r} has CRC {actual:08x}, recorded is {crc:08x}"),
+                    self._file.damage(f"attachment {record.name!r} has CRC {actual:08x}, recorded is {record.crc:08x}"),
                     offset=offset,
                 )
             expected = records.AttachmentIndex(

@@ -6,24 +6,22 @@ Source of the format: https://mcap.dev/spec and https://mcap.dev/spec/registry.
 from __future__ import annotations
 
 import struct
-from io import BytesIO
 from typing import TYPE_CHECKING, TypeVar
-
-from mcap import records
-from mcap.data_stream import ReadDataStream, RecordBuilder
-from mcap.exceptions import EndOfFile
 
 from pc2scan.bags.damage import RECOVER
 from pc2scan.bags.formats import FORMATS
 from pc2scan.errors import DamageError
+from pc2scan.files.crc32 import crc32
 from pc2scan.files.source import SourceFile
+
+from .record_types import Attachment, Record, pack, unpack
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from mcap.opcode import Opcode
-
     from pc2scan.model import Buffer
+
+    from .record_types import Opcode
 
 __all__ = [
     "CHUNK",
@@ -78,33 +76,17 @@ class RecordFile(SourceFile):
         return self.read(offset + RECORD.size, length)
 
 
-class _Fields(ReadDataStream):
-    """The content of one record for the library's parsers, which do not check for short reads."""
-
-    def __init__(self, content: Buffer) -> None:
-        super().__init__(BytesIO())
-        self._content = memoryview(content)
-
-    def read(self, length: int) -> bytes:
-        data = bytes(self._content[self._count : self._count + length])
-        if len(data) < length:
-            raise EndOfFile
-        self._count += length
-        return data
-
-
-_Record = TypeVar("_Record", bound=records.McapRecord)
+_Record = TypeVar("_Record", bound=Record)
 
 
 def parse(kind: type[_Record], content: Buffer, offset: int, file: RecordFile) -> _Record:
     """Parse a record's content; ``offset`` is its place in the file, for the error."""
     try:
-        parsed: _Record = kind.read(_Fields(content))  # type: ignore[attr-defined]
-    except (EndOfFile, struct.error, UnicodeDecodeError) as err:
+        return unpack(kind, content)
+    except (struct.error, UnicodeDecodeError) as err:
         raise file.damage(
             f"the {kind.__name__} record at byte {offset} ({len(content)} bytes) contradicts its own lengths",
         ) from err
-    return parsed
 
 
 def split(data: memoryview, origin: int, file: RecordFile) -> Iterator[tuple[int, memoryview]]:
@@ -123,9 +105,9 @@ def split(data: memoryview, origin: int, file: RecordFile) -> Iterator[tuple[int
         raise file.damage(f"the records from byte {origin} on do not end after {len(data)} bytes")
 
 
-def encoded(record: records.McapRecord) -> bytes:
-    """Pack a record, its opcode and length included."""
-    builder = RecordBuilder()
-    record.write(builder)
-    packed: bytes = builder.end()  # type: ignore[no-untyped-call]
-    return packed
+def encoded(record: Record) -> bytes:
+    """Pack a record, its opcode and length included, and the CRC of an attachment."""
+    opcode, content = pack(record)
+    if isinstance(record, Attachment):
+        content = content[:-4] + struct.pack("<I", crc32(content[:-4]))
+    return RECORD.pack(opcode, len(content)) + content

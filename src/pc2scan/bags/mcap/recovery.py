@@ -15,18 +15,17 @@ from functools import partial
 from operator import attrgetter
 from typing import TYPE_CHECKING, NamedTuple
 
-from mcap import records
-from mcap.opcode import Opcode
-
 from pc2scan.bags.chunked.salvaged import Salvaged, settled
 from pc2scan.bags.chunked.segments import times_around
 from pc2scan.bags.many import Many
 from pc2scan.errors import DamageError
 from pc2scan.files.salvage import decompressed_prefix
 
+from . import record_types as records
 from .another import refuse_another
 from .chunks import CHUNK_HEAD_SIZE, ChunkSegment, chunk_at, message_at
 from .index import McapIndex, RecordWalk, read_header, read_summary
+from .record_types import Opcode
 from .records import COMPRESSIONS, FIRST_PRIVATE, MAGIC, MESSAGE, OP_CHUNK, OP_MESSAGE, OP_MESSAGE_INDEX, RECORD, parse
 
 if TYPE_CHECKING:

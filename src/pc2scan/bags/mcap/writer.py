@@ -9,9 +9,6 @@ from io import BytesIO
 from itertools import chain
 from typing import TYPE_CHECKING
 
-from mcap import records
-from mcap.opcode import Opcode
-
 from pc2scan.errors import DestinationError, OutputError, UnwritableError
 from pc2scan.files.compression import compress
 from pc2scan.files.crc32 import crc32
@@ -19,6 +16,8 @@ from pc2scan.files.source import FreeIds, NewFile
 from pc2scan.files.write_ahead import WriteAhead
 from pc2scan.model import StoredChunk, normalized_type, ros1_type
 
+from . import record_types as records
+from .record_types import Opcode
 from .records import (
     CHUNK,
     COMPRESSIONS,
@@ -183,7 +182,7 @@ class McapWriter:
             self._declare(Opcode.SCHEMA, schema)
         return equal[wanted]
 
-    def _declare(self, opcode: Opcode, record: records.McapRecord) -> None:
+    def _declare(self, opcode: Opcode, record: records.Record) -> None:
         packed = encoded(record)
         self._put(packed)
         self._groups[opcode].append(packed)

@@ -1,0 +1,270 @@
+"""The records of MCAP files besides chunks and messages: what they have, and how it is stored.
+
+Source of the format: https://mcap.dev/spec#records
+
+Not those of the ``mcap`` library: making its classes took a twentieth of a short conversion.
+"""
+
+from __future__ import annotations
+
+import struct
+from enum import IntEnum
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from pc2scan.model import Buffer
+
+__all__ = [
+    "Attachment",
+    "AttachmentIndex",
+    "Channel",
+    "ChunkIndex",
+    "DataEnd",
+    "Footer",
+    "Header",
+    "Metadata",
+    "MetadataIndex",
+    "Opcode",
+    "Record",
+    "Schema",
+    "Statistics",
+    "SummaryOffset",
+    "pack",
+    "unpack",
+]
+
+
+class Opcode(IntEnum):
+    """The kinds of records."""
+
+    HEADER = 0x01
+    FOOTER = 0x02
+    SCHEMA = 0x03
+    CHANNEL = 0x04
+    MESSAGE = 0x05
+    CHUNK = 0x06
+    MESSAGE_INDEX = 0x07
+    CHUNK_INDEX = 0x08
+    ATTACHMENT = 0x09
+    ATTACHMENT_INDEX = 0x0A
+    STATISTICS = 0x0B
+    METADATA = 0x0C
+    METADATA_INDEX = 0x0D
+    SUMMARY_OFFSET = 0x0E
+    DATA_END = 0x0F
+
+
+# The fields of each are in the order in which they are stored.
+
+
+class Header(NamedTuple):
+    """The first record."""
+
+    profile: str
+    library: str
+
+
+class Footer(NamedTuple):
+    """The last record."""
+
+    summary_start: int
+    summary_offset_start: int
+    summary_crc: int
+
+
+class Schema(NamedTuple):
+    """A message definition."""
+
+    id: int
+    name: str
+    encoding: str
+    data: bytes
+
+
+class Channel(NamedTuple):
+    """A topic of one publisher."""
+
+    id: int
+    schema_id: int
+    topic: str
+    message_encoding: str
+    metadata: Mapping[str, str]
+
+
+class ChunkIndex(NamedTuple):
+    """Where a chunk is, and the message indexes behind it, by channel."""
+
+    message_start_time: int
+    message_end_time: int
+    chunk_start_offset: int
+    chunk_length: int
+    message_index_offsets: Mapping[int, int]
+    message_index_length: int
+    compression: str
+    compressed_size: int
+    uncompressed_size: int
+
+
+class Attachment(NamedTuple):
+    """A file in the file; the CRC is that of all other fields, or 0."""
+
+    log_time: int
+    create_time: int
+    name: str
+    media_type: str
+    data: bytes
+    crc: int = 0
+
+
+class AttachmentIndex(NamedTuple):
+    """Where an attachment is."""
+
+    offset: int
+    length: int
+    log_time: int
+    create_time: int
+    data_size: int
+    name: str
+    media_type: str
+
+
+class Statistics(NamedTuple):
+    """How much of everything there is."""
+
+    message_count: int
+    schema_count: int
+    channel_count: int
+    attachment_count: int
+    metadata_count: int
+    chunk_count: int
+    message_start_time: int
+    message_end_time: int
+    channel_message_counts: Mapping[int, int]
+
+
+class Metadata(NamedTuple):
+    """Named texts."""
+
+    name: str
+    metadata: Mapping[str, str]
+
+
+class MetadataIndex(NamedTuple):
+    """Where a metadata record is."""
+
+    offset: int
+    length: int
+    name: str
+
+
+class SummaryOffset(NamedTuple):
+    """Where the records of a kind are in the summary."""
+
+    group_opcode: int
+    group_start: int
+    group_length: int
+
+
+class DataEnd(NamedTuple):
+    """The end of the data, with their CRC or 0."""
+
+    data_section_crc: int
+
+
+Record: TypeAlias = (
+    Header
+    | Footer
+    | Schema
+    | Channel
+    | ChunkIndex
+    | Attachment
+    | AttachmentIndex
+    | Statistics
+    | Metadata
+    | MetadataIndex
+    | SummaryOffset
+    | DataEnd
+)
+
+_Kind = TypeVar("_Kind", bound=Record)
+
+#: How each is stored: its opcode, and its fields. ``B H I Q`` are unsigned numbers, as in `struct`; ``s`` is text;
+#: ``x`` and ``X`` are bytes behind their length of 32 and 64 bits; ``t`` and ``n`` are mappings of texts and numbers.
+_FORMS: Mapping[type, tuple[Opcode, str]] = {
+    Header: (Opcode.HEADER, "ss"),
+    Footer: (Opcode.FOOTER, "QQI"),
+    Schema: (Opcode.SCHEMA, "Hssx"),
+    Channel: (Opcode.CHANNEL, "HHsst"),
+    ChunkIndex: (Opcode.CHUNK_INDEX, "QQQQnQsQQ"),
+    Attachment: (Opcode.ATTACHMENT, "QQssXI"),
+    AttachmentIndex: (Opcode.ATTACHMENT_INDEX, "QQQQQss"),
+    Statistics: (Opcode.STATISTICS, "QHIIIIQQn"),
+    Metadata: (Opcode.METADATA, "st"),
+    MetadataIndex: (Opcode.METADATA_INDEX, "QQs"),
+    SummaryOffset: (Opcode.SUMMARY_OFFSET, "BQQ"),
+    DataEnd: (Opcode.DATA_END, "I"),
+}
+
+_NUMBERS = {code: struct.Struct(f"<{code}") for code in "BHIQ"}
+#: The codes of a mapping's keys and values.
+_PAIRS = {"t": "ss", "n": "HQ"}
+
+
+def pack(record: Record) -> tuple[Opcode, bytes]:
+    """Return a record's opcode and content.
+
+    Raises
+    ------
+    struct.error
+        If a number is negative or too large.
+    """
+    opcode, codes = _FORMS[type(record)]
+    return opcode, b"".join(map(_packed, codes, record))
+
+
+def _packed(code: str, value: Any) -> bytes:
+    if code in _NUMBERS:
+        return _NUMBERS[code].pack(value)
+    if code in _PAIRS:
+        data = b"".join(part for pair in value.items() for part in map(_packed, _PAIRS[code], pair))
+    else:
+        data = value.encode() if code == "s" else value
+    return _NUMBERS["Q" if code == "X" else "I"].pack(len(data)) + data
+
+
+def unpack(kind: type[_Kind], content: Buffer) -> _Kind:
+    """Read a record's content; further bytes are ignored.
+
+    Raises
+    ------
+    struct.error
+        If it is too short.
+    UnicodeDecodeError
+        If a text is not UTF-8.
+    """
+    values, position, content = [], 0, memoryview(content)
+    for code in _FORMS[kind][1]:
+        value, position = _unpacked(code, content, position)
+        values.append(value)
+    return kind(*values)
+
+
+def _unpacked(code: str, content: memoryview, position: int) -> tuple[Any, int]:
+    """Read a field; return it and the place behind it."""
+    number = _NUMBERS.get(code)
+    if number is not None:
+        return number.unpack_from(content, position)[0], position + number.size
+    length, position = _unpacked("Q" if code == "X" else "I", content, position)
+    end = position + length
+    if end > len(content):
+        raise struct.error(f"{length} bytes are declared where there are {len(content) - position}")
+    if code in _PAIRS:
+        pairs = {}
+        while position < end:
+            key, position = _unpacked(_PAIRS[code][0], content, position)
+            pairs[key], position = _unpacked(_PAIRS[code][1], content, position)
+        return pairs, position
+    data = bytes(content[position:end])
+    return (data.decode() if code == "s" else data), end
