@@ -1,4 +1,4 @@
-"""The beams of the scans of one topic, where a format wants the same of all of them."""
+"""Checks that all scans of a topic have the same beams, for formats that require it."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ class SameBeams:
     Parameters
     ----------
     what
-        What has one number of beams, for errors: ``an .npz archive``.
+        The name of the format's file in errors: ``an .npz archive``.
     angles
-        Whether the angles have to be the same too.
+        Whether the angles must be the same, too.
     """
 
     def __init__(self, what: str, *, angles: bool) -> None:
@@ -29,7 +29,7 @@ class SameBeams:
         self._first: Scan | None = None
 
     def check(self, scan: Scan) -> None:
-        """Raise a `UsageError` if a scan has other beams than the first, or intensities where that has none."""
+        """Raise a `UsageError` if a scan has other beams than the first, or intensities while the first has none."""
         first = self._first
         if first is None:
             self._first = scan

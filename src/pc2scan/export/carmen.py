@@ -1,7 +1,7 @@
-"""CARMEN's log files: ``ROBOTLASER1``, which says where the beams look, and ``FLASER``, whose readers guess it.
+"""CARMEN's log files: ``ROBOTLASER1`` with the directions of beams, and ``FLASER``, whose readers guess them.
 
 Sources of the rules: "Logger and Playback" of CARMEN's manual (carmen.sourceforge.net/logger_playback.html), what
-CARMEN's ``readlog`` reads in which order and guesses of FLASER, and MRPT's ``carmen_log_parse_line``.
+CARMEN's ``readlog`` (order of the fields, guesses about FLASER), and MRPT's ``carmen_log_parse_line``.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ if TYPE_CHECKING:
 
 __all__ = ["CarmenWriter", "FlaserWriter"]
 
-#: The name of the computer in each line; readers want one word.
+#: The name of the computer in each line; readers need one word.
 _HOST = "pc2scan"
 
-#: laser_type of a sensor that CARMEN does not know.
+#: laser_type of a sensor that CARMEN has no number for.
 _OTHER_LASER = 99
 
 #: accuracy, and remission_mode without and with intensities.
@@ -40,22 +40,22 @@ _ACCURACY, _NO_REMISSION, _DIRECT_REMISSION = 0.01, 0, 1
 #: laser_tv, laser_rv, forward_safety_dist, side_safety_dist, turn_axis: the state of CARMEN's own robot.
 _STATE = "0 0 0 0 0"
 
-#: What readers guess of FLASER, by the number of readings: degrees from one to the next. Any other number: 180
+#: What readers of FLASER assume, by the number of readings: degrees from one to the next. For any other number: 180
 #: degrees from the first to the last.
 _GUESSED_DEGREES = {180: 1.0, 181: 1.0, 360: 0.5, 361: 0.5, 400: 0.25, 401: 0.25}
 
-#: The range from which readers of FLASER take a reading for none, and what a SICK laser says then.
+#: The range from which on readers of FLASER see no return, and the range of a SICK laser without a return.
 _FLASER_LIMIT, _FLASER_NONE = 80.0, 81.91
 
-#: How far a beam may be from where a reader of FLASER puts it, in widths of a beam.
+#: How far a beam may be from the place that a reader of FLASER assumes, in beam widths.
 _MOST_OFF = 0.1
 
-#: CARMEN's own tools cut longer lines.
+#: The longest line: CARMEN's own tools cut longer ones.
 _LONGEST_LINE = 9_998
 
 
 class CarmenWriter:
-    """One ``ROBOTLASER1`` a scan: beams, readings, the poses of the laser and the robot."""
+    """Writes a line ``ROBOTLASER1`` for each scan: beams, readings, the poses of the laser and the robot."""
 
     _message = "ROBOTLASER1"
 
@@ -66,7 +66,7 @@ class CarmenWriter:
         self._long_lines = 0
 
     def add(self, item: Scan, placed: PosesAtStamp | None) -> None:
-        """Write a line; raises a `UsageError` for what these lines cannot say."""
+        """Write a line; raise a `UsageError` for scans that the format cannot represent."""
         assert placed is not None
         numbers = (item.angle_min, item.angle_increment)
         if not all(map(math.isfinite, numbers)):
@@ -130,7 +130,7 @@ class CarmenWriter:
 
 
 class FlaserWriter(CarmenWriter):
-    """One ``FLASER`` a scan: readings, and the poses of the laser and the robot, nothing of the beams."""
+    """Writes a line ``FLASER`` for each scan: readings, and the poses of the laser and the robot, no beams."""
 
     _message = "FLASER"
 
@@ -170,18 +170,18 @@ class FlaserWriter(CarmenWriter):
 
 
 def _guessed_step(count: int) -> float:
-    """Radians from one reading to the next, as readers of FLASER guess them."""
+    """Return the radians from one reading to the next, as readers of FLASER assume them."""
     degrees = _GUESSED_DEGREES.get(count)
     return math.pi / max(count - 1, 1) if degrees is None else math.radians(degrees)
 
 
 def _ordered(scan: Scan, values: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Values of the beams, counterclockwise."""
+    """Return the values of the beams, counterclockwise."""
     return values[::-1] if scan.angle_increment < 0 else values
 
 
 def _counterclockwise(scan: Scan) -> tuple[float, float, NDArray[np.float32], NDArray[np.float32]]:
-    """The first angle, the step, ranges and intensities, in CARMEN's order of beams."""
+    """Return the first angle, the step, ranges and intensities, in CARMEN's order of beams."""
     step = scan.angle_increment
     if step >= 0:
         return scan.angle_min, step, scan.ranges, scan.intensities
@@ -189,5 +189,5 @@ def _counterclockwise(scan: Scan) -> tuple[float, float, NDArray[np.float32], ND
 
 
 def _sweep(step: float, count: int) -> str:
-    """The field of view: from the first beam to the last."""
+    """Return the field of view, from the first beam to the last."""
     return float32_text((count - 1) * step) if count else "0"

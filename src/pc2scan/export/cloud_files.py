@@ -20,7 +20,7 @@ class CloudFolder:
     Parameters
     ----------
     path
-        Must not exist.
+        The folder; it must not exist.
     """
 
     def __init__(self, path: Path) -> None:
@@ -31,7 +31,7 @@ class CloudFolder:
             raise OutputError(f"cannot be made: {err.strerror}", path=path) from err
 
     def write(self, name: str, *parts: Buffer) -> None:
-        """Write a file; staging puts it on the disk."""
+        """Write a file; staging syncs it to the disk."""
         path = self._path / name
         try:
             with path.open("xb") as file:

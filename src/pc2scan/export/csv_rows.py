@@ -22,9 +22,9 @@ _GEOMETRY = ("angle_min", "angle_increment", "time_increment", "scan_time", "ran
 
 
 class CsvWriter:
-    """One row a scan: stamps, pose, geometry, ``range_0`` and so on, ``intensity_0`` and so on.
+    """Writes one row for each scan: stamps, pose, geometry, ``range_0`` and so on, ``intensity_0`` and so on.
 
-    Numbers have the fewest digits that mean them: what is read as float32 (poses: as float64) is what was recorded.
+    Numbers have the fewest digits from which float32 (for poses float64) reads the recorded value.
     """
 
     def __init__(self, path: Path, *, posed: bool) -> None:
@@ -65,7 +65,7 @@ class CsvWriter:
 
 
 def _quoted(text: str) -> str:
-    """Return a text as a cell: in quotes where it has to be."""
+    """Return a text as a cell, in quotes if necessary."""
     if not any(c in text for c in ',"\r\n'):
         return text
     return '"' + text.replace('"', '""') + '"'

@@ -1,4 +1,4 @@
-"""Numbers as text: the fewest digits that mean them."""
+"""Numbers as text, with the fewest digits that represent them exactly."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The table of formats: what each holds, what its files are called, and who writes it.
+"""The table of formats: the content of each, the names of its files, and its writer.
 
 A new format is one entry and one module with a `Writer`.
 """
@@ -31,46 +31,46 @@ class Writer(Protocol):
         item
             A `pc2scan.Scan` or a `pc2scan.Cloud`, as the format's entry says.
         placed
-            Where the robot is at its stamp; None where nobody asked for poses.
+            The poses at its stamp; None if no poses are requested.
 
         Raises
         ------
         MessageError
             If this message cannot be written, but others can.
         UsageError
-            If the format cannot hold the topic.
+            If the format cannot store the topic.
         OutputError
-            If there is no room, or the like.
+            If writing fails, for example because the disk is full.
         """
         ...
 
     def finish(self) -> list[str]:
-        """Complete the files; return what the user should know about them."""
+        """Complete the files; return warnings about them."""
         ...
 
     def abort(self) -> None:
-        """Release what is open."""
+        """Close the files."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class Format:
-    """A format.
+    """A format of export.
 
     Attributes
     ----------
     name
-        As users type it.
+        The name that users type.
     suffix
-        Of its files.
+        The suffix of its files.
     what
-        What is in them, for people.
+        Their content, as text for users.
     clouds
-        Whether it holds clouds; otherwise scans.
+        Whether it stores clouds; otherwise scans.
     folder
-        Whether a topic is a folder of files; otherwise one file.
+        Whether each topic is a folder of files; otherwise a file.
     needs_poses
-        Whether there is nothing to write without poses.
+        Whether it cannot be written without poses.
     home
         The module and the name of its `Writer`, which takes the path to write, and whether there are poses.
     further
@@ -93,7 +93,7 @@ class Format:
         return writer
 
 
-#: By name.
+#: The formats by name.
 FORMATS = {
     entry.name: entry
     for entry in (
@@ -117,12 +117,12 @@ FORMATS = {
 
 
 def format_of(name: str | None, destination: Path) -> Format:
-    """Return the format of a name, or without one that of a file's suffix.
+    """Return the format with a name, or if there is none, the format of a file's suffix.
 
     Raises
     ------
     UsageError
-        If there is no such format, or the suffix is of none.
+        If there is no such format, or no format has the suffix.
     """
     if name is None:
         suffix = destination.suffix.lower()

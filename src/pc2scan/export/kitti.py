@@ -24,10 +24,10 @@ if TYPE_CHECKING:
 
 __all__ = ["KittiWriter"]
 
-#: Beside the clouds; the table of formats has these names too.
+#: Files beside the clouds; the table of formats has these names, too.
 _FURTHER = ("times.txt", "stamps.txt", "poses.txt")
 
-#: Fields that are a return's strength, best one first.
+#: Fields with the strength of a return, the best one first.
 _INTENSITIES = ("intensity", "intensities", "i", "reflectivity", "reflectance")
 
 
@@ -41,7 +41,7 @@ class KittiWriter:
         self._first_ns = 0
 
     def add(self, item: Cloud, placed: PosesAtStamp | None) -> None:
-        """Write a cloud's returns: points with a NaN or an infinite coordinate are none."""
+        """Write a cloud's returns: points with a NaN or an infinite coordinate are not returns."""
         fields = item.fields
         name = next((each for each in _INTENSITIES if each in fields), None)
         if name is None:

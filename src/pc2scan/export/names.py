@@ -1,4 +1,4 @@
-"""What the files of topics are called."""
+"""Names for the files of topics."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ if TYPE_CHECKING:
 
 __all__ = ["file_names"]
 
-#: Longer names are cut: file systems have room for 255 bytes, and staging adds an ending.
+#: The longest name: file systems allow 255 bytes, and staging adds an ending.
 _LONGEST = 120
 
-#: Names that Windows keeps for devices.
+#: Names that Windows reserves for devices.
 _DEVICES = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
 
 

@@ -1,8 +1,8 @@
 """NumPy's .npz: one archive with the arrays of a topic.
 
-How many scans there are is known at the end only, and an array's length is at its beginning. So each array is
-collected in a file without a name, and copied into the archive at the end: memory stays small however long the
-recording is. The archive is not compressed, and its bytes depend on the scans alone.
+An array's length is at its beginning, but the number of scans is known only at the end. So each array is collected in a
+file without a name, and copied into the archive at the end, which needs little memory for any recording. The archive is
+not compressed, and its bytes depend on the scans alone.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ if TYPE_CHECKING:
 
 __all__ = ["NpzWriter"]
 
-#: Bytes that are copied at once.
+#: How many bytes are copied at a time.
 _PIECE = 1 << 20
 
-#: Numbers of each scan, by the name of their array.
+#: The numbers of a scan that become arrays, by the name of the array.
 _NUMBERS = {"range_min": "<f4", "range_max": "<f4", "time_increment": "<f4", "scan_time": "<f4"}
 
 
 class NpzWriter:
-    """One archive: ``ranges`` (scans, beams), ``angles`` (beams,), ``stamps`` (scans,), ``poses`` (scans, 3), ..."""
+    """An archive: ``ranges`` (scans, beams), ``angles`` (beams,), ``stamps`` (scans,), ``poses`` (scans, 3), ..."""
 
     def __init__(self, path: Path, *, posed: bool) -> None:
         self._path = path
@@ -98,7 +98,7 @@ class NpzWriter:
     def abort(self) -> None:
         """Release the files without a name."""
         for array in self._arrays.values():
-            # Closing writes what is buffered, which fails again where the disk is full, and nobody needs it.
+            # Closing writes buffered data, which fails again if the disk is full; the data are not needed.
             with suppress(OSError):
                 array.close()
 
@@ -111,12 +111,12 @@ class NpzWriter:
 
 
 def _member(archive: zipfile.ZipFile, name: str) -> IO[bytes]:
-    # The earliest time that the format knows, so that the same scans make the same bytes.
+    # The earliest time of the format, so that the same scans give the same bytes.
     return archive.open(zipfile.ZipInfo(f"{name}.npy", (1980, 1, 1, 0, 0, 0)), "w", force_zip64=True)
 
 
 class _GrowingArray:
-    """Rows of one shape, in a file that nobody else sees and that is gone when it is closed."""
+    """Rows of one shape, in a file without a name, which is deleted when it is closed."""
 
     def __init__(self, folder: Path, dtype: str, shape: tuple[int, ...]) -> None:
         self._file = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115  # closed by its owner

@@ -37,7 +37,7 @@ class PcdWriter:
         self._names: dict[int, int] = {}
 
     def add(self, item: Cloud, placed: PosesAtStamp | None) -> None:
-        """Write a cloud; raises an `UnwritableError` where a field has a name that a header cannot hold."""
+        """Write a cloud; raise an `UnwritableError` if the header cannot represent a field's name."""
         points = item.points()
         names = points.dtype.names or ()
         if odd := [name for name in names if name == "_" or not _WORD.fullmatch(name)]:
@@ -64,8 +64,8 @@ class PcdWriter:
         self._folder.write(name, lines.encode(), points.tobytes())
 
     def finish(self) -> list[str]:
-        """Nothing is left to be done."""
+        """Do nothing: each file is complete."""
         return []
 
     def abort(self) -> None:
-        """Nothing is open."""
+        """Do nothing: no file is open."""

@@ -1,4 +1,4 @@
-"""Where the robot is at the stamp of a scan: from the transforms of a recording, or from its odometry messages.
+"""Poses of the robot at the stamps of messages, from the transforms of a recording or from its odometry messages.
 
 Poses are interpolated by tf2's rules (see `pc2scan.tf.buffer`) and never extrapolated.
 """
@@ -25,22 +25,22 @@ if TYPE_CHECKING:
 
 __all__ = ["PoseOptions", "Poses", "PosesAtStamp", "open_poses"]
 
-#: What the robot's own frame is usually called, best one first.
+#: Usual names of the robot's frame, the best one first.
 _BASES = ("base_link", "base_footprint")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoseOptions:
-    """Which poses are asked for.
+    """The requested poses.
 
     Attributes
     ----------
     pose_frame
-        The frame that the poses are in, such as ``odom`` or ``map``.
+        The frame of reference of the poses, such as ``odom`` or ``map``.
     base_frame
-        The frame whose poses they are. Empty: found from the transforms (see `Poses`).
+        The frame that has these poses. Empty: found from the transforms (see `Poses`).
     odom_topic
-        A nav_msgs/Odometry topic that the poses are taken from, instead of the transforms.
+        A nav_msgs/Odometry topic with the poses, which is used instead of the transforms.
     """
 
     pose_frame: str = ""
@@ -55,18 +55,18 @@ class PoseOptions:
 
     @property
     def wanted(self) -> bool:
-        """Whether any poses are asked for."""
+        """Whether poses are requested."""
         return bool(self.pose_frame or self.odom_topic)
 
 
 @dataclass(frozen=True, slots=True)
 class PosesAtStamp:
-    """Where the robot, and the sensor of a message, are at its stamp.
+    """The poses of the robot, and of a message's sensor, at the message's stamp.
 
     Attributes
     ----------
     pose_frame, base_frame
-        What the pose is in, and whose it is.
+        The frame of reference of the pose, and the frame that has it.
     robot
         The pose of ``base_frame`` in ``pose_frame``.
     """
@@ -93,20 +93,20 @@ class PosesAtStamp:
 class Poses:
     """The poses of a recording.
 
-    The base frame, where none is given: ``base_link``, or else ``base_footprint``, where it is between the pose frame
-    and the message's frame; else the frame farthest up that nothing moves against the message's frame. With odometry
-    messages it is their ``child_frame_id``.
+    The base frame, if none is given: ``base_link``, or else ``base_footprint``, if it is between the pose frame and the
+    message's frame; otherwise the frame farthest up that is fixed to the message's frame. With odometry messages it is
+    their ``child_frame_id``.
 
     Parameters
     ----------
     asked
-        What is asked for.
+        The requested poses.
     transforms
         All transforms of the recording.
     odometry
-        The poses of odometry messages, as transforms; None where the transforms have the poses.
+        The poses of odometry messages, as transforms; None if the poses are those of the transforms.
     frames
-        With odometry messages: ``header.frame_id`` and ``child_frame_id``.
+        ``header.frame_id`` and ``child_frame_id`` of odometry messages.
     """
 
     def __init__(
@@ -124,7 +124,7 @@ class Poses:
         self.pose_frame = asked.pose_frame.removeprefix("/") or frames[0]
 
     def at(self, sensor_frame: str, stamp_ns: int) -> PosesAtStamp:
-        """Return where the robot is at the stamp of a message.
+        """Return the poses at the stamp of a message.
 
         Raises
         ------
@@ -132,7 +132,7 @@ class Poses:
             If there is no pose at the stamp, or the stamp is 0.
         """
         if stamp_ns == 0:
-            raise TransformError("its stamp is 0, so it is not known where the robot was", stamp_ns=0)
+            raise TransformError("its stamp is 0, so the robot's pose is unknown", stamp_ns=0)
         base = self._base_of(sensor_frame)
         if self._odometry is None:
             robot = self._transforms.lookup(self.pose_frame, base, stamp_ns)
@@ -152,7 +152,7 @@ class Poses:
 
 
 def base_between(transforms: TransformBuffer, pose_frame: str, sensor_frame: str) -> str:
-    """Return the robot's own frame, between a frame that it moves in and one of its sensors; see `Poses`."""
+    """Return the robot's frame, between a frame that it moves in and one of its sensors; see `Poses`."""
     frame = sensor_frame.removeprefix("/")
     below, fixed = [frame], frame
     is_fixed = True
@@ -164,27 +164,27 @@ def base_between(transforms: TransformBuffer, pose_frame: str, sensor_frame: str
         is_fixed &= history.static
         fixed = frame if is_fixed else fixed
     if len(below) == 1 and frame not in transforms.frames:
-        # A frame without transforms: a level one, for example, that was made for the scans.
+        # The frame has no transforms, for example a level frame that was made for the scans.
         below += transforms.frames
     return next((name for name in _BASES if name in below), fixed)
 
 
 def open_poses(readers: Sequence[Reader], frames: FrameOptions, asked: PoseOptions) -> tuple[Poses, list[str]]:
-    """Read the poses of recordings, and what to warn of.
+    """Read the poses of recordings; return them and warnings.
 
     Parameters
     ----------
     readers
         The source first, then the recordings of ``tf_from``.
     frames
-        Where transforms come from.
+        The source of transforms.
     asked
-        Which poses.
+        The requested poses.
 
     Raises
     ------
     UsageError
-        If a frame is not there, or the topic is not, or it is not clear which transforms count.
+        If a frame or the topic does not exist, or if it is not clear which transforms to use.
     RecordingError
         If the topic has no poses.
     """
@@ -200,7 +200,7 @@ def open_poses(readers: Sequence[Reader], frames: FrameOptions, asked: PoseOptio
             near = did_you_mean(name, sorted(known))
             hint = f"{near} frames: {name_list(sorted(known))}".strip()
             if not known:
-                hint = "the recording has no transforms; `odom_topic` takes poses from a nav_msgs/Odometry topic"
+                hint = "the recording has no transforms; `odom_topic` reads poses from a nav_msgs/Odometry topic"
             raise UsageError(f"`{option}`: no transforms have the frame {name!r}", path=readers[0].path, hint=hint)
     return Poses(asked, transforms), warnings
 
@@ -224,7 +224,7 @@ def _read_odometry(reader: Reader, asked: PoseOptions) -> tuple[TransformBuffer,
             continue
         parent, child, *pose = row
         if frames is None:
-            # Simple drivers leave names empty: the base frame that was asked for is then the robot's.
+            # Simple drivers leave names empty; the requested base frame is then the robot's.
             frames = (parent.removeprefix("/") or "odom", child.removeprefix("/") or asked.base_frame or _BASES[0])
         builder.add([(frames[0], frames[1], *pose)], static=False)  # type: ignore[list-item]
     if frames is None:

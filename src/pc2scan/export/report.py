@@ -1,4 +1,4 @@
-"""What an export wrote: table and JSON read this."""
+"""The report of an export, which the table and JSON read."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ if TYPE_CHECKING:
 
 __all__ = ["ExportReport", "ExportedTopic"]
 
-#: Reasons for skipping that are shown.
+#: How many reasons for skipping are shown.
 _SHOWN = 5
 
 
 @dataclass(slots=True)
 class ExportedTopic:
-    """What became of one topic.
+    """The result of one topic.
 
     Attributes
     ----------
     topic
-        Its name; of scans that are made of clouds, the scans'.
+        Its name; for scans that are made of clouds, the scans' topic.
     path
-        Its file or folder; None where nothing was written.
+        Its file or folder; None if nothing was written.
     written, skipped
-        Messages.
+        Numbers of messages.
     pose_frame, base_frame
-        What the poses are in, and whose they are; empty without poses.
+        The frame of reference of the poses, and the frame that has them; empty without poses.
     first_ns, last_ns
         Stamps of the first and the last message written; None without any.
     """
@@ -51,7 +51,7 @@ class ExportedTopic:
 
 @dataclass(repr=False)
 class ExportReport(Shown):
-    """What an export wrote; ``print`` shows it as a table.
+    """The report of an export; ``print`` shows it as a table.
 
     Attributes
     ----------
@@ -60,17 +60,17 @@ class ExportReport(Shown):
     destination
         The file, or the folder.
     format
-        What it is.
+        The name of its format.
     topics
-        What became of each topic.
+        The result of each topic.
     skipped
         The first hundred messages that were skipped.
     skipped_reasons
         How many were skipped for which reason.
     notes
-        What was measured or chosen without being asked for.
+        Values that were measured, or chosen by default.
     warnings
-        What the user should know.
+        Problems that did not stop the export.
     damage
         Damaged places of the sources.
     """
@@ -88,16 +88,16 @@ class ExportReport(Shown):
 
     @property
     def messages(self) -> int:
-        """Messages written."""
+        """How many messages were written."""
         return sum(topic.written for topic in self.topics)
 
     @property
     def exit_status(self) -> int:
-        """The command's exit status: 3 where messages were skipped or a source is damaged, else 0."""
+        """The command's exit status: 3 if messages were skipped or a source is damaged, else 0."""
         return 3 if self.skipped_reasons or self.damage else 0
 
     def skip(self, entry: Skipped, reason: str = "") -> None:
-        """Note a message that is not written; ``reason`` is what it has in common with others, by default its own."""
+        """Count a message that is not written; ``reason`` groups it with others, and is by default its own."""
         reason = reason or entry.reason
         self.skipped_reasons[reason] += 1
         self._examples.setdefault(reason, entry)
@@ -146,7 +146,7 @@ class ExportReport(Shown):
         yield from self.remarks()
 
     def explained(self, found: tuple[str, int]) -> str:
-        """Why messages were skipped, with the first of them."""
+        """Return why messages were skipped, with the first of them."""
         reason, number = found
         example = self._examples.get(reason)
         first = "" if example is None or example.reason == reason else f"; {example}"

@@ -1,4 +1,4 @@
-"""One export from beginning to end."""
+"""Runs one export from beginning to end."""
 
 from __future__ import annotations
 
@@ -47,14 +47,14 @@ __all__ = ["ExportOptions", "run"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExportOptions:
-    """How messages are written.
+    """Options of the files to write.
 
     Attributes
     ----------
     format
-        A name in `pc2scan.export.formats.FORMATS`; None for that of the destination's suffix.
+        A name in `pc2scan.export.formats.FORMATS`; None for the format of the destination's suffix.
     poses
-        Which poses are written with them.
+        The poses to write with the messages.
     converting
         Whether scans are made of clouds; otherwise they are read.
     overwrite
@@ -82,24 +82,24 @@ def run(
     Parameters
     ----------
     sources
-        Recordings; several are one.
+        Recordings; several are read as one.
     destination
-        The file; or a folder, which is made: of several topics, or of a format that has a file for each message.
+        The file; or a folder, which is created, for several topics, or for a format with a file for each message.
     options
-        As for a conversion: topics, ``start`` and ``end``, where transforms come from, and what becomes of clouds.
+        As for a conversion: topics, ``start`` and ``end``, the source of transforms, and how clouds are converted.
     form
-        How they are written.
+        The options of the files to write.
     in_folder
         Whether ``destination`` is a folder even for a single file.
     also_read
         Files that were read for the options, by option.
     progress
-        Called now and then with bytes read, bytes in all, and messages read.
+        Called regularly with bytes read, bytes in all, and messages read.
 
     Raises
     ------
     UsageError
-        If the request contradicts itself or the recording, or the format cannot hold what is in it.
+        If the request contradicts itself or the recording, or the format cannot store its messages.
     DestinationError, OutputError
         If the destination exists, or cannot be written.
     RecordingError
@@ -123,7 +123,7 @@ def run(
         folder = _is_folder(destination, stream.topics, written, in_folder=in_folder)
         report = ExportReport([str(source) for source in sources], str(destination), written.name)
         stream.listener, stream.progress = report.warnings.append, progress
-        # Before transforms are read: that may take long.
+        # Before transforms are read, which may take long.
         partial = stack.enter_context(
             staged(destination, overwrite=form.overwrite, beside_recording=_only_exports(written))
         )
@@ -132,7 +132,7 @@ def run(
             others = open_recordings(options.frames.tf_from, stack, verify=options.verify, strict=options.strict)
             poses, texts = open_poses([reader, *others], options.frames, form.poses)
             report.warnings += texts
-        # Scans that are made of clouds say themselves which frame they are in.
+        # Scans that are made of clouds have the right frame in their headers.
         frame = "" if form.converting else options.frames.source_frame
         export = _Export(written, poses, report, source_frame=frame, failing=options.on_error == "fail")
         export.lay_out(stream.topics, partial, destination, folder=folder)
@@ -146,15 +146,15 @@ def run(
 
 
 def _check_request(written: Format, options: ConvertOptions, form: ExportOptions) -> None:
-    """Refuse what has no effect on an export, and what it lacks."""
+    """Raise if an option has no effect on an export, or if one is missing."""
     if written.clouds and form.converting:
         raise UsageError(
             f"{written.name} holds clouds, and parameters of the projection make scans of them",
-            hint="leave the parameters out; or choose a format of scans: `format=npz`",
+            hint="remove the parameters; or choose a format of scans: `format=npz`",
         )
     if written.needs_poses and not form.poses.wanted:
         raise UsageError(
-            f"{written.name} needs poses", hint="`pose_frame=odom` takes them from tf, `odom_topic=/odom` from odometry"
+            f"{written.name} needs poses", hint="`pose_frame=odom` reads them from tf, `odom_topic=/odom` from odometry"
         )
     scan = options.scan
     idle = {
@@ -177,25 +177,25 @@ def _check_request(written: Format, options: ConvertOptions, form: ExportOptions
         and (frames.static or frames.tf_from or frames.tf_topics or frames.source_frame)
     ):
         raise UsageError(
-            "transforms would have no effect: neither poses nor scans of clouds are asked for",
+            "transforms would have no effect: neither poses nor scans of clouds are requested",
             hint="`pose_frame=odom` writes poses",
         )
     scan.refuse_combining("an export makes")
     if not form.converting and (scan.filters or scan.deskew or scan.level):
         raise UsageError(
-            "filters, `deskew` and `level` count only where clouds become scans",
+            "filters, `deskew` and `level` have an effect only if clouds become scans",
             hint="give parameters: `preset`, `params_file`, or any of them by name, `min_height=-0.3`",
         )
 
 
 def _topics(connections: Iterable[Any], written: Format, options: ConvertOptions, form: ExportOptions) -> list[str]:
-    """Return the topics to ask for: those that were, or all of the type."""
+    """Return the requested topics, or all of the type."""
     asked = options.scan.topics
     if asked:
         if not form.converting and (renamed := [topic for topic in asked if topic.target]):
             raise UsageError(
                 f"{renamed[0].source}:={renamed[0].target} renames a topic, and only scans that are made of clouds "
-                "have a topic of their own",
+                "have a new topic",
                 hint=f"`topics={renamed[0].source}`",
             )
         return [topic.source for topic in asked]
@@ -223,14 +223,14 @@ def _stream(
         return Clouds(selection)
     if not form.converting:
         return Scans(selection)
-    from dataclasses import replace  # noqa: PLC0415  # only where clouds are converted
+    from dataclasses import replace  # noqa: PLC0415  # only if clouds are converted
 
     topics = options.scan.topics or tuple(map(TopicRequest, names))
     return Scans(selection, replace(options.with_scan(topics=topics), only_scans=True))
 
 
 def _is_folder(destination: Path, topics: Sequence[str], written: Format, *, in_folder: bool) -> bool:
-    """Whether the files of topics go into a folder; of a format with folders: whether each into one of its own."""
+    """Whether the files of topics are in a folder; for a format with folders: whether each topic has a subfolder."""
     if len(topics) > 1 and not in_folder and not written.folder and destination.suffix.lower() == written.suffix:
         raise DestinationError(
             f"{len(topics)} topics make {len(topics)} files: {name_list(list(topics), 5)}",
@@ -241,7 +241,7 @@ def _is_folder(destination: Path, topics: Sequence[str], written: Format, *, in_
 
 
 def _only_exports(written: Format) -> Any:
-    """Return what decides whether a folder may be replaced: it has only files that this format writes."""
+    """Return a function that decides whether a folder may be replaced: if it has only files of this format."""
 
     def check(folder: Path) -> str:
         for entry in folder.rglob("*"):
@@ -274,7 +274,7 @@ class _Export:
         self._writers: dict[str, Writer] = {}
 
     def lay_out(self, topics: Sequence[str], partial: Path, final: Path, *, folder: bool) -> None:
-        """Decide where each topic goes."""
+        """Choose the path of each topic."""
         self._entries = {topic: ExportedTopic(topic) for topic in topics}
         self._report.topics += self._entries.values()
         if not folder:
@@ -299,7 +299,7 @@ class _Export:
                 err.topic, err.stamp_ns = item.topic, item.stamp_ns
                 reason = ""
                 if self._poses is not None and isinstance(err, TransformError):
-                    # Nothing is extrapolated here, whatever would help a conversion.
+                    # Poses are never extrapolated, so the hint of a conversion does not apply.
                     err.hint = "`pc2scan tf` shows the frames of a recording and their times"
                     reason = f"no pose in {self._poses.pose_frame} at the stamp"
                 if self._failing:
@@ -321,7 +321,7 @@ class _Export:
                 report.warnings.append(f"{topic}: nothing to write, so there is no file")
 
     def _give_up(self, topic: str) -> None:
-        """Remove what was begun of a topic without a message that can be written."""
+        """Remove the files of a topic without a message that can be written."""
         if (writer := self._writers.pop(topic, None)) is None:
             return
         writer.abort()
@@ -360,6 +360,6 @@ class _Export:
         return ResultError(f"no {what} can be written; of {total:,}, {self._report.explained(reasons[0])}", hint=hint)
 
     def abort(self) -> None:
-        """Release what is open; the files of finished writers stay."""
+        """Close the open files; the files of finished writers stay."""
         for writer in self._writers.values():
             writer.abort()

@@ -1,4 +1,4 @@
-"""A text file that is being written."""
+"""Writes a text file line by line."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 __all__ = ["TextFile"]
 
-#: Characters that are kept before they are written.
+#: How many characters are buffered.
 _MOST = 1 << 18
 
 
@@ -22,7 +22,7 @@ class TextFile:
     Parameters
     ----------
     path
-        Must not exist.
+        The file; it must not exist.
     """
 
     def __init__(self, path: Path) -> None:

@@ -19,7 +19,7 @@ __all__ = ["TumWriter"]
 
 
 class TumWriter:
-    """One line a scan: its stamp, with all nine digits, and the robot's pose. Stamps ascend."""
+    """Writes one line for each scan: its stamp, with all nine digits, and the robot's pose. Stamps ascend."""
 
     def __init__(self, path: Path, *, posed: bool) -> None:
         assert posed
@@ -27,7 +27,7 @@ class TumWriter:
         self._last_ns: int | None = None
 
     def add(self, item: Scan, placed: PosesAtStamp | None) -> None:
-        """Write a line; raises `UnwritableError` for a stamp that is not later than the one before."""
+        """Write a line; raise `UnwritableError` for a stamp that is not later than the one before."""
         assert placed is not None
         if self._last_ns is not None and item.stamp_ns <= self._last_ns:
             raise UnwritableError(
