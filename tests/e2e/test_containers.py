@@ -260,7 +260,7 @@ def test_what_has_no_place_for_attachments_says_so(tmp_path: Path) -> None:
     source = write_mcap(tmp_path / "drive.mcap", CONTENT, form)
     done = run("convert", source, "-o", tmp_path / "out.bag")
     assert done.status == 0, done.stderr
-    assert "4 MCAP attachments and metadata records are left out" in done.stderr
+    assert "4 MCAP attachments and metadata records are not copied" in done.stderr
 
 
 def test_a_type_without_definition_is_named_never_lost_in_silence(sources: dict[str, Path], tmp_path: Path) -> None:
