@@ -15,6 +15,7 @@ import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -26,6 +27,8 @@ import zstandard
 
 import pc2scan
 from benchmarks.clouds import CLOUD_BYTES, FORMS, POINT_BYTES, POINTS, TRIFLE, Form, serialized_clouds, write_recording
+from benchmarks.test_combining import convert_two, write_two
+from benchmarks.test_deskewing import tasks as moving_tasks
 from benchmarks.test_projection import LAYOUTS, cloud, params_of, straightforward
 from builders import write_mcap
 from drives import drive_recording
@@ -47,6 +50,19 @@ HEIGHTS = ("--min-height", "-0.5", "--max-height", "1")
 PARAMS = pc2scan.ProjectionParams(min_height=-0.5, max_height=1.0)
 MEGABYTE = 1_000_000
 
+#: What is printed, unless one of them is asked for.
+TABLES = (
+    "projection",
+    "deskewing",
+    "conversions",
+    "outputs",
+    "combining",
+    "batch",
+    "passing",
+    "maps",
+    "start-up",
+)
+
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
@@ -56,24 +72,26 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, help="where the recordings are written meanwhile")
     parser.add_argument(
         "--only",
-        choices=("projection", "conversions", "outputs", "batch", "passing", "maps", "start-up", "memory"),
+        choices=(*TABLES, "memory"),
         help="one table",
     )
     asked = parser.parse_args()
-    wanted = (
-        {asked.only} if asked.only else {"projection", "conversions", "outputs", "batch", "passing", "maps", "start-up"}
-    )
+    wanted = {asked.only} if asked.only else set(TABLES)
     keep_freed_memory()
     with TemporaryDirectory(dir=asked.folder) as folder:
         place = Path(folder)
         say(f"{len(os.sched_getaffinity(0))} cores, Python {sys.version.split()[0]}.\n")
         if "projection" in wanted:
             projection(asked.repeat)
+        if "deskewing" in wanted:
+            deskewing(asked.repeat)
         if "conversions" in wanted:
             conversions(place, int(asked.gb * 1e9), asked.repeat)
             smaller_clouds(place, int(asked.gb * 0.25e9), asked.repeat)
         if "outputs" in wanted:
             outputs(place, int(asked.gb * 0.25e9), asked.repeat)
+        if "combining" in wanted:
+            combining(place, asked.repeat)
         if "batch" in wanted:
             datasets(place, int(asked.gb * 0.5e9), asked.repeat)
         if "passing" in wanted:
@@ -150,6 +168,27 @@ def projection(repeat: int) -> None:
             for points in (1_000, 16_384, 131_072, 2_000_000)
             for heights in ("all", "band")
         ),
+    )
+
+
+# --- Deskewing ---
+
+
+def deskewing(repeat: int) -> None:
+    def rows() -> Iterable[Sequence[str]]:
+        for layout in ("organised", "ring-major", "column-major"):
+            for heights in ("all", "band"):
+                plain, deskewed = moving_tasks(layout, heights)
+                found = rounds(20 * repeat, partial(seconds, plain), partial(seconds, deskewed))
+                once, moved = (median(column) * 1e3 for column in zip(*found, strict=True))
+                ratio = median(row[1] / row[0] for row in found)
+                yield layout, "all" if heights == "all" else "a band", f"{once:.2f}", f"{moved:.2f}", f"{ratio:.2f}"
+
+    table(
+        "Deskewing** 131,072 points with times to 360 beams, one thread, ms a cloud: a transform for all points, and "
+        "one for each, with its lookups",
+        ("layout", "heights", "one transform", "deskewed", "a multiple"),
+        rows(),
     )
 
 
@@ -344,6 +383,32 @@ def outputs(place: Path, size: int, repeat: int) -> None:
         f"Several outputs** of {count} clouds of 131,072 points: clouds a second, and the time as a multiple of one "
         "output's",
         ("source", "jobs", "one", "four (`--scans`)", "one, `--keep-used`", "four, a multiple", "kept, a multiple"),
+        rows(),
+    )
+
+
+# --- Several sources ---
+
+
+def combining(place: Path, repeat: int) -> None:
+    source = write_two(place / "two.mcap")
+
+    def rows() -> Iterable[Sequence[str]]:
+        for heights in ("all", "a band"):
+            for jobs in (1, 2):
+                works = [
+                    partial(seconds, partial(convert_two, source, place / "scans.mcap", how, heights, jobs))
+                    for how in ("a scan of each", "one scan", "one scan, fixed frame")
+                ]
+                found = rounds(repeat, *works)
+                times = (f"{median(column):.3f}" for column in zip(*found, strict=True))
+                ratios = (f"{median(row[i] / row[0] for row in found):.2f}" for i in (1, 2))
+                yield heights, str(jobs), *times, *ratios
+
+    table(
+        "Several sources:** two lidars of 131,072 points in one scan, uncompressed MCAP, seconds, and as a multiple "
+        "of a scan of each",
+        ("heights", "jobs", "a scan of each", "one scan", "one, fixed frame", "one, a multiple", "fixed, a multiple"),
         rows(),
     )
 

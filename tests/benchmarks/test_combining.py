@@ -71,6 +71,23 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_two(tmp_path_factory.mktemp("two") / "two.mcap")
 
 
+def convert_two(source: Path, destination: Path, how: str, heights: str, jobs: int) -> pc2scan.Report:
+    """Convert them: a scan of each, one scan, or one scan through a fixed frame."""
+    params = pc2scan.ProjectionParams(target_frame="base_link", min_height=-1e6)
+    if heights == "a band":
+        params = pc2scan.ProjectionParams(target_frame="base_link", min_height=-0.5, max_height=1.0)
+    return pc2scan.convert(
+        source,
+        destination,
+        topics=("/front:=/scan", "/rear:=/scan") if how != "a scan of each" else ("/front:=/one", "/rear:=/other"),
+        params=params,
+        fixed_frame="odom" if "fixed" in how else "",
+        only_scans=True,
+        overwrite=True,
+        jobs=jobs,
+    )
+
+
 @pytest.mark.benchmark
 @pytest.mark.parametrize("jobs", [1, 2])
 @pytest.mark.parametrize("heights", ["all", "a band"])
@@ -79,24 +96,7 @@ def test_two_lidars(
     benchmark: BenchmarkFixture, source: Path, tmp_path: Path, how: str, heights: str, jobs: int
 ) -> None:
     benchmark.group = f"two lidars, {heights}, {jobs} jobs"
-    params = pc2scan.ProjectionParams(target_frame="base_link", min_height=-1e6)
-    if heights == "a band":
-        params = pc2scan.ProjectionParams(target_frame="base_link", min_height=-0.5, max_height=1.0)
-    targets = ("/front:=/scan", "/rear:=/scan") if how != "a scan of each" else ("/front:=/one", "/rear:=/other")
-
-    def convert() -> pc2scan.Report:
-        return pc2scan.convert(
-            source,
-            tmp_path / "scans.mcap",
-            topics=targets,
-            params=params,
-            fixed_frame="odom" if "fixed" in how else "",
-            only_scans=True,
-            overwrite=True,
-            jobs=jobs,
-        )
-
-    report = benchmark(convert)
+    report = benchmark(convert_two, source, tmp_path / "scans.mcap", how, heights, jobs)
     assert (
         sum(topic.messages_out for topic in report.topics if topic.action in {"converted", "joined"}) >= 2 * CLOUDS - 1
     )

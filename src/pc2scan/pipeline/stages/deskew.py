@@ -214,6 +214,8 @@ class Track(NamedTuple):
         The longest time that transforms were interpolated over.
     timed
         See `MovingTransform`.
+    begin_ns, end_ns
+        The times of the first and the last row.
     """
 
     points: Points
@@ -225,11 +227,13 @@ class Track(NamedTuple):
     rows: NDArray[np.float64]
     gap_ns: int
     timed: bool
+    begin_ns: int
+    end_ns: int
 
     def seen_from(
         self,
         target_from_fixed: Rigid,
-        reference: tuple[Rigid, ...],
+        reference: tuple[Rigid, ...] | int,
         frame_id: str,
         stamp_ns: int,
         rows: NDArray[np.float64] | None = None,
@@ -241,7 +245,8 @@ class Track(NamedTuple):
         target_from_fixed
             That frame, at the scan's time.
         reference
-            target_from_sensor, by transforms that follow each other: how far the sensor moved is measured from there.
+            target_from_sensor, by transforms that follow each other, or the number of its row: how far the sensor moved
+            is measured from there.
         frame_id, stamp_ns
             The frame's name, and the scan's time.
         rows
@@ -324,9 +329,12 @@ class Deskew:
         buffer, tolerance_ns, reference_ns = self._known(), self._frames.tolerance_ns, track.reference_ns
         source = self._frames.source_frame or points.frame_id
         target, from_fixed = self._frames.from_fixed(self._fixed, points.frame_id, reference_ns)
-        reference = buffer.lookup(self._fixed, source, reference_ns, tolerance_ns)
+        reference: tuple[Rigid, ...] | int
+        reference = {track.begin_ns: 0, track.end_ns: -1}.get(reference_ns, 1)
+        if reference == 1 or np.isnan(track.rows[reference, 0]):
+            reference = from_fixed, buffer.lookup(self._fixed, source, reference_ns, tolerance_ns)
         # Nobody else has the rows.
-        return track.seen_from(from_fixed, (from_fixed, reference), target, reference_ns, track.rows)
+        return track.seen_from(from_fixed, reference, target, reference_ns, track.rows)
 
     def track(self, points: Points) -> Track | None:
         """Look up where a cloud's sensor was in the fixed frame; None for a cloud without a point.
@@ -370,14 +378,18 @@ class Deskew:
         }[self._stamp]
         buffer = self._known()
         source = self._frames.source_frame or points.frame_id
+        # Where the sensor was at the scan's time is needed as well.
+        if end_ns - begin_ns > _STEP_NS:
+            begin_ns = reference_ns if 0 < begin_ns - reference_ns <= _STEP_NS else begin_ns
+            end_ns = reference_ns if 0 < reference_ns - end_ns <= _STEP_NS else end_ns
         step_ns = max(_STEP_NS, (end_ns - begin_ns) // _MOST_NODES)
         stamps_ns, rows, gap_ns = buffer.rows(self._fixed, source, begin_ns, end_ns, step_ns, _step_ns)
-        if np.isnan(rows).all():
+        if math.isnan(rows[0, 0]) and np.isnan(rows).all():
             _raise_why(buffer, self._fixed, source, begin_ns)
         times = (stamps_ns - stamp_ns) / 1e9
         timed = points if given else points.replace(_Times(points, name, offset, unit), points.frame_id)
         all_timed = not unknown and bool(times[0] <= low and high <= times[-1])
-        return Track(timed, reference_ns, name, offset, unit, times, rows, gap_ns, all_timed)
+        return Track(timed, reference_ns, name, offset, unit, times, rows, gap_ns, all_timed, begin_ns, end_ns)
 
     def _known(self) -> TransformBuffer:
         if self._frames.buffer is None:
@@ -430,10 +442,13 @@ def _angles(differences: NDArray[np.float64]) -> NDArray[np.float64]:
     return angles
 
 
-def _motion(rows: NDArray[np.float64], reference: tuple[Rigid, ...], gap_ns: int) -> Motion:
-    row = _IDENTITY.copy()
-    for transform in reversed(reference):
-        kernel.follow(_ONCE, _ALWAYS, np.array([transform.pose]), row)
+def _motion(rows: NDArray[np.float64], reference: tuple[Rigid, ...] | int, gap_ns: int) -> Motion:
+    if isinstance(reference, int):
+        row = rows[reference]
+    else:
+        row = _IDENTITY.copy()
+        for transform in reversed(reference):
+            kernel.follow(_ONCE, _ALWAYS, np.array([transform.pose]), row)
     squares = rows - row
     squares *= squares
     # fmax ignores NaN.
