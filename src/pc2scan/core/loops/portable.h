@@ -86,6 +86,21 @@ EIGHT_INLINED void load_points(const char *from, Py_ssize_t step, __m256 *x, __m
     *z = _mm256_shuffle_ps(zs, sz, 0x44);
 }
 
+/* Eight numbers of four bytes. With gaps between them, twelve bytes behind each are read, too. */
+EIGHT_INLINED __m256 eight_singles(const char *from, Py_ssize_t step) {
+    if (step == 4) return _mm256_loadu_ps((const float *)from);
+    __m256 pair[4];
+    for (int i = 0; i < 4; i++) pair[i] = load_two(from + i * step, from + (i + 4) * step);
+    return _mm256_shuffle_ps(_mm256_unpacklo_ps(pair[0], pair[1]), _mm256_unpacklo_ps(pair[2], pair[3]), 0x44);
+}
+
+EIGHT_INLINED __m256d four_doubles(const char *from, Py_ssize_t step) {
+    if (step == 8) return _mm256_loadu_pd((const double *)from);
+    const double *number[4];
+    for (int i = 0; i < 4; i++) number[i] = (const double *)(from + i * step);
+    return _mm256_set_m128d(_mm_loadh_pd(_mm_load_sd(number[2]), number[3]), _mm_loadh_pd(_mm_load_sd(number[0]), number[1]));
+}
+
 /* Of the points that are read next. Points of 32 bytes share a processor's lines of 64. */
 EIGHT_INLINED void prefetch_points(const char *from, Py_ssize_t step) {
     const Py_ssize_t lines = step < 64 ? 64 : step;

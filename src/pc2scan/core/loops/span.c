@@ -27,21 +27,6 @@ static void widen_by_each(Span *span, const Axis *axis, const char *x, const Axi
 }
 
 #ifdef EIGHT
-/* Eight numbers of four bytes. With gaps between them, twelve bytes behind each are read, too. */
-EIGHT_INLINED __m256 eight_singles(const char *from, Py_ssize_t step) {
-    if (step == 4) return _mm256_loadu_ps((const float *)from);
-    __m256 pair[4];
-    for (int i = 0; i < 4; i++) pair[i] = load_two(from + i * step, from + (i + 4) * step);
-    return _mm256_shuffle_ps(_mm256_unpacklo_ps(pair[0], pair[1]), _mm256_unpacklo_ps(pair[2], pair[3]), 0x44);
-}
-
-EIGHT_INLINED __m256d four_doubles(const char *from, Py_ssize_t step) {
-    if (step == 8) return _mm256_loadu_pd((const double *)from);
-    const double *number[4];
-    for (int i = 0; i < 4; i++) number[i] = (const double *)(from + i * step);
-    return _mm256_set_m128d(_mm_loadh_pd(_mm_load_sd(number[2]), number[3]), _mm_loadh_pd(_mm_load_sd(number[0]), number[1]));
-}
-
 /* Points of one row, eight at a time, as long as what is read of them stays in front of the last one; returns how many.
    Integers are compared as signed ones: the highest bit of others is turned first. */
 EIGHT_WIDE static Py_ssize_t widen_by_integers(Span *span, const char *x, Py_ssize_t dx, const char *values, Py_ssize_t dv,
