@@ -96,9 +96,9 @@ EIGHT_INLINED __m256 eight_singles(const char *from, Py_ssize_t step) {
 
 EIGHT_INLINED __m256d four_doubles(const char *from, Py_ssize_t step) {
     if (step == 8) return _mm256_loadu_pd((const double *)from);
-    const double *number[4];
-    for (int i = 0; i < 4; i++) number[i] = (const double *)(from + i * step);
-    return _mm256_set_m128d(_mm_loadh_pd(_mm_load_sd(number[2]), number[3]), _mm_loadh_pd(_mm_load_sd(number[0]), number[1]));
+    double number[4];
+    for (int i = 0; i < 4; i++) memcpy(number + i, from + i * step, sizeof *number);
+    return _mm256_set_pd(number[3], number[2], number[1], number[0]);
 }
 
 /* Of the points that are read next. Points of 32 bytes share a processor's lines of 64. */
