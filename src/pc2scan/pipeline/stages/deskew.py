@@ -378,14 +378,18 @@ class Deskew:
         }[self._stamp]
         buffer = self._known()
         source = self._frames.source_frame or points.frame_id
+        measured_ns = begin_ns, end_ns
         # Where the sensor was at the scan's time is needed as well.
-        if end_ns - begin_ns > _STEP_NS:
+        if end_ns - begin_ns > 4 * _STEP_NS:
             begin_ns = reference_ns if 0 < begin_ns - reference_ns <= _STEP_NS else begin_ns
             end_ns = reference_ns if 0 < reference_ns - end_ns <= _STEP_NS else end_ns
         step_ns = max(_STEP_NS, (end_ns - begin_ns) // _MOST_NODES)
         stamps_ns, rows, gap_ns = buffer.rows(self._fixed, source, begin_ns, end_ns, step_ns, _step_ns)
-        if math.isnan(rows[0, 0]) and np.isnan(rows).all():
-            _raise_why(buffer, self._fixed, source, begin_ns)
+        # Nearly always there is a transform in the middle of the points' times.
+        if math.isnan(rows[2 * int(stamps_ns.searchsorted(sum(measured_ns) // 2)), 0]):
+            nodes = np.flatnonzero((stamps_ns >= measured_ns[0]) & (stamps_ns <= measured_ns[1]))
+            if np.isnan(rows[2 * nodes[0] : 2 * nodes[-1] + 1]).all():
+                _raise_why(buffer, self._fixed, source, measured_ns[0])
         times = (stamps_ns - stamp_ns) / 1e9
         timed = points if given else points.replace(_Times(points, name, offset, unit), points.frame_id)
         all_timed = not unknown and bool(times[0] <= low and high <= times[-1])
