@@ -117,3 +117,19 @@ def test_the_default_destination_of_the_current_directory(tmp_path: Path, monkey
     monkeypatch.chdir(tmp_path / "bag")
     found = default_destination([Path()], [summary("rosbag2", "mcap")])
     assert found == tmp_path.resolve() / "bag_scan"
+
+
+@pytest.mark.parametrize("name", ["k.mp4", "k.log", "k.pgm", "k.TAR2", "a.b.pdf"])
+def test_a_name_of_a_file_of_another_kind_is_refused(name: str) -> None:
+    with pytest.raises(DestinationError, match="is not a destination") as caught:
+        plan_destination(Path(name), source_ros_version=1)
+    for known in ("NAME.bag", "NAME.mcap", "NAME for a rosbag2 directory"):
+        assert known in str(caught.value.hint)
+    assert plan_destination(Path(name), source_ros_version=1, is_directory=True).container == "rosbag2"
+
+
+@pytest.mark.parametrize(
+    "name", ["drive", "drive.2", "drive.v2", "drive.2024-05-01", "drive.x", "drive.outdoor", "a.b_scan"]
+)
+def test_a_name_with_a_point_may_be_a_directory(name: str) -> None:
+    assert plan_destination(Path(name), source_ros_version=1).container == "rosbag2"

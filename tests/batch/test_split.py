@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import shutil
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import pytest
 
 import pc2scan
 from support import ROOT
@@ -29,3 +32,58 @@ def test_each_output_is_a_directory_of_several_files_and_is_known_the_next_time(
     ]
     # The second time nothing was to be done, the third time both.
     assert outcomes[0][1] == outcomes[1][1]
+
+
+@pytest.mark.parametrize("suffix", ["bag", "mcap"])
+def test_numbered_files_are_one_result(suffix: str, tmp_path: Path) -> None:
+    (tmp_path / "in" / "robot").mkdir(parents=True)
+    for name in ("a.bag", "robot/b.bag"):
+        shutil.copy(ROOT / "fixtures" / "hall.bag", tmp_path / "in" / name)
+    out = tmp_path / "out"
+
+    def again(split: str | None, **more: Any) -> tuple[int, list[str]]:
+        options: dict[str, Any] = {} if split is None else {"split": split}
+        done = pc2scan.batch(tmp_path / "in", out, min_height=-0.3, to=suffix, **options, **more)
+        assert done.exit_status == 0, done.outcomes
+        return done.unchanged, sorted(path.name for path in out.rglob(f"*.{suffix}"))
+
+    parts = [f"{stem}_scan_{number}.{suffix}" for stem in "ab" for number in range(3)]
+    assert again("0.2s") == (0, parts)
+    lines = [json.loads(line) for line in (out / "manifest.jsonl").read_text().splitlines()]
+    output = next(line["output"] for line in lines if line["key"] == "robot/b.bag")
+    assert output["path"] == f"robot/b_scan_0.{suffix}"
+    assert [name for name, _, _ in output["files"]] == [f"b_scan_{number}.{suffix}" for number in range(3)]
+    assert output["bytes"] == sum(path.stat().st_size for path in (out / "robot").iterdir())
+    pc2scan.convert(tmp_path / "in" / "a.bag", tmp_path / f"a_scan.{suffix}", split="0.2s", min_height=-0.3)
+    for path in sorted(tmp_path.glob(f"a_scan_*.{suffix}")):
+        assert (out / path.name).read_bytes() == path.read_bytes()
+
+    assert again("0.2s") == (2, parts)
+    # Any of the files that is missing or changed counts.
+    (out / f"a_scan_1.{suffix}").unlink()
+    assert again("0.2s") == (1, parts)
+    with (out / "robot" / f"b_scan_2.{suffix}").open("ab") as file:
+        file.write(b"x")
+    assert again("0.2s") == (1, parts)
+    # Fewer files replace all.
+    fewer = [name for name in parts if not name.endswith(f"_2.{suffix}")]
+    assert again("0.3s") == (0, fewer)
+    # One file has another name, and is not taken for a part.
+    whole = [f"a_scan.{suffix}", f"b_scan.{suffix}"]
+    assert again(None) == (0, sorted([*fewer, *whole]))
+    assert again(None) == (2, sorted([*fewer, *whole]))
+
+
+def test_numbered_files_of_another_origin_stay(tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    shutil.copy(ROOT / "fixtures" / "hall.bag", tmp_path / "in" / "a.bag")
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "a_scan_7.bag").write_text("mine")
+    done = pc2scan.batch(tmp_path / "in", tmp_path / "out", min_height=-0.3, split="0.2s")
+    assert done.exit_status == 1
+    assert "exists already, and was not written by this batch" in done.outcomes[0].error
+    assert [path.name for path in (tmp_path / "out").glob("*.bag")] == ["a_scan_7.bag"]
+    assert pc2scan.batch(tmp_path / "in", tmp_path / "out", min_height=-0.3, split="0.2s", overwrite=True).counts == {
+        "converted": 1
+    }
+    assert sorted(path.name for path in (tmp_path / "out").glob("*.bag")) == [f"a_scan_{n}.bag" for n in range(3)]

@@ -37,6 +37,11 @@ def said(*arguments: str) -> str:
             "there is no option --min-hight",
             "did you mean --min-height or --max-height or --min-height-slope?",
         ),
+        (
+            ["convert", HALL, "-o", "a.bag", "--output=b.bag"],
+            "-o is given twice, and there is one destination",
+            "type only one of them",
+        ),
         (["convert", HALL, "--start"], "--start requires an argument", "pc2scan convert --help shows what it takes"),
         (["tf", HALL, "--lookup", "a"], "--lookup requires 2 arguments", "pc2scan tf --help shows what it takes"),
         (

@@ -159,6 +159,17 @@ def test_a_dry_run_writes_nothing(drives: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
+def test_a_dry_run_does_not_count_what_has_no_index(tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    write_rosbag1(tmp_path / "in" / "whole.bag", CONTENT)
+    whole = (tmp_path / "in" / "whole.bag").read_bytes()
+    (tmp_path / "in" / "cut.bag").write_bytes(whole[: len(whole) // 2])
+    done = run("batch", tmp_path / "in", "-o", tmp_path / "out", *HEIGHTS, "--dry-run")
+    lines = {line.split()[3]: line for line in done.stderr.splitlines() if " -> " in line}
+    assert "scans not counted" in lines["cut.bag"]
+    assert "scans not counted" not in lines["whole.bag"]
+
+
 def test_nothing_is_opened_that_is_known(drives: Path, tmp_path: Path) -> None:
     """A run without anything to do takes a second for a thousand recordings: none of them is read."""
     write_rosbag2(drives / "c", CONTENT)

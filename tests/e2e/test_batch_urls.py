@@ -202,6 +202,20 @@ def test_what_is_not_of_a_batch_is_not_replaced(s3: Any, drives: Path) -> None:
     assert pc2scan.batch(f"{source}/a.bag", f"s3://{s3.bucket}/out", overwrite=True, **KEYWORDS).exit_status == 0
 
 
+def test_numbered_files(s3: Any, drives: Path, tmp_path: Path) -> None:
+    source, out = upload(s3, drives, "in"), f"s3://{s3.bucket}/out"
+    report = pc2scan.batch(f"{source}/a.bag", out, split="20ms", **KEYWORDS)
+    count = len(s3.ls(f"{s3.bucket}/out", refresh=True)) - 1
+    assert report.outcomes[0].output == "a_scan_0.bag"
+    assert count > 2
+    assert pc2scan.batch(f"{source}/a.bag", out, split="20ms", **KEYWORDS).unchanged == 1
+    s3.rm_file(f"{s3.bucket}/out/a_scan_1.bag")
+    assert pc2scan.batch(f"{source}/a.bag", out, split="20ms", **KEYWORDS).unchanged == 0
+    # All are replaced, those too many are removed.
+    pc2scan.batch(f"{source}/a.bag", out, split="1h", **KEYWORDS)
+    assert sorted(download(s3, "out", tmp_path / "got")) == ["a_scan_0.bag"]
+
+
 def test_exported_files(s3: Any, drives: Path, tmp_path: Path) -> None:
     source = upload(s3, drives, "in")
     pc2scan.batch(f"{source}/a.bag", f"s3://{s3.bucket}/out", export="pcd")

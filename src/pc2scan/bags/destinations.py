@@ -126,10 +126,12 @@ def plan_destination(
     profile: str | None = None,
     metadata_version: int = 8,
     source_ros_version: int | None,
+    is_directory: bool = False,
 ) -> Destination:
     """Plan a destination from its name and the options.
 
-    ``*.bag`` is a ROS 1 bag, ``*.mcap`` an MCAP file, and any other name a rosbag2 directory.
+    ``*.bag`` is a ROS 1 bag, ``*.mcap`` an MCAP file, and any other name a rosbag2 directory, unless it looks like that
+    of a file.
 
     Parameters
     ----------
@@ -146,6 +148,8 @@ def plan_destination(
         For a rosbag2 directory: 8 or 9.
     source_ros_version
         1, 2, or None if the source has no ROS messages.
+    is_directory
+        Whether a directory was asked for, whatever its name looks like.
 
     Raises
     ------
@@ -158,12 +162,11 @@ def plan_destination(
         )
     suffix = path.suffix.lower()
     written = _written()
-    if suffix in _REFUSED_SUFFIXES and suffix not in written:
+    if suffix not in written and (suffix in _REFUSED_SUFFIXES or (_is_like_a_file(suffix) and not is_directory)):
         names = ", ".join(f"NAME{known}" for known in written if known)
+        why = _REFUSED_SUFFIXES.get(suffix, "a directory of this name would look like a file; `to=rosbag2` makes it")
         raise DestinationError(
-            f"{suffix} is not a destination",
-            path=path,
-            hint=f"{_REFUSED_SUFFIXES[suffix]}. Use {names}, or NAME for a rosbag2 directory",
+            f"{suffix} is not a destination", path=path, hint=f"{why}. Use {names}, or NAME for a rosbag2 directory"
         )
     entry = _format_of(path)
     if storage is not None and not entry.storages:
@@ -194,6 +197,13 @@ def plan_destination(
         metadata_version=metadata_version,
         chunk_compressions=frozenset((compression,) if compression else files.compressions),
     )
+
+
+def _is_like_a_file(suffix: str) -> bool:
+    """Whether a suffix is like those of files, such as .mp4: not a version (drive.2), a date, or words."""
+    letters = suffix[1:]
+    is_version = letters[:1] == "v" and letters[1:].isdigit()
+    return len(letters) in range(2, 5) and letters.isalnum() and letters[0].isalpha() and not is_version
 
 
 def _written() -> dict[str, Format]:

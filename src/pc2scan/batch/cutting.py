@@ -104,7 +104,8 @@ def _sources(job: Job) -> tuple[Path, ...]:
 
 def _cuttable(job: Job, piece_bytes: int) -> bool:
     request = job.request
-    plain = request.export is None and not job.dry_run and not is_remote(job)
+    # Numbered files are no directory into which pieces could be put.
+    plain = request.export is None and request.output.to == "rosbag2" and not job.dry_run and not is_remote(job)
     return plain and may_be_cut(request.output.cut) and job.size_bytes >= 2 * piece_bytes
 
 

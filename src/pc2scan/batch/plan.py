@@ -12,6 +12,8 @@ from pc2scan.files.staging import working_names
 from pc2scan.shown import size
 from pc2scan.version import __version__
 
+from .results import SUFFIXES, first_part, whole
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 
@@ -134,7 +136,9 @@ def _name(found: Found, request: Request, *, distinct: bool = False) -> str:
     source = Path(found.key)
     suffix = f"_{source.suffix[1:] or 'folder'}" if distinct else ""
     mark, to = ("", "rosbag2") if request.export is not None else ("_scan", request.output.to)
-    return named_after(source, found.container, f"{suffix}{mark}", folder=source.parent, to=to).as_posix()
+    name = named_after(source, found.container, f"{suffix}{mark}", folder=source.parent, to=to)
+    in_parts = request.output.cut is not None and request.export is None and name.suffix in SUFFIXES
+    return first_part(name.as_posix()) if in_parts else name.as_posix()
 
 
 def make_plan(
@@ -172,7 +176,7 @@ def make_plan(
     outputs = destinations(found, choices)
     owners: dict[str, list[str]] = {}
     for key, output in outputs.items():
-        for name in (Path(output), *working_names(Path(output))):
+        for name in (Path(output), *working_names(Path(whole(output)))):
             owners.setdefault(name.as_posix().casefold(), []).append(key)
     owned = history.owned
     steps = []
@@ -197,7 +201,7 @@ def make_plan(
             )
             steps.append(replace(step, action="refuse", why=error.message, error=error))
             continue
-        place = out / output
+        place = out / whole(output)
         if read := next((path for path in (place, *working_names(place), *place.parents) if path in inputs), None):
             error = DestinationError(
                 "is a source", path=read, hint="what is read is never changed; write into another folder"

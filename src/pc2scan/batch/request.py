@@ -120,7 +120,7 @@ def request_of(words: Mapping[str, Any], origins: Mapping[str, str] | None = Non
         return {name: given.pop(name) for name in names if name in given}
 
     export = _export(take(_EXPORT), given)
-    cut = _cut(take(_SPLIT), given.get("to"))
+    cut = _cut(take(_SPLIT))
     output = OutputOptions(**take(_OUTPUT), like_source=True, cut=cut)
     notes: list[str] = []
     asked = conversion_of(given, origins, notes.append)
@@ -157,18 +157,13 @@ def _absolute(path: Path) -> Path:
     return path if is_url(path) else Path(os.path.abspath(path))  # noqa: PTH100  # links keep their names
 
 
-def _cut(asked: Mapping[str, Any], to: object) -> Cut | None:
-    """Read where outputs are split; a batch keeps one output for each recording, so that this is a directory."""
+def _cut(asked: Mapping[str, Any]) -> Cut | None:
+    """Read where outputs are split."""
     if not asked:
         return None
     from pc2scan.pipeline.parts import cut_of  # noqa: PLC0415  # most outputs are one file
 
-    cut = cut_of(asked.get("split"), repeat_latched=asked.get("repeat_latched", False))
-    if cut is not None and to != "rosbag2":
-        raise UsageError(
-            "`split` of a batch writes rosbag2 directories, each with several files", hint="give `to=rosbag2`"
-        )
-    return cut
+    return cut_of(asked.get("split"), repeat_latched=asked.get("repeat_latched", False))
 
 
 def _canonical(value: Any) -> Any:

@@ -25,6 +25,7 @@ from .identity import checksum_of, identity_of
 from .manifest import MANIFEST, Manifest, Record, forget_begun, read_begun, read_manifest, write_begun
 from .plan import History, make_plan
 from .resources import available_bytes, workers_for
+from .results import files_of, whole
 from .staged import jobs_here
 from .stores import Stores
 from .summary import BEGINNINGS, BatchReport, Outcome, report_text
@@ -374,7 +375,7 @@ class _Batch:
             self._sources,
             self._out,
             known=_known(self._history, self._stores),
-            outputs=[self._out / o for o in self._history.owned],
+            outputs=[path for output in self._history.owned for path in files_of(self._out, output)],
             stores=self._stores,
         )
         if not found:
@@ -410,13 +411,13 @@ class _Batch:
     def _present(self, output: str) -> Identity:
         if self._store is not None:
             return self._store.present(output)
-        return identity_of([self._out / output])
+        return identity_of(files_of(self._out, output))
 
     def clean_up(self) -> None:
         """Remove what killed runs left beside the outputs of this folder."""
         planned = [step.output for action in ("convert", "keep") for step in self.made.of(action)]
         for output in {*self._history.owned, *planned}:
-            clean_up(self._out / output)
+            clean_up(self._out / whole(output))
 
     def convert(self, lock: int | None, make: Callable[..., Executor]) -> None:
         """Do what the plan says, and note it."""
@@ -561,7 +562,7 @@ class _Batch:
         return Job(
             key=step.found.key,
             sources=tuple(self._stores.url_of(path) for path in step.found.paths),
-            destination=self._stores.url_of(folder / (Path(step.output).name if flat else step.output)),
+            destination=self._stores.url_of(folder / whole(Path(step.output).name if flat else step.output)),
             request=step.choice.request,
             size_bytes=step.found.identity.size_bytes,
             replaces=step.replaces,

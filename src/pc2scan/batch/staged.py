@@ -22,6 +22,7 @@ from pc2scan.remote.scratch import Room, ScratchError, scratch_folder
 from pc2scan.remote.urls import is_url
 
 from .identity import Identity, identity_of, versions
+from .results import first_part, in_order, parts_among
 from .stores import identity_in
 from .work import Result
 from .workers import Ended, Queue
@@ -29,7 +30,7 @@ from .workers import Ended, Queue
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from pc2scan.remote.store import Object
+    from pc2scan.remote.store import Object, Place
 
     from .work import Job
     from .workers import Event
@@ -291,7 +292,12 @@ class _StagedQueue(Queue):
 
         target = Place(Path(copy.job.destination))
         folder = Place(Path(copy.job.destination.rstrip("/").rpartition("/")[0]))
-        made = sorted((copy.folder / "out").iterdir(), reverse=True)
+        # The first of several parts is the last to appear, and to go: where it is, all are.
+        made = [copy.folder / "out" / name for name in in_order(p.name for p in (copy.folder / "out").iterdir())][::-1]
+        output = target.name
+        if made and target.name not in {path.name for path in made}:
+            output = first_part(output)
+            self._remove_parts(folder, output, made, replaces=copy.job.replaces)
         objects: dict[str, Object] = {}
         done: list[str] = []
         try:
@@ -315,7 +321,16 @@ class _StagedQueue(Queue):
             if len(made) > 1:
                 folder.remove(done)
             raise
-        return identity_in(objects, target.name)
+        return identity_in(objects, output)
+
+    def _remove_parts(self, folder: Place, output: str, made: Sequence[Path], *, replaces: bool) -> None:
+        """Remove the parts of an earlier result that the new ones do not replace."""
+        there = parts_among((name for name in folder.below() if "/" not in name), output)
+        if there and not replaces:
+            shown = folder.child(there[0]).shown
+            raise DestinationError("exists already", path=shown, hint="`overwrite=True` replaces it")
+        for name in set(there) - {path.name for path in made}:
+            folder.child(name).delete()
 
     def _ended(self, copy: _Copy, result: Result) -> Result:
         """Remove the copies, and show URLs in a result."""

@@ -25,6 +25,7 @@ from pc2scan.remote.urls import is_url, shown_url, url_of
 
 from .identity import Identity, versions
 from .manifest import BEGUN, MANIFEST
+from .results import is_numbered, parts_among
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -339,7 +340,10 @@ class Output:
 
 
 def identity_in(objects: dict[str, Object], output: str) -> Identity:
-    """Return the identity of a file or folder among the objects of a store."""
+    """Return the identity of a file, of a folder, or of numbered files, among the objects of a store."""
+    if is_numbered(output):
+        parts = parts_among(objects, output)
+        return Identity(tuple((key.rpartition("/")[2], *objects[key]) for key in parts))
     if found := objects.get(output):
         return Identity(((output.rpartition("/")[2], found.size, found.version),))
     below = f"{output}/"

@@ -106,7 +106,7 @@ WORDS: dict[str, Word] = {
     "compression": Word("text", "Compression of the output.", ("none", "lz4", "zstd", "bz2")),
     "profile": Word("text", "ROS version of an .mcap file.", ("ros1", "ros2")),
     "metadata_version": Word("number", "Version of a rosbag2 directory's metadata.yaml, 8 or 9."),
-    "split": Word("text", "Write several files, by time (60s, 10min) or size (500MB, 1GiB); with to: rosbag2."),
+    "split": Word("text", "Write several files, by time (60s, 10min) or size (500MB, 1GiB)."),
     "repeat_latched": Word("flag", "With split: repeat latched messages and static transforms in each file."),
     "ros_distro": Word("text", "ROS distribution with the message definitions that a recording lacks."),
     **_parameter_words(),

@@ -17,7 +17,7 @@ from pc2scan.remote.urls import is_url
 from .identity import Identity, checksum_of, identity_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from pc2scan.export.report import ExportReport
     from pc2scan.pipeline.report import Report
@@ -159,7 +159,7 @@ def convert_one(job: Job, progress: Callable[[int, int, int], None] | None = Non
         exit_status=status,
         identity=identity,
         sha256=sha256,
-        output_identity=Identity() if error or job.dry_run or job.step is not None else identity_of([destination]),
+        output_identity=Identity() if error or job.dry_run or job.step is not None else _identity(destination, report),
         started=started,
         seconds=time.monotonic() - began,
         report=report,
@@ -222,6 +222,12 @@ def _looked_into(job: Job, sources: list[Path]) -> ExportReport:
         damage = tuple(place for reader in readers for place in reader.damage)
     assert job.request.export is not None
     return ExportReport(list(job.sources), job.destination, str(job.request.export.format), damage=damage)
+
+
+def _identity(destination: Path, report: Mapping[str, Any] | None) -> Identity:
+    """Of what was written: a file, a directory, or numbered files."""
+    files = (report or {}).get("files") or ()
+    return identity_of(map(Path, files) if files and not destination.is_dir() else [destination])
 
 
 def died(job: Job, why: str, *, attempts: int, seconds: float) -> Result:

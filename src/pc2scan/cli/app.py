@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from pc2scan.errors import Pc2ScanError, name_list
+from pc2scan.errors import Pc2ScanError, UsageError, name_list
 
 from .groups import flat
 from .interrupts import interruptible
@@ -47,7 +47,16 @@ class _Command(TyperCommand):
                 "--dask=local" if word == "--dask" and "://" not in after else word
                 for word, after in zip(args, following, strict=True)
             ]
+        if sum(word.startswith(("-o", "--output")) for word in args) > 1:
+            self._refuse_second_output(ctx, args)
         return super().parse_args(ctx, args)
+
+    def _refuse_second_output(self, ctx: Any, args: list[str]) -> None:
+        """Raise if there are two destinations: Typer would take the last one."""
+        given = self.make_parser(ctx).parse_args(args=list(args))[2]
+        outputs = [each for each in given if "--output" in each.opts]
+        if len(outputs) > 1:
+            raise UsageError("-o is given twice, and there is one destination", hint="type only one of them")
 
     def format_help_text(self, ctx: Any, formatter: Any) -> None:
         """Write the examples, then the description."""

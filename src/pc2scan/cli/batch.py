@@ -273,7 +273,8 @@ def _show_record(record: "Record", *, quiet: bool, dry_run: bool) -> None:
 
     facts = Facts.of(record.report or {})
     told = [
-        counted(facts.scans, "scan"),
+        # Messages of a recording without its index are not counted beforehand.
+        counted(facts.scans, "scan") if facts.scans or not dry_run else "scans not counted",
         *([f"{facts.empty_scans:,} empty"] if facts.empty_scans else []),
         *([f"{facts.skipped:,} skipped"] if facts.skipped else []),
         *([f"damaged: {facts.damage[0]}"] if facts.damage else []),

@@ -449,6 +449,7 @@ def _target(
         profile=output.profile,
         metadata_version=output.metadata_version,
         source_ros_version=ros_version,
+        is_directory=not is_named or output.storage is not None or output.to == "rosbag2",
     )
     # A recording without ROS messages has no ROS profile.
     if options.repair and ros_version is None and target.format.profiles and output.profile is None:

@@ -1,0 +1,69 @@
+"""Names of results that are several files: ``drive_scan_0.bag`` stands for all parts of ``drive_scan.bag``.
+
+A result that is one file is named ``drive_scan.bag``, so that neither is taken for the other.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pc2scan.bags.splitting import part_name
+from pc2scan.files.staging import parts_beside
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+__all__ = ["SUFFIXES", "files_of", "first_part", "in_order", "is_numbered", "parts_among", "whole"]
+
+#: Of results that are files.
+SUFFIXES = (".bag", ".mcap")
+
+_FIRST = re.compile(r"(.*_scan)_0(\.bag|\.mcap)", re.DOTALL)
+
+
+def first_part(output: str) -> str:
+    """Return the name of the first part of a result.
+
+    >>> first_part("robot1/drive_scan.bag")
+    'robot1/drive_scan_0.bag'
+    """
+    folder, slash, name = output.rpartition("/")
+    return f"{folder}{slash}{part_name(name, 0)}"
+
+
+def is_numbered(output: str) -> bool:
+    """Whether a result is numbered files, and this the first one."""
+    return _FIRST.fullmatch(output) is not None
+
+
+def whole(output: str) -> str:
+    """Return what a result is named after; of one that is not numbered its own name.
+
+    >>> whole("drive_scan_0.bag"), whole("drive_scan.bag")
+    ('drive_scan.bag', 'drive_scan.bag')
+    """
+    found = _FIRST.fullmatch(output)
+    return output if found is None else f"{found[1]}{found[2]}"
+
+
+def files_of(folder: Path, output: str) -> list[Path]:
+    """Return the files of a result that are there, in their order; of one that is not numbered its path."""
+    path = folder / whole(output)
+    if not is_numbered(output):
+        return [path]
+    # One by one, the order of names would put 10 before 2.
+    return [path.with_name(name) for name in in_order(part.name for part in parts_beside(path))]
+
+
+def parts_among(names: Iterable[str], output: str) -> list[str]:
+    """Return those of all names below a folder that are files of a numbered result, in their order."""
+    path = Path(whole(output))
+    named = re.compile(rf"{re.escape(path.with_suffix('').as_posix())}_\d+{re.escape(path.suffix)}")
+    return in_order(name for name in names if named.fullmatch(name))
+
+
+def in_order(names: Iterable[str]) -> list[str]:
+    """Return the names of parts of one result in the order of their numbers."""
+    return sorted(names, key=lambda name: (len(name), name))
