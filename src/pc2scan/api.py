@@ -632,6 +632,11 @@ def map(  # noqa: A001  # as the command is called
     stamp: str = "header",
     level: bool = False,
     imu: str = "",
+    lead: str = "",
+    window: Duration | None = None,
+    accumulate: Duration | None = None,
+    every: Duration | None = None,
+    rebin: bool = False,
     on_error: str = "skip",
     verify: bool = True,
     strict: bool = False,
@@ -668,6 +673,8 @@ def map(  # noqa: A001  # as the command is called
         As for `pc2scan.convert`.
     deskew, fixed_frame, point_time, stamp, level, imu
         As for `pc2scan.convert`.
+    lead, window, accumulate, every, rebin
+        As for `pc2scan.convert`. Topics that share a target become one scan.
     on_error, verify, strict, progress
         As for `pc2scan.convert`.
 
@@ -972,6 +979,11 @@ def export(
     stamp: str = "header",
     level: bool = False,
     imu: str = "",
+    lead: str = "",
+    window: Duration | None = None,
+    accumulate: Duration | None = None,
+    every: Duration | None = None,
+    rebin: bool = False,
     on_error: str = "skip",
     overwrite: bool = False,
     verify: bool = True,
@@ -1008,6 +1020,8 @@ def export(
         As for `pc2scan.convert`, where scans are made of clouds.
     deskew, fixed_frame, point_time, stamp, level, imu
         As for `pc2scan.convert`, where scans are made of clouds.
+    lead, window, accumulate, every, rebin
+        As for `pc2scan.convert`. Topics that share a target become one scan.
     on_error
         ``skip`` counts and lists messages that cannot be written, ``fail`` makes the first one an error.
     overwrite
@@ -1047,6 +1061,7 @@ def export(
     from .export.run import ExportOptions, run  # noqa: PLC0415
 
     converting = bool(parameters) or any(each is not None for each in (params, preset, params_file))
+    converting = converting or asked.options.scan.may_combine
     path, folder = destination_of(destination)
     poses = PoseOptions(pose_frame=pose_frame, base_frame=base_frame, odom_topic=odom_topic)
     place = path if path is not None else folder
@@ -1093,6 +1108,11 @@ def scans(
     stamp: str = "header",
     level: bool = False,
     imu: str = "",
+    lead: str = "",
+    window: Duration | None = None,
+    accumulate: Duration | None = None,
+    every: Duration | None = None,
+    rebin: bool = False,
     on_error: str = "skip",
     verify: bool = True,
     strict: bool = False,
@@ -1120,6 +1140,8 @@ def scans(
         As for `pc2scan.convert`.
     deskew, fixed_frame, point_time, stamp, level, imu
         As for `pc2scan.convert`.
+    lead, window, accumulate, every, rebin
+        As for `pc2scan.convert`. Topics that share a target become one scan.
     on_error
         ``skip``: messages that cannot be used are counted and listed, and a warning says so. ``fail``: the first one is
         an error.
@@ -1153,11 +1175,13 @@ def scans(
 
     names = names_in("topic", topic)
     conversion = None
-    if parameters or params is not None or preset is not None or params_file is not None:
+    given = set(given_among(words))
+    projected = bool(parameters) or any(each is not None for each in (params, preset, params_file))
+    if projected or given & {"lead", "window", "accumulate", "every", "rebin"}:
         conversion = conversion_of({**words, "topics": names, "only_scans": True}).options
         if conversion.scan.reverse:
             raise UsageError("the parameter file is for laserscan_to_pointcloud, scans are made of clouds")
-    elif set(given_among(words)) - {"start", "end", "on_error", "verify", "strict"}:
+    elif given - {"start", "end", "on_error", "verify", "strict"}:
         raise UsageError(
             "transforms, filters, `node`, `deskew` and `level` count only where clouds are converted",
             hint="give parameters: `preset`, `params_file`, or any of them by name, `target_frame=base_link`",

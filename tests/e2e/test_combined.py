@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from contextlib import closing
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -301,20 +302,76 @@ def test_a_frame_that_levels_has_an_effect(tmp_path: Path) -> None:
     assert "level by odom" in done.stdout
 
 
-def test_what_makes_scans_of_one_cloud_each_says_so(tmp_path: Path) -> None:
+def test_pages_of_scans_of_several_clouds_are_refused_with_what_to_do(tmp_path: Path) -> None:
     source = write_world(tmp_path / "w.mcap", [FRONT, FLAT], seconds=0.4)
     gathered = ("--topic", "/front", "--accumulate", "0.2", *MOVED, "--min-height", "0.1")
-    for command in (
-        ("export", source, "-o", tmp_path / "s.npz", *gathered),
-        ("map", source, "-o", tmp_path / "m.yaml", *gathered),
-        ("view", source, "-o", tmp_path / "v.html", "--rebin"),
-    ):
-        done = run(*command)
+    for options in (gathered, ("--rebin",)):
+        done = run("view", source, "-o", tmp_path / "v.html", *options)
         assert done.status == 2, done
         assert "make the scans with `pc2scan convert` and these options" in " ".join(done.stderr.split())
-    done = run("view", source, "-o", tmp_path / "v.html", *gathered)
-    assert done.status == 0, done.stderr
-    assert "Clouds are shown one by one" in (tmp_path / "v.html").read_text()
+        assert not (tmp_path / "v.html").exists()
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"topics": ["/front:=/scan", "/rear:=/scan", "/flat:=/scan"], "deskew": True, "fixed_frame": "odom"},
+        {"topics": ["/front:=/scan", "/rear:=/scan"], "lead": "/rear", "window": "60ms"},
+        {"topics": ["/front:=/a", "/rear:=/a", "/front:=/b"], "fixed_frame": "odom"},
+        {"topics": "/front", "accumulate": 0.3, "fixed_frame": "odom"},
+        {"topics": "/front:=/s", "every": "250ms", "level": True, "fixed_frame": "odom"},
+        {"topics": "/flat", "rebin": True, "preset": "slam_toolbox"},
+    ],
+)
+def test_scans_exports_and_maps_of_several_messages_are_those_of_their_conversion(
+    tmp_path: Path, options: dict[str, Any]
+) -> None:
+    source = write_world(tmp_path / "w.mcap", [FRONT, REAR, FLAT], seconds=1.0)
+    if not options.get("rebin"):
+        options = {"target_frame": "base_link", "min_height": 0.1, **options}
+    converted = tmp_path / "out.mcap"
+    # Other messages that follow the last cloud make the log time of the last scan later.
+    report = pc2scan.convert(source, converted, **options, only_scans=True)
+    topics = sorted({topic.target for topic in report.topics if topic.action == "converted" and topic.target})
+    expected = list(pc2scan.scans(converted, topics))
+    words = {("topic" if name == "topics" else name): value for name, value in options.items()}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        scans = pc2scan.scans(source, **words)
+        for _ in range(2):
+            made = list(scans)
+            assert [(s.topic, s.log_time_ns, s.stamp_ns, s.frame) for s in made] == [
+                (s.topic, s.log_time_ns, s.stamp_ns, s.frame) for s in expected
+            ]
+            assert [s.ranges.tobytes() for s in made] == [s.ranges.tobytes() for s in expected]
+            assert [s.intensities.tobytes() for s in made] == [s.intensities.tobytes() for s in expected]
+        assert set(scans.topics) == set(topics)
+        assert len(made) > 3
+        if len(topics) == 1:
+            pc2scan.export(source, tmp_path / "direct.npz", **options)
+            pc2scan.export(converted, tmp_path / "after.npz", topics=topics)
+            with np.load(tmp_path / "direct.npz") as direct, np.load(tmp_path / "after.npz") as after:
+                assert set(direct) == set(after)
+                assert all(direct[name].tobytes() == after[name].tobytes() for name in after)
+            direct_map = pc2scan.map(source, **options)
+            after_map = pc2scan.map(converted, topics=topics, tf_from=source)
+            assert direct_map.scans == after_map.scans
+            assert direct_map.cells.tobytes() == after_map.cells.tobytes()
+
+
+def test_the_command_takes_the_same_words_for_exports_and_maps(tmp_path: Path) -> None:
+    source = write_world(tmp_path / "w.mcap", [FRONT, REAR], seconds=0.8)
+    options = (*two_topics(), "--target-frame", "base_link", "--min-height", "0.1", "--window", "60ms")
+    for command in (("export", source, "-o", tmp_path / "s.npz"), ("map", source, "-o", tmp_path / "m.yaml")):
+        done = run(*command, *options)
+        assert done.status == 0, done.stderr
+        assert "/scan" in done.stdout
+        assert "1 scan on /scan has nothing of /rear" in done.stderr + done.stdout
+    # Words of scans that nobody makes of several messages are refused as they are in a conversion.
+    done = run(
+        "export", source, "-o", tmp_path / "t.npz", "--topic", "/front", "--window", "0.1", "--min-height", "0.1"
+    )
+    assert done.status == 2
 
 
 def test_level_scans_of_two_lidars_on_a_robot_that_tilts(tmp_path: Path) -> None:

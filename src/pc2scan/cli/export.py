@@ -97,7 +97,7 @@ def export(
     form = ExportOptions(
         format=written,
         poses=PoseOptions(pose_frame=pose_frame, base_frame=base_frame, odom_topic=odom_topic),
-        converting=conversion.projection.is_given,
+        converting=conversion.projection.is_given or options.scan.may_combine,
         overwrite=overwrite,
     )
     with progress_bar(enabled=not as_json) as progress:

@@ -180,7 +180,6 @@ def _check_request(written: Format, options: ConvertOptions, form: ExportOptions
             "transforms would have no effect: neither poses nor scans of clouds are requested",
             hint="`pose_frame=odom` writes poses",
         )
-    scan.refuse_combining("an export makes")
     if not form.converting and (scan.filters or scan.deskew or scan.level):
         raise UsageError(
             "filters, `deskew` and `level` have an effect only if clouds become scans",

@@ -331,7 +331,6 @@ def map_of(
     ResultError
         If no scan has a place, or none has a return.
     """
-    options.scan.refuse_combining("a map makes")
     if options.scan.reverse:
         raise UsageError("`reverse` makes clouds, and a map is made of scans")
     with opened(sources, options) as recording:
@@ -361,7 +360,7 @@ def map_of(
 def _converts(options: ConvertOptions) -> bool:
     """Whether anything is asked for that makes scans of clouds."""
     scan = options.scan
-    return scan.params != ProjectionParams() or bool(scan.filters) or scan.deskew or scan.level
+    return scan.params != ProjectionParams() or bool(scan.filters) or scan.deskew or scan.level or scan.may_combine
 
 
 def _topics(reader: Reader, options: ConvertOptions) -> tuple[tuple[TopicRequest, ...], bool]:
@@ -372,6 +371,10 @@ def _topics(reader: Reader, options: ConvertOptions) -> tuple[tuple[TopicRequest
     scans = [topic for topic, kinds in types.items() if LASERSCAN in kinds]
     clouds = [topic for topic, kinds in types.items() if not kinds.isdisjoint(CLOUDS)]
     names = [request.source for request in options.scan.topics]
+    if options.scan.may_share:
+        return options.scan.topics, True
+    if options.scan.combining.rebin:
+        return options.scan.topics or tuple(map(TopicRequest, sorted(scans))), True
     if names:
         converted = any(matches(topic, names) for topic in clouds)
         if converted and any(matches(topic, names) for topic in scans):

@@ -124,10 +124,7 @@ def take_shots(
     frames = _frames(buffer, options, None if others is None else [reader, *others])
     spec = options.scan
     params, notes = spec.params, list[str]()
-    if spec.combining.rebin:
-        spec.refuse_combining("pages and figures make")
-    if spec.may_combine:
-        notes.append("Clouds are shown one by one; only a conversion makes one scan of several.")
+    spec.refuse_combining("pages and figures make")
     if spec.deskew:
         notes.append("Clouds are deskewed, as if all points had been measured at the scan's time.")
     if spec.level and frames.up is None:

@@ -39,6 +39,7 @@ __all__ = [
     "carry_extras",
     "chunk_rule",
     "count_skipped",
+    "joint_of",
     "open_routes",
     "static_connection",
     "write_static",
@@ -140,7 +141,7 @@ def open_routes(
         made.convert = converter(chosen, topic, source, written, msgtype)
         made.shrinks_from = sum(conversion.shrinks_from for conversion in chosen)
         for place, (task, conversion) in enumerate(zip(route.tasks, chosen, strict=True)):
-            joint = _joint(joints, task, conversion, written)
+            joint = joint_of(joints, task, conversion, written)
             leads = task.combination is None or task.combination.sources[0] == topic
             for name in task.targets:
                 handle = declared.add(_converted_connection(connection, name, conversion, target)) if leads else -1
@@ -161,7 +162,7 @@ def open_routes(
     return opened
 
 
-def _joint(joints: dict[Combination, Joint], task: Task, conversion: Conversion, serialization: str) -> Joint | None:
+def joint_of(joints: dict[Combination, Joint], task: Task, conversion: Conversion, serialization: str) -> Joint | None:
     """Return what makes one scan of several messages; all routes of a combination share it."""
     if task.combination is None:
         return None

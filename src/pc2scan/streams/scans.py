@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import chain
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from pc2scan.pipeline.options import ConvertOptions
 from pc2scan.pipeline.plan import make_plan
 from pc2scan.pipeline.prepare import prepared
 from pc2scan.pipeline.report import Report, TopicReport
+from pc2scan.pipeline.routes import joint_of
 from pc2scan.pipeline.run import span_of
 
 from . import packages
@@ -24,15 +25,16 @@ from .stream import Read, Source, Stream
 from .times import datetime64
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
     from contextlib import ExitStack
 
     from numpy.typing import NDArray
 
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Buffer, RawMessage
+    from pc2scan.pipeline.combine.joint import Arrived, Joint, MadeScan
     from pc2scan.pipeline.conversion import Converted
-    from pc2scan.pipeline.plan import Route
+    from pc2scan.pipeline.plan import Combination, Route
 
     from .stream import Selection
 
@@ -221,25 +223,37 @@ class Scans(Stream[Scan]):
         report = Report(sources, "", plan.specs)
         conversions, others = prepared(reader, plan, options, span, stack, report)
         self.notes = tuple(report.notes)
-        routes = {}
+        routes: dict[int, list[_Task]] = {}
+        joints: dict[Combination, Joint] = {}
         for route in plan.routes:
             connection = route.connection
-            # Without named outputs, there is one task.
+            serial = connection.serialization
             for task in route.tasks:
-                serial = connection.serialization
-                convert = conversions[task.spec].for_topic(connection.topic, serial, serial, connection.ros_type)
-                routes[connection.id] = (convert, task.targets)
+                conversion = conversions[task.key]
+                convert = conversion.for_topic(connection.topic, serial, serial, connection.ros_type)
+                joint = joint_of(joints, task, conversion, serial)
+                routes.setdefault(connection.id, []).append(_Task(convert, task.targets, joint))
 
         def read(message: RawMessage) -> Read:
-            return _converted(*routes[message.connection.id], message)
+            return _converted(routes[message.connection.id], message)
 
         connections = [route.connection for route in plan.routes if route.targets]
         topics = tuple(dict.fromkeys(target for route in plan.routes for target in route.targets))
         latched = [connection for connection in connections if connection.latching]
         report.warnings += plan.warnings
-        account = _Conversion(report, plan.routes)
+        account = _Conversion(report, plan.routes, joints)
         return Source(
-            stack, [reader, *others], topics, connections, span.start_ns, span.stop_ns, read, latched, account
+            stack,
+            [reader, *others],
+            topics,
+            connections,
+            span.start_ns,
+            span.stop_ns,
+            read,
+            latched,
+            account,
+            tuple(joints.values()),
+            _made if joints else None,
         )
 
     def to_dataframe(self) -> Any:
@@ -324,11 +338,11 @@ def _layout_text(scan: Scan) -> str:
     )
 
 
-def _scan(message: RawMessage, topic: str, data: Buffer) -> Scan:
-    decoded = decode_laserscan(data, message.connection.serialization)
+def _scan(topic: str, log_time_ns: int, data: Buffer, serialization: str) -> Scan:
+    decoded = decode_laserscan(data, serialization)
     return Scan(
         topic,
-        message.log_time_ns,
+        log_time_ns,
         decoded.stamp_ns,
         decoded.frame_id,
         decoded.sequence,
@@ -348,53 +362,92 @@ def _scan(message: RawMessage, topic: str, data: Buffer) -> Scan:
 def _read(message: RawMessage) -> Read:
     connection, log_time_ns = message.connection, message.log_time_ns
     try:
-        scan = _scan(message, connection.topic, message.data)
+        scan = _scan(connection.topic, log_time_ns, message.data, connection.serialization)
     except MessageError as err:
         return Read(connection, log_time_ns, 0, error=err)
     return Read(connection, log_time_ns, message.size, (scan,))
 
 
-def _converted(convert: Callable[[Buffer], Converted], targets: Sequence[str], message: RawMessage) -> Read:
+class _Task(NamedTuple):
+    """What makes a scan of a message, and the topics of it; ``joint`` makes one of this and other messages."""
+
+    convert: Callable[[Buffer], Any]
+    targets: Sequence[str]
+    joint: Joint | None
+
+
+def _converted(tasks: Sequence[_Task], message: RawMessage) -> Read:
     connection, log_time_ns = message.connection, message.log_time_ns
+    scans: list[Scan] = []
+    arrived: list[Arrived] = []
+    alone: Converted | None = None
     try:
-        converted = convert(message.data)
+        for convert, targets, joint in tasks:
+            made = convert(message.data)
+            if joint is None:
+                alone = made
+                scans += _scans_of(made, targets, log_time_ns, connection.serialization)
+            else:
+                from pc2scan.pipeline.combine.joint import Arrived  # noqa: PLC0415  # few scans are of several messages
+
+                arrived.append(Arrived(joint, (connection, targets), made, message.sequence))
     except MessageError as err:
         return Read(connection, log_time_ns, 0, error=err)
-    first = _scan(message, targets[0], converted.data)
-    scans = (first, *(replace(first, topic=target) for target in targets[1:]))
-    return Read(connection, log_time_ns, len(converted.data), scans, converted=replace(converted, data=b""))
+    size = 0 if alone is None else len(alone.data)
+    converted = None if alone is None else replace(alone, data=b"")
+    return Read(connection, log_time_ns, size, tuple(scans), converted=converted, arrived=tuple(arrived))
+
+
+def _made(scan: MadeScan) -> Read:
+    """Return a scan of several messages as what became of the one that leads it."""
+    (connection, targets), log_time_ns, _, _, made = scan
+    if isinstance(made, MessageError):
+        return Read(connection, log_time_ns, 0, error=made, is_joint=True)
+    scans = _scans_of(made, targets, log_time_ns, connection.serialization)
+    return Read(connection, log_time_ns, len(made.data), tuple(scans), converted=replace(made, data=b""), is_joint=True)
+
+
+def _scans_of(made: Converted, targets: Sequence[str], log_time_ns: int, serialization: str) -> list[Scan]:
+    first = _scan(targets[0], log_time_ns, made.data, serialization)
+    return [first, *(replace(first, topic=target) for target in targets[1:])]
 
 
 class _Conversion:
     """Counts the results of a conversion, as `pc2scan.convert` does."""
 
-    def __init__(self, report: Report, routes: Sequence[Route]) -> None:
+    def __init__(self, report: Report, routes: Sequence[Route], joints: Mapping[Combination, Joint]) -> None:
         self._report = report
         converted = [route.connection for route in routes if route.targets]
         self._unconnected = Unconnected(converted)
         entries: dict[tuple[str, str], TopicReport] = {}
-        self._entries = {
-            route.connection.id: [
-                entries.setdefault(
-                    (route.connection.topic, target),
-                    TopicReport(route.connection.topic, route.connection.ros_type, target, "converted", spec=task.spec),
-                )
-                for task in route.tasks
-                for target in task.targets
-            ]
-            for route in routes
-        }
+        #: The entries of each connection, and whether their scans are made of several messages.
+        self._entries: dict[int, list[tuple[TopicReport, bool]]] = {}
+        for route in routes:
+            topic, found = route.connection.topic, self._entries.setdefault(route.connection.id, [])
+            for task in route.tasks:
+                joint = joints.get(task.combination) if task.combination is not None else None
+                number = 0 if task.combination is None else task.combination.sources.index(topic)
+                for target in task.targets:
+                    entry = TopicReport(
+                        topic, route.connection.ros_type, target, "joined" if number else "converted", spec=task.spec
+                    )
+                    entry = entries.setdefault((topic, target), entry)
+                    found.append((entry, joint is not None))
+                    if joint is not None:
+                        joint.reports[number] = entry
         report.topics += entries.values()
 
     def note(self, message: Read) -> None:
         """Count a message; see `Account`."""
-        if self._unconnected.is_possible:
+        if self._unconnected.is_possible and not message.is_joint:
             self._unconnected.note(message.connection, message.error)
-        for entry in self._entries[message.connection.id]:
-            entry.messages_in += 1
-            if message.converted is None:
+        for entry, is_joint in self._entries[message.connection.id]:
+            if message.is_joint and not is_joint:
+                continue
+            entry.messages_in += not message.is_joint
+            if message.error is not None:
                 entry.skipped += 1
-            else:
+            elif message.converted is not None and message.is_joint == is_joint:
                 entry.messages_out += 1
                 entry.points += message.converted.counts
                 entry.empty_scans += message.converted.empty

@@ -18,7 +18,7 @@ from pc2scan.pipeline.beforehand import refuse_no_messages
 from pc2scan.pipeline.report import MAX_LISTED, Skipped
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Generator, Iterator, Sequence
+    from collections.abc import Callable, Collection, Generator, Sequence
     from pathlib import Path
     from types import TracebackType
 
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Connection, RawMessage
+    from pc2scan.pipeline.combine.joint import Arrived, Joint, MadeScan
     from pc2scan.pipeline.conversion import Converted
     from pc2scan.pipeline.options import TimeBound
     from pc2scan.pipeline.run import Progress
@@ -124,7 +125,11 @@ class Selection:
 
 
 class Read(NamedTuple):
-    """The result of a message: its items, or the error; for a conversion, also the counts of its points."""
+    """The result of a message: its items, or the error; for a conversion, also the counts of its points.
+
+    ``arrived`` is what it has for scans of several messages. ``is_joint`` is whether it is such a scan, of the
+    connection that leads.
+    """
 
     connection: Connection
     log_time_ns: int
@@ -132,6 +137,8 @@ class Read(NamedTuple):
     items: tuple[object, ...] = ()
     error: MessageError | None = None
     converted: Converted | None = None
+    arrived: tuple[Arrived, ...] = ()
+    is_joint: bool = False
 
 
 class Account(Protocol):
@@ -165,6 +172,10 @@ class Source(NamedTuple):
         Connections whose messages from before the cut are read, too.
     account
         Counts the result of each message; None if not needed.
+    joints
+        What makes scans of several messages.
+    made
+        Makes the items of such scans.
     """
 
     stack: ExitStack
@@ -176,14 +187,27 @@ class Source(NamedTuple):
     read: Callable[[RawMessage], Read]
     latched: Collection[Connection] = ()
     account: Account | None = None
+    joints: Sequence[Joint] = ()
+    made: Callable[[MadeScan], Read] | None = None
 
     @property
     def damage(self) -> tuple[Damage, ...]:
         """The damage in the parts of the recordings that were read."""
         return tuple(damage for reader in self.readers for damage in reader.damage)
 
-    def messages(self) -> Iterator[Read]:
-        """Yield the results of the messages, by log time."""
+    def messages(self) -> Generator[Read]:
+        """Yield the results of the messages, by log time; a scan of several follows the last of them."""
+        if self.made is None:
+            yield from self._reads()
+            return
+        from pc2scan.pipeline.combine.joint import with_scans  # noqa: PLC0415  # few scans are made of several messages
+
+        with closing(with_scans(self._reads(), _arrivals, self.joints, None)) as found:
+            for each in found:
+                yield each if isinstance(each, Read) else self.made(each)
+                del each
+
+    def _reads(self) -> Generator[Read]:
         reader = self.readers[0]
         parts = [reader.units(self.connections, self.start_ns, self.stop_ns)]
         if self.latched and self.start_ns is not None:
@@ -192,6 +216,11 @@ class Source(NamedTuple):
             with closing(in_time_order(units, self.read, path=reader.path)) as found:
                 # Whole chunks are yielded only if a rule allows it.
                 yield from found  # type: ignore[misc]
+
+
+def _arrivals(read: Read | MadeScan) -> tuple[int, int, tuple[Arrived, ...]]:
+    assert isinstance(read, Read)
+    return read.log_time_ns, read.size, read.arrived
 
 
 class Stream(ABC, Generic[Item]):
@@ -355,7 +384,7 @@ class Stream(ABC, Generic[Item]):
 
 def _accounted(source: Source) -> Generator[Read]:
     """Yield the result of each message, after the account has counted it."""
-    with closing(source.messages()) as messages:  # type: ignore[type-var]
+    with closing(source.messages()) as messages:
         for message in messages:
             if source.account is not None:
                 source.account.note(message)
