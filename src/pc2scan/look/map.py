@@ -1,7 +1,7 @@
-"""Maps of recordings: scans drawn where the recorded transforms place them. A preview of the data; nothing is matched.
+"""Draws maps of recordings: scans where the recorded transforms place them. A preview; scans are not matched.
 
-A scan is placed at its own stamp, by the transform from its frame to that of the odometry. Where it says when its beams
-were measured (``time_increment``), and the transforms reach as far, each beam is placed at its own time.
+A scan is placed at its own stamp, by the transform from its frame to the odometry's. If it has a ``time_increment``,
+and there are transforms up to its last beam, each beam is placed at its own time.
 """
 
 from __future__ import annotations
@@ -56,40 +56,41 @@ if TYPE_CHECKING:
 
 __all__ = ["Map", "MapOptions", "NotDrawn", "map_of", "write_map"]
 
-#: Cells smaller than that are more exact than any lidar, larger ones no map.
+#: Smaller cells are finer than any lidar measures, larger ones are no map, metres.
 _FINEST, _COARSEST = 0.001, 1.0
 
-#: A scan is tilted if its z axis has less than this of the map's: 5 degrees.
+#: A scan is tilted if the cosine between its z axis and the map's is below this: 5 degrees.
 _LEVEL = math.cos(math.radians(5))
 
-#: Reasons for skipping that are told apart.
+#: How many reasons for skipping are distinguished.
 _MOST_REASONS = 100
 
-#: Reasons for skipping, and damaged places, that are shown as text.
+#: How many reasons for skipping, and damaged places, are shown as text.
 _MAX_SHOWN = 5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MapOptions:
-    """How a map is made.
+    """The options of a map.
 
     Attributes
     ----------
     odom_frame
-        The frame in which the robot moves; that of the map.
+        The frame in which the robot moves, and of the map.
     base_frame
-        The robot's frame, whose way is shown; empty for ``base_link``, or ``base_footprint`` where that is not there.
+        The robot's frame, whose path is shown; empty for ``base_link``, or ``base_footprint`` if the former does not
+        exist.
     resolution
         The side of a cell, metres.
     max_range
-        Returns beyond it only clear the way so far, metres.
+        Returns beyond it only clear the way up to it, metres.
     clear_to
-        How far beams without a return clear, metres; 0: they say nothing.
+        How far beams without a return clear, metres; 0: they are ignored.
 
     Raises
     ------
     UsageError
-        If a number cannot be.
+        If a number is not allowed.
     """
 
     odom_frame: str = "odom"
@@ -100,7 +101,7 @@ class MapOptions:
 
     def __post_init__(self) -> None:
         if not _FINEST <= self.resolution <= _COARSEST:
-            # Most who write 5 mean centimetres.
+            # 5 is nearly always meant in centimetres.
             meant = self.resolution / 100
             raise UsageError(
                 f"`resolution` is {self.resolution:g} m, it must be from {_FINEST:g} to {_COARSEST:g}",
@@ -143,19 +144,19 @@ class Map(Shown):
     frame
         The frame of the map.
     robot_frame
-        The frame whose way `trajectory` is.
+        The frame whose path is `trajectory`.
     trajectory
-        (N, 2) float64, metres: where the robot was at each scan.
+        (N, 2) float64, metres: the position of the robot at each scan.
     scans
         How many scans of each topic are in the map.
     converted
         Whether the scans were made of clouds.
     skipped
-        What is not in the map, and why.
+        The scans that are not in the map, and why.
     notes
-        What else is worth saying.
+        Warnings about the map.
     damage
-        Damaged places of the recording, as far as they were read.
+        The damage in the parts of the recording that were read.
     """
 
     cells: NDArray[np.int8]
@@ -173,18 +174,18 @@ class Map(Shown):
 
     @property
     def exit_status(self) -> int:
-        """That of the command: 0, or 3 if scans were skipped or the recording is damaged."""
+        """The exit status of the command: 0, or 3 if scans were skipped or the recording is damaged."""
         return 3 if self.skipped or self.damage else 0
 
     @property
     def distance(self) -> float:
-        """How far the robot drove, metres."""
+        """The length of the robot's path, metres."""
         steps = np.diff(self.trajectory, axis=0)
         return float(np.hypot(steps[:, 0], steps[:, 1]).sum())
 
     @property
     def png(self) -> bytes:
-        """The picture: the map, the robot's way, a scale, and the axes of the map's frame."""
+        """The picture: the map, the robot's path, a scale, and the axes of the map's frame."""
         occupancy = Occupancy(self.cells, self.resolution, *self.origin[:2])
         return picture_of(occupancy, self.trajectory)
 
@@ -242,7 +243,7 @@ class Map(Shown):
         return f"<pc2scan.Map of {width} x {height} cells of {self.resolution:g} m in {self.frame!r}>"
 
     def lines(self) -> Iterator[str]:
-        """Yield what is shown of it, without what is skipped and damaged."""
+        """Yield the text about the map, without skipped scans and damage."""
         height, width = self.cells.shape
         yield (
             f"map: {width:,} x {height:,} cells of {self.resolution:g} m "
@@ -278,14 +279,14 @@ def write_map(
     destination
         ``NAME.yaml``: its image and its picture are written beside it. None: only the picture is written.
     picture
-        Where the picture goes. None: beside ``destination``.
+        The path of the picture. None: beside ``destination``.
     overwrite
         Whether files of these names may be replaced.
 
     Raises
     ------
     DestinationError, OutputError
-        If there is such a file, or it cannot be written. Then none of them is.
+        If a file exists, or one cannot be written. Then none is written.
     """
     paths = map_paths(destination) if destination is not None else []
     if picture is not None:
@@ -313,14 +314,14 @@ def map_of(
     Parameters
     ----------
     sources
-        Recordings; several are one, merged in time order.
+        Recordings; several are read as one, in the order of time.
     options
         As for a conversion. Its topics decide whether scans or clouds are drawn; without topics it is the scans, or the
-        clouds if there are no scans, or if anything is asked for that makes scans of clouds.
+        clouds if there are no scans, or if an option is given that makes scans of clouds.
     asked
-        How the map is made.
+        The options of the map.
     progress
-        Called now and then with bytes read, bytes in all, and messages read.
+        Called regularly with bytes read, bytes in all, and messages read.
 
     Raises
     ------
@@ -358,13 +359,13 @@ def map_of(
 
 
 def _converts(options: ConvertOptions) -> bool:
-    """Whether anything is asked for that makes scans of clouds."""
+    """Whether an option is given that makes scans of clouds."""
     scan = options.scan
     return scan.params != ProjectionParams() or bool(scan.filters) or scan.deskew or scan.level or scan.may_combine
 
 
 def _topics(reader: Reader, options: ConvertOptions) -> tuple[tuple[TopicRequest, ...], bool]:
-    """The topics that are drawn, and whether they are clouds."""
+    """Return the topics to draw, and whether they are clouds."""
     types: dict[str, set[str]] = {}
     for connection in reader.connections:
         types.setdefault(connection.topic, set()).add(connection.ros_type)
@@ -383,7 +384,7 @@ def _topics(reader: Reader, options: ConvertOptions) -> tuple[tuple[TopicRequest
         converted = bool(clouds) and (_converts(options) or not scans)
     if converted:
         return options.scan.topics or tuple(map(TopicRequest, sorted(clouds))), True
-    # Without scans the stream says what there is.
+    # Without scans the stream raises an error that lists the topics.
     found = [topic for name in names for topic in find_topics(name, types, scans, LASERSCAN)] or sorted(scans)
     return tuple(map(TopicRequest, dict.fromkeys(found))), False
 
@@ -411,7 +412,7 @@ def _scans_are(number: int) -> str:
 
 @dataclass(slots=True)
 class _Drawn:
-    """Draws scans, and accounts for them."""
+    """Draws scans, and counts them."""
 
     grid: OccupancyGrid
     buffer: TransformBuffer
@@ -468,7 +469,7 @@ class _Drawn:
         return self.buffer.lookup(self.asked.odom_frame, frame, stamp_ns, tolerance_ns)
 
     def _end(self, scan: Scan) -> Rigid | None:
-        """Where the sensor was when the last beam was measured; None if that is not known."""
+        """Return the transform at the time of the last beam; None if there is none."""
         try:
             lasts_ns = last_beam_ns(len(scan.ranges), scan.time_increment)
             if lasts_ns and scan.stamp_ns and scan.stamp_ns + lasts_ns > 0:
@@ -478,7 +479,7 @@ class _Drawn:
         return None
 
     def _directions(self, scan: Scan) -> NDArray[np.float64]:
-        """Cosines and sines of the beams; mostly those of the scan before."""
+        """Return cosines and sines of the beams; mostly those of the scan before."""
         key = (len(scan.ranges), scan.angle_min, scan.angle_increment)
         found = self.directions.get(key)
         if found is None:
@@ -490,7 +491,7 @@ class _Drawn:
         return found
 
     def _drive(self, scan: Scan, start: Rigid) -> None:
-        """Note where the robot is."""
+        """Note the position of the robot."""
         if not self.robot:
             known = {frame.removeprefix("/") for frame in self.buffer.frames}
             asked = self.asked.base_frame.removeprefix("/")
@@ -510,7 +511,7 @@ class _Drawn:
         self.way.append((scan.stamp_ns, x, y))
 
     def _explain(self, error: MessageError, scan: Scan) -> None:
-        """Raise an error that says what to type, if there is no such frame as that of the map."""
+        """Raise an error that says what to type, if the frame of the map does not exist."""
         odom = self.asked.odom_frame.removeprefix("/")
         if not isinstance(error, TransformError) or odom in self.buffer.frames:
             return
@@ -533,7 +534,7 @@ class _Drawn:
         Raises
         ------
         ResultError
-            If there is nothing in it.
+            If the map is empty.
         """
         if not self.scans:
             why = f": {self.first_error.message}" if self.first_error else ", there are none"
@@ -553,7 +554,7 @@ class _Drawn:
                 f"{_scans_are(self.tilted)} tilted by more than 5 deg against {self.asked.odom_frame}; "
                 "the map is a view from above"
             )
-        # The last scan of a recording mostly ends behind the last transform.
+        # The last scan of a recording mostly ends after the last transform.
         if self.beams_at_once > max(1, 0.01 * self.scans.total()):
             further.append(
                 f"{_scans_are(self.beams_at_once)} placed at the stamp only: "

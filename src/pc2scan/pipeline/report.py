@@ -160,7 +160,7 @@ class TopicReport:
     note
         Why it was skipped, or another note; empty otherwise.
     messages_in, messages_out, skipped
-        Messages in the source (within ``--start`` and ``--end``), messages written, and messages that are missing in
+        Messages in the source (within ``start`` and ``end``), messages written, and messages that are missing in
         the destination. Messages of a topic that the user dropped are not missing.
     points
         Points of all converted clouds: how many are used, and how many are rejected for which reason.

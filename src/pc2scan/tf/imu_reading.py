@@ -1,4 +1,4 @@
-"""Reads the messages of an IMU, and finds out which way is up by them."""
+"""Reads the messages of an IMU, and estimates the direction of up from them."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ if TYPE_CHECKING:
 
 __all__ = ["ImuRequest", "MeasuredUp", "read_up"]
 
-#: m/s^2: the standard acceleration of gravity; and how far an accelerometer at rest may be from it, as a share.
+#: The standard acceleration of gravity, m/s^2, and the largest deviation of an accelerometer at rest, as a share.
 GRAVITY = 9.80665
 _NEAR = 0.15
 
-#: Degrees between up by orientation and by the accelerometer, in the median, from which one of them is wrong.
+#: If the median angle between up by orientation and by the accelerometer exceeds this, degrees, one of them is wrong.
 _DISAGREE = 20.0
 
-#: No IMU measures more, in radians a second, m/s^2, or thousandths of g.
+#: The largest values of an IMU: radians per second, m/s^2, or thousandths of g.
 _LARGEST = 1e5
 
 _NAN = float("nan")
@@ -41,7 +41,7 @@ _UNKNOWN = (_NAN, _NAN, _NAN)
 
 @dataclass(frozen=True, slots=True)
 class ImuRequest:
-    """An IMU that a user names: its topic, and its frame where the messages' own is wrong or empty."""
+    """The IMU that a user gives: its topic, and its frame if the messages' own is wrong or empty."""
 
     topic: str
     frame: str = ""
@@ -66,18 +66,18 @@ class ImuRequest:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredUp:
-    """Which way is up, by the messages of an IMU.
+    """The direction of up, by the messages of an IMU.
 
     Attributes
     ----------
     topic, frame
-        The IMU's.
+        Topic and frame of the IMU.
     stamps_ns
         (N,) increasing.
     ups
         (N, 3) directions of unit length in its frame.
     notes, warnings
-        What was found, for the user.
+        Texts for the user.
     """
 
     topic: str
@@ -90,7 +90,7 @@ class MeasuredUp:
 
 @dataclass(slots=True)
 class _Messages:
-    """What the messages of a topic have: times, and three numbers each; NaN where there is nothing."""
+    """The values of a topic's messages: times, and three numbers each; NaN where a value is missing."""
 
     stamps_ns: array[int] = field(default_factory=lambda: array("q"))
     ups: array[float] = field(default_factory=lambda: array("d"))
@@ -102,14 +102,14 @@ class _Messages:
 
 
 def read_up(readers: Sequence[Reader], request: ImuRequest, most: int | None = None) -> MeasuredUp:
-    """Read an IMU's messages, wherever they are in recordings, and find out which way is up.
+    """Read all messages of an IMU in recordings, and estimate the direction of up.
 
     Parameters
     ----------
     readers
         The sources first, then the recordings of ``tf_from``.
     most
-        The first messages of each that are read; None: all.
+        How many of the first messages of each recording are read; None: all.
 
     Raises
     ------
@@ -195,7 +195,7 @@ def _ups(
     turning: NDArray[np.float64],
     acceleration: NDArray[np.float64],
 ) -> tuple[NDArray[np.intp], NDArray[np.float64], list[str], list[str]]:
-    """The messages that tell which way is up, the directions, notes, and warnings."""
+    """Return which messages show the direction of up, the directions, notes, and warnings."""
     oriented = ~np.isnan(ups[:, 0])
     felt = ~np.isnan(turning[:, 0]) & ~np.isnan(acceleration[:, 0])
     gravity, fault = _gravity(acceleration[felt])
@@ -230,7 +230,7 @@ def _why_no_orientation(ups: NDArray[np.float64]) -> str:
 
 
 def _gravity(acceleration: NDArray[np.float64]) -> tuple[float, str]:
-    """The length of the acceleration at rest, in its own unit; or what is wrong with it."""
+    """Return the length of the acceleration at rest, in its own unit; or why it is not usable."""
     if not len(acceleration):
         return 0.0, "none has both an angular velocity and an acceleration"
     length = float(np.median(np.sqrt(np.square(acceleration).sum(axis=1))))
@@ -240,7 +240,7 @@ def _gravity(acceleration: NDArray[np.float64]) -> tuple[float, str]:
 
 
 def _disagreement(topic: str, ups: NDArray[np.float64], acceleration: NDArray[np.float64], fault: str) -> list[str]:
-    """A warning where the orientations have another up than the accelerometer."""
+    """Yield a warning if up by orientations differs from up by the accelerometer."""
     if fault or not len(ups):
         return []
     with np.errstate(all="ignore"):

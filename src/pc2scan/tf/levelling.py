@@ -1,4 +1,4 @@
-"""Which way is up in a frame at a stamp: by a frame whose z axis is up, or by what an IMU measured."""
+"""The direction of up in a frame at a stamp: by a frame whose z axis points up, or by an IMU."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 
 __all__ = ["UpByFrame", "UpByImu", "UpSource"]
 
-#: Seconds between two clocks from which they are different ones.
+#: Stamps that differ by this much, seconds, are of different clocks.
 _ANOTHER_CLOCK = 3600
 
 
 class UpSource(Protocol):
-    """Tells which way is up."""
+    """A source of the direction of up."""
 
     def __call__(self, frame: str, stamp_ns: int) -> Up:
         """Return the direction of up in a frame at a stamp.
@@ -30,19 +30,19 @@ class UpSource(Protocol):
         Raises
         ------
         TransformError
-            If it is not known.
+            If the direction is unknown.
         """
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class UpByFrame:
-    """Up is the z axis of a frame that does not move.
+    """Up as the z axis of a frame that does not move.
 
     Attributes
     ----------
     fixed_frame
-        That frame.
+        The frame.
     buffer, tolerance_ns
         See `pc2scan.tf.placing.Frames`.
     """
@@ -58,12 +58,12 @@ class UpByFrame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UpByImu:
-    """Up is known in the frame of an IMU, at the stamps of its messages.
+    """Up as measured by an IMU, in its frame, at the stamps of its messages.
 
     Attributes
     ----------
     topic, imu_frame
-        Its topic and its frame.
+        Topic and frame of the IMU.
     stamps_ns
         (N,) increasing, N > 0.
     ups
@@ -98,7 +98,7 @@ class UpByImu:
         return (x, y, z)
 
     def _measured(self, stamp_ns: int) -> NDArray[np.float64]:
-        """Up in the IMU's frame, not of unit length."""
+        """Return up in the IMU's frame, not of unit length."""
         stamps = self.stamps_ns
         newer = int(stamps.searchsorted(stamp_ns))
         older = newer if newer < len(stamps) and stamps[newer] == stamp_ns else newer - 1
@@ -117,7 +117,7 @@ class UpByImu:
             )
         ratio = (stamp_ns - begin_ns) / max(end_ns - begin_ns, 1) if newer > older else 0.0
         between: NDArray[np.float64] = (1 - ratio) * self.ups[older] + ratio * self.ups[newer]
-        # Two opposite directions have none between them.
+        # There is no direction between two opposite ones.
         return between if between.any() else self.ups[older]
 
     def _outside(self, stamp_ns: int, outside_ns: int) -> TransformError:

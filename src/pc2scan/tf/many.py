@@ -1,4 +1,4 @@
-"""Looks up one transform at many times at once, as the transforms between which points are interpolated.
+"""Looks up one transform at many times, between which the transforms of points are interpolated.
 
 The rules are those of `pc2scan.tf.buffer`; results differ from its in the last bits of float64.
 """
@@ -64,7 +64,7 @@ def rows_of(chain: Chain, stamps_ns: NDArray[np.int64]) -> NDArray[np.float64]:
 
 
 def _up(links: Iterable[FrameHistory], stamps_ns: NDArray[np.int64]) -> NDArray[np.float64]:
-    """From a frame up to the common ancestor."""
+    """Return the transforms from a frame up to the common ancestor."""
     rows = np.zeros((stamps_ns.size, 12))
     rows[:, 0:9:4] = 1.0
     for link in links:

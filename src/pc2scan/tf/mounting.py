@@ -1,6 +1,6 @@
-"""How the frame of clouds is mounted, which options make it level, and which heights suit its scans.
+"""Judges how the frame of clouds is mounted, which options make it level, and which heights suit its scans.
 
-The evidence is the ground in a few clouds (`pc2scan.core.ground`), and where the recording has them, its transforms.
+It uses the ground in a few clouds (`pc2scan.core.ground`), and the recording's transforms, if it has any.
 """
 
 from __future__ import annotations
@@ -27,23 +27,23 @@ if TYPE_CHECKING:
 
 __all__ = ["Heights", "Mounting", "heights_for", "mounting"]
 
-#: What a robot's body is usually called, the first that there is. Its z is up.
+#: Usual names of a robot's frame, whose z is up; the first that exists is used.
 _BODIES = ("base_link", "base_footprint")
 
-#: Frames that a robot moves in; those below them move with it.
+#: Frames that a robot moves in; the frames below them move with the robot.
 _WORLDS = {"odom", "map", "world", "earth"}
 
-#: Transforms that tilt a sensor by more than this are worth a word even where no ground is seen, radians.
+#: Transforms that tilt a sensor by more than this, radians, are reported even if no ground is visible.
 _NOTABLE_TILT = math.radians(10.0)
 
 _IDENTITY = Rigid.identity()
 
-#: What `static_tf` can name: its words are separated by blanks.
+#: Names that `static_tf` can have: its words are separated by blanks.
 _WORD = re.compile(r"[^\s,]+")
 
 
 class Heights(NamedTuple):
-    """Limits of z that suit scans, metres, and what they are made of: where floor and ceiling are (None: not seen)."""
+    """Limits of z that suit scans, metres, and the heights of floor and ceiling (None: not visible)."""
 
     low: float
     high: float
@@ -57,18 +57,18 @@ class Mounting(NamedTuple):
     Attributes
     ----------
     topic, frame
-        Which clouds, and their ``frame_id``.
+        The topic of the clouds, and their ``frame_id``.
     judged_in
-        The frame that they were looked at in: their own, or a target frame.
+        The frame in which they were judged: their own, or a target frame.
     ground
-        What was found there.
+        The ground in this frame.
     fault
-        What is wrong with that frame, in words; empty if nothing is, or the evidence is thin.
+        What is wrong with this frame, as text; empty if nothing is, or if there is not enough evidence.
     target_frame, static_tf
-        The options that make the clouds level; empty where none are needed (``target_frame`` may name the robot's body
+        The options that make the clouds level; empty if none are needed (``target_frame`` may be the robot's frame
         even if nothing is wrong).
     heights
-        Heights that suit scans in the frame that these options make; None where no point was seen.
+        Heights that suit scans in the frame of these options; None if there was no point.
     """
 
     topic: str
@@ -82,7 +82,7 @@ class Mounting(NamedTuple):
 
     @property
     def options(self) -> str:
-        """The options that make the clouds level, as messages name them; empty where nothing is known."""
+        """The options that make the clouds level, as written in messages; empty if unknown."""
         if not self.target_frame:
             return ""
         static = f"`static_tf={shlex.quote(self.static_tf)}` " if self.static_tf else ""
@@ -90,7 +90,7 @@ class Mounting(NamedTuple):
 
     @property
     def cure(self) -> str:
-        """What makes the clouds level, as a sentence; empty where nothing is known."""
+        """How to make the clouds level, as a sentence; empty if unknown."""
         if not self.target_frame:
             return ""
         floor = None if self.heights is None or not self.static_tf else self.heights.floor
@@ -99,7 +99,7 @@ class Mounting(NamedTuple):
 
     @property
     def warning(self) -> str:
-        """What was observed, what was expected, where, and what to type; empty if nothing is wrong."""
+        """The observed and the expected mounting, and what to type; empty if nothing is wrong."""
         if not self.fault:
             return ""
         return f"{self.topic}: frame {self.judged_in!r} is {self.fault}" + (f". {self.cure}" if self.cure else "")
@@ -115,23 +115,23 @@ def mounting(
     origin_z: float = 0.0,
     stamp_ns: int = 0,
 ) -> Mounting:
-    """Tell how clouds are mounted.
+    """Judge how clouds are mounted.
 
     Parameters
     ----------
     topic, frame
-        Which clouds, and their ``frame_id``.
+        The topic of the clouds, and their ``frame_id``.
     samples
-        Points of some of them, as `pc2scan.core.level.thinned` returns them: from the sensor's origin, along the axes
-        of the frame that they are judged in.
+        Points of some clouds, as `pc2scan.core.level.thinned` returns them: relative to the sensor, along the axes of
+        the frame in which they are judged.
     buffer
-        The recording's transforms; None where there are none.
+        The recording's transforms; None if there are none.
     judged_in
-        The target frame that the samples were turned to; empty for their own.
+        The target frame that the samples were rotated to; empty for their own.
     origin_z
-        The height of the sensor's origin in that frame, metres.
+        The height of the sensor in that frame, metres.
     stamp_ns
-        A stamp at which transforms are looked up.
+        The stamp at which transforms are looked up.
     """
     seen = _Seen(topic, frame, judged_in or frame, samples, agreed([look_at(points) for points in samples]))
     if judged_in.removeprefix("/") not in {"", frame.removeprefix("/")}:
@@ -150,7 +150,7 @@ def mounting(
 
 
 class _Seen(NamedTuple):
-    """What the clouds of a topic show in the frame that they are judged in."""
+    """The ground of a topic's clouds in the frame in which they are judged."""
 
     topic: str
     frame: str
@@ -162,14 +162,14 @@ class _Seen(NamedTuple):
         return Mounting(self.topic, self.frame, self.judged_in, self.ground, fault, target, static, heights)
 
     def replaced(self, parent: str, parent_from_frame: Rigid, heights: Heights | None) -> Mounting:
-        """With another transform of the frame."""
+        """Return the mounting with another transform of the frame."""
         static = _static(parent, self.frame, parent_from_frame)
         return self.verdict(_fault(self.ground), parent if static else "", static, heights)
 
     def corrected(self, target: str, target_from_frame: Rigid, ground: Ground, turn: Rigid) -> Mounting:
-        """With the recorded transform turned until the ground is level, where the recording has the frame.
+        """Return the mounting with the recorded transform rotated until the ground is level, if there is one.
 
-        ``ground`` is how it looks by the recorded transform, whose axes ``turn`` takes the samples to.
+        ``ground`` is the ground by the recorded transform; ``turn`` rotates the samples to its axes.
         """
         level = Rigid.from_rpy(*ground.level_from_frame)
         turned = level.compose(target_from_frame).quaternion
@@ -180,11 +180,11 @@ class _Seen(NamedTuple):
 
 
 def _by_transforms(seen: _Seen, buffer: TransformBuffer, stamp_ns: int) -> Mounting | None:
-    """What the transforms say of the frame; None where they neither help nor contradict."""
+    """Return what the transforms say about the frame; None if they neither help nor contradict."""
     ground = seen.ground
     body = next(((name, moved) for name in _BODIES if (moved := _above(buffer, name, seen.frame, stamp_ns))), None)
     if body is None:
-        # No frame is known to be level: one that makes the clouds level is.
+        # No frame is known to be level, so a new frame that makes the clouds level is used.
         for name, moved in _ancestors(buffer, seen.frame, stamp_ns) if ground.off else ():
             if ground.up is not None and float((moved.matrix @ np.array(ground.up))[2]) > math.cos(LEVEL):
                 return seen.verdict(_fault(ground), name, heights=heights_for(ground, seen.samples, moved))
@@ -194,7 +194,7 @@ def _by_transforms(seen: _Seen, buffer: TransformBuffer, stamp_ns: int) -> Mount
     samples = [turn.apply(points) for points in seen.samples]
     there = agreed([look_at(points) for points in samples])
     if there.off:
-        # Level where it is, and tilted by its transform: that is of no use.
+        # The frame is level, but tilted by its transform, which is of no use.
         return seen.corrected(name, body_from_frame, there, turn) if ground.off else None
     if there.kind == "unknown" and ground.kind in {"tilted", "upside-down"}:
         return None
@@ -214,7 +214,7 @@ def _height(rigid: Rigid) -> float:
 
 
 def _static(parent: str, child: str, rigid: Rigid) -> str:
-    """What `static_tf` takes; empty if a name cannot be written there."""
+    """Return the text of `static_tf`; empty if it cannot have such a name."""
     if not (_WORD.fullmatch(parent) and _WORD.fullmatch(child)):
         return ""
     roll, pitch, yaw = rigid.rpy
@@ -223,20 +223,20 @@ def _static(parent: str, child: str, rigid: Rigid) -> str:
 
 
 def _short(number: str) -> str:
-    """A decimal number without what says nothing."""
+    """Return a decimal number without trailing zeros."""
     short = number.rstrip("0").rstrip(".") if "." in number else number
     return "0" if short in {"-0", ""} else short
 
 
 def _above(buffer: TransformBuffer, body: str, frame: str, stamp_ns: int) -> Rigid | None:
-    """Where a frame is in another one; None if they are the same, or not connected."""
+    """Return the transform of a frame in another one; None if they are the same, or not connected."""
     if body not in buffer.frames or body == frame.removeprefix("/"):
         return None
     return _lookup(buffer, body, frame, stamp_ns)
 
 
 def _ancestors(buffer: TransformBuffer, frame: str, stamp_ns: int) -> list[tuple[str, Rigid]]:
-    """The frames above a frame that move with it, the nearest first."""
+    """Return the frames above a frame that move with it, the nearest first."""
     found: list[tuple[str, Rigid]] = []
     name = frame.removeprefix("/")
     while len(found) < 20:
@@ -252,7 +252,7 @@ def _ancestors(buffer: TransformBuffer, frame: str, stamp_ns: int) -> list[tuple
 
 
 def _lookup(buffer: TransformBuffer, target: str, source: str, stamp_ns: int) -> Rigid | None:
-    """A transform at a stamp, or the latest that there is: how a sensor is mounted does not change."""
+    """Return a transform at a stamp, or the latest one: the mounting of a sensor does not change."""
     for at_ns in (stamp_ns, 0):
         try:
             return buffer.lookup(target, source, at_ns)
@@ -262,7 +262,7 @@ def _lookup(buffer: TransformBuffer, target: str, source: str, stamp_ns: int) ->
 
 
 def _fault(ground: Ground) -> str:
-    """What is wrong with a frame, by the ground that is seen in it: observed, and expected."""
+    """Return what is wrong with a frame, by the ground in it: observed, and expected."""
     seen = f"in {ground.clouds} of {ground.sampled} clouds looked at" if ground.sampled > 1 else "in one cloud"
     if ground.kind == "optical":
         at = "" if ground.up is None else f", and up is {_direction(ground.up)}"
@@ -283,7 +283,7 @@ def _fault(ground: Ground) -> str:
 
 
 def _direction(up: tuple[float, float, float]) -> str:
-    """An axis, where it is near one."""
+    """Return a direction as text: as an axis if it is near one."""
     axis = int(np.argmax(np.abs(up)))
     if abs(up[axis]) > math.cos(LEVEL):
         return ("-" if up[axis] < 0 else "+") + "xyz"[axis]
@@ -297,23 +297,24 @@ def heights_for(
     *,
     origin_z: float = 0.0,
 ) -> Heights | None:
-    """Heights that suit scans: over the floor, under the ceiling, and at what a robot would run into.
+    """Return heights that suit scans: above the floor, below the ceiling, and at obstacles of a robot.
 
     Parameters
     ----------
     ground
-        What was found in the samples' frame.
+        The ground in the samples' frame.
     samples
-        Points of some clouds, metres from the sensor.
+        Points of some clouds, metres, relative to the sensor.
     target_from_frame
-        Where heights are to count; None for the samples' frame.
+        The transform to the frame of the heights; None for the samples' frame.
     origin_z
         The height of the sensor in the samples' frame.
 
     Notes
     -----
-    0.1 to 1.5 m over the floor for a sensor that is less than 1.2 m high; 0.3 to 2 m for a higher one, which is on a
-    vehicle. If no point is there, up to where there are some. Without a floor, from the fifth to the 95th percentile.
+    0.1 to 1.5 m above the floor for a sensor that is less than 1.2 m high; 0.3 to 2 m for a higher one, which is on a
+    vehicle. If there are no points, the upper limit is raised until there are some. Without a floor, from the fifth to
+    the 95th percentile.
     """
     points = [points for points in samples if len(points)]
     if not points:
@@ -326,23 +327,23 @@ def heights_for(
         ceiling = None if ground.ceiling is None else _along(ground.up, ground.ceiling, moved)
     fifth, last = percentiles(z, 5, 95)
     if floor is None:
-        # A planar lidar has one height: its scans want some room around it.
+        # A planar lidar has one height, so its scans need some margin around it.
         return Heights(_floored(fifth - 0.02), -_floored(-last - 0.02))
     on_vehicle = (ground.height or 0.0) > 1.2
     low, high = (floor + 0.3, floor + 2.0) if on_vehicle else (floor + 0.1, floor + 1.5)
     if ceiling is not None:
         high = min(high, max(ceiling - 0.2, low + 0.1))
     if ((z >= low) & (z <= high)).mean() < 0.001:
-        # Nothing stands on the ground, or the sensor looks over it.
+        # There is no object on the ground, or the sensor is above all of them.
         high = max(high, *percentiles(z, 99.5))
     return Heights(_floored(low + 0.005), _floored(high + 0.005), floor, ceiling)
 
 
 def _along(up: tuple[float, float, float], distance: float, moved: Rigid) -> float:
-    """The height of the point that lies so far above the sensor."""
+    """Return the height of a point that is this far above the sensor."""
     return float(moved.apply(np.array([up]) * distance)[0, 2])
 
 
 def _floored(value: float) -> float:
-    """Down to a centimetre."""
+    """Round down to a centimetre."""
     return round(math.floor(value * 100) / 100, 2) + 0.0

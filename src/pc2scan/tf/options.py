@@ -1,4 +1,4 @@
-"""Options about transforms and frames, as callers give them."""
+"""Options about transforms and frames."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 __all__ = ["FrameOptions", "StaticTransform", "number_in"]
 
-#: How far a quaternion's length may be from 1: that of two digits is near (0.71 0 0 0.71: 1.004), others are mistakes.
+#: How far a quaternion's length may be from 1: with two digits it is near (0.71 0 0 0.71: 1.004), others are mistakes.
 _QUATERNION_SLACK = 0.05
 
 
@@ -74,7 +74,7 @@ class StaticTransform:
         """
         if not parent or not child or parent.removeprefix("/") == child.removeprefix("/"):
             raise UsageError(f"a static transform needs two frames, not {parent!r} and {child!r}")
-        from pc2scan.core.rigid import Rigid  # noqa: PLC0415  # only conversions with transforms pay for it
+        from pc2scan.core.rigid import Rigid  # noqa: PLC0415  # only with transforms
 
         _refuse_degrees(parent, child, translation, rotation)
         try:
@@ -88,12 +88,12 @@ class StaticTransform:
         return cls(parent, child, rigid)
 
     def row(self, stamp_ns: int) -> TransformRow:
-        """As the transform of a TFMessage."""
+        """Return the transform as in a TFMessage."""
         return (self.parent, self.child, stamp_ns, *self.parent_from_child.pose)
 
 
 def number_in(word: str, unit: str) -> float | None:
-    """The number that a word is, in metres or radians; with ``unit`` empty it has none."""
+    """Return a word as a number, in metres or radians; with an empty ``unit`` it must not have one."""
     try:
         return float(word)
     except ValueError:
@@ -103,7 +103,7 @@ def number_in(word: str, unit: str) -> float | None:
 
 
 def _refuse_ros1_order(words: Sequence[str]) -> None:
-    """Refuse the arguments of ROS 1's static_transform_publisher, whose frames come last, and whose yaw comes first."""
+    """Raise for arguments of ROS 1's static_transform_publisher, whose frames come last, and whose yaw comes first."""
     first, count = next(((i, i) for i, word in enumerate(words) if number_in(word, "rad") is None), (0, 0))
     if count not in (6, 7) or any(number_in(word, "rad") is not None for word in words[first : first + 2]):
         return
@@ -116,10 +116,10 @@ def _refuse_ros1_order(words: Sequence[str]) -> None:
 
 
 def _refuse_degrees(parent: str, child: str, translation: Sequence[float], rotation: Sequence[float]) -> None:
-    """Refuse rotations that nobody means: angles of more than a full turn, quaternions far from unit length."""
+    """Raise for rotations that are mistakes: angles of more than a full turn, quaternions far from unit length."""
     where = f"static transform from {parent} to {child}"
     if not all(map(math.isfinite, rotation)):
-        return  # refused elsewhere
+        return  # another check raises
     if len(rotation) == 3:
         if max(map(abs, rotation)) <= FULL_TURN:
             return

@@ -14,21 +14,21 @@ if TYPE_CHECKING:
 
 __all__ = ["STABILIZED", "Frames", "Level", "LevelTransform", "Placement"]
 
-#: What a level frame is called: the name of the frame that it is level with, and this.
+#: The name of a level frame: the name of the frame that it is made from, and this suffix.
 STABILIZED = "_stabilized"
 
 
 class Level(NamedTuple):
-    """A frame without roll and pitch, of the origin and the yaw of another one.
+    """A frame without roll and pitch, with the origin and the yaw of another frame.
 
     Attributes
     ----------
     frame
         The other frame.
     frame_from_level
-        A rotation.
+        The rotation between the two.
     tilt
-        Between the z axes of both, radians.
+        The angle between the z axes of both, radians.
     """
 
     frame: str
@@ -41,13 +41,13 @@ class Level(NamedTuple):
         return self.frame + STABILIZED
 
     def at(self, stamp_ns: int) -> LevelTransform:
-        """Return it as a transform of a stamp: the level frame is a child of the other one."""
+        """Return the transform at a stamp: the level frame is a child of the other one."""
         row = (self.frame, self.name, stamp_ns, *self.frame_from_level.pose)
         return LevelTransform(row, self.tilt)
 
 
 class LevelTransform(NamedTuple):
-    """The transform of a level frame as a TFMessage has it, and its tilt, radians; see `Level`."""
+    """The transform of a level frame, as in a TFMessage, and its tilt, radians; see `Level`."""
 
     row: TransformRow
     tilt: float
@@ -74,11 +74,11 @@ class Frames(NamedTuple):
     source_frame
         See `FrameOptions`.
     buffer
-        None where nothing is transformed.
+        None if nothing is transformed.
     tolerance_ns
-        How far a stamp may be outside the known transforms.
+        How far a stamp may be outside of the recorded transforms.
     up
-        Which way is up: messages are converted in a level frame. None: in the target frame itself.
+        The direction of up, if messages are converted in a level frame. None: in the target frame itself.
     """
 
     target_frame: str = ""
@@ -93,7 +93,7 @@ class Frames(NamedTuple):
         Raises
         ------
         TransformError
-            If there is no transform to the target frame at the stamp, or it is not known which way is up.
+            If there is no transform to the target frame at the stamp, or the direction of up is unknown.
         """
         target = self.target_frame
         transform = self.transform(target, frame_id, stamp_ns) if target else None
@@ -114,7 +114,7 @@ class Frames(NamedTuple):
         fixed
             The frame that does not move.
         frame_id
-            That of a message; it counts where there is no target frame.
+            The frame of a message, which is used without a target frame.
 
         Raises
         ------
@@ -136,7 +136,7 @@ class Frames(NamedTuple):
         Raises
         ------
         TransformError
-            If it is not known which way is up, or there is a frame of the level one's name.
+            If the direction of up is unknown, or the recording has a frame of the level frame's name.
         """
         if self.up is None:
             return None
@@ -153,7 +153,7 @@ class Frames(NamedTuple):
         return level
 
     def transform(self, target: str, frame_id: str, stamp_ns: int) -> Rigid | None:
-        """The transform that takes a message of this frame and stamp to another frame; None where it is the same.
+        """Return the transform from a message's frame to another frame at a stamp; None if they are the same.
 
         Raises
         ------

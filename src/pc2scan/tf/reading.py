@@ -34,7 +34,7 @@ __all__ = [
     "tf_connections",
 ]
 
-#: How long, and how many messages, of moving transforms tell how a robot is put together.
+#: How long, and how many messages, of moving transforms are read to find the transforms between a robot's frames.
 _SOME_NS = 1_000_000_000
 _SOME_MESSAGES = 1_000
 
@@ -102,10 +102,10 @@ def read_transforms(readers: Iterable[Reader], options: FrameOptions) -> tuple[T
 
 def begun_with(options: FrameOptions) -> TransformBuilder:
     """Return a builder that has the user's own transforms."""
-    from .builder import TransformBuilder  # noqa: PLC0415  # only conversions with transforms need it
+    from .builder import TransformBuilder  # noqa: PLC0415  # only with transforms
 
     builder = TransformBuilder()
-    # The user's transforms replace the recording's: they are given because those are wrong or missing.
+    # The user's transforms replace the recording's, because those are wrong or missing.
     builder.add((static.row(0) for static in options.static), static=True)
     return builder
 
@@ -152,12 +152,12 @@ def built(builder: TransformBuilder, warnings: Mapping[str, int]) -> tuple[Trans
 
 
 def read_some_transforms(reader: Reader, options: FrameOptions, time_ns: int) -> TransformBuffer | None:
-    """Read the transforms that tell how a robot is put together: the static ones, and a second of the moving ones.
+    """Read the transforms between a robot's frames: the static ones, and a second of the moving ones.
 
     Returns
     -------
     TransformBuffer or None
-        None if there are no transforms, or it is not clear which ones count.
+        None if there are no transforms, or it is not clear which ones to use.
     """
     try:
         connections = tf_connections(reader.connections, options.tf_topics)

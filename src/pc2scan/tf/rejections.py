@@ -60,7 +60,7 @@ def reason_of_names(parent: str, child: str) -> int:
 def reasons_of(poses: NDArray[np.float64], reasons: NDArray[np.int32]) -> NDArray[np.int32]:
     """Return why each transform is rejected, or `ACCEPTED`; ``reasons`` are those of the names alone."""
     finite = np.isfinite(poses).all(axis=1)
-    with np.errstate(invalid="ignore"):  # a NaN may be one that signals
+    with np.errstate(invalid="ignore"):  # a NaN may be a signalling one
         zero = ~poses[:, 3:].any(axis=1)
     return np.select(
         [reasons != ACCEPTED, ~finite, zero, ~are_taken(poses[:, 3:])],

@@ -1,8 +1,8 @@
 """Compares the log times that an index declares for chunks with those in the chunks and their index records.
 
 A wrong time would hide messages, because a cut reads only chunks within its times. Comparing all chunks would take
-longer than the cut itself, so only some are compared: the first and the last chunk, from which ``--start`` and
-``--end`` count, the chunks next to a cut, and those with impossible times. The index records after a chunk repeat the
+longer than the cut itself, so only some are compared: the first and the last chunk, from which ``start`` and
+``end`` count, the chunks next to a cut, and those with impossible times. The index records after a chunk repeat the
 times of its messages. If these differ from the index, the chunk itself is read.
 """
 
