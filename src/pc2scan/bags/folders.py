@@ -8,7 +8,7 @@ A folder with a metadata.yaml is one recording. Without one, its files are one r
 - Their log times follow each other in the order of the numbers, with at most a second in common, and at most half of
   the shorter one. Between two whose numbers follow each other lies at most a minute.
 
-All else are several recordings. Nobody records two drives to make one of them.
+All others are several recordings, because two drives are not recorded to become one.
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ Outcome: TypeAlias = Literal["passed", "failure", "error"]
 
 
 class JUnitCase(NamedTuple):
-    """A test case: its name, what became of it, what is to be said of it, and how many seconds it took."""
+    """A test case: its name, its outcome, its message, and how many seconds it took."""
 
     name: str
     outcome: Outcome = "passed"

@@ -43,7 +43,7 @@ _PARTIAL = ".pc2scan-partial"
 _OLD = ".pc2scan-old"
 _LOCK = f"{_PARTIAL}.lock"
 
-#: What the names of files begin with that are nobody's business but a run's.
+#: The beginning of the names of a run's internal files.
 _PRIVATE = ".pc2scan-"
 
 #: Endings of the files that a killed run leaves beside its destination.
@@ -490,7 +490,7 @@ def only_run(dst: Path) -> Iterator[int]:
         yield descriptor
     finally:
         # Removed before it is released: a run that locks the removed file notices, in _locked.
-        # Windows removes only what nobody has open.
+        # Windows removes only files that no process has open.
         removed = _unlinked(lock)
         with suppress(OSError):
             os.close(descriptor)

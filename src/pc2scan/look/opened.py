@@ -77,7 +77,7 @@ def title_of(sources: Sequence[Path]) -> str:
 
 
 def _transforms(readers: Sequence[Reader], options: ConvertOptions) -> TransformBuffer | None:
-    """All transforms; None where it is not clear which count, and nobody asked for any."""
+    """All transforms; None if it is not clear which ones to use, and none are requested."""
     try:
         buffer, _ = read_transforms(readers, options.frames)
     except UsageError:

@@ -49,7 +49,7 @@ _WIDTH, _LOWEST, _HIGHEST = 4.2, 0.8, 6.0
 #: Inches for numbers and names beside a view, and for what is above and below all of them.
 _BESIDE, _AROUND = 0.7, 2.0
 
-#: More points than this are thinned: nobody could see them, and a figure of vectors would hold them all.
+#: More points than this are thinned: they could not be distinguished, and a vector graphic would store them all.
 _MOST_POINTS = 40_000
 
 #: Share of the points at either end that may lie outside of the picture.
