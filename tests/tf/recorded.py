@@ -34,7 +34,10 @@ class Recording:
             for i, (topic, rows) in enumerate(messages)
         ]
 
-    def messages(self, connections: list[Connection]) -> Iterator[RawMessage]:
+    def messages(
+        self, connections: list[Connection], start_ns: int | None = None, stop_ns: int | None = None
+    ) -> Iterator[RawMessage]:
+        assert start_ns is stop_ns is None
         wanted = {c.id for c in connections}
         return (m for m in self._messages if m.connection.id in wanted)
 
