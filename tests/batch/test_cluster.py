@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -16,7 +17,7 @@ import pytest
 
 from batch.datasets import HEIGHTS, contents
 from batch.test_cutting import WORDS, drive
-from builders import CONTENT, Mcap, write_mcap, write_rosbag1
+from builders import CONTENT, POINTS, T0, Mcap, Recording, cloud, item, points_of, write_mcap, write_rosbag1
 from e2e.command import COMMAND, environment, run
 
 if TYPE_CHECKING:
@@ -145,6 +146,11 @@ def test_a_scheduler_is_reached_by_its_address(drives: Path, tmp_path: Path) -> 
     assert len(outputs(out)) == 5
 
 
+def wait_for_workers(address: str, count: int) -> None:
+    with distributed.Client(address, timeout=30) as client:
+        client.wait_for_workers(count, timeout=60)
+
+
 def kill_one_that_converts(workers: list[subprocess.Popen[bytes]], out: Path, killed: list[int]) -> None:
     """Kill a worker as soon as it converts a piece."""
     deadline = time.monotonic() + 60
@@ -191,6 +197,132 @@ def test_a_worker_of_another_version_is_refused(drives: Path, tmp_path: Path) ->
     assert "has pc2scan 0.0.1, this is " in done.stderr
     assert "pip install 'pc2scan[dask]==" in done.stderr
     assert not (tmp_path / "out").exists()
+
+
+def test_a_worker_without_pc2scan_is_refused(drives: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other" / "pc2scan"
+    other.mkdir(parents=True)
+    (other / "__init__.py").write_text("raise ModuleNotFoundError\n")
+    with cluster_of(tmp_path, {}, {"PYTHONPATH": str(other.parent)}) as (address, _):
+        wait_for_workers(address, 2)
+        done = run("batch", drives, "-o", tmp_path / "out", *HEIGHTS, "--dask", address)
+    assert done.status == 2, done.stderr
+    assert "has no pc2scan" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("hidden", ["drives", "out"])
+def test_a_worker_that_does_not_see_a_path_is_refused(hidden: str, drives: Path, tmp_path: Path) -> None:
+    # As on a machine where the disk is not mounted.
+    site = tmp_path / "site"
+    site.mkdir()
+    (site / "sitecustomize.py").write_text(
+        "import os\n"
+        "lexists = os.path.lexists\n"
+        f"os.path.lexists = lambda path: not str(path).startswith({str(tmp_path / hidden)!r}) and lexists(path)\n"
+    )
+    with cluster_of(tmp_path, {}, {"PYTHONPATH": str(site)}) as (address, _):
+        wait_for_workers(address, 2)
+        done = run("batch", drives, "-o", tmp_path / "out", *HEIGHTS, "--dask", address)
+    assert done.status == 2, done.stderr
+    assert f"does not see {tmp_path / hidden}" in done.stderr
+    assert "must be on a disk that all workers share" in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("listens", [False, True])
+def test_a_scheduler_that_does_not_answer_is_an_error_within_seconds(
+    listens: bool, drives: Path, tmp_path: Path
+) -> None:
+    # Nobody is there, or somebody else, who accepts connections and says nothing.
+    with socket.socket() as server:
+        server.bind(("127.0.0.1", 0))
+        if listens:
+            server.listen()
+        began = time.monotonic()
+        address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+        done = run("batch", drives, "-o", tmp_path / "out", *HEIGHTS, "--dask", address)
+        assert time.monotonic() - began < 60
+    assert done.status == 2, done.stderr
+    assert f"--dask {address} does not answer as a Dask scheduler" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert len(done.stderr.splitlines()) <= 3, done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+KILLER = """
+import os
+import signal
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from pc2scan.pipeline.stages.filters import Frame
+
+
+@dataclass(frozen=True)
+class Killer:
+    name = "killer"
+    explanation = "killed"
+    fields = ()
+    frame = Frame.SOURCE
+
+    def __call__(self, points):
+        x, _, _ = points.xyz()
+        if x.size == 13:
+            os.kill(os.getppid(), signal.SIGKILL)
+            time.sleep(30)
+        if x.size == 14 and not os.path.exists(MARK):
+            open(MARK, "w").close()
+            os.kill(os.getppid(), signal.SIGKILL)
+        return np.ones(x.shape, bool)
+"""
+
+
+def test_what_kills_every_worker_is_reported_and_the_rest_goes_on(
+    drives: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import pc2scan
+
+    (tmp_path / "killing_filter.py").write_text(f"MARK = {str(tmp_path / 'mark')!r}\n{KILLER}")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    import killing_filter  # type: ignore[import-not-found]
+
+    # One kills every worker, the other one only the first, and completes without it.
+    for name, count in (("killer", 13), ("once", 14)):
+        made = [item(POINTS, T0, lambda g, s, count=count: cloud(points_of(s, count), g, seq=s))]  # type: ignore[misc]
+        write_rosbag1(drives / f"{name}.bag", Recording((POINTS,), tuple(made)))
+    out = tmp_path / "out"
+    filters = [killing_filter.Killer()]
+    done = pc2scan.batch(drives, out, dask=True, jobs=2, min_height=-2, max_height=2, filters=filters)
+    assert done.exit_status == 1
+    found = outcomes(out)
+    assert found.pop("killer.bag") == "died"
+    assert len(found) == 6
+    assert set(found.values()) == {"converted"}
+    lines = {line["key"]: line for line in map(json.loads, (out / "manifest.jsonl").read_text().splitlines())}
+    assert "its Dask worker died" in lines["killer.bag"]["error"]["message"]
+    assert lines["killer.bag"]["attempts"] == 2
+    assert not list(out.glob("*.pc2scan-*"))
+
+
+@pytest.mark.parametrize("seconds", [0.5, 1.2, 1.6, 2.5])
+def test_an_early_interruption_says_nothing_of_dask(seconds: float, drives: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    command = [*COMMAND, "batch", "--dask", str(drives), "-o", str(out), "--jobs", "2", *HEIGHTS]
+    process = subprocess.Popen(
+        command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, env=environment(), start_new_session=True
+    )
+    time.sleep(seconds)
+    os.killpg(process.pid, signal.SIGINT)
+    _, said = process.communicate(timeout=60)
+    assert process.returncode == 130, said
+    assert "Traceback" not in said
+    assert "distributed" not in said
+    done = {path.name for path in out.iterdir()} if out.exists() else set()
+    assert not [name for name in done if ".pc2scan-" in name]
 
 
 def test_what_is_missing_or_wrong_is_named(drives: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -93,7 +93,7 @@ def main() -> None:
         if "combining" in wanted:
             combining(place, asked.repeat)
         if "batch" in wanted:
-            datasets(place, int(asked.gb * 0.5e9), asked.repeat)
+            datasets(place, int(asked.gb * 1e9), asked.repeat)
         if "passing" in wanted:
             passing(place, int(asked.gb * 0.25e9), asked.repeat)
         if "maps" in wanted:
@@ -416,17 +416,20 @@ def combining(place: Path, repeat: int) -> None:
 # --- Datasets ---
 
 
-def batched(sources: Path, out: Path, workers: int, cores: int) -> float:
-    """How long a batch takes, with the start of its processes."""
+def batched(sources: Path, out: Path, workers: int, cores: int) -> tuple[float, float]:
+    """How long a batch takes, with the start of its processes, and its processor time."""
     shutil.rmtree(out, ignore_errors=True)
 
     def executor(*, lock: int | None, **_: object) -> Executor:
         return lambda jobs: execute(jobs, workers=workers, cores=cores, lock=lock)
 
     words = {"params": PARAMS, "topics": (POINTS,), "only_scans": True}
+    before = os.times()
     took = seconds(lambda: run_batch([str(sources)], out, words, BatchOptions(), executor=executor))
+    # User and system time of this process, and of those that have ended.
+    used = sum(os.times()[:4]) - sum(before[:4])
     assert len(list(out.iterdir())) == len(list(sources.iterdir())) + 1
-    return took
+    return took, used
 
 
 def datasets(place: Path, size: int, repeat: int) -> None:
@@ -438,24 +441,28 @@ def datasets(place: Path, size: int, repeat: int) -> None:
             first = write_recording(sources, FORMS[name], size // count)
             for number in range(1, count):
                 shutil.copyfile(first, first.with_name(f"{number}{first.suffix}"))
-            found = rounds(
-                repeat,
-                lambda: batched(sources, place / "out", 1, 1),
-                lambda: batched(sources, place / "out", 1, 2),
-                lambda: batched(sources, place / "out", 2, 2),
-            )
+            runs = ((1, 1), (1, 2), (2, 2))
+            found = [
+                [batched(sources, place / "out", workers, cores) for workers, cores in runs] for _ in range(repeat + 1)
+            ][1:]
             clouds = count * max(1, size // count // CLOUD_BYTES)
             yield (
                 f"{count} x {name}",
-                *(speed(clouds, median(column)) for column in zip(*found, strict=True)),
-                f"{median(row[0] / row[2] for row in found):.2f}",
+                *(speed(clouds, median(took for took, _ in column)) for column in zip(*found, strict=True)),
+                f"{median(row[0][0] / row[2][0] for row in found):.2f}",
+                f"{median(row[0][0] for row in found):.1f} s",
+                f"{median(row[2][1] / row[0][1] for row in found):.2f}",
+                f"{median(row[2][1] / row[2][0] for row in found):.2f}",
             )
             shutil.rmtree(sources)
 
     table(
         f"Batch:** one and two workers, {size / 1e9:g} GB of clouds of 131,072 points of 32 bytes in several "
         "recordings, from the start of the processes to the last line of the manifest",
-        ("recordings", "1 worker, 1 thread", "1 worker, 2 threads", "2 workers", "2 workers, times as fast as 1"),
+        (
+            *("recordings", "1 worker, 1 thread", "1 worker, 2 threads", "2 workers", "2 workers, times as fast as 1"),
+            *("1 worker takes", "processor time of 2 workers, times that of 1", "cores that 2 workers use"),
+        ),
         rows(),
     )
 

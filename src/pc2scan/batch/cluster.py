@@ -13,6 +13,7 @@ import time
 from collections import Counter, deque
 from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass, replace
+from itertools import count
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any
@@ -69,7 +70,9 @@ class _Answer:
 def check_dask() -> None:
     """Raise UsageError where Dask is not installed."""
     try:
-        import distributed  # noqa: F401, PLC0415  # an extra
+        # Some of its modules catch whatever happens while they are loaded.
+        with _sigint_blocked():
+            import distributed  # noqa: F401, PLC0415  # an extra
     except ImportError as err:
         raise UsageError(
             "`dask` needs distributed, which is not installed", hint="pip install 'pc2scan[dask]'"
@@ -122,12 +125,13 @@ def _run(client: Any, jobs: Sequence[Job], retries: int) -> Generator[Event]:
     futures: dict[str, Any] = {}
     attempts: Counter[str] = Counter()
     running: dict[str, float] = {}
+    numbers = count()
     try:
         while pending or left:
             while pending:
                 job = pending.popleft()
                 left[job.key] = job
-                number = len(futures)
+                number = next(numbers)
                 future = client.submit(
                     _convert, job, __version__, topic, key=f"{topic}-{number}", retries=retries, priority=-number
                 )
@@ -154,6 +158,14 @@ def _run(client: Any, jobs: Sequence[Job], retries: int) -> Generator[Event]:
                     job = left.pop(key)
                     seconds = time.monotonic() - running.get(key, time.monotonic())
                     result = _result(job, value, seconds)
+                    if (
+                        attempts[key] > 1
+                        and not job.replaces
+                        and "exists already" in (result.error or {}).get("message", "")
+                    ):
+                        # The conversion of a worker that was lost has completed it nevertheless.
+                        pending.append(replace(job, replaces=True))
+                        continue
                     yield Ended(replace(result, attempts=max(1, attempts[key])))
     finally:
         connected = client.status == "running"
@@ -311,6 +323,32 @@ def _lost() -> Pc2ScanError:
     )
 
 
+def _ask(address: str) -> None:
+    """Ask a scheduler who it is; a client would wait for ever for one that accepts connections and says nothing."""
+    import asyncio  # noqa: PLC0415
+
+    from distributed.core import rpc  # noqa: PLC0415  # an extra
+
+    async def ask() -> None:
+        async with rpc(address) as scheduler:
+            await asyncio.wait_for(scheduler.identity(), _CONNECT_SECONDS)
+
+    asyncio.run(ask())
+
+
+@contextmanager
+def _sigint_blocked() -> Iterator[None]:
+    """Block Ctrl-C in this thread, and in the threads and processes that it starts meanwhile."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 @contextmanager
 def _connected(address: str, workers: int, cores: int, retries: int) -> Iterator[Any]:
     """Yield a client of the scheduler, or of a cluster on this machine."""
@@ -330,23 +368,32 @@ def _connected(address: str, workers: int, cores: int, retries: int) -> Iterator
                 "distributed.scheduler.worker-saturation": 1.0,
             }
             stack.enter_context(dask.config.set(settings))
-            cluster = stack.enter_context(
-                LocalCluster(
-                    n_workers=workers,
-                    threads_per_worker=max(1, cores // workers),
-                    processes=True,
-                    dashboard_address="127.0.0.1:0",
-                    memory_limit=0,
-                    preload=[__name__],
-                    silence_logs=logging.CRITICAL,
+            from multiprocessing import resource_tracker  # noqa: PLC0415  # only clusters on this machine need it
+
+            # If it is started later, it unblocks the signal.
+            resource_tracker.ensure_running()
+            with _sigint_blocked():
+                # Dask cannot end a cluster that is half started: Ctrl-C counts when it has started.
+                cluster = stack.enter_context(
+                    LocalCluster(
+                        n_workers=workers,
+                        threads_per_worker=max(1, cores // workers),
+                        processes=True,
+                        dashboard_address="127.0.0.1:0",
+                        memory_limit=0,
+                        preload=[__name__],
+                        silence_logs=logging.CRITICAL,
+                    )
                 )
-            )
-            yield stack.enter_context(Client(cluster))
+                client = stack.enter_context(Client(cluster))
+            yield client
             return
         try:
+            _ask(address)
             client = Client(address, timeout=_CONNECT_SECONDS)
         except (OSError, TimeoutError, ValueError) as err:
+            why = str(err) or f"no answer within {_CONNECT_SECONDS} seconds"
             raise UsageError(
-                f"`dask={address}` does not answer as a Dask scheduler: {err}", hint="is it the scheduler's address?"
+                f"`dask={address}` does not answer as a Dask scheduler: {why}", hint="is it the scheduler's address?"
             ) from err
         yield stack.enter_context(client)

@@ -41,6 +41,9 @@ class _Ending:
         self.begun = False
         # Ctrl-C reaches every process of the terminal; the parent decides what it means.
         signal.signal(signal.SIGINT, self._interrupted)
+        if hasattr(signal, "pthread_sigmask"):
+            # Workers of a Dask cluster on this machine have it blocked.
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
 
     def begin(self) -> None:
         """Interrupt the conversion; called by the thread that reads."""

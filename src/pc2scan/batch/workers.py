@@ -334,7 +334,8 @@ def _after_death(
     with suppress(Pc2ScanError):
         clean_up(Path(job.destination))
     if attempts[job.key] <= retries:
-        pending.again(job)
+        # It may have died behind the last step.
+        pending.again(replace(job, replaces=True))
         yield Died(job.key, why)
     else:
         seconds = time.monotonic() - worker.began
