@@ -410,24 +410,29 @@ void load_moving(Scan *scan, const Cloud *cloud, Motion *motion) {
     Moved block;
     motion->lowest = (float)scan->rule.lowest;
     motion->highest = (float)scan->rule.highest;
-    const Axis *axis = cloud->axis;
+    const Axis *axis = cloud->axis, *field = &motion->times;
+    Py_ssize_t rows = cloud->rows, columns = cloud->columns;
+    /* Rows without gaps between them are one row. */
+    int follow = field->row_step == columns * field->step;
+    for (int k = 0; k < 3; k++) follow &= axis[k].row_step == columns * axis[k].step;
+    if (follow) columns *= rows, rows = 1;
     int choosing = can_choose(scan, cloud, motion);
-    for (Py_ssize_t row = 0; row < cloud->rows; row++)
-        for (Py_ssize_t column = 0, taken; column < cloud->columns; column += taken) {
-            const Py_ssize_t left = cloud->columns - column;
+    for (Py_ssize_t row = 0; row < rows; row++)
+        for (Py_ssize_t column = 0, taken; column < columns; column += taken) {
+            const Py_ssize_t left = columns - column;
             const int64_t rejected = scan->height;
             taken = 0;
 #ifdef EIGHT
             if (choosing > 0) {
                 const char *from = axis[0].data + row * axis[0].row_step + column * axis[0].step;
-                const char *times = motion->times.data + row * motion->times.row_step + column * motion->times.step;
+                const char *times = field->data + row * field->row_step + column * field->step;
                 taken = load_moving_eight(scan, motion, from, axis[0].step, times, left, &block);
             }
 #endif
             for (; taken < left && taken < STRETCH;) {
                 const int count = left - taken < BLOCK ? (int)(left - taken) : BLOCK;
                 move_points(motion, axis, common, row, column + taken, count, &block);
-                append(scan, block.to_x, block.to_y, block.to_z, (int64_t)row * cloud->columns + column + taken, count);
+                append(scan, block.to_x, block.to_y, block.to_z, (int64_t)row * columns + column + taken, count);
                 taken += count;
             }
             /* Choosing points takes time, too. */
