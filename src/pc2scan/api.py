@@ -363,7 +363,7 @@ def batch(
         scheduler. Needs ``pc2scan[dask]``. With True, a script needs ``if __name__ == "__main__"``.
     scratch, scratch_size
         As for `pc2scan.convert`: the folder for local copies of what is at URLs, and what all of them may take there.
-        With ``dask`` each worker has a folder, and so much room, of its own.
+        With the ``dask`` cluster of an address each worker has a folder, and so much room, of its own.
     report
         A file to write the summary to: ``.json``, ``.csv`` or ``.md``.
     progress

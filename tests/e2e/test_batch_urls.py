@@ -333,3 +333,24 @@ def test_a_bucket_that_is_not_there(s3: Any, tmp_path: Path) -> None:
 def test_words_about_urls_without_one(drives: Path, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="no source and no destination is a URL"):
         pc2scan.batch(drives, tmp_path / "out", scratch_size="1GB", **KEYWORDS)
+
+
+def test_workers_of_a_cluster_copy_for_themselves(
+    s3: Any, server: dict[str, str], drives: Path, scratch: Path, tmp_path: Path
+) -> None:
+    pytest.importorskip("psutil", reason="distributed needs it")
+    pytest.importorskip("distributed", reason="distributed is not installed")
+    from batch.test_cluster import cluster
+
+    source, out = upload(s3, drives, "in"), f"s3://{s3.bucket}/out"
+    with cluster(tmp_path, **server) as address:
+        done = batch(source, "-o", out, "--scratch", scratch, "--dask", address)
+        again = batch(source, "-o", out, "--dask", address)
+    assert done.returncode == 1, done.stderr
+    assert "failed: empty.bag: is empty" in done.stderr
+    assert "4 unchanged" in again.stderr, again.stderr
+    assert list(scratch.iterdir()) == []
+    batch(drives, "-o", tmp_path / "local")
+    assert download(s3, "out", tmp_path / "got") == contents(tmp_path / "local")
+    logs = "".join(path.read_text(errors="replace") for path in tmp_path.glob("*.log"))
+    assert "testing-secret" not in logs + done.stderr

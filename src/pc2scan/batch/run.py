@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -259,6 +259,12 @@ def _on_dask(address: str) -> Callable[..., Executor]:
         del lock  # Of this machine.
 
         def executor(jobs: Sequence[Job]) -> Generator[Event]:
+            if not address and isinstance(jobs, list):
+                # Its workers share the disk of this machine.
+                jobs = [
+                    job if job.scratch_size is None else replace(job, scratch_size=job.scratch_size // workers)
+                    for job in jobs
+                ]
             return execute_on_dask(jobs, address, workers=workers, cores=all_cores(), retries=retries)
 
         return _cutting(executor)

@@ -13,8 +13,7 @@ from tempfile import TemporaryDirectory, gettempdir
 from threading import Lock
 from typing import TYPE_CHECKING
 
-from pc2scan.errors import OutputError, Pc2ScanError, UsageError
-from pc2scan.files.staging import only_run
+from pc2scan.errors import OutputError, UsageError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -35,6 +34,8 @@ class ScratchError(OutputError):
 def scratch_folder(scratch: Path | None) -> Iterator[Path]:
     """Make a folder for local copies that is removed at the end; those of killed runs on this machine are removed, too.
 
+    Its name has that of the machine, as machines may share a disk, and the process.
+
     Raises
     ------
     UsageError
@@ -44,25 +45,30 @@ def scratch_folder(scratch: Path | None) -> Iterator[Path]:
     prefix = f"pc2scan-{re.sub(r'[^A-Za-z0-9]', '_', socket.gethostname())}-"
     _remove_left(parent, prefix)
     try:
-        folder = TemporaryDirectory(prefix=prefix, dir=scratch)
+        folder = TemporaryDirectory(prefix=f"{prefix}{os.getpid()}-", dir=scratch)
     except OSError as err:
         where = "temporary files" if scratch is None else str(scratch)
         raise UsageError(f"`scratch`: {where} cannot be written: {err.strerror}") from err
-    with folder as name, only_run(Path(name)):
+    with folder as name:
         yield Path(name).resolve()
 
 
 def _remove_left(parent: Path, prefix: str) -> None:
-    """Remove what killed runs of this user have left: their locks are free. Other machines may share the disk."""
+    """Remove what killed runs of this user have left: their processes are not there any more."""
+    if os.name == "nt":
+        # There, asking for a process ends it.
+        return
     with suppress(OSError):
         for folder in list(parent.iterdir()):
-            if not folder.name.startswith(prefix) or folder.is_symlink() or not folder.is_dir():
+            found = re.fullmatch(rf"{prefix}(\d+)-\w+", folder.name)
+            if found is None or folder.is_symlink() or not folder.is_dir() or folder.stat().st_uid != os.getuid():
                 continue
-            if hasattr(os, "getuid") and folder.stat().st_uid != os.getuid():
-                continue
-            # One that is in use is locked.
-            with suppress(Pc2ScanError), only_run(folder):
+            try:
+                os.kill(int(found[1]), 0)
+            except ProcessLookupError:
                 shutil.rmtree(folder, ignore_errors=True)
+            except OSError:
+                continue
 
 
 class Room:
