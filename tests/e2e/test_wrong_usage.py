@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import os
 import shutil
+import subprocess
+import sys
 from typing import TYPE_CHECKING
 
 import pytest
 
 import pc2scan
-from e2e.command import run
+from e2e.command import environment, run
 from support import ROOT
 
 if TYPE_CHECKING:
@@ -109,3 +112,42 @@ def test_a_server_that_is_not_there_is_not_a_file_that_is_not_there(tmp_path: Pa
     done = run("convert", "https://127.0.0.1:1/drive.bag", "-o", tmp_path / "a.bag")
     assert done.status == 1
     assert "nobody answers at this address" in done.stderr
+
+
+def test_a_failed_recording_of_a_batch_is_not_counted_as_converted(tmp_path: Path) -> None:
+    broken = tmp_path / "broken.bag"
+    broken.write_bytes(HALL.read_bytes()[:100])
+    done = run("batch", HALL, broken, "-o", tmp_path / "out", "--min-height", "-0.3")
+    assert done.status == 1
+    assert "2 recordings: 1 failed, 1 converted" in done.stdout
+    assert "1 converted now" in done.stdout
+
+
+#: What root may read and write nevertheless.
+WITHOUT_RIGHTS = (
+    "setpriv",
+    "--bounding-set=-dac_override,-dac_read_search",
+    "--inh-caps=-dac_override,-dac_read_search",
+)
+
+
+@pytest.mark.skipif(sys.platform != "linux" or shutil.which("setpriv") is None, reason="setpriv is not there")
+def test_what_may_not_be_read_or_written(tmp_path: Path) -> None:
+    folder, secret = tmp_path / "folder", tmp_path / "secret.bag"
+    folder.mkdir()
+    shutil.copy(HALL, folder / "hall.bag")
+    shutil.copy(HALL, secret)
+    folder.chmod(0o555)
+    secret.chmod(0)
+    user = WITHOUT_RIGHTS if os.getuid() == 0 else ()
+    try:
+        for words, error in (
+            (("info", secret), f"error: {secret}: permission denied\nhint: ls -l shows whose it is"),
+            (("convert", folder / "hall.bag"), f"error: {folder}/hall_scan.bag: its directory is not writable\nhint: "),
+        ):
+            command = [*user, sys.executable, "-m", "pc2scan", *map(str, words)]
+            done = subprocess.run(command, capture_output=True, text=True, env=environment(), check=False)
+            assert done.returncode in (1, 2)
+            assert done.stderr.startswith(error)
+    finally:
+        folder.chmod(0o755)

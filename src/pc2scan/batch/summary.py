@@ -261,10 +261,11 @@ class BatchReport(Shown):
                 took = "unknown" if self.estimate_seconds is None else f"about {duration(self.estimate_seconds)}"
                 yield f"{len(done):,} to convert: {size(read)}; written would be about {size(written)}; time: {took}"
             return
-        yield f"{scans:,} scans, {empty:,} of them without a return"
+        yield f"{counted(scans, 'scan')}, {empty:,} without a return"
         if done:
+            failed = sum(each.outcome in ("failed", "died") for each in done)
             yield (
-                f"{self.destination}: {len(done):,} converted now, {size(written)} from {size(read)} in "
+                f"{self.destination}: {len(done) - failed:,} converted now, {size(written)} from {size(read)} in "
                 f"{duration(self.seconds)}, {self.workers} at a time"
             )
         else:

@@ -50,6 +50,8 @@ def in_our_words(err: TyperUsageError, typed: Sequence[str]) -> UsageError:
         name = "/".join(err.param.opts) if is_option else err.param.human_readable_name
         return UsageError(f"{name} is missing", hint=hint)
     text = err.message.rstrip(".")
+    if unreadable := re.search(r"(?:Path|File|Directory) '(.*)' is not readable$", text):
+        return UsageError("permission denied", path=unreadable[1], hint="ls -l shows whose it is, and who may read it")
     if isinstance(err, BadParameter) and err.param is not None:
         value, is_not, kind = text.rpartition(" is not ")
         near = did_you_mean(value.strip("'"), re.findall(r"'([^']*)'", kind)) if kind.startswith("one of") else ""

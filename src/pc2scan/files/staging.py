@@ -394,7 +394,9 @@ def check_place(dst: Path) -> None:
     if place == "/dev" or place.startswith(("/proc/", "/sys/")):
         raise DestinationError(f"{parent} holds devices, not files", path=dst, hint="name a file in another directory")
     if not os.access(parent, os.W_OK | os.X_OK):
-        raise OutputError("its directory is not writable", path=dst)
+        raise OutputError(
+            "its directory is not writable", path=dst, hint="write into another one, or change its rights"
+        )
 
 
 def _check_length(dst: Path) -> None:
