@@ -351,7 +351,7 @@ def test_scans_are_not_sources(drives: Path) -> None:
     named = run("batch", drives / "a.bag", "-o", drives, *HEIGHTS)
     assert named.status == 0, named.stderr
     by_glob = run("batch", f"{drives}/*.bag", "-o", drives, *HEIGHTS)
-    assert "1 recordings: 0 to convert (0 B), 1 unchanged" in by_glob.stderr
+    assert "1 recording: 0 to convert (0 B), 1 unchanged" in by_glob.stderr
 
 
 # --- Options and reports ---
