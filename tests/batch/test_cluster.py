@@ -318,7 +318,8 @@ def test_an_early_interruption_says_nothing_of_dask(seconds: float, drives: Path
     time.sleep(seconds)
     os.killpg(process.pid, signal.SIGINT)
     _, said = process.communicate(timeout=60)
-    assert process.returncode == 130, said
+    # A shell calls both 130: Python ends by the signal itself if that comes while it begins.
+    assert process.returncode in (130, -signal.SIGINT), said
     assert "Traceback" not in said
     assert "distributed" not in said
     done = {path.name for path in out.iterdir()} if out.exists() else set()

@@ -268,18 +268,22 @@ def execute(
     pool = _Pool(lock)
     pending.begin(lambda event: pool.inbox.put((None, event)))
     idle: deque[_Worker] = deque()
+
+    def begin() -> Generator[Event]:
+        """Give jobs to workers that have none."""
+        busy = sum(worker.job is not None for worker in pool.workers)
+        for _ in range(min(workers, busy + len(pending)) - len(pool.workers)):
+            idle.append(pool.add())
+        while idle and (job := pending.take()) is not None:
+            tried = attempts[job.key] = attempts.get(job.key, 0) + 1
+            busy = sum(worker.job is not None for worker in pool.workers)
+            threads = 1 if tried > 1 else max(1, cores // min(workers, busy + len(pending) + 1))
+            idle.popleft().give(replace(job, threads=threads))
+            yield Began(job.key)
+
     try:
         while pending.is_open or any(worker.job for worker in pool.workers) or not pool.inbox.empty():
-            busy = sum(worker.job is not None for worker in pool.workers)
-            for _ in range(min(workers, busy + len(pending)) - len(pool.workers)):
-                idle.append(pool.add())
-            while idle and (job := pending.take()) is not None:
-                tried = attempts[job.key] = attempts.get(job.key, 0) + 1
-                busy = sum(worker.job is not None for worker in pool.workers)
-                threads = 1 if tried > 1 else max(1, cores // min(workers, busy + len(pending) + 1))
-                worker = idle.popleft()
-                worker.give(replace(job, threads=threads))
-                yield Began(job.key)
+            yield from begin()
             try:
                 sender, message = pool.inbox.get(timeout=None if check is None else _CHECK_SECONDS)
             except Empty:
@@ -307,7 +311,10 @@ def execute(
                 case ("result", result):
                     worker.job = None
                     idle.append(worker)
-                    if (done := pending.done(replace(result, attempts=attempts[result.key]))) is not None:
+                    done = pending.done(replace(result, attempts=attempts[result.key]))
+                    # The worker goes on while the manifest is written, which waits for the disk.
+                    yield from begin()
+                    if done is not None:
                         yield Ended(done)
                 case ("unreadable", why):
                     raise _unsendable(why)
