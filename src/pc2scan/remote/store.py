@@ -354,6 +354,8 @@ class Place:
         name, status = type(err).__name__, _status(err)
         if isinstance(err, FileNotFoundError):
             return kind("there is nothing of this name", path=self.shown)
+        if "NoSuchBucket" in name:
+            return (kind if writes else MissingError)("there is no such bucket", path=self.shown, hint=_NO_RIGHTS)
         if isinstance(err, PermissionError) or status in _DENIED or "Credential" in name:
             return kind(f"access is refused ({status or 403}, or no credentials)", path=self.shown, hint=_NO_RIGHTS)
         if isinstance(err, OSError) and err.errno == errno.ENOSPC:
