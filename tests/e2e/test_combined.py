@@ -236,6 +236,54 @@ def test_points_that_wait_in_borrowed_memory_are_those_that_were_read(
         assert sum(topic.messages_out for topic in done.topics if topic.target == "/scan") >= 18
 
 
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--topic", "/front", "--every", "100", *MOVED), "--every is 100 s, but the recording takes 1.49 s; if"),
+        (("--topic", "/front", "--accumulate", "500", *MOVED), "if milliseconds were meant: --accumulate 500ms"),
+        ((*two_topics(), "--target-frame", "base_link", "--window", "50"), "if milliseconds were meant: --window 50ms"),
+        (
+            (*two_topics(), "--target-frame", "base_link", "--window", "1"),
+            "messages of /front come every 0.1 s; if mil",
+        ),
+        (
+            (*two_topics(), "--target-frame", "base_link", "--fixed-frame", "base_link"),
+            "--fixed-frame is base_link, the frame of the scans itself: no point is moved; --fixed-frame odom",
+        ),
+        (
+            ("--topic", "/front", "--deskew", "--fixed-frame", "base_link"),
+            "--fixed-frame is base_link, and front never moves in it: no point is moved; --fixed-frame odom",
+        ),
+    ],
+)
+def test_what_was_probably_not_meant_draws_a_warning(tmp_path: Path, options: tuple[str, ...], said: str) -> None:
+    source = write_world(tmp_path / "w.mcap", [FRONT, REAR], seconds=0.5)
+    done = converted(source, "--min-height", "0.1", *options)
+    assert said in " ".join(done.stderr.split())
+
+
+def test_what_is_right_draws_none_of_these_warnings(tmp_path: Path) -> None:
+    source = write_world(tmp_path / "w.mcap", [FRONT, REAR], seconds=0.5)
+    for options in (
+        ("--topic", "/front", "--every", "100ms", *MOVED),
+        (*two_topics(), *MOVED, "--window", "0.1"),
+        ("--topic", "/front", "--deskew", "--fixed-frame", "odom"),
+    ):
+        done = converted(source, "--min-height", "0.1", *options)
+        assert "milliseconds" not in done.stderr
+        assert "no point is moved" not in done.stderr
+
+
+def test_a_frame_that_is_not_there_is_named_as_it_was_typed(tmp_path: Path) -> None:
+    source = write_world(tmp_path / "w.mcap", [FRONT], seconds=0.3)
+    said = converted(source, "--deskew", "--fixed-frame", "odm", status=(2,)).stderr
+    assert "--fixed-frame is 'odm', which no transform has; the 3 frames with transforms are base_link" in said
+    assert "did you mean odom?" in said
+    said = converted(source, "--min-height", "0.1", "--exclude-box", "base_lnk -1 1 -1 1 -1 1", status=(1,)).stderr
+    assert "the frame of --exclude-box: no transform has the frame 'base_lnk'" in said
+    assert "did you mean base_link?" in said
+
+
 def test_other_clocks_are_an_error_that_says_by_how_much(tmp_path: Path) -> None:
     ahead = Lidar("/rear", "rear", REAR.mount, clock=42.0)
     source = write_world(tmp_path / "w.mcap", [FRONT, ahead], seconds=1.0)

@@ -244,7 +244,7 @@ def test_filters_see_the_level_frame(tmp_path: Path, world: Path) -> None:
         (("--level", "--imu", "/imu:"), "it must be a topic, or a topic and a frame", "--imu /imu/data:imu_link"),
         (("--level", "--imu", "/imu"), "no topic /imu in the recording", "Imu topics: none"),
         (("--level", "--imu", "/points"), "topic /points is sensor_msgs/msg/PointCloud2", "Imu topics: none"),
-        (("--level", "--fixed-frame", "map"), "no transform has the frame 'map'", "--static-tf"),
+        (("--level", "--fixed-frame", "map"), "--fixed-frame is 'map', which no transform has", "--static-tf"),
     ],
 )
 def test_what_cannot_be_says_what_to_type(

@@ -79,6 +79,13 @@ def prepared(
 
             conversions[spec] = ScanToCloud(spec.channels, frames, deskewed=spec.deskew, output_type=spec.made_type)
             continue
+        if spec.fixed_frame and buffer is not None:
+            from .fixed_frames import check_fixed_frame  # noqa: PLC0415  # few conversions have one
+
+            own = [route.connection for route in plan.routes if any(task.spec is spec for task in route.tasks)]
+            with _naming_output(spec):
+                doubts = check_fixed_frame(reader, own, spec, asked.source_frame, buffer, span)
+            report.warnings += (f"{spec.name}: {each}" if spec.name else each for each in doubts)
         combined = [each for each in plan.combinations if each.spec is spec]
         for combination in combined:
             conversions[combination] = _combined(reader, plan, combination, frames, span, report, firsts)

@@ -222,6 +222,14 @@ class TransformBuffer:
         query = self._query(target, source, 0, 0)
         return 0 if query is None else self._latest_common_time(query) or 0
 
+    def is_rigid(self, one: str, other: str) -> bool:
+        """Whether only static transforms are between two frames; False if they are not connected."""
+        numbers = [self._numbers.get(name.removeprefix("/")) for name in (one, other)]
+        if numbers[0] is None or numbers[1] is None:
+            return False
+        chain = self._timeless_chain(numbers[0], numbers[1])
+        return chain is not None and all(link.static for link in chain.links)
+
     @cached_property
     def infos(self) -> tuple[FrameInfo, ...]:
         """Statistics of each child frame, sorted by name."""

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from pc2scan.pipeline.plan import Combination
     from pc2scan.tf.placing import Frames
 
+    from .asked import Combining
     from .conversion import Prepared
     from .matching import Grouper
 
@@ -44,6 +45,9 @@ _HALF_PERIOD_NS = 50_000_000
 #: slow drivers are late, too. From the second limit on they are.
 _OTHER_CLOCK_NS = 500_000_000
 _SURELY_ANOTHER_NS = 2_000_000_000
+
+#: A window of more periods is probably one of milliseconds.
+_MOST_PERIODS = 5
 
 #: The fields that the beams of a LaserScan have.
 _BEAM_FIELDS = ("x", "y", "z", "intensity", "index")
@@ -125,25 +129,47 @@ def measured(
     found = timing.get(topics[0]) or _of_scans(combination, lead, notes)
     if asked.every_ns and spec.origins.get("scan_time", "default") == "default":
         found = Measured(asked.every_ns / 1e9, found.time_increment, 0, found.azimuth_step)
-    warnings: list[str] = []
+    warnings = _doubtful(asked, reader, topics, firsts)
+    grouper: Callable[[], Grouper[Prepared]]
     if asked.every_ns:
         begin_ns = 0
         if lead is not None and lead.stamps:
             # The first message is not at the edge of its interval, where a jitter would move others to the next one.
             begin_ns = min(lead.stamps) - (lead.period_ns or 0) // 2
         grouper = partial(Intervals, len(topics), asked.every_ns, begin_ns, asked.span_ns, asked.count)
-        return found, grouper, notes, _clocks(firsts, topics, None)
+        return found, grouper, notes, [*warnings, *_clocks(firsts, topics, None)]
     if asked.accumulates:
-        return found, partial(Recent, len(topics), asked.span_ns, asked.count), notes, _clocks(firsts, topics, None)
+        grouper = partial(Recent, len(topics), asked.span_ns, asked.count)
+        return found, grouper, notes, [*warnings, *_clocks(firsts, topics, None)]
     if len(topics) == 1:
         return found, None, notes, warnings
     windows = _windows(firsts, topics, asked.window_ns)
-    warnings = _clocks(firsts, topics, windows)
+    warnings += _clocks(firsts, topics, windows)
     joined = ", ".join(
         f"{topic} (within {window / 1e9:.4g} s)" for topic, window in zip(topics[1:], windows[1:], strict=True)
     )
     notes.append(f"{combination.target}: has the stamps of {topics[0]}, and the nearest messages of {joined}")
     return found, partial(Nearest, windows), notes, warnings
+
+
+def _doubtful(asked: Combining, reader: Reader, topics: Sequence[str], firsts: Mapping[str, _Firsts]) -> list[str]:
+    """Warn of times that were probably meant as milliseconds."""
+    start_ns, end_ns = reader.summary.start_ns, reader.summary.end_ns
+    length_ns = 0 if start_ns is None or end_ns is None else end_ns - start_ns
+    found = []
+    gathered_ns = 0 if asked.span_ns == asked.every_ns else asked.span_ns
+    for name, value_ns in (("every", asked.every_ns), ("accumulate", gathered_ns), ("window", asked.window_ns or 0)):
+        seconds = value_ns / 1e9
+        why = ""
+        if seconds >= 1 and value_ns > length_ns > 0:
+            why = f"the recording takes {length_ns / 1e9:.3g} s"
+        elif name == "window" and seconds >= 1:
+            periods = [firsts[topic].period_ns or value_ns for topic in topics if topic in firsts]
+            if periods and value_ns > _MOST_PERIODS * max(periods):
+                why = f"messages of {topics[0]} come every {periods[0] / 1e9:.3g} s"
+        if why:
+            found.append(f"`{name}` is {seconds:g} s, but {why}; if milliseconds were meant: `{name}={seconds:g}ms`")
+    return found
 
 
 def _first_messages(

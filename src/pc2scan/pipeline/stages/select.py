@@ -10,6 +10,7 @@ import numpy as np
 
 from pc2scan.core.points import NUMBER
 from pc2scan.core.project import packed
+from pc2scan.errors import UnconnectedError
 
 from .filters import Frame
 
@@ -120,7 +121,12 @@ class Select:
             steps = [(Frame.TARGET if frame == place.frame_id else frame, chosen) for frame, chosen in steps]
         for frame, chosen in steps:
             if frame not in seen.by_frame:
-                self._place(seen, frame, place, moving, rejected)
+                try:
+                    self._place(seen, frame, place, moving, rejected)
+                except UnconnectedError as err:
+                    if isinstance(frame, str):
+                        err.message = f"the frame of `{chosen.name}`: {err.message}"
+                    raise
             with np.errstate(all="ignore"):
                 mask = chosen(seen.by_frame[frame])
             if mask.dtype != np.bool_:

@@ -1,0 +1,87 @@
+"""Checks a fixed frame before the conversion: whether there is such a frame, and whether anything moves in it."""
+
+from __future__ import annotations
+
+from contextlib import closing, suppress
+from typing import TYPE_CHECKING
+
+from pc2scan.errors import MessageError, ParameterError, name_list
+from pc2scan.messages.clouds import CLOUDS
+from pc2scan.messages.laserscan import LASERSCAN, decode_laserscan
+from pc2scan.names import did_you_mean
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from pc2scan.bags.reader import Reader
+    from pc2scan.model import Connection
+    from pc2scan.tf.buffer import TransformBuffer
+
+    from .scan_spec import ScanSpec
+    from .stream import Span
+
+__all__ = ["check_fixed_frame"]
+
+_MOST_NAMES = 20
+
+#: Frames in which robots move, by REP 105; the first one that there is, is offered first.
+_USUAL = ("odom", "map", "world", "earth")
+
+
+def check_fixed_frame(
+    reader: Reader,
+    sources: Sequence[Connection],
+    spec: ScanSpec,
+    source_frame: str,
+    buffer: TransformBuffer,
+    span: Span,
+) -> list[str]:
+    """Return a warning if nothing moves in the fixed frame.
+
+    Raises
+    ------
+    ParameterError
+        If there is no such frame.
+    """
+    fixed = spec.fixed_frame.removeprefix("/")
+    if fixed not in buffer.frames:
+        there_are = (
+            f"the {len(buffer.frames)} frames with transforms are {name_list(sorted(buffer.frames), _MOST_NAMES)}"
+            if buffer.frames
+            else "there are no transforms at all"
+        )
+        near = did_you_mean(fixed, sorted(buffer.frames)) or _offered(buffer, "")
+        advice = "`static_tf` or `tf_from` adds a transform"
+        raise ParameterError(
+            f"`fixed_frame` is {fixed!r}, which no transform has; {there_are}",
+            hint=f"{near}{'' if near.endswith('?') or not near else ';'} {advice}".strip(),
+        )
+    frame = spec.params.target_frame or source_frame or _first_frame(reader, sources, span)
+    frame = frame.removeprefix("/")
+    if not frame or not buffer.is_rigid(fixed, frame):
+        return []
+    which = "the frame of the scans itself" if fixed == frame else f"and {frame} never moves in it"
+    offered = _offered(buffer, fixed)
+    advice = offered or "the recording has no transform that moves; `tf_from` adds the odometry of another one"
+    return [f"`fixed_frame` is {fixed}, {which}: no point is moved; {advice}"]
+
+
+def _offered(buffer: TransformBuffer, fixed: str) -> str:
+    """Offer a frame in which something else moves; empty if there is none."""
+    roots = [root for tree in buffer.trees if not fixed or fixed in tree.frames for root in tree.roots]
+    names = dict.fromkeys((*(name for name in _USUAL if name in buffer.frames), *roots))
+    moving = {child for child in buffer.frames if (link := buffer.history(child)) is not None and not link.static}
+    found = [name for name in names if any(not buffer.is_rigid(name, child) for child in moving if child != name)]
+    found = [name for name in found if not fixed or not buffer.is_rigid(name, fixed)]
+    return f"`fixed_frame={found[0]}` is a frame that stays where it is" if found else ""
+
+
+def _first_frame(reader: Reader, sources: Sequence[Connection], span: Span) -> str:
+    """Return the frame of the first message; empty if there is none."""
+    with suppress(MessageError), closing(reader.messages(sources, span.start_ns, span.stop_ns)) as messages:
+        for message in messages:
+            kind, serialization = message.connection.ros_type, message.connection.serialization
+            if kind == LASERSCAN:
+                return decode_laserscan(message.data, serialization).frame_id
+            return CLOUDS[kind](serialization)(message.data).frame_id
+    return ""
