@@ -135,6 +135,19 @@ def test_the_recipe_of_each_program_makes_what_it_accepts(tmp_path: Path) -> Non
         assert (done.status, done.stderr) == (0, ""), words
 
 
+@pytest.mark.parametrize("page", ["README", "tutorial"])
+def test_from_a_bag_to_a_map(page: str, tmp_path: Path) -> None:
+    """All commands of the way, each with what the ones before it wrote."""
+    shutil.copy(ROOT / "fixtures" / "hall.bag", tmp_path / "drive.bag")
+    text = PAGES.get(page) or README.partition("## From a bag to a map")[2].partition("\n## ")[0]
+    commands = [words for block in code_blocks("sh", text) for words in commands_in(block)]
+    assert [words[0] for words in commands if words[0] in {"info", "convert", "check"}] == ["info", "convert", "check"]
+    for words in commands:
+        done = run(*words, cwd=tmp_path)
+        assert (done.status, done.stderr) == (0, ""), words
+    assert "ok: accepted by slam_toolbox" in done.stdout
+
+
 def test_exit_statuses_are_told_alike() -> None:
     help_text = run("--help").stdout
     report = PAGES["report"]
