@@ -36,7 +36,8 @@ def missing_hint(path: Path, suffixes: Iterable[str] = ()) -> str | None:
     """
     if str(path) == "-":
         return "recordings are not read from a pipe: save it as a file first"
-    if path.is_symlink():
+    # Not Path.is_symlink: the name may be too long.
+    if os.path.islink(path):  # noqa: PTH114
         return f"it is a link to {path.readlink()}, which is not there"
     above = path.parent
     while not above.is_dir():
