@@ -41,7 +41,7 @@ __all__ = ["PIECE_BYTES", "count_of", "in_pieces", "is_given_up"]
 _GIVEN_UP = "given-up"
 
 #: Bytes of a source that are worth a process of its own, whose start and whose look at the source take some tenths.
-PIECE_BYTES = 512_000_000
+PIECE_BYTES = 2_000_000_000
 
 
 class _Cut(NamedTuple):
