@@ -246,7 +246,9 @@ LOADED_BY_CONVERT = {
         "render screen spelling usage"
     ),
     "pc2scan.core": "consumers counts kernel layout level moving params points presets project reduce rule",
-    "pc2scan.files": "compression crc32 lent limits overlap source staging system temporary text_output write_ahead",
+    "pc2scan.files": (
+        "borrowed compression crc32 limits overlap source staging system temporary text_output write_ahead"
+    ),
     "pc2scan.messages": "clouds consumed definitions laserscan outputs pointcloud2 tfmessage wire",
     "pc2scan.pipeline": (
         "acceptance beforehand cloud_to_scan combine conversion declarations demands first_clouds idle "

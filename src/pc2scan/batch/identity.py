@@ -73,10 +73,8 @@ def _file(name: str, status: os.stat_result, path: str) -> tuple[str, int, int |
 def _alone(path: Path) -> list[tuple[str, int, int | str]]:
     """A file, and the logs beside a database: a recorder that still runs may write only to these."""
     found = [_file(path.name, os.stat(path), str(path))]  # noqa: PTH116
-    if path.suffix.lower() == ".db3":
-        logs = filter(None, (file_beside(path, suffix) for suffix in ("-wal", "-journal")))
-        found += [_file(log.name, log.stat(), str(log)) for log in logs if log.stat().st_size]
-    return found
+    logs = filter(None, (file_beside(path, suffix) for suffix in ("-wal", "-journal")))
+    return found + [_file(log.name, log.stat(), str(log)) for log in logs if log.stat().st_size]
 
 
 def _in_folder(folder: Path) -> list[tuple[str, int, int | str]]:

@@ -11,7 +11,7 @@ from weakref import WeakValueDictionary
 
 from pc2scan.errors import OutputError, RecordingError
 
-from .lent import Buffers, Lent
+from .borrowed import Borrowed, Buffers
 from .system import BINARY, read_at
 
 if TYPE_CHECKING:
@@ -197,16 +197,16 @@ class SourceFile:
             The bytes' place.
         callback
             Must copy the bytes that it keeps (`pc2scan.model.own`), because the buffer is overwritten afterwards; or
-            keep the buffer (`pc2scan.files.lent.keep`).
+            keep the buffer (`pc2scan.files.borrowed.keep`).
         """
         if length not in _BORROWED_BYTES or not hasattr(os, "preadv"):
             return callback(memoryview(self.read(offset, length)))
         self._expect_inside(offset, length)
         try:
-            lent = Lent(self._buffers, length)
+            borrowed = Borrowed(self._buffers, length)
         except MemoryError as err:
             raise self._too_large(offset, length) from err
-        view = memoryview(lent.buffer)[:length]
+        view = memoryview(borrowed.buffer)[:length]
         self._fill(view, self.start + offset)
         return callback(view.toreadonly())
 

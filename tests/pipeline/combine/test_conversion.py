@@ -13,7 +13,7 @@ from pc2scan.core.params import ProjectionParams
 from pc2scan.core.points import Points
 from pc2scan.core.rigid import Rigid
 from pc2scan.errors import DecodeError
-from pc2scan.files.lent import Buffers, Lent
+from pc2scan.files.borrowed import Borrowed, Buffers
 from pc2scan.messages.laserscan import LaserScan, encode_laserscan
 from pc2scan.pipeline.cloud_to_scan import CloudToScan
 from pc2scan.pipeline.combine import conversion as combine
@@ -175,16 +175,16 @@ def test_a_scan_is_the_same_whichever_one_its_messages_were_projected_for(
 @pytest.mark.parametrize("wrapped", [False, True])
 def test_only_points_that_stay_as_they_are_are_not_copied(wrapped: bool) -> None:
     buffers = Buffers()
-    lent = Lent(buffers, 1 << 20)
+    borrowed = Borrowed(buffers, 1 << 20)
     rows = np.frombuffer(
-        memoryview(lent.buffer).toreadonly()[:960_000] if wrapped else lent.buffer, np.float32
+        memoryview(borrowed.buffer).toreadonly()[:960_000] if wrapped else borrowed.buffer, np.float32
     ).reshape(-1, 4)
     memory = kept_together(rows[:, axis] for axis in range(3))
     assert memory is not None
     assert kept_together([rows[:, 0], np.zeros(len(rows), np.float32)]) is None
     # A copy of a small part takes less than all of it.
     assert kept_together([rows[:1000, 0]]) is None
-    del lent
+    del borrowed
     assert not buffers
     del memory
     assert len(buffers) == 1

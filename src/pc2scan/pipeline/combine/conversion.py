@@ -21,7 +21,7 @@ from pc2scan.core.points import Points
 from pc2scan.core.project import Part, ProjectedScan, Projector, compact
 from pc2scan.core.rigid import Rigid
 from pc2scan.errors import MessageError
-from pc2scan.files.lent import Memory, keep
+from pc2scan.files.borrowed import Memory, keep
 from pc2scan.messages.beams import beams_of
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
     from pc2scan.core.moving import MovingTransform
     from pc2scan.core.project import Transform
-    from pc2scan.files.lent import Kept
+    from pc2scan.files.borrowed import Kept
     from pc2scan.model import Buffer
     from pc2scan.pipeline.conversion import Converted, Measured, Step
     from pc2scan.pipeline.first_clouds import Sample, TopicClouds

@@ -1,4 +1,4 @@
-"""Buffers that are read into again and again, and memory that is kept for a while instead of being copied."""
+"""Buffers that are reused for reading, and memory that is kept for a while instead of being copied."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from contextlib import suppress
 from threading import RLock
 from weakref import ref
 
-__all__ = ["Buffers", "Kept", "Lent", "Memory", "keep"]
+__all__ = ["Borrowed", "Buffers", "Kept", "Memory", "keep"]
 
 #: Buffers have multiples of this size, so that one serves chunks of different sizes.
 _ROUNDED_TO = 1 << 20
@@ -16,11 +16,11 @@ _MAX_KEPT = 64 << 20
 
 
 class Memory(bytearray):
-    """A buffer, and who has it."""
+    """A buffer, and what borrows it."""
 
-    __slots__ = ("lent",)
+    __slots__ = ("borrower",)
 
-    lent: ref[Lent]
+    borrower: ref[Borrowed]
 
 
 class Buffers(list[Memory]):
@@ -36,8 +36,8 @@ class Buffers(list[Memory]):
         return Memory(-(-length // _ROUNDED_TO) * _ROUNDED_TO)
 
 
-class Lent:
-    """A buffer that is lent until nobody refers to this object any more.
+class Borrowed:
+    """A buffer that is borrowed until nothing refers to this object any more.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ class Lent:
     def __init__(self, buffers: Buffers, length: int) -> None:
         self.buffer = buffers.take(length)
         self._buffers = buffers
-        self.buffer.lent = ref(self)
+        self.buffer.borrower = ref(self)
 
     def __del__(self) -> None:
         with suppress(AttributeError):  # there was no memory for it
@@ -100,5 +100,5 @@ def keep(memory: bytes | Memory) -> Kept | None:
     """
     if not Kept.has_room(len(memory)):
         return None
-    owner = memory if isinstance(memory, bytes) else memory.lent()
+    owner = memory if isinstance(memory, bytes) else memory.borrower()
     return Kept(owner, len(memory)) if owner is not None else None

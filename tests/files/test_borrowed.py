@@ -5,15 +5,15 @@ from __future__ import annotations
 import gc
 from typing import TYPE_CHECKING
 
-from pc2scan.files import lent
-from pc2scan.files.lent import Buffers, Kept, Lent, Memory, keep
+from pc2scan.files import borrowed as borrowing
+from pc2scan.files.borrowed import Borrowed, Buffers, Kept, Memory, keep
 
 if TYPE_CHECKING:
     import pytest
 
 
-def borrowed(buffers: Buffers) -> tuple[Lent, Memory]:
-    taken = Lent(buffers, 1 << 20)
+def borrowed(buffers: Buffers) -> tuple[Borrowed, Memory]:
+    taken = Borrowed(buffers, 1 << 20)
     return taken, taken.buffer
 
 
@@ -44,7 +44,7 @@ def test_what_is_kept_is_not_lent_again_before_the_last_keeper_is_gone() -> None
 
 
 def test_bytes_can_be_kept_and_there_is_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(lent, "_MAX_KEPT", Kept._bytes + 10)
+    monkeypatch.setattr(borrowing, "_MAX_KEPT", Kept._bytes + 10)
     first = keep(b"123456")
     assert first is not None
     assert keep(b"123456") is None
