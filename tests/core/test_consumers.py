@@ -345,6 +345,9 @@ def test_slam_toolbox_reverses_the_ranges_of_a_sensor_that_is_upside_down() -> N
     # A circle from 0 is read one beam off.
     circle = replace(GOOD, angle_min=0.0, angle_increment=math.radians(1), beams=360, angle_max=math.radians(359))
     assert judge("slam_toolbox", circle, None, below).outcome == "shifted"
+    # Without beams nothing is turned over.
+    nothing = replace(GOOD, angle_min=0.0, angle_max=1.0, angle_increment=-1.0, beams=0)
+    assert judge("slam_toolbox", nothing, None, below).outcome == "accepted"
 
 
 def test_gmappings_beams() -> None:

@@ -372,7 +372,7 @@ def _slam_toolbox(scan: Scan, first: Scan, placed: ScanTransforms) -> Verdict:
             "`no_return=inf`, or `range_max=100.0`: pc2scan convert --preset slam_toolbox",
         )
     kept = _kept_angles("slam_toolbox", scan, first)
-    if kept.outcome != "accepted" or placed.up is None or placed.up > 0:
+    if kept.outcome != "accepted" or placed.up is None or placed.up > 0 or not scan.beams:
         return kept
     # If the sensor is upside down, Karto reads beam i in the place of beam N - 1 - i.
     return _off(
