@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import os
+import signal
 
 from hypothesis import settings
 
 # Time says nothing on a shared machine; and what fails in CI should fail again where it is looked into.
 settings.register_profile("pc2scan", deadline=None, derandomize="CI" in os.environ)
 settings.load_profile("pc2scan")
+
+# Shells start background jobs with SIGINT ignored, and so the commands that tests interrupt would inherit it.
+signal.signal(signal.SIGINT, signal.default_int_handler)

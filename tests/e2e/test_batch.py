@@ -222,8 +222,6 @@ def running(slow: Path, tmp_path: Path) -> Iterator[tuple[subprocess.Popen[bytes
     """A batch of long conversions, when both have begun to write."""
     out = tmp_path / "out"
     command = [*COMMAND, "batch", str(slow), "-o", str(out), *SLOW, "--jobs", "2"]
-    # Shells start background jobs with SIGINT ignored, which the command would inherit from this process.
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
     process = subprocess.Popen(
         command,
         env=environment(),
@@ -231,7 +229,6 @@ def running(slow: Path, tmp_path: Path) -> Iterator[tuple[subprocess.Popen[bytes
         stdout=subprocess.PIPE,
         start_new_session=True,
     )
-    signal.signal(signal.SIGINT, before)
     deadline = time.monotonic() + 60
     while len(list(out.glob("*.pc2scan-partial"))) < 2:
         assert time.monotonic() < deadline

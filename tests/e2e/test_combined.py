@@ -218,7 +218,7 @@ def test_points_that_wait_in_borrowed_memory_are_those_that_were_read(
     for options in ({}, {"deskew": True}, {"reduce": "max"}, {"intensity_field": "intensity"}):
         found = set()
         for held in (64 << 20, 0):
-            monkeypatch.setattr("pc2scan.files.lent._MAX_KEPT", held)
+            monkeypatch.setattr("pc2scan.files.borrowed._MAX_KEPT", held)
             for jobs in (1, 3):
                 done = pc2scan.convert(
                     source,

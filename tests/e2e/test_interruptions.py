@@ -41,14 +41,6 @@ def large(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_rosbag1(tmp_path_factory.mktemp("large") / "drive.bag", Recording((POINTS,), tuple(items)))
 
 
-@pytest.fixture
-def with_interrupts() -> Iterator[None]:
-    """Shells start background jobs with SIGINT ignored, which the command would inherit from this process."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
-
-
 def half_done(process: subprocess.Popen[str], folder: Path) -> bool:
     """Wait until the output is being written; False if the command ended before."""
     deadline = time.monotonic() + 60
@@ -68,7 +60,6 @@ DESTINATIONS = {
 }
 
 
-@pytest.mark.usefixtures("with_interrupts")
 @pytest.mark.parametrize("kind", DESTINATIONS)
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_a_signal_leaves_nothing(number: int, status: int, kind: str, large: Path, tmp_path: Path) -> None:
@@ -86,7 +77,6 @@ def test_a_signal_leaves_nothing(number: int, status: int, kind: str, large: Pat
     assert number == signal.SIGTERM or "nothing was written" in stderr
 
 
-@pytest.mark.usefixtures("with_interrupts")
 def test_an_interrupted_overwrite_keeps_what_was_there(large: Path, tmp_path: Path) -> None:
     destination = tmp_path / "out.bag"
     destination.write_bytes(b"precious")
@@ -109,7 +99,6 @@ def test_an_interrupted_overwrite_keeps_what_was_there(large: Path, tmp_path: Pa
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {"out.bag": b"precious"}
 
 
-@pytest.mark.usefixtures("with_interrupts")
 def test_what_a_killed_run_left_is_no_obstacle(large: Path, tmp_path: Path) -> None:
     command = [
         *COMMAND,
@@ -460,7 +449,6 @@ def test_a_destination_inside_the_source(tmp_path: Path) -> None:
     assert sorted(path.name for path in source.iterdir()) == ["drive_0.db3", "metadata.yaml"]
 
 
-@pytest.mark.usefixtures("with_interrupts")
 @pytest.mark.parametrize("module", ["typer._click", "pc2scan.errors", "pc2scan.core.presets", "numpy"])
 def test_an_interruption_while_modules_are_loaded(module: str, large: Path, tmp_path: Path) -> None:
     """Quiet from the first modules on; what the interpreter itself loads before is not ours."""
@@ -503,7 +491,6 @@ main()
 """
 
 
-@pytest.mark.usefixtures("with_interrupts")
 @pytest.mark.parametrize(
     ("moment", "name", "written"),
     [

@@ -70,7 +70,7 @@ def test_refused(options: list[str], error: str, hint: str, tmp_path: Path) -> N
             "--keep /points matches only topics that are converted, and has no effect on them; --keep-clouds writes",
         ),
         (["--drop", "/imu"], "--drop /imu matches no topic"),
-        (["--angle-increment", "0.5"], "28.6 degrees a beam: 13 beams; for 0.5 degrees write --angle-increment 0.5deg"),
+        (["--angle-increment", "0.5"], "28.6 degrees a beam: 13 beams; for 0.5 deg write --angle-increment 0.5deg"),
         (["--angle-min=-5", "--angle-max=5"], "is a sector of 573 degrees: beams beyond pi stay empty"),
     ],
     ids=lambda value: value[0] if isinstance(value, list) else "",

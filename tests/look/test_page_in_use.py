@@ -42,16 +42,23 @@ def ranges(tab: Tab) -> list[str]:
     return found
 
 
+def command_to(tab: Tab, destination: Path) -> list[str]:
+    """The command line that the page hands back, with another destination."""
+    words = shlex.split(tab.call("window.pc2scan.command()"))
+    words[words.index("-o") + 1] = str(destination)
+    return words
+
+
 def test_the_command_line_makes_what_the_page_shows(hall: Tab, tmp_path: Path) -> None:
     hall.page.fill("#param-max_height", "0.5")
     hall.page.fill("#param-beams", "90")
     hall.page.select_option("#param-geometry", "centered")
     hall.page.fill("#mount-z", "0.75")
     hall.page.fill("#mount-pitch", "2")
-    words = shlex.split(hall.call("window.pc2scan.command()"))
+    words = command_to(hall, tmp_path / "scans.mcap")
     assert words[:3] == ["pc2scan", "convert", str(HALL)]
     shown = np.array([float(text.replace("Infinity", "inf")) for text in ranges(hall)], np.float32)
-    done = run(*words[1:], "--only-scans", "--overwrite", "-o", tmp_path / "scans.mcap")
+    done = run(*words[1:], "--only-scans", "--overwrite")
     assert done.status in (0, 3), done.stderr
     first = read_scans(tmp_path / "scans.mcap")[0]
     assert len(shown) == 90
@@ -225,8 +232,8 @@ def test_filters_are_counted_and_coloured_and_in_the_command(browser: Any, tmp_p
     tab = browser()
     tab.open(tmp_path / "page.html")
     shown = np.array([float(text.replace("Infinity", "inf")) for text in ranges(tab)], np.float32)
-    words = shlex.split(tab.call("window.pc2scan.command()"))
-    done = run(*words[1:], "--only-scans", "-o", tmp_path / "scans.mcap", "--report", tmp_path / "report.json")
+    words = command_to(tab, tmp_path / "scans.mcap")
+    done = run(*words[1:], "--only-scans", "--report", tmp_path / "report.json")
     assert done.status == 0, done.stderr
     assert np.array_equal(read_scans(tmp_path / "scans.mcap")[0].ranges, shown, equal_nan=True)
     assert tab.call("window.pc2scan.scan().counts[6]") > 100
