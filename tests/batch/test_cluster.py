@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import os
 import signal
@@ -15,6 +16,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+import pc2scan
 from batch.datasets import HEIGHTS, contents
 from batch.test_cutting import WORDS, drive
 from builders import CONTENT, POINTS, T0, Mcap, Recording, cloud, item, points_of, write_mcap, write_rosbag1
@@ -141,9 +143,17 @@ def test_a_scheduler_is_reached_by_its_address(drives: Path, tmp_path: Path) -> 
         done = run("batch", drives, "-o", out, *HEIGHTS, "--dask", address)
         assert done.status == 1, done.stderr
         again = run("batch", drives, "-o", out, *HEIGHTS, "--dask", address)
+        # A notebook runs its cells in an event loop.
+        asyncio.run(cell(drives, tmp_path / "notebook", address))
     assert outcomes(out) == {**{f"{n}.bag": "converted" for n in range(4)}, "b.mcap": "converted", "bad.bag": "failed"}
     assert "5 unchanged" in again.stderr
     assert len(outputs(out)) == 5
+    assert len(outputs(tmp_path / "notebook")) == 5
+
+
+async def cell(drives: Path, out: Path, address: str) -> None:
+    """Convert from within an event loop."""
+    pc2scan.batch(drives, out, dask=address, min_height=-0.3)
 
 
 def wait_for_workers(address: str, count: int) -> None:
@@ -165,7 +175,6 @@ def kill_one_that_converts(workers: list[subprocess.Popen[bytes]], out: Path, ki
 
 
 def test_a_long_recording_is_cut_and_a_worker_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import pc2scan
     from pc2scan.batch import cutting
 
     source = write_mcap(tmp_path / "drive.mcap", drive(), Mcap(chunk_size=4_000))
@@ -284,7 +293,6 @@ class Killer:
 def test_what_kills_every_worker_is_reported_and_the_rest_goes_on(
     drives: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import pc2scan
 
     (tmp_path / "killing_filter.py").write_text(f"MARK = {str(tmp_path / 'mark')!r}\n{KILLER}")
     monkeypatch.syspath_prepend(str(tmp_path))
@@ -327,7 +335,6 @@ def test_an_early_interruption_says_nothing_of_dask(seconds: float, drives: Path
 
 
 def test_what_is_missing_or_wrong_is_named(drives: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import pc2scan
     from pc2scan.errors import UsageError
 
     with pytest.raises(UsageError, match="the address of a scheduler is tcp://HOST:PORT"):

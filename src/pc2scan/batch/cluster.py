@@ -326,6 +326,7 @@ def _lost() -> Pc2ScanError:
 def _ask(address: str) -> None:
     """Ask a scheduler who it is; a client would wait for ever for one that accepts connections and says nothing."""
     import asyncio  # noqa: PLC0415
+    from concurrent.futures import ThreadPoolExecutor  # noqa: PLC0415
 
     from distributed.core import rpc  # noqa: PLC0415  # an extra
 
@@ -333,7 +334,9 @@ def _ask(address: str) -> None:
         async with rpc(address) as scheduler:
             await asyncio.wait_for(scheduler.identity(), _CONNECT_SECONDS)
 
-    asyncio.run(ask())
+    # A notebook's own thread runs an event loop already.
+    with ThreadPoolExecutor(1) as thread:
+        thread.submit(asyncio.run, ask()).result()
 
 
 @contextmanager
