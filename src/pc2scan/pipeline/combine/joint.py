@@ -131,7 +131,11 @@ def with_scans(
     """
     if threads is None:
         with closing(outcomes):
-            yield from (work() for work, _, _ in _work(outcomes, arrivals, joints))
+            for work, _, _ in _work(outcomes, arrivals, joints):
+                done = work()
+                # The next message is read into the buffer that this scan's points were in.
+                del work
+                yield done
         return
     # A scan may hold very many points: only one of such waits.
     queue: InOrder[Any] = InOrder(threads, _AHEAD_BYTES, 1)
@@ -140,6 +144,8 @@ def with_scans(
             while len(queue) and (queue.is_ready() or not queue.has_room(size)):
                 yield queue.take()
             queue.put(work, size, at_its_turn=not is_scan)
+            # The threads alone have the points: their buffer is free as soon as the scan is made.
+            del work
         while len(queue):
             yield queue.take()
     finally:
@@ -164,6 +170,8 @@ def _work(
         for each in arrived:
             for group in each.joint.add(each, log_time_ns):
                 yield partial(each.joint.make, group, log_time_ns), _size(group), True
+                # The points of the scan do not stay in memory while the next message is read.
+                del group
     for joint in joints:
         for group in joint.finish():
             yield partial(joint.make, group, latest_ns), _size(group), True

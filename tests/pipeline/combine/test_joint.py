@@ -1,0 +1,68 @@
+"""Scans of several messages in the stream of a conversion."""
+
+from __future__ import annotations
+
+import time
+from contextlib import nullcontext
+from typing import TYPE_CHECKING, Any
+from weakref import ref
+
+import pytest
+
+from pc2scan.pipeline.combine.joint import Arrived, with_scans
+from pc2scan.threads import Threads
+
+if TYPE_CHECKING:
+    from collections.abc import Generator
+
+
+class Group:
+    """The points of a scan."""
+
+    members = ()
+
+
+class EachItsOwn:
+    """Makes a scan of each message."""
+
+    def __init__(self) -> None:
+        self.groups: list[ref[Group]] = []
+
+    def add(self, arrived: Arrived, log_time_ns: int) -> list[Group]:  # noqa: ARG002  # as `Joint` has them
+        group = Group()
+        self.groups.append(ref(group))
+        return [group]
+
+    def finish(self) -> list[Group]:
+        return []
+
+    def make(self, group: Group, log_time_ns: int) -> str:
+        assert isinstance(group, Group)
+        return f"scan {log_time_ns}"
+
+    def hold_nothing(self) -> bool:
+        """Whether all points are freed: at once, or as soon as the other thread has made the scan."""
+        end = time.monotonic() + 5
+        while (held := any(each() is not None for each in self.groups)) and time.monotonic() < end:
+            time.sleep(0.001)
+        return not held
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_the_points_of_a_scan_are_freed_before_the_next_message_is_read(jobs: int) -> None:
+    joint: Any = EachItsOwn()
+    freed = []
+
+    def outcomes() -> Generator[int]:
+        for number in range(3):
+            yield number
+            # This message's scan was made: the next one is read into the same buffer.
+            freed.append(joint.hold_nothing())
+
+    def arrivals(number: Any) -> tuple[int, int, list[Arrived]]:
+        return number, 0, [Arrived(joint, None, None, number)]  # type: ignore[arg-type]  # nothing looks at it
+
+    with Threads(jobs) if jobs > 1 else nullcontext() as threads:
+        written = list(with_scans(outcomes(), arrivals, [joint], threads))
+    assert written == [0, "scan 0", 1, "scan 1", 2, "scan 2"]
+    assert freed == [True] * 3
