@@ -175,6 +175,9 @@ def test_the_span_of_values(dtype: str) -> None:
             points = np.zeros(shape, np.dtype([("x", dtype), ("y", "V8"), ("values", kind), ("pad", "V4")]))
             points["x"], points["values"] = x, values
             assert kernel.span(points["x"], points["values"]) == plain.span(x, values)
+            # With gaps between rows.
+            part = points[..., 2:]
+            assert kernel.span(part["x"], part["values"]) == plain.span(x[..., 2:], values[..., 2:])
 
 
 def test_a_frame_is_followed_as_numpy_follows_it() -> None:

@@ -246,6 +246,11 @@ def test_points_one_behind_the_other_are_taken_as_any_others(moves: bool, monkey
                     scan = projector(x, y, z, moved)
                 np.testing.assert_array_equal(scan.ranges, compiled.ranges)
                 assert scan.counts == compiled.counts
+                # With gaps between rows.
+                part = projector(x[..., 2:], y[..., 2:], z[..., 2:], moved)
+                alone = projector(x[..., 2:].copy(), y[..., 2:].copy(), z[..., 2:].copy(), moved)
+                np.testing.assert_array_equal(part.ranges, alone.ranges)
+                assert part.counts == alone.counts
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="protects memory as Linux does")

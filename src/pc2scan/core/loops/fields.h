@@ -58,6 +58,9 @@ static inline double read_as(const char *from, const Axis *axis, const int commo
     return common == FLOATS ? read_float(from) : common == DOUBLES ? read_double(from) : read_any(from, axis);
 }
 
+/* Whether there are no gaps between rows: these are one row, and only its end is not read eight points at a time. */
+static inline int is_one_row(const Axis *axis, Py_ssize_t columns) { return axis->row_step == columns * axis->step; }
+
 /* Whether x, y and z are float32 that follow each other, with four bytes of the same or the next point behind them. */
 static inline int are_packed(const Axis axis[3]) {
     return axis[1].data - axis[0].data == 4 && axis[2].data - axis[0].data == 8 && axis[0].step >= 12 &&

@@ -78,6 +78,9 @@ static inline void load(Scan *scan, const char *x, const char *y, const char *z,
 
 void load_rows(Scan *scan, const Axis axis[3], Py_ssize_t rows, Py_ssize_t columns, const float *transform) {
     const int common = in_common(axis);
+    int follow = 1;
+    for (int k = 0; k < 3; k++) follow &= is_one_row(&axis[k], columns);
+    if (follow) columns *= rows, rows = 1;
     for (Py_ssize_t row = 0; row < rows; row++) {
         const char *x = axis[0].data + row * axis[0].row_step;
         const char *y = axis[1].data + row * axis[1].row_step;

@@ -412,9 +412,8 @@ void load_moving(Scan *scan, const Cloud *cloud, Motion *motion) {
     motion->highest = (float)scan->rule.highest;
     const Axis *axis = cloud->axis, *field = &motion->times;
     Py_ssize_t rows = cloud->rows, columns = cloud->columns;
-    /* Rows without gaps between them are one row. */
-    int follow = field->row_step == columns * field->step;
-    for (int k = 0; k < 3; k++) follow &= axis[k].row_step == columns * axis[k].step;
+    int follow = is_one_row(field, columns);
+    for (int k = 0; k < 3; k++) follow &= is_one_row(&axis[k], columns);
     if (follow) columns *= rows, rows = 1;
     int choosing = can_choose(scan, cloud, motion);
     for (Py_ssize_t row = 0; row < rows; row++)

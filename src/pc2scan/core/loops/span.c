@@ -125,13 +125,15 @@ static Py_ssize_t widen_by_eight(Span *span, const Axis *axis, const char *x, co
 static Span span_of(const Cloud *cloud, const Axis *field) {
     Span span = {INFINITY, -INFINITY, 0, 0};
     const Axis *axis = &cloud->axis[0];
-    for (Py_ssize_t row = 0; row < cloud->rows; row++) {
+    Py_ssize_t rows = cloud->rows, columns = cloud->columns;
+    if (is_one_row(axis, columns) && is_one_row(field, columns)) columns *= rows, rows = 1;
+    for (Py_ssize_t row = 0; row < rows; row++) {
         const char *x = axis->data + row * axis->row_step, *values = field->data + row * field->row_step;
         Py_ssize_t taken = 0;
 #ifdef EIGHT
-        taken = widen_by_eight(&span, axis, x, field, values, cloud->columns);
+        taken = widen_by_eight(&span, axis, x, field, values, columns);
 #endif
-        widen_by_each(&span, axis, x + taken * axis->step, field, values + taken * field->step, cloud->columns - taken);
+        widen_by_each(&span, axis, x + taken * axis->step, field, values + taken * field->step, columns - taken);
     }
     return span;
 }

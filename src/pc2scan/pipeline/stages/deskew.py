@@ -331,7 +331,7 @@ class Deskew:
         target, from_fixed = self._frames.from_fixed(self._fixed, points.frame_id, reference_ns)
         reference: tuple[Rigid, ...] | int
         reference = {track.begin_ns: 0, track.end_ns: -1}.get(reference_ns, 1)
-        if reference == 1 or np.isnan(track.rows[reference, 0]):
+        if reference == 1 or math.isnan(track.rows[reference, 0]):
             reference = from_fixed, buffer.lookup(self._fixed, source, reference_ns, tolerance_ns)
         # Nobody else has the rows.
         return track.seen_from(from_fixed, reference, target, reference_ns, track.rows)
