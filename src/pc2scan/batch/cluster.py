@@ -6,6 +6,7 @@ interrupted, and it removes what it has written where its worker is killed.
 
 from __future__ import annotations
 
+import asyncio
 import os
 import signal
 import socket
@@ -325,7 +326,6 @@ def _lost() -> Pc2ScanError:
 
 def _ask(address: str) -> None:
     """Ask a scheduler who it is; a client would wait for ever for one that accepts connections and says nothing."""
-    import asyncio  # noqa: PLC0415
     from concurrent.futures import ThreadPoolExecutor  # noqa: PLC0415
 
     from distributed.core import rpc  # noqa: PLC0415  # an extra
@@ -394,7 +394,8 @@ def _connected(address: str, workers: int, cores: int, retries: int) -> Iterator
         try:
             _ask(address)
             client = Client(address, timeout=_CONNECT_SECONDS)
-        except (OSError, TimeoutError, ValueError) as err:
+        # Before Python 3.11 asyncio's TimeoutError was a class of its own.
+        except (OSError, asyncio.TimeoutError, ValueError) as err:
             why = str(err) or f"no answer within {_CONNECT_SECONDS} seconds"
             raise UsageError(
                 f"`dask={address}` does not answer as a Dask scheduler: {why}", hint="is it the scheduler's address?"
