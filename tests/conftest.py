@@ -11,5 +11,11 @@ from hypothesis import settings
 settings.register_profile("pc2scan", deadline=None, derandomize="CI" in os.environ)
 settings.load_profile("pc2scan")
 
-# Shells start background jobs with SIGINT ignored, and so the commands that tests interrupt would inherit it.
-signal.signal(signal.SIGINT, signal.default_int_handler)
+
+def pytest_runtest_setup() -> None:
+    """Make interrupts reach the commands that tests start, which inherit what this process ignores.
+
+    Shells start background jobs with SIGINT ignored, and the command, which some tests call in this process, ignores it
+    at its end.
+    """
+    signal.signal(signal.SIGINT, signal.default_int_handler)
