@@ -109,5 +109,5 @@ def test_what_is_begun_is_noted(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
     for text in ("precious", '{"pc2scan begun": "1", "outputs": ["../x"]}'):
         (tmp_path / BEGUN).write_text(text)
-        with pytest.raises(DestinationError, match="is not what pc2scan batch writes there"):
+        with pytest.raises(DestinationError, match="was not written by pc2scan batch"):
             read_begun(tmp_path)

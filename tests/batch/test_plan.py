@@ -66,8 +66,14 @@ def test_what_is_unchanged_is_kept() -> None:
         ({"record": replace(RECORD, version="0.0.1")}, "converted by pc2scan 0.0.1"),
         ({"choice": Choice(request_of({}), "other")}, "other options"),
         ({"there": Identity()}, "its output is missing"),
-        ({"there": Identity((("a_scan.bag", 51, 9),))}, "its output was changed: it has 51 B, written were 50 B"),
-        ({"there": Identity((("a_scan.bag", 50, 8),))}, "its output was changed: it has 50 B, written were 50 B"),
+        (
+            {"there": Identity((("a_scan.bag", 51, 9),))},
+            "its output was changed: it has 51 B, it was written with 50 B",
+        ),
+        (
+            {"there": Identity((("a_scan.bag", 50, 8),))},
+            "its output was changed: it has 50 B, it was written with 50 B",
+        ),
         ({"record": replace(RECORD, output="a_scan.mcap"), "there": Identity()}, "written to a_scan.mcap before"),
         ({"force": True}, "forced"),
         (
@@ -154,7 +160,7 @@ def test_names_that_meet_all_the_same_are_refused() -> None:
     choices = {each.key: CHOICE for each in both}
     plan: Plan = make_plan(both, choices, History({}), out=OUT, present=lambda _: Identity())
     assert [step.action for step in plan.steps] == ["refuse", "refuse"]
-    assert "would be made of A.bag and of a.bag" in str(plan.steps[0].error)
+    assert "would be the output of both A.bag and a.bag" in str(plan.steps[0].error)
 
 
 def test_a_result_that_is_not_written_any_more_is_named() -> None:
@@ -163,7 +169,7 @@ def test_a_result_that_is_not_written_any_more_is_named() -> None:
         [FOUND], {FOUND.key: CHOICE}, History({FOUND.key: record}), out=OUT, present=_only("r/a_scan.mcap")
     )
     (warning,) = plan.warnings
-    assert warning.startswith("r/a_scan.mcap is not written any more, it is r/a_scan.bag now;")
+    assert warning.startswith("r/a_scan.mcap is out of date: its recording is written to r/a_scan.bag now;")
 
 
 def _only(output: str) -> Any:

@@ -189,7 +189,7 @@ def test_the_results_of_a_run_are_no_sources(s3: Any, drives: Path) -> None:
     for expected in (0, 4):
         report = pc2scan.batch(source, f"{source}/scans", **KEYWORDS)
         assert (len(report.outcomes), report.unchanged) == (5, expected)
-    with pytest.raises(UsageError, match="is searched, and"):
+    with pytest.raises(UsageError, match="is a source, and"):
         pc2scan.batch(source, source, **KEYWORDS)
 
 

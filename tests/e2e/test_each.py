@@ -198,7 +198,7 @@ def test_names_that_collide_are_refused(drives: Path) -> None:
     before = names(drives)
     collided = run("convert", "--each", "a.bag", "other/a.bag", "-o", "out/", cwd=drives)
     assert collided.status == 2
-    assert "out/a_scan.bag: would be made of a.bag and of other/a.bag" in collided.stderr
+    assert "out/a_scan.bag: would be the output of both a.bag and other/a.bag" in collided.stderr
     twice = run("convert", "--each", "a.bag", "./a.bag", "-o", "out/", cwd=drives)
     assert (twice.status, "is given twice" in twice.stderr) == (2, True)
     named = run("convert", "--each", "a.bag", "b.mcap", "-o", "out", cwd=drives)

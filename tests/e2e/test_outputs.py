@@ -262,7 +262,7 @@ def test_a_report_replaces_other_files_only_if_asked(command: str, name: str, fo
     call = (command, folder / "drive.bag", "-o", folder / "out.bag", "--report", folder / name)
     refused = run(*call)
     assert (refused.status, refused.stdout) == (2, "")
-    assert "the report cannot go there: exists already, and is not what pc2scan writes there" in refused.stderr
+    assert "the report cannot be written there: exists already, and was not written by pc2scan" in refused.stderr
     assert "--overwrite" in refused.stderr
     assert state_of(folder) == before
     done = run(*call, "--overwrite")

@@ -77,7 +77,7 @@ def test_an_older_page_is_replaced_and_nothing_else(tmp_path: Path) -> None:
     page.write_text("<!doctype html>\n<p>mine\n")
     refused = run("view", HALL, "-o", page)
     assert refused.status == 2
-    assert "exists already, and is not what pc2scan writes there" in refused.stderr
+    assert "exists already, and was not written by pc2scan" in refused.stderr
     assert page.read_text() == "<!doctype html>\n<p>mine\n"
     assert run("view", HALL, "-o", page, "--overwrite").status == 0
     assert run("view", HALL, "-o", page).status == 0

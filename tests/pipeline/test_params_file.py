@@ -466,11 +466,11 @@ def test_a_renamed_node_with_only_shared_parameters_could_be_either(load: Load) 
         ("a: 1".encode("utf-16"), "params.yaml, line 1: byte 0xff is not UTF-8 text"),
         (
             "range_min: 1\nrange_min: 2\n",
-            "params.yaml, line 2, column 1: 'range_min' is there twice, first in line 1",
+            "params.yaml, line 2, column 1: 'range_min' is given twice, first in line 1",
         ),
         (
             "n: {ros__parameters: {range_min: 1,\n 'range_min': 2}}",
-            "params.yaml, line 2, column 2: 'range_min' is there twice",
+            "params.yaml, line 2, column 2: 'range_min' is given twice",
         ),
         ("? [a]\n: 1\n", "params.yaml, line 1, column 3: a name must be plain text"),
         ("a: &a {b: *a}", "nested more than 50 levels deep"),

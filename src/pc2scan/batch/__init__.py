@@ -1,4 +1,4 @@
-"""A whole dataset: every recording of folders and lists, each converted by itself, in processes that may be killed."""
+"""Converts a whole dataset: each recording by itself, in worker processes; a killed run can be continued."""
 
 from pc2scan.callable_package import make_callable
 

@@ -1,4 +1,4 @@
-"""The options of each recording: those of the call over those of the dataset file, checked before anything starts."""
+"""The options of each recording: those of the call override those of the dataset file. All are checked beforehand."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ class Choices:
 
     Parameters
     ----------
-    dataset
-        The dataset file.
-    words
-        Options of the call: they beat those of the file.
-    origins
-        Where they come from.
+        dataset
+            The dataset file.
+        words
+        Options of the call. They override those of the file.
+        origins
+            Where each option comes from, for errors.
     """
 
     def __init__(self, dataset: DatasetFile, words: Mapping[str, Any], origins: Mapping[str, str]) -> None:
@@ -53,7 +53,7 @@ class Choices:
         return {key: self._choice(self._dataset.matching(key)) for key in keys}
 
     def warnings(self, keys: Iterable[str]) -> list[str]:
-        """Return what a user should know of the dataset file and of the options."""
+        """Return warnings about the dataset file and the options."""
         listed = list(keys)
         unused = [
             f"{self._dataset.path}, line {entry.line}: matches no recording: {', '.join(entry.patterns)}"
@@ -84,14 +84,14 @@ class Choices:
         return self._made[numbers]
 
     def _place(self, err: UsageError, numbers: tuple[int, ...], origins: Mapping[str, str]) -> None:
-        """Add where in the dataset file the wrong option is."""
+        """Add the line of the dataset file that has the wrong option to the message."""
         if not numbers or any(origin in err.message for origin in origins.values()):
             return
         text = f"{err.message} {err.hint or ''}"
         named = [name for name in origins if f"`{name}`" in text or f"`{name}=" in text]
         if isinstance(err, ParameterError) and err.name in origins:
             named.insert(0, err.name)
-        # What is wrong in a text (a transform, a topic) is named by the text.
+        # Some messages quote the wrong value (a transform, a topic) instead of the option.
         words = self._dataset.combined(numbers)[0]
         named += [
             name

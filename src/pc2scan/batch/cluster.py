@@ -1,7 +1,7 @@
-"""A Dask cluster: jobs become its tasks, and events come back; lost workers and retries are Dask's business.
+"""Runs the jobs of a batch on a Dask cluster: each job is a task, and its events come back. Dask handles lost workers.
 
-A task converts in a process of its own below its worker, as a batch on one machine does. So a conversion can be
-interrupted, and it removes what it has written where its worker is killed.
+A task starts a child process of its Dask worker and converts there, as a batch on one machine does. So a conversion can
+be interrupted, and it removes its unfinished output even if the Dask worker is killed.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from pc2scan.version import __version__
 from .cutting import is_given_up
 from .staged import jobs_here
 from .work import Result, died
-from .workers import Began, Ended, Progressed, Told, execute
+from .workers import Began, Ended, Information, Progressed, execute
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterator, Sequence
@@ -38,20 +38,20 @@ if TYPE_CHECKING:
 
 __all__ = ["check_dask", "dask_setup", "execute_on_dask"]
 
-#: Seconds between two looks at whether a task is still wanted, and between two messages about progress.
+#: Seconds between two checks whether a task was cancelled, and between two polls of the events.
 _LOOK_SECONDS = 0.5
 
-#: Seconds that interrupted conversions have to remove what they have written, and that a lost one has.
+#: Seconds that interrupted conversions, and those of lost workers, have to remove their unfinished output.
 _PATIENCE = 15.0
 
-#: Seconds in which a scheduler answers.
+#: Seconds within which a scheduler must answer.
 _CONNECT_SECONDS = 10
 
 _SHARED = "sources and OUT must be on a disk that all workers share, under the same path"
 
 
 class _CancelledError(Exception):
-    """Nobody wants the result."""
+    """The task was cancelled."""
 
 
 class _ConversionDiedError(Exception):
@@ -60,7 +60,7 @@ class _ConversionDiedError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class _Answer:
-    """What a task returns: a result, or what kept it from beginning."""
+    """What a task returns: a result, or why it did not begin: another version of pc2scan, or paths it does not see."""
 
     host: str
     result: Result | None = None
@@ -71,7 +71,7 @@ class _Answer:
 def check_dask() -> None:
     """Raise UsageError where Dask is not installed."""
     try:
-        # Some of its modules catch whatever happens while they are loaded.
+        # Some of its modules catch every exception while they load, so Ctrl-C would be lost.
         with _sigint_blocked():
             import distributed  # noqa: F401, PLC0415  # an extra
     except ImportError as err:
@@ -81,7 +81,7 @@ def check_dask() -> None:
 
 
 def dask_setup(_worker: Any) -> None:
-    """Ignore Ctrl-C in a worker of this machine, as Dask calls it: the parent decides what it means."""
+    """Ignore Ctrl-C in a Dask worker on this machine: the parent process handles it. Dask calls this as one starts."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
@@ -91,13 +91,13 @@ def execute_on_dask(jobs: Sequence[Job], address: str, *, workers: int, cores: i
     Parameters
     ----------
     jobs
-        In the order in which they begin. A deque is emptied, and may get more while events are taken.
+        In the order in which they begin. Jobs are removed from a deque, and more may be appended between events.
     address
-        Of the scheduler; empty for a cluster on this machine, which is closed at the end.
+        Of the scheduler. Empty: a cluster is started on this machine, and closed at the end.
     workers, cores
-        How many workers, and threads of all of them, a cluster on this machine has.
+        Number of workers of a cluster on this machine, and number of threads of all workers together.
     retries
-        How often a recording is tried again whose process died.
+        How often a recording is tried again if its process died.
 
     Yields
     ------
@@ -108,9 +108,9 @@ def execute_on_dask(jobs: Sequence[Job], address: str, *, workers: int, cores: i
         return
     with ExitStack() as stack:
         client = stack.enter_context(_connected(address, workers, cores, retries))
-        yield Told(f"Dask's dashboard: {client.dashboard_link}")
+        yield Information(f"Dask's dashboard: {client.dashboard_link}")
         if not client.scheduler_info(n_workers=-1)["workers"]:
-            yield Told(f"{address} has no worker yet; the batch begins when one joins")
+            yield Information(f"{address} has no worker yet; the batch begins when one joins")
             client.wait_for_workers(1)
         _check_workers(client, jobs)
         yield from _run(client, jobs, retries)
@@ -164,7 +164,7 @@ def _run(client: Any, jobs: Sequence[Job], retries: int) -> Generator[Event]:
                         and not job.replaces
                         and "exists already" in (result.error or {}).get("message", "")
                     ):
-                        # The conversion of a worker that was lost has completed it nevertheless.
+                        # The first attempt, whose worker was lost, has completed the output nevertheless.
                         pending.append(replace(job, replaces=True))
                         continue
                     yield Ended(replace(result, attempts=max(1, attempts[key])))
@@ -182,7 +182,7 @@ def _run(client: Any, jobs: Sequence[Job], retries: int) -> Generator[Event]:
 
 
 def _wait_for_end(inbox: SimpleQueue[tuple[str, str, Any]], running: dict[str, float]) -> None:
-    """Wait until cancelled conversions have removed what they have written."""
+    """Wait until cancelled conversions have removed their unfinished output."""
     deadline = time.monotonic() + _PATIENCE
     while running and time.monotonic() < deadline:
         with suppress(Empty):
@@ -192,7 +192,7 @@ def _wait_for_end(inbox: SimpleQueue[tuple[str, str, Any]], running: dict[str, f
 
 
 def _result(job: Job, future: Any, seconds: float) -> Result:
-    """Return what a finished task says about its recording; raises where the cluster cannot do the batch at all."""
+    """Return the result of a finished task; raises if the cluster cannot convert anything of this batch."""
     from distributed import KilledWorker  # noqa: PLC0415  # an extra
 
     if future.status == "cancelled":
@@ -205,7 +205,7 @@ def _result(job: Job, future: Any, seconds: float) -> Result:
             return died(job, str(err), attempts=1, seconds=seconds)
         raise Pc2ScanError(
             f"a Dask worker cannot convert: {type(err).__name__}: {err}",
-            hint="every worker needs the same version of pc2scan, and the module of a filter of your own",
+            hint="every worker needs the same version of pc2scan, and the modules of your own filters",
         )
     answer: _Answer = future.result()
     if answer.version != __version__:
@@ -244,7 +244,7 @@ def _convert(job: Job, version: str, topic: str) -> _Answer:
         while True:
             result = _converted(job, threads, check, lambda what: worker.log_event(topic, ("progress", job.key, what)))
             error = result.error or {}
-            # The process of a worker that was killed is about to end.
+            # The process of an earlier attempt may still hold the output. It ends soon after its worker was killed.
             if "being written by another run" not in error.get("message", "") or time.monotonic() > deadline:
                 break
             time.sleep(_LOOK_SECONDS)
@@ -256,11 +256,11 @@ def _convert(job: Job, version: str, topic: str) -> _Answer:
 
 
 def _is_there(folder: Path) -> bool:
-    """Whether a folder is there that may have been made this moment, on another machine."""
+    """Whether a folder exists, which another machine may have just created."""
     if folder.is_dir():
         return True
     with suppress(OSError):
-        # Network file systems look again at folders that are read.
+        # Listing a folder makes network file systems refresh what they have cached of it.
         list(folder.parent.iterdir())
     time.sleep(_LOOK_SECONDS)
     return folder.is_dir()
@@ -283,11 +283,11 @@ def _converted(job: Job, threads: int, check: Any, tell: Any) -> Result:
 
 
 def _check_workers(client: Any, jobs: Sequence[Job]) -> None:
-    """Make sure that the workers have this version of pc2scan, and see what is read and written."""
+    """Raise unless all workers have this version of pc2scan, and see the sources and the destination."""
     named = {path for job in jobs for path in (*job.sources, os.path.dirname(job.destination))}  # noqa: PTH120
     paths = sorted(path for path in named if not is_url(Path(path)))
 
-    # A function in a function is sent as it is: a worker without pc2scan can run it, too.
+    # Dask sends a nested function by value, so a worker without pc2scan can run it, too.
     def look(paths: list[str]) -> tuple[str, str, list[str]]:
         import os  # noqa: PLC0415
         import socket  # noqa: PLC0415
@@ -305,7 +305,7 @@ def _check_workers(client: Any, jobs: Sequence[Job]) -> None:
 
 
 def _check_seen(host: str, unseen: Sequence[str]) -> None:
-    """Raise if a worker does not see what is there on this machine."""
+    """Raise if a worker does not see a path that exists on this machine."""
     here = [path for path in unseen if os.path.lexists(path)]
     if here:
         raise UsageError(f"the Dask worker on {host} does not see {here[0]}", hint=_SHARED)
@@ -319,13 +319,11 @@ def _other_version(host: str, version: str) -> Pc2ScanError:
 
 
 def _lost() -> Pc2ScanError:
-    return Pc2ScanError(
-        "the connection to Dask's scheduler was lost", hint="the same batch again goes on where this one ended"
-    )
+    return Pc2ScanError("the connection to Dask's scheduler was lost", hint="run the same batch again to continue it")
 
 
 def _ask(address: str) -> None:
-    """Ask a scheduler who it is; a client would wait for ever for one that accepts connections and says nothing."""
+    """Raise unless a scheduler answers. A client would wait forever if it accepts connections and never answers."""
     from concurrent.futures import ThreadPoolExecutor  # noqa: PLC0415
 
     from distributed.core import rpc  # noqa: PLC0415  # an extra
@@ -334,14 +332,14 @@ def _ask(address: str) -> None:
         async with rpc(address) as scheduler:
             await asyncio.wait_for(scheduler.identity(), _CONNECT_SECONDS)
 
-    # A notebook's own thread runs an event loop already.
+    # In another thread: that of a notebook already runs an event loop.
     with ThreadPoolExecutor(1) as thread:
         thread.submit(asyncio.run, ask()).result()
 
 
 @contextmanager
 def _sigint_blocked() -> Iterator[None]:
-    """Block Ctrl-C in this thread, and in the threads and processes that it starts meanwhile."""
+    """Block Ctrl-C in this thread, and in threads and processes that it starts within the context."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
@@ -360,12 +358,12 @@ def _connected(address: str, workers: int, cores: int, retries: int) -> Iterator
     import dask  # noqa: PLC0415  # an extra
     from distributed import Client, LocalCluster  # noqa: PLC0415
 
-    # Dask gives some of its loggers levels of their own.
+    # Dask sets the levels of these loggers itself, so the root logger's level has no effect on them.
     for name in ("distributed", "distributed.client"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
     with ExitStack() as stack:
         if not address:
-            # What a worker had when it died counts as tried; no second task waits at a worker, and counts with it.
+            # Dask counts every task that a dead worker held as tried. So no worker holds a second, waiting task.
             settings = {
                 "distributed.scheduler.allowed-failures": retries,
                 "distributed.scheduler.worker-saturation": 1.0,
@@ -373,10 +371,10 @@ def _connected(address: str, workers: int, cores: int, retries: int) -> Iterator
             stack.enter_context(dask.config.set(settings))
             from multiprocessing import resource_tracker  # noqa: PLC0415  # only clusters on this machine need it
 
-            # If it is started later, it unblocks the signal.
+            # Started now, because starting it later would unblock the signal.
             resource_tracker.ensure_running()
             with _sigint_blocked():
-                # Dask cannot end a cluster that is half started: Ctrl-C counts when it has started.
+                # Dask cannot stop a cluster while it starts: Ctrl-C takes effect after that.
                 cluster = stack.enter_context(
                     LocalCluster(
                         n_workers=workers,

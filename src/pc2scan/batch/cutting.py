@@ -1,7 +1,7 @@
-"""An executor around another: a long recording that is split by time becomes several jobs, and their results one.
+"""Wraps an executor: a long recording whose output is split by time becomes several jobs, whose results are joined.
 
-The jobs of a recording are steps: where it is cut, its transforms (in stretches), its pieces. They write into the
-directory that becomes the recording, which is renamed when it is complete; see `pc2scan.pipeline.pieces`.
+The jobs of a recording are steps: find where to cut it, read its transforms (one job a stretch), convert its pieces.
+They write into one directory, which is renamed to the destination when it is complete; see `pc2scan.pipeline.pieces`.
 """
 
 from __future__ import annotations
@@ -37,15 +37,15 @@ if TYPE_CHECKING:
 
 __all__ = ["PIECE_BYTES", "count_of", "in_pieces", "is_given_up"]
 
-#: A file beside the pieces of a recording that says that nobody wants them any more.
+#: A file beside the pieces of a recording. While it exists, the steps that remain end at once: another one has failed.
 _GIVEN_UP = "given-up"
 
-#: Bytes of a source that are worth a process of its own, whose start and whose look at the source take some tenths.
+#: Minimum size of a piece. Starting a process and reading the index of the source cost some tenths of a second a piece.
 PIECE_BYTES = 2_000_000_000
 
 
 class _Cut(NamedTuple):
-    """Decides where a recording is cut."""
+    """A step: find where to cut a recording."""
 
     piece_bytes: int
 
@@ -56,7 +56,7 @@ class _Cut(NamedTuple):
 
 
 class _Transforms(NamedTuple):
-    """Reads the transforms of a stretch."""
+    """A step: read the transforms of a stretch."""
 
     sources: tuple[Path, ...]
     file: Path
@@ -69,7 +69,7 @@ class _Transforms(NamedTuple):
 
 
 class _Convert(NamedTuple):
-    """Converts a piece."""
+    """A step: convert a piece."""
 
     destination: str
     piece: Piece
@@ -104,7 +104,7 @@ def _sources(job: Job) -> tuple[Path, ...]:
 
 def _cuttable(job: Job, piece_bytes: int) -> bool:
     request = job.request
-    # Numbered files are no directory into which pieces could be put.
+    # Only directories: pieces are written into the directory that becomes the output, and numbered files have none.
     plain = request.export is None and request.output.to == "rosbag2" and not job.dry_run and not is_remote(job)
     return plain and may_be_cut(request.output.cut) and job.size_bytes >= 2 * piece_bytes
 
@@ -116,11 +116,11 @@ def count_of(jobs: Sequence[Job], piece_bytes: int | None = None) -> int:
 
 
 def in_pieces(executor: Executor, piece_bytes: int | None = None) -> Executor:
-    """Return an executor that cuts long recordings; ``executor`` takes a deque of jobs that grows."""
+    """Return an executor that cuts long recordings. ``executor`` must accept a deque to which jobs are appended."""
     size = PIECE_BYTES if piece_bytes is None else piece_bytes
 
     def execute(jobs: Sequence[Job]) -> Generator[Event]:
-        # Copies of what is at URLs are made for whole recordings.
+        # Recordings at URLs are copied as a whole, so they are not cut.
         if not any(_cuttable(job, size) for job in jobs) or any(map(is_remote, jobs)):
             yield from executor(jobs)
             return
@@ -157,11 +157,11 @@ class _Recording:
     Attributes
     ----------
     job
-        The job of the whole.
+        The job of the whole recording.
     todo
-        What the executor does next.
+        The queue of the executor: jobs that it has not begun.
     owners
-        The recordings by the keys of their jobs.
+        All recordings that are cut, by the keys of their steps.
     """
 
     job: Job
@@ -177,7 +177,7 @@ class _Recording:
     waiting: set[str] = field(default_factory=set)
     transforms: tuple[Path, ...] = ()
     damage: list[Damage] = field(default_factory=list)
-    #: Of the source, as the first step saw it, with its checksum.
+    #: Identity of the source when the first step read it, and its checksum below.
     identity: Identity = field(default_factory=Identity)
     sha256: str | None = None
     attempts: int = 1
@@ -188,7 +188,7 @@ class _Recording:
     done: bool = False
 
     def take(self, key: str, event: Event) -> Generator[Event]:
-        """Take what happens to one of its jobs, and say what happens to the whole."""
+        """Handle an event of one of its steps, and yield the events of the whole recording."""
         if self.done:
             return
         match event:
@@ -220,13 +220,13 @@ class _Recording:
                     yield self._failed(self.error)
 
     def close(self) -> None:
-        """Remove what is not complete."""
+        """Remove the output if it is not complete."""
         if not self.done:
             self.done = True
             self._abandon()
 
     def _give_up(self, result: Result) -> None:
-        """Keep the error of a step, and have the others end; what they write is removed when they have."""
+        """Keep the error of a step, and end the other steps; what they have written is removed after that."""
         self.error = result
         dropped = {job.key for job in self.todo} & self.waiting
         self.waiting -= dropped
@@ -246,7 +246,7 @@ class _Recording:
         return Progressed(self.job.key, round(1000 * done), 1000)
 
     def _after(self, key: str, result: Result) -> Generator[Event]:
-        """Go on after a step."""
+        """Continue after a step."""
         if key == _key(self.job, "index"):
             self._cut(result)
             return
@@ -261,7 +261,7 @@ class _Recording:
             yield from self.next()
 
     def _cut(self, result: Result) -> None:
-        """Begin with the transforms, or with the pieces; a recording that is not cut is one job."""
+        """Begin the steps that follow the cutting; a recording that is not cut becomes one job again."""
         self.identity, self.sha256 = result.identity, result.sha256
         cut: Stretches | None = result.made
         if cut is None:
@@ -285,7 +285,7 @@ class _Recording:
             _Transforms(sources, self.folder / f"transforms-{number}", each.start_ns, each.stop_ns)
             for number, each in enumerate(cut.stretches)
         ]
-        # Times outside of what is converted count, too.
+        # Transforms before and after the converted stretch are needed, too.
         steps[0] = steps[0]._replace(start_ns=None)
         steps[-1] = steps[-1]._replace(stop_ns=None)
         steps += [_Transforms((other,), self.folder / f"others-{n}") for n, other in enumerate(others)]
@@ -319,18 +319,19 @@ class _Recording:
         self._submit(range(len(self.pieces)))
 
     def _submit(self, numbers: Sequence[int]) -> None:
-        """Have pieces converted."""
+        """Add jobs that convert pieces."""
         for number in numbers:
             piece = self.pieces[number]
             self.shares[self._add(piece.folder.name, _Convert(self.job.destination, piece), piece.folder)] = 0.0
         self.next = self._converted
 
     def _converted(self) -> Iterator[Event]:
-        """Join the pieces if their files are numbered as one conversion numbers them; make the others again."""
+        """Join the pieces if their files have the numbers that one conversion would give; convert the others again."""
         made: list[Made] = [self.made[_key(self.job, piece.folder.name)] for piece in self.pieces]
         self.numbered += 1
         if not made[0].file_count and len(made) > 1:
-            # The first file begins with what is written first, wherever that is.
+            # The first piece has no message. The first file of one conversion begins with the first message, so
+            # the first two pieces become one.
             first, second, *others = self.stretches
             self.stretches = [first._replace(stop_ns=second.stop_ns), *others]
             piece = self.pieces[0]._replace(folder=self.folder / f"piece-0-{self.numbered}", stop_ns=second.stop_ns)
@@ -375,7 +376,7 @@ class _Recording:
         )
 
     def _failed(self, result: Result) -> Ended:
-        """End with the error of a step."""
+        """Return the event that the recording failed, with the error of a step."""
         self.done = True
         self._abandon()
         return self._ended(replace(result, sha256=self.sha256, made=None))

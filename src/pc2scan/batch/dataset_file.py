@@ -1,4 +1,4 @@
-"""Dataset files: which options each recording of a dataset has."""
+"""Reads dataset files: YAML that gives options to the recordings of a dataset, by patterns."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 __all__ = ["DatasetFile", "Entry", "load_dataset_file"]
 
-#: A dataset file is some pages of text.
+#: Larger files are refused.
 _MAX_BYTES = 1_000_000
 
 _SECTIONS = ("defaults", "recordings")
@@ -48,7 +48,7 @@ class Entry:
     Attributes
     ----------
     line
-        Where it begins in the file.
+        The line where it begins in the file.
     patterns
         Globs; empty for the defaults, which match everything.
     words
@@ -56,7 +56,7 @@ class Entry:
     lines
         The line of each option.
     skip
-        Whether the recordings are not converted; None if it does not say.
+        Whether the recordings are skipped; None if the entry does not have it.
     """
 
     line: int
@@ -70,19 +70,19 @@ class Entry:
         return [re.compile(_expression(pattern)) for pattern in self.patterns]
 
     def matches(self, key: str) -> bool:
-        """Whether it is for a recording of this name in the dataset."""
+        """Return whether the entry applies to the recording with this key."""
         return not self.patterns or any(expression.fullmatch(key) for expression in self._expressions)
 
 
 @dataclass(frozen=True)
 class DatasetFile:
-    """A dataset file that was read: its entries, the defaults first."""
+    """The content of a dataset file: its entries, the defaults first."""
 
     path: Path | None = None
     entries: tuple[Entry, ...] = ()
 
     def matching(self, key: str) -> tuple[int, ...]:
-        """Return the numbers of the entries that are for a recording."""
+        """Return the indices of the entries that apply to a recording."""
         return tuple(number for number, entry in enumerate(self.entries) if entry.matches(key))
 
     def combined(self, numbers: Sequence[int]) -> tuple[dict[str, Any], dict[str, str], bool]:
@@ -92,7 +92,7 @@ class DatasetFile:
         skip = False
         for entry in (self.entries[number] for number in numbers):
             for name in entry.words:
-                # What says the same in another way is overridden, too.
+                # Another option that means the same is overridden, too.
                 words.pop(RIVALS.get(name, ""), None)
             words |= entry.words
             origins |= {name: f"{self.path}, line {line}" for name, line in entry.lines.items()}
@@ -106,7 +106,7 @@ def load_dataset_file(path: Path) -> DatasetFile:
     Raises
     ------
     UsageError
-        If it cannot be read, is not YAML, or has something that is not in the schema; the message names the line.
+        If it cannot be read, is not YAML, or does not match the schema; the message names the line.
     """
     try:
         with opened_bytes(path) as file:
@@ -115,7 +115,7 @@ def load_dataset_file(path: Path) -> DatasetFile:
         hint = missing_hint(path, (".yaml", ".yml")) if isinstance(err, FileNotFoundError) else None
         raise UsageError(f"the dataset file cannot be read: {err.strerror}", path=path, hint=hint) from err
     if len(data) > _MAX_BYTES:
-        raise UsageError(f"has more than {_MAX_BYTES:,} bytes, which no dataset file has", path=path)
+        raise UsageError(f"has more than {_MAX_BYTES:,} bytes: too many for a dataset file", path=path)
     try:
         text = data.decode("utf-8")
     except UnicodeDecodeError as err:
@@ -132,7 +132,7 @@ class _Reader:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        #: The line of the key whose value is read: an empty value is where the next key is.
+        #: The line of the key whose value is read. Errors name it, because YAML places an empty value at the next key.
         self._key_line = 1
 
     def read(self, root: Any) -> DatasetFile:
@@ -168,7 +168,7 @@ class _Reader:
         return Entry(_line(node), patterns, words, lines, skip)
 
     def _pairs(self, node: Any, where: str, known: Sequence[str]) -> Iterator[tuple[str, Any]]:
-        """Yield the names and values of a mapping, whose names must be known, and be there once."""
+        """Yield the names and values of a mapping; raises if a name is unknown or occurs twice."""
         if not is_mapping(node):
             raise self._error(node, f"{where} is not a mapping of names to values")
         seen: dict[str, int] = {}
@@ -176,10 +176,10 @@ class _Reader:
             name = str(key.value) if is_scalar(key) else "?"
             if name not in known:
                 near = did_you_mean(name, known)
-                few = f"known: {', '.join(known)}" if len(known) < 5 else None
-                raise self._error(key, f"{name!r} is not known in {where}", near or few)
+                few = f"allowed: {', '.join(known)}" if len(known) < 5 else None
+                raise self._error(key, f"{name!r} is not allowed in {where}", near or few)
             if name in seen:
-                raise self._error(key, f"{name} is there twice; first in line {seen[name]}")
+                raise self._error(key, f"{name} is given twice; first in line {seen[name]}")
             seen[name] = self._key_line = _line(key)
             yield name, value
 
@@ -224,7 +224,7 @@ class _Reader:
             raise self._error(node, f"{name} is {text!r}, it must be one of {', '.join(word.choices)}", near)
 
     def _located(self, text: str) -> str:
-        """A path, relative to the file."""
+        """Resolve a path that is relative to the dataset file."""
         return text if is_url(Path(text)) else str(self._path.parent / Path(text).expanduser())
 
     def _unexpected(self, node: Any, name: str, kind: str) -> UsageError:
@@ -241,7 +241,7 @@ def _line(node: Any) -> int:
 
 
 def _expression(pattern: str) -> str:
-    """Translate a glob: ``*`` is anything in one name, ``**`` any number of folders; a folder is all that is in it."""
+    """Translate a glob: ``*`` matches within one name, ``**`` any number of folders; a folder matches its content."""
     pattern = pattern.removeprefix("./").removesuffix("/")
     parts = []
     position = 0

@@ -1,4 +1,4 @@
-"""How long the conversions of a dry run would take: by earlier ones on this machine, or by one that is tried."""
+"""Estimates how long a batch would take: by earlier conversions in the manifest, or by converting a recording."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ if TYPE_CHECKING:
 
 __all__ = ["estimated_seconds"]
 
-#: The largest recording that is converted as a sample, and the smallest that says anything.
+#: Sizes of recordings that are converted as a sample: smaller ones say little, larger ones take too long.
 _SAMPLE_BYTES = range(1_000_000, 300_000_000)
 
 
 def estimated_seconds(jobs: Sequence[Job], records: Sequence[Record], workers: int) -> float | None:
-    """Return how long these jobs would take; None if nobody knows.
+    """Return how many seconds these jobs would take; None if that cannot be estimated.
 
     Parameters
     ----------
     jobs
-        What would be converted.
+        The recordings that would be converted.
     records
-        The manifest.
+        The lines of the manifest.
     workers
         How many recordings are converted at a time.
     """
@@ -44,7 +44,7 @@ def estimated_seconds(jobs: Sequence[Job], records: Sequence[Record], workers: i
 
 
 def _sampled(jobs: Sequence[Job]) -> float:
-    """Bytes a second of a small recording, converted into a temporary folder; 0 if there is none that can be."""
+    """Return the bytes per second of a small recording, converted into a temporary folder; 0 if none can be."""
     fitting = sorted((job for job in jobs if job.size_bytes in _SAMPLE_BYTES), key=lambda job: job.size_bytes)
     for job in fitting[:3]:
         with tempfile.TemporaryDirectory(prefix="pc2scan-") as folder:

@@ -1,4 +1,4 @@
-"""Finds the recordings of a dataset, by content: in folders, by globs, in lists of paths, or by name."""
+"""Finds the recordings of a dataset in folders, globs, lists of paths and single paths; recognises them by content."""
 
 from __future__ import annotations
 
@@ -24,26 +24,26 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.reader import Reader
 
-    #: Returns the container of a recording that is known by its first path and its files; empty if it is not.
+    #: Returns the container of a recording that an earlier run has found, by its first path and its files; else "".
     Known = Callable[[Path, Identity], str]
 
 __all__ = ["Found", "find"]
 
-#: What metadata.yaml of a rosbag2 directory has in its first bytes; other programs have files of this name, too.
+#: Text in the first bytes of a rosbag2 directory's metadata.yaml. Other programs have files of this name, too.
 _METADATA, _METADATA_MARK, _METADATA_HEAD = "metadata.yaml", b"rosbag2_bagfile_information", 4096
 
-#: Names that staging gives to what is not complete.
+#: Endings of the names that staging gives to incomplete outputs.
 _UNFINISHED = tuple(path.name.removeprefix("x") for path in working_names(Path("x")))
 
 _GLOB = frozenset("*?[")
 
-#: A list of paths has text, and so few bytes.
+#: Lists of paths are read up to this size.
 _MAX_LIST_BYTES = 64_000_000
 
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """A recording, or what should have been one.
+    """A recording, or a file that was expected to be one.
 
     Attributes
     ----------
@@ -52,11 +52,11 @@ class Found:
     paths
         One file or folder, or the parts of a split recording in their order.
     container
-        The name of its format; empty where it is none.
+        The name of its format; empty if it is not a recording.
     identity
-        Of its files.
+        Names, sizes and times of its files.
     error
-        Why it cannot be converted; None if it seems sound.
+        Why it cannot be converted; None if no error was found.
     """
 
     key: str
@@ -67,7 +67,10 @@ class Found:
 
 
 class _Place(NamedTuple):
-    """A path, the folder that its key is relative to, and whether it was named (what is not named must look right)."""
+    """A path, the folder that its key is relative to, and whether the user named it.
+
+    A path that a user names and that is not a recording is an error; one that was found in a folder is ignored.
+    """
 
     path: Path
     root: Path
@@ -76,14 +79,14 @@ class _Place(NamedTuple):
 
 @dataclass(slots=True)
 class _Search:
-    """What one search has seen."""
+    """The state of one search."""
 
     out: tuple[int, int] | None
     known: Known
-    #: Files that batches have written: they are no sources.
+    #: Files that batches have written. They are not sources.
     outputs: frozenset[Path]
     stores: Stores
-    #: Folders by device and inode, because links may lead around in circles; files by their paths without links.
+    #: Folders that were searched, by device and inode, because links may form loops; files by their resolved paths.
     folders: set[tuple[int, int]] = field(default_factory=set)
     files: set[str] = field(default_factory=set)
 
@@ -101,26 +104,26 @@ def find(
     Parameters
     ----------
     sources
-        Folders, which are searched; recordings; globs (``**`` for any folders); text files with a path a line, relative
-        to the file's folder. Or URLs of these.
+        Folders, which are searched; recordings; globs (``**`` for any folders); text files with one path per line,
+        relative to the file's folder. All of these may be URLs.
     out
-        Where the batch writes: not searched.
+        The folder that the batch writes into. It is not searched.
     known
-        Returns the container of what an earlier run has found, by path and identity, so that it need not be opened.
+        Returns the container of a recording that an earlier run has found, so that it need not be opened again.
     outputs
-        What earlier runs have written.
+        Files that earlier runs have written. They are skipped.
     stores
-        What is at URLs: their paths are those of stand-ins.
+        Sources at URLs, and their local stand-ins.
 
     Returns
     -------
     list[Found]
-        In natural order of their keys. What is found twice is there once.
+        In natural order of their keys. A recording that is found twice is listed once.
 
     Raises
     ------
     MissingError
-        If there is nothing of a source's name.
+        If a source does not exist.
     UsageError
         If a folder to be searched is in ``out``, a glob matches nothing, or two recordings would have one key.
     """
@@ -140,7 +143,7 @@ def find(
 
 
 def _gathered(sources: Sequence[str], out: Path, stores: Stores) -> Iterator[Iterable[_Place]]:
-    """What is named, in places with one root: single files share the folder that all of them are in."""
+    """Yield the places of the sources, grouped by root; that of single files is the folder that contains them all."""
     files: list[Path] = []
     for source in sources:
         text = stores.located(source)
@@ -165,26 +168,26 @@ def _gathered(sources: Sequence[str], out: Path, stores: Stores) -> Iterator[Ite
                 if not os.path.isdir(match) or _is_rosbag2(Path(match))  # noqa: PTH112
             ]
         else:
-            # Raises, with what may be meant.
+            # The path does not exist: raises an error with a suggestion.
             sniff(path)
     yield from _at_all(files, out, stores)
 
 
 def _at_all(paths: Sequence[Path], out: Path, stores: Stores, searching: str = "") -> Iterator[list[_Place]]:
-    """Places for paths that were named one by one, those at URLs by themselves."""
+    """Yield places for paths that were named one by one: local ones first, then those at URLs."""
     for remote in (False, True):
         yield from _paths([path for path in paths if stores.is_remote(path) == remote], out, searching)
 
 
 def _paths(paths: Sequence[Path], out: Path, searching: str = "") -> Iterator[list[_Place]]:
-    """Places for paths that were named one by one: their keys are relative to the folder that all are in."""
+    """Yield places for paths that were named one by one; keys are relative to the folder that contains them all."""
     if not paths:
         return
     parents = [os.path.abspath(path.parent) for path in paths]  # noqa: PTH100  # links keep their names
     try:
         root = Path(os.path.commonpath(parents))
     except ValueError:
-        # On drives of their own.
+        # On different drives (Windows): there is no common folder.
         yield from ([places] for path in paths for (places,) in _paths([path], out, searching))
         return
     places = []
@@ -199,7 +202,7 @@ def _paths(paths: Sequence[Path], out: Path, searching: str = "") -> Iterator[li
 
 
 def _literal_part(pattern: str) -> Path:
-    """The folder of a glob that has no wildcard in it: keys are relative to it."""
+    """Return the folders of a glob before the first wildcard: keys are relative to them."""
     parts: list[str] = []
     for part in Path(pattern).parts[:-1]:
         if _GLOB & set(part):
@@ -209,7 +212,7 @@ def _literal_part(pattern: str) -> Path:
 
 
 def _listed(path: Path, stores: Stores) -> list[Path] | None:
-    """The paths in a text file; None if it is no list of paths."""
+    """Return the paths in a text file; None if it is not a list of paths."""
     if is_named_as_recording(path.name):
         return None
     with suppress(Pc2ScanError):
@@ -223,10 +226,10 @@ def _listed(path: Path, stores: Stores) -> list[Path] | None:
     lines = [line.strip() for line in text.splitlines()]
     named = [line for line in lines if line and not line.startswith("#")]
     if any(is_url(Path(line)) for line in named) or stores.is_remote(path):
-        # Nothing else looks like a URL. That of a folder ends with a slash as well as not.
+        # A line that looks like a URL makes the file a list. In a list at a URL, all lines are URLs or relative to it.
         return [Path(stores.located(stores.beside(path, line))) for line in named]
     paths = [path.parent / line for line in named]
-    # A list has at least one path that leads somewhere; anything else is a text given by mistake.
+    # At least one path of a list must exist. Otherwise the file is another text, named by mistake.
     return paths if any(map(os.path.lexists, paths)) else None
 
 
@@ -242,7 +245,7 @@ def _in_place(place: _Place, search: _Search) -> Iterator[Found]:
 
 
 def _in_folder(folder: Path, root: Path, search: _Search) -> Iterator[Found]:
-    """Everything in a folder and in those below it."""
+    """Find the recordings in a folder and its subfolders."""
     identity = _id(folder)
     if identity is None or identity == search.out or identity in search.folders:
         return
@@ -269,13 +272,13 @@ def _in_folder(folder: Path, root: Path, search: _Search) -> Iterator[Found]:
             if _is_new(path, search):
                 files += _judged(path, _key(path, root), search, named=is_named_as_recording(entry.name))
         elif entry.is_symlink() and is_named_as_recording(entry.name):
-            # It leads nowhere.
+            # A broken link.
             files += _judged(path, _key(path, root), search, named=True)
     yield from _joined(files, search)
 
 
 def _judged(path: Path, key: str, search: _Search, *, named: bool) -> Iterator[Found]:
-    """A file or a rosbag2 directory, if it is a recording; if it is none, only if it was named as one."""
+    """Yield a file or a rosbag2 directory if it is a recording; if not, yield it with an error if it is ``named``."""
     identity = identity_of([path])
     if container := search.known(_absolute(path), identity):
         yield Found(key, (path,), container, identity)
@@ -283,7 +286,7 @@ def _judged(path: Path, key: str, search: _Search, *, named: bool) -> Iterator[F
     try:
         container = sniff(path).partition("+")[0]
         if container == "sqlite3" and not named:
-            # Other programs have databases, too.
+            # Other programs have SQLite databases, too: open it to see whether it is a recording.
             _opened(path, search).close()
     except Pc2ScanError as err:
         if named:
@@ -293,7 +296,7 @@ def _judged(path: Path, key: str, search: _Search, *, named: bool) -> Iterator[F
 
 
 def _joined(found: Sequence[Found], search: _Search) -> Iterator[Found]:
-    """Make one recording of the parts of each."""
+    """Join the parts of split recordings."""
     by_path = {each.paths[0]: each for each in found if each.container}
     joined: dict[Path, Found] = {}
     parts: set[Path] = set()
@@ -310,7 +313,7 @@ def _joined(found: Sequence[Found], search: _Search) -> Iterator[Found]:
 
 
 def _chains(group: Sequence[Found], search: _Search) -> Iterator[list[Found]]:
-    """Cut files that are named as parts where one does not continue the other."""
+    """Divide files that are named like parts of one recording wherever a file does not continue the one before it."""
     if chains := _known_chains(group, search):
         yield from chains
         return
@@ -340,11 +343,11 @@ def _opened(path: Path, search: _Search) -> Reader:
 
 
 def _known_chains(group: Sequence[Found], search: _Search) -> list[list[Found]]:
-    """The parts as an earlier run has joined them, if no file has changed since; empty if one has."""
+    """Return the parts as an earlier run has joined them; empty if a file has changed since."""
     chains: list[list[Found]] = []
     rest = list(group)
     while rest:
-        # The longest first: a single file that is known may have become the first part of several.
+        # The longest first: a file that was a recording of its own may now be the first part of several.
         for count in range(len(rest), 0, -1):
             chain = rest[:count]
             if search.known(_absolute(chain[0].paths[0]), identity_of(each.paths[0] for each in chain)):
@@ -357,7 +360,7 @@ def _known_chains(group: Sequence[Found], search: _Search) -> list[list[Found]]:
 
 
 def _distinct(found: Sequence[Found]) -> Iterator[Found]:
-    """Give recordings of several sources keys of their own: the folder that each was found in is put before them."""
+    """Make the keys of recordings from several sources unique: prefix them with the folders that they were found in."""
     by_key: dict[str, list[Found]] = {}
     for each in found:
         by_key.setdefault(each.key.casefold(), []).append(each)
@@ -372,27 +375,27 @@ def _distinct(found: Sequence[Found]) -> Iterator[Found]:
         if not count:
             raise UsageError(
                 f"is found twice under the name {same[0].key}: {same[0].paths[0]} and {same[1].paths[0]}",
-                hint="convert them into two folders",
+                hint="write their outputs to different folders, in two batches",
             )
         for each, parts in zip(same, paths, strict=True):
-            # As many folders as it takes, before the whole key.
+            # Prefix the whole key with as many folders as are needed.
             below = Path(each.key).parts
             before = parts[-max(count, len(below)) : len(parts) - len(below)]
             yield Found("/".join((*before, *below)), each.paths, each.container, each.identity, each.error)
 
 
 def _refuse_inside(folder: Path, out: Path) -> None:
-    """Raise if a folder to be searched is where the batch writes, or in it."""
+    """Raise if a folder to be searched is the folder of the batch, or below it."""
     if Path(os.path.realpath(folder)).is_relative_to(os.path.realpath(out)):
         raise UsageError(
-            f"is searched, and {out} is where scans are written: they would be found as sources",
+            f"is a source, and scans are written to {out}: they would be found as sources by the next run",
             path=folder,
-            hint="write into a folder beside it, or in it: `destination=" + f"{folder / 'scans'}`",
+            hint="write to another folder, such as `destination=" + f"{folder / 'scans'}`",
         )
 
 
 def _is_rosbag2(folder: Path, search: _Search | None = None) -> bool:
-    """Whether a folder is one recording: its metadata.yaml is of rosbag2."""
+    """Whether a folder is a rosbag2 directory: it has the metadata.yaml of one."""
     if not os.path.lexists(folder / _METADATA):
         return False
     if search is not None and search.known(_absolute(folder), identity_of([folder])):
@@ -405,7 +408,7 @@ def _is_rosbag2(folder: Path, search: _Search | None = None) -> bool:
 
 
 def _is_new(path: Path, search: _Search) -> bool:
-    """Whether a file or folder was not found before, under whatever name."""
+    """Whether a file or folder is found for the first time; links to it count as the same."""
     real = os.path.realpath(path)
     is_new = real not in search.files
     search.files.add(real)

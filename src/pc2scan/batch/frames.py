@@ -1,4 +1,4 @@
-"""Messages between a batch and its worker processes: pickled objects with their lengths before them, in pipes."""
+"""Messages between a batch and its worker processes, through pipes: the length of a pickled object, then the object."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def send(stream: BinaryIO, message: object) -> None:
     Raises
     ------
     OSError
-        If nobody reads it any more.
+        If the other process has closed the pipe.
     """
     data = pickle.dumps(message)
     stream.write(_LENGTH.pack(len(data)))
@@ -34,7 +34,7 @@ def receive(stream: BinaryIO) -> Any:
     Raises
     ------
     EOFError
-        If there is none: the other process has ended, or died while it wrote one.
+        If the other process has ended, or died while it wrote a message.
     """
     head = stream.read(_LENGTH.size)
     if len(head) < _LENGTH.size:
@@ -43,5 +43,5 @@ def receive(stream: BinaryIO) -> Any:
     data = stream.read(length)
     if len(data) < length:
         raise EOFError
-    # From a process of our own, through a pipe that nobody else has.
+    # Safe: the data comes from a process that this program started, through a pipe that no other process has.
     return pickle.loads(data)  # noqa: S301

@@ -1,4 +1,4 @@
-"""Whether files are what they were: their names, sizes and times of modification, and a checksum where it is wanted."""
+"""Tells whether files have changed: by their names, sizes and times of modification, or by a checksum."""
 
 from __future__ import annotations
 
@@ -15,27 +15,27 @@ if TYPE_CHECKING:
 
 __all__ = ["Identity", "checksum_of", "identity_of", "versions"]
 
-#: What a store says of the version of a file that is a copy, or a stand-in, of one of its own; by absolute path.
+#: Versions (such as ETags) of files that are copies of objects in a store, or stand-ins for them, by absolute path.
 versions: dict[str, str] = {}
 
 _PIECE_BYTES = 1 << 20
 
-#: So many files of a folder are listed one by one.
+#: Identities list up to this many files of a folder one by one; more are summed up.
 _MOST = 100
 
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """The files of a recording: the name, size and time of modification (ns) of each; none if it is not there.
+    """The files of a recording: the name, size and time of modification (ns) of each; no files if it does not exist.
 
-    Of what is in a store, the version that it has there, such as its ETag, instead of a time.
+    A file in a store has its version there, such as an ETag, instead of a time.
     """
 
     files: tuple[tuple[str, int, int | str], ...] = ()
 
     @property
     def size_bytes(self) -> int:
-        """Bytes of all files."""
+        """Return the total size of the files."""
         return sum(size for _, size, _ in self.files)
 
     def has_sizes_of(self, other: Identity) -> bool:
@@ -59,7 +59,7 @@ def identity_of(paths: Iterable[Path]) -> Identity:
     found = []
     for path in paths:
         try:
-            # Not Path: a thousand recordings are asked for.
+            # os.path is faster than Path, which matters for thousands of recordings.
             found += _in_folder(path) if os.path.isdir(path) else _alone(path)  # noqa: PTH112
         except OSError:
             continue
@@ -71,21 +71,21 @@ def _file(name: str, status: os.stat_result, path: str) -> tuple[str, int, int |
 
 
 def _alone(path: Path) -> list[tuple[str, int, int | str]]:
-    """A file, and the logs beside a database: a recorder that still runs may write only to these."""
+    """Return the entries of a file and of the logs beside a database: a running recorder may write only to the logs."""
     found = [_file(path.name, os.stat(path), str(path))]  # noqa: PTH116
     logs = filter(None, (file_beside(path, suffix) for suffix in ("-wal", "-journal")))
     return found + [_file(log.name, log.stat(), str(log)) for log in logs if log.stat().st_size]
 
 
 def _in_folder(folder: Path) -> list[tuple[str, int, int | str]]:
-    """The files in a folder and in those below it; of very many (one for each cloud) what all are together."""
+    """Return the files in a folder and its subfolders; very many (one for each cloud) are summed up in one entry."""
     found = []
     for place, folders, names in os.walk(folder):
         folders.sort()
         below = os.path.relpath(place, folder)
-        # Whoever reads a database makes an index of its log.
+        # Not -shm: programs that only read a database create and change that file.
         for name in sorted(name for name in names if not name.endswith("-shm")):
-            # A link may lead nowhere.
+            # Broken links are ignored.
             with suppress(OSError):
                 path = os.path.join(place, name)  # noqa: PTH118
                 found.append(_file(os.path.normpath(os.path.join(below, name)), os.stat(path), path))  # noqa: PTH116, PTH118

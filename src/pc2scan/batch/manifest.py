@@ -1,7 +1,7 @@
-"""The manifest of a batch: one line of JSON for each recording that was converted or failed, written as soon as it is.
+"""The manifest of a batch: a file with one line of JSON for each recording that was converted or has failed.
 
-A line is on the disk before the recording counts as done. Of several lines for one recording the last one counts. A
-last line without its end is of a run that was killed while it wrote it, and is ignored.
+A line is synced to the disk before its recording counts as done. If a recording has several lines, the last one counts.
+A last line without a line end was written by a run that was killed at that moment; it is ignored.
 """
 
 from __future__ import annotations
@@ -28,18 +28,18 @@ if TYPE_CHECKING:
 
 __all__ = ["BEGUN", "MANIFEST", "Manifest", "Record", "forget_begun", "read_begun", "read_manifest", "write_begun"]
 
-#: The files that a batch writes into its folder beside recordings.
+#: The files that a batch writes into its folder besides the recordings.
 MANIFEST = "manifest.jsonl"
 BEGUN = ".pc2scan-begun.json"
 
-#: What each line of a manifest begins with; another program's file of this name is refused.
+#: Each line of a manifest begins with this. A file of the same name without it is refused.
 _BEGINNING = '{"pc2scan": "'
 _BEGUN_BEGINNING = b'{"pc2scan begun": '
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Record:
-    """What became of a recording: a line of the manifest.
+    """The result of one recording: a line of the manifest.
 
     Attributes
     ----------
@@ -48,31 +48,31 @@ class Record:
     sources
         Its paths, absolute.
     identity, sha256
-        Of the source when it was read; no checksum if none was asked for.
+        The identity and the checksum of the source when it was read; no checksum unless it was requested.
     container
         The name of the source's format; empty if it is not a recording.
     options
-        The digest of the options.
+        The digest of the request: see `pc2scan.batch.request.Request.digest`.
     version
-        Of pc2scan.
+        The version of pc2scan that converted it.
     outcome
         ``converted``, ``incomplete`` (messages skipped, or a damaged source), ``empty`` (no scan has a return),
-        ``failed``, or ``died`` (the process that converted it).
+        ``failed``, or ``died`` (the process that converted it ended unexpectedly).
     exit_status
-        What `pc2scan convert` would have ended with.
+        The exit status that `pc2scan convert` would have had.
     error
         Why it failed: ``class``, ``message``, ``place``, ``hint``, ``exit_status``; None if it did not.
     output
-        Where the result is, below the folder of the batch; of one that failed, where an earlier result may be. Empty if
-        nothing was ever written for it.
+        The path of the result, relative to the folder of the batch; if the conversion failed, where an earlier result
+        may be. Empty if nothing was ever written.
     output_identity
-        Of the result; without files if there is none.
+        The identity of the result; without files if there is none.
     started
         When the conversion began, ISO 8601.
     seconds
         How long it took.
     attempts
-        How many processes tried.
+        How often the conversion was tried.
     report
         The report of the conversion, as ``convert --report`` writes it; None if it failed.
     """
@@ -161,7 +161,7 @@ def read_manifest(path: Path) -> dict[str, Record]:
     DestinationError
         If the file is not a manifest.
     UsageError
-        If a line but the last cannot be read; the message names it.
+        If a line other than the last cannot be read; the message names it.
     """
     try:
         data = path.read_bytes()
@@ -172,7 +172,7 @@ def read_manifest(path: Path) -> dict[str, Record]:
     if data and not data.startswith(_BEGINNING.encode()[: len(data)]):
         raise DestinationError("is not a manifest of pc2scan batch", path=path, hint="write into another folder")
     records: dict[str, Record] = {}
-    # Behind the last end of line is what a killed run was writing.
+    # What follows the last line end was being written when a run was killed.
     for number, line in enumerate(data.split(b"\n")[:-1], start=1):
         try:
             record = Record.from_dict(json.loads(line))
@@ -187,7 +187,7 @@ def read_manifest(path: Path) -> dict[str, Record]:
 
 
 class Manifest:
-    """A manifest that is open for more lines.
+    """A manifest that is open for appending.
 
     Parameters
     ----------
@@ -220,7 +220,7 @@ class Manifest:
         self._file.close()
 
     def append(self, record: Record) -> None:
-        """Write a line, and wait until it is on the disk.
+        """Append a line, and wait until it is on the disk.
 
         Raises
         ------
@@ -244,14 +244,14 @@ class Manifest:
 
 
 def _refuse_outside(output: str) -> None:
-    """Raise for a place that is not below the folder: what is there would be taken for the batch's own."""
+    """Raise if a path leads out of the folder of the batch: a run may replace or remove the outputs that are noted."""
     place = PurePosixPath(output)
     if place.is_absolute() or ".." in place.parts:
         raise ValueError(f"{output} is not below the folder of the batch")
 
 
 def write_begun(folder: Path, outputs: Iterable[str]) -> None:
-    """Note what a run is going to write, before it begins: after a killed run, only this says that it is the batch's.
+    """Note which outputs a run is going to write. After a run was killed, this shows which files belong to the batch.
 
     Raises
     ------
@@ -264,7 +264,7 @@ def write_begun(folder: Path, outputs: Iterable[str]) -> None:
 
 
 def read_begun(folder: Path) -> frozenset[str]:
-    """Return what a run that was killed was going to write; empty if none was."""
+    """Return the outputs that a killed run was going to write; empty if no run was killed."""
     try:
         noted = json.loads((folder / BEGUN).read_bytes())
         outputs = frozenset(map(str, noted["outputs"]))
@@ -274,11 +274,13 @@ def read_begun(folder: Path) -> frozenset[str]:
         return frozenset()
     except (OSError, ValueError, LookupError, TypeError) as err:
         raise DestinationError(
-            "is not what pc2scan batch writes there", path=folder / BEGUN, hint="move it away"
+            "was not written by pc2scan batch, which uses this name",
+            path=folder / BEGUN,
+            hint="move it away",
         ) from err
     return outputs
 
 
 def forget_begun(folder: Path) -> None:
-    """Remove the note: everything in it is in the manifest, or was not begun."""
+    """Remove the note: each output in it is in the manifest by now, or was not begun."""
     (folder / BEGUN).unlink(missing_ok=True)

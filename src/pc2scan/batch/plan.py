@@ -1,4 +1,4 @@
-"""The plan of a batch: what is done with each recording, and why. A pure decision."""
+"""Plans a batch: decides what is done with each recording, and why. Pure functions: nothing is read or written."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ __all__ = ["Choice", "History", "Plan", "Step", "destinations", "make_plan"]
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """The options of a recording; those that are equal are one object.
+    """The options of a recording. Recordings with the same options share one object.
 
     Attributes
     ----------
     request
-        What is asked for; None if the recording is skipped.
+        The conversion that is requested; None if the recording is skipped.
     digest
-        Of the request.
+        The digest of the request.
     """
 
     request: Request | None
@@ -45,14 +45,14 @@ class Choice:
 
 @dataclass(frozen=True, slots=True)
 class History:
-    """What earlier runs have left.
+    """What earlier runs have recorded.
 
     Attributes
     ----------
     records
         The manifest, by key.
     begun
-        What a killed run was going to write, below the folder of the batch.
+        Outputs that a killed run was going to write, relative to the folder of the batch.
     """
 
     records: Mapping[str, Record]
@@ -60,7 +60,7 @@ class History:
 
     @property
     def owned(self) -> frozenset[str]:
-        """The places whose content was written by a batch."""
+        """The outputs that were written by earlier runs."""
         return self.begun | {record.output for record in self.records.values() if record.output}
 
 
@@ -73,20 +73,20 @@ class Step:
     found
         The recording.
     action
-        ``convert``; ``keep``: nothing, its result is there; ``refuse``: nothing, it cannot be converted; ``skip``:
-        nothing, it is not wanted.
+        ``convert``; ``keep``: its result is up to date; ``refuse``: it cannot be converted; ``skip``: the dataset file
+        excludes it.
     why
         The reason, for people.
     choice
         Its options.
     output
-        Where the result is, below the folder of the batch; empty for none.
+        The path of the result, relative to the folder of the batch; empty for none.
     replaces
-        Whether what is there may be replaced.
+        Whether an existing output may be replaced.
     record
-        Its last line of the manifest.
+        Its last line in the manifest.
     error
-        Of ``refuse``.
+        Why it is refused.
     """
 
     found: Found
@@ -112,12 +112,12 @@ class Plan:
 
 
 def destinations(found: Sequence[Found], choices: Mapping[str, Choice]) -> dict[str, str]:
-    """Return where the results are, by key: the tree of the sources, with the names that `convert` gives.
+    """Return the paths of the results, by key: the folders of the sources, with the names that `convert` gives.
 
-    What is exported goes into a folder with the name of the recording.
+    Exported files go into a folder with the name of the recording.
 
-    Where two would meet (``drive.bag`` and ``drive.mcap`` with ``--to mcap``), the suffix of each source becomes a
-    part of its name: ``drive_bag_scan.mcap``.
+    If two results would have the same name (``drive.bag`` and ``drive.mcap`` with ``--to mcap``), the suffix of each
+    source becomes a part of its name: ``drive_bag_scan.mcap``.
     """
     requests = {key: choice.request for key, choice in choices.items() if choice.request is not None}
     named = {each.key: _name(each, requests[each.key]) for each in found if each.container and each.key in requests}
@@ -161,17 +161,17 @@ def make_plan(
     choices
         Their options, by key.
     history
-        What earlier runs have left.
+        What earlier runs have recorded.
     out
-        The folder of the batch, without links in its path.
+        The folder of the batch, with links resolved.
     inputs
-        All that is read, without links in the paths: nothing is written there.
+        All paths that are read, with links resolved: nothing is written there.
     present
-        Returns the identity of what is at a place below it; without files if nothing is there.
+        Returns the identity of an output in the folder; without files if it does not exist.
     checksum
-        Returns the checksum of a recording; None: their times of modification decide.
+        Returns the checksum of a recording; None: sources are compared by their times of modification.
     force
-        Whether everything is converted.
+        Whether everything is converted again.
     """
     outputs = destinations(found, choices)
     owners: dict[str, list[str]] = {}
@@ -195,17 +195,15 @@ def make_plan(
         others = [key for key in owners[output.casefold()] if key != each.key]
         if others:
             error = DestinationError(
-                f"would be made of {each.key} and of {others[0]}",
+                f"would be the output of both {each.key} and {others[0]}",
                 path=out / output,
-                hint="rename one of them, or convert them into two folders",
+                hint="rename one of them, or write their outputs to different folders, in two batches",
             )
             steps.append(replace(step, action="refuse", why=error.message, error=error))
             continue
         place = out / whole(output)
         if read := next((path for path in (place, *working_names(place), *place.parents) if path in inputs), None):
-            error = DestinationError(
-                "is a source", path=read, hint="what is read is never changed; write into another folder"
-            )
+            error = DestinationError("is a source, and would be overwritten", path=read, hint="write to another folder")
             steps.append(replace(step, action="refuse", why=error.message, error=error))
             continue
         there = present(output)
@@ -226,10 +224,10 @@ def make_plan(
 
 
 def _left_warning(left: Mapping[str, str]) -> Iterator[str]:
-    """Name results that have other names now, and stay what they are."""
+    """Warn of earlier results whose recordings have another output now. They are not changed."""
     for old, new in list(left.items())[:1]:
-        more = f", and {len(left) - 1:,} more of an earlier run" if len(left) > 1 else ""
-        yield f"{old} is not written any more, it is {new} now{more}; what is there is left as it is"
+        more = f" (and {len(left) - 1:,} more outputs of earlier runs)" if len(left) > 1 else ""
+        yield f"{old} is out of date: its recording is written to {new} now{more}; the old file is not changed"
 
 
 def _reason(
@@ -240,7 +238,7 @@ def _reason(
     there: Identity,
     checksum: Callable[[Found], str] | None,
 ) -> str:
-    """Why a recording is converted; empty if there is no reason to."""
+    """Return why a recording is converted; empty if its result is up to date."""
     record = history.records.get(found.key)
     if record is None:
         return "interrupted before" if output in history.begun else "new"
@@ -258,7 +256,7 @@ def _reason(
     if not there.files:
         return "its output is missing"
     if there != record.output_identity:
-        return f"its output was changed: it has {size(there.size_bytes)}, written were " + size(
+        return f"its output was changed: it has {size(there.size_bytes)}, it was written with " + size(
             record.output_identity.size_bytes
         )
     return ""

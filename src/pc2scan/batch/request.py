@@ -1,4 +1,4 @@
-"""What a conversion is asked to do, read from the words of `pc2scan.convert`, and as a digest."""
+"""Reads what a conversion is requested to do from the keywords of `pc2scan.convert`, and computes a digest of it."""
 
 from __future__ import annotations
 
@@ -26,29 +26,29 @@ if TYPE_CHECKING:
 
 __all__ = ["Request", "request_of", "words_known"]
 
-#: Words of the destination, and of exports.
+#: Keywords of the destination, of splitting, and of exports.
 _OUTPUT = ("storage", "compression", "profile", "metadata_version", "to", "overwrite")
 _SPLIT = ("split", "repeat_latched")
 _EXPORT = ("export", "pose_frame", "base_frame", "odom_topic")
 
-#: Attributes of options that do not decide what is written: where they come from.
+#: Attributes that do not affect the output: where options come from.
 _PLACES = frozenset({"origins", "place"})
 
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """A conversion, asked for and checked; the recording and its destination are not part of it.
+    """A conversion as it was requested, checked. The recording and its destination are not part of it.
 
     Attributes
     ----------
     options, output
         As `pc2scan.pipeline.run.run` takes them.
     files
-        The files that were read for it, by option.
+        The files that options name and that were read, by option.
     notes
-        What the user should know of it.
+        Warnings about the options.
     export
-        How scans or clouds are exported, instead of being written to a recording; None if they are not.
+        How scans or clouds are exported; None if they are written to a recording instead.
     """
 
     options: ConvertOptions
@@ -58,9 +58,9 @@ class Request:
     export: ExportOptions | None = None
 
     def digest(self) -> str:
-        """Return a digest of all that decides what is written: the same for requests that write the same.
+        """Return a digest of everything that affects the output.
 
-        Recordings that transforms are taken from count with their size and time of modification.
+        Recordings that transforms are taken from count with their sizes and times of modification.
         """
         import hashlib  # noqa: PLC0415  # only batches need it
         import json  # noqa: PLC0415
@@ -79,7 +79,7 @@ class Request:
 
 
 def _identity(path: Path) -> Identity:
-    """Of a recording that transforms are taken from."""
+    """Return the identity of a recording that transforms are taken from."""
     if not is_url(path):
         return identity_of([path])
     from pc2scan.remote.store import Place  # noqa: PLC0415  # loads fsspec
@@ -92,25 +92,25 @@ def _identity(path: Path) -> Identity:
 
 
 def words_known() -> frozenset[str]:
-    """Return all words that `request_of` reads."""
-    # `batch` decides on the number of threads.
+    """Return all keywords that `request_of` reads."""
+    # Not `jobs`: the batch decides the number of threads.
     return (WORDS - {"jobs"}).union(_OUTPUT, _SPLIT, _EXPORT, parameter_names())
 
 
 def request_of(words: Mapping[str, Any], origins: Mapping[str, str] | None = None) -> Request:
-    """Read the words of `pc2scan.convert`, all of them but those of one run: sources, destination, report, jobs.
+    """Read the keywords of `pc2scan.convert`, except those of a single run: sources, destination, report, jobs.
 
     Parameters
     ----------
     words
-        Keywords of `pc2scan.convert`, and what only the command line has: ``param``, ``launch_args`` and ``remap``.
+        Keywords of `pc2scan.convert`, and those that only the command line has: ``param``, ``launch_args``, ``remap``.
     origins
-        Where words come from, for errors and reports.
+        Where keywords come from, for errors and reports.
 
     Raises
     ------
     UsageError
-        If a word is not known, has a wrong value, or contradicts another one.
+        If a keyword is unknown, has a wrong value, or contradicts another one.
     """
     if unknown := words.keys() - words_known():
         raise UsageError(f"`{min(unknown)}` is not an option of a conversion")
@@ -124,14 +124,14 @@ def request_of(words: Mapping[str, Any], origins: Mapping[str, str] | None = Non
     output = OutputOptions(**take(_OUTPUT), like_source=True, cut=cut)
     notes: list[str] = []
     asked = conversion_of(given, origins, notes.append)
-    # Another process may be in another folder.
+    # Absolute: another process may have another current folder.
     frames = replace(asked.options.frames, tf_from=tuple(map(_absolute, asked.options.frames.tf_from)))
     files = {name: _absolute(path) for name, path in asked.files.items()}
     return Request(replace(asked.options, frames=frames), output, files, tuple(notes), export)
 
 
 def _export(asked: Mapping[str, Any], others: Mapping[str, Any]) -> ExportOptions | None:
-    """Read how messages are exported; ``others`` are all other words."""
+    """Read how messages are exported; ``others`` are all other keywords."""
     if not asked:
         return None
     name = asked.get("export")
@@ -145,7 +145,7 @@ def _export(asked: Mapping[str, Any], others: Mapping[str, Any]) -> ExportOption
 
     if name not in FORMATS:
         hint = did_you_mean(name, FORMATS) or None
-        raise UsageError(f"`export={name}` is not a format; there are {', '.join(FORMATS)}", hint=hint)
+        raise UsageError(f"`export={name}` is not a format; the formats are {', '.join(FORMATS)}", hint=hint)
     poses = PoseOptions(**{word: value for word, value in asked.items() if word != "export"})
     if FORMATS[name].needs_poses and not poses.wanted:
         raise UsageError(f"`export={name}` needs poses", hint="give `pose_frame=odom`, or `odom_topic=/odom`")
@@ -167,12 +167,12 @@ def _cut(asked: Mapping[str, Any]) -> Cut | None:
 
 
 def _canonical(value: Any) -> Any:
-    """Return options as JSON's types: equal for equal options, whatever the process."""
+    """Return options as JSON's types. Equal options give equal results in every process."""
     if isinstance(value, ProjectionParams):
-        # It decides how much is in flight, not what is written.
+        # The queue's size bounds what is held in memory. It does not affect the output.
         value = replace(value, queue_size=0)
     if is_dataclass(value) and not isinstance(value, type):
-        # What a class computes from its attributes is not shown.
+        # Only attributes of the instance, not what a class computes from them.
         shown = {
             each.name: _canonical(getattr(value, each.name))
             for each in fields(value)

@@ -1,6 +1,6 @@
 """Names of results that are several files: ``drive_scan_0.bag`` stands for all parts of ``drive_scan.bag``.
 
-A result that is one file is named ``drive_scan.bag``, so that neither is taken for the other.
+A result that is one file is named ``drive_scan.bag``, so that the two kinds cannot be confused.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 __all__ = ["SUFFIXES", "files_of", "first_part", "in_order", "is_numbered", "parts_among", "whole"]
 
-#: Of results that are files.
+#: Suffixes of results that are files.
 SUFFIXES = (".bag", ".mcap")
 
 _FIRST = re.compile(r"(.*_scan)_0(\.bag|\.mcap)", re.DOTALL)
@@ -34,12 +34,12 @@ def first_part(output: str) -> str:
 
 
 def is_numbered(output: str) -> bool:
-    """Whether a result is numbered files, and this the first one."""
+    """Return whether this is the first file of a result with numbered files."""
     return _FIRST.fullmatch(output) is not None
 
 
 def whole(output: str) -> str:
-    """Return what a result is named after; of one that is not numbered its own name.
+    """Return the name of a result without the number; a name without a number is returned as it is.
 
     >>> whole("drive_scan_0.bag"), whole("drive_scan.bag")
     ('drive_scan.bag', 'drive_scan.bag')
@@ -49,16 +49,16 @@ def whole(output: str) -> str:
 
 
 def files_of(folder: Path, output: str) -> list[Path]:
-    """Return the files of a result that are there, in their order; of one that is not numbered its path."""
+    """Return the existing files of a result, in their order; for a result that is not numbered, its path."""
     path = folder / whole(output)
     if not is_numbered(output):
         return [path]
-    # One by one, the order of names would put 10 before 2.
+    # By number: in alphabetical order, 10 would come before 2.
     return [path.with_name(name) for name in in_order(part.name for part in parts_beside(path))]
 
 
 def parts_among(names: Iterable[str], output: str) -> list[str]:
-    """Return those of all names below a folder that are files of a numbered result, in their order."""
+    """Return those of the names in a folder that are files of a numbered result, in their order."""
     path = Path(whole(output))
     named = re.compile(rf"{re.escape(path.with_suffix('').as_posix())}_\d+{re.escape(path.suffix)}")
     return in_order(name for name in names if named.fullmatch(name))

@@ -1,4 +1,4 @@
-"""One batch from beginning to end: find, plan, convert, and note what became of each recording."""
+"""Runs a batch from beginning to end: finds recordings, plans, converts, and writes the manifest and the report."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from .staged import jobs_here
 from .stores import Stores
 from .summary import BEGINNINGS, BatchReport, Outcome, report_text
 from .work import Job
-from .workers import Began, Died, Ended, Progressed, Told, execute
+from .workers import Began, Died, Ended, Information, Progressed, execute
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
@@ -43,40 +43,40 @@ if TYPE_CHECKING:
 
 __all__ = ["BatchOptions", "BatchProgress", "Watch", "run_batch"]
 
-#: What the lock of the workers is named after.
+#: The name of the workers' lock is derived from this.
 _WORKERS = "manifest.jsonl.workers"
 
-#: Seconds that a run waits for the workers of one that was killed.
+#: Seconds that a run waits for the workers of a killed run to end.
 _PATIENCE = 15.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BatchOptions:
-    """How a batch runs; none of this decides what is written.
+    """How a batch runs. None of these options affects the outputs.
 
     Attributes
     ----------
     dataset
         The dataset file; None for none.
     jobs
-        How many recordings are converted at a time; 0: as many as there are cores, and memory for.
+        How many recordings are converted at a time; 0: one for each core, as far as the memory is enough.
     retries
-        How often a recording is tried again whose process died.
+        How often a recording is tried again if its process died.
     checksum
         Whether sources are compared by SHA-256 instead of their times of modification.
     force
-        Whether what was converted before is converted again.
+        Whether recordings are converted again whose results are up to date.
     fail_fast
-        Whether the first recording that fails ends the run.
+        Whether the run ends when the first recording fails.
     dry_run
-        Whether nothing is written, and only what would be is found out.
+        Whether nothing is written; the report then says what would be.
     dask
-        True: the recordings are tasks of a Dask cluster on this machine; an address: of that of this scheduler.
+        The address of a Dask scheduler whose workers convert; True: a Dask cluster is started on this machine.
     report
         A file for the report: ``.json``, ``.csv`` or ``.md``; None for none.
     scratch, scratch_size
-        Where local copies of what is at URLs are, and how many bytes of them there may be; None: the system's folder,
-        and its free room.
+        The folder for local copies of recordings at URLs, and how many bytes they may take; None: the system's
+        temporary folder, and its free space.
     """
 
     dataset: Path | None = None
@@ -98,13 +98,11 @@ class BatchOptions:
         if isinstance(self.dask, str) and "://" not in self.dask:
             raise UsageError(f"`dask={self.dask}`: the address of a scheduler is tcp://HOST:PORT")
         if isinstance(self.dask, str) and self.jobs:
-            raise UsageError(
-                f"`jobs={self.jobs}` has no effect with `dask={self.dask}`", hint="its workers decide; type only one"
-            )
+            raise UsageError(f"`jobs={self.jobs}` has no effect with `dask={self.dask}`", hint="give only one of them")
         if is_url(self.report):
             raise UsageError("`report` must be a local file", hint="such as `report=report.csv`")
         if is_url(self.dataset):
-            raise UsageError("`dataset` must be a local file", hint="what it matches may be at URLs")
+            raise UsageError("`dataset` must be a local file", hint="the recordings that it matches may be at URLs")
         if self.report is not None and self.report.suffix.lower() not in BEGINNINGS:
             raise UsageError(
                 f"`report={self.report}`: a report of a batch is one of {', '.join('NAME' + end for end in BEGINNINGS)}"
@@ -112,7 +110,7 @@ class BatchOptions:
 
 
 class BatchProgress(NamedTuple):
-    """How far a batch is: bytes of sources and recordings, done and in all."""
+    """The progress of a batch: bytes of sources and number of recordings, done and in total."""
 
     bytes_done: int
     bytes_total: int
@@ -126,30 +124,30 @@ def _nothing(_argument: object) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Watch:
-    """Whom a batch tells what happens: each is called in the thread that called the batch.
+    """Callbacks for what happens in a batch. All are called in the thread that runs the batch.
 
     Attributes
     ----------
     planned
-        When the plan is made.
+        Called with the plan.
     progress
-        Now and then.
+        Called from time to time with the progress.
     done
-        When a recording is done, with the line of the manifest.
+        Called when a recording is done, with its line of the manifest.
     shown
-        With the report of each conversion as text; None if nobody reads it.
-    note
-        With what a user should know at once.
-    told
-        With what a user wants to know, such as the address of a dashboard.
+        Called with the report of each conversion as text; None: no such text is made.
+    warn
+        Called with warnings that the user should see at once.
+    inform
+        Called with information for the user, such as the address of a dashboard.
     """
 
     planned: Callable[[Plan], None] = _nothing
     progress: Callable[[BatchProgress], None] = _nothing
     done: Callable[[Record], None] = _nothing
     shown: Callable[[str], None] | None = None
-    note: Callable[[str], None] = _nothing
-    told: Callable[[str], None] = _nothing
+    warn: Callable[[str], None] = _nothing
+    inform: Callable[[str], None] = _nothing
 
 
 def run_batch(
@@ -173,13 +171,13 @@ def run_batch(
     words
         Options of the conversions, as `pc2scan.batch.request.request_of` reads them.
     options
-        How the batch runs.
+        How the batch runs; they do not affect the outputs.
     origins
-        Where the words come from.
+        Where the keywords come from.
     executor
         Makes the executor of the jobs, from ``workers``, ``retries`` and ``lock``; None: processes on this machine.
     watch
-        Whom it tells what happens.
+        Callbacks for what happens.
     """
     began = time.monotonic()
     watch = watch or Watch()
@@ -221,7 +219,7 @@ def run_batch(
 
 
 def _count_of(jobs: Sequence[Job]) -> int:
-    """Return how many processes could work on these jobs at a time."""
+    """Return how many processes could work on these jobs at the same time."""
     if not any(job.request.output.cut for job in jobs):
         return len(jobs)
     from .cutting import count_of  # noqa: PLC0415  # most outputs are one file
@@ -256,11 +254,11 @@ def _on_dask(address: str) -> Callable[..., Executor]:
     check_dask()
 
     def make(*, workers: int, retries: int, lock: int | None) -> Executor:
-        del lock  # Of this machine.
+        del lock  # It is for processes on this machine.
 
         def executor(jobs: Sequence[Job]) -> Generator[Event]:
             if not address and isinstance(jobs, list):
-                # Its workers share the disk of this machine.
+                # The workers are on this machine and share its disk, so each gets a part of the space for copies.
                 jobs = [
                     job if job.scratch_size is None else replace(job, scratch_size=job.scratch_size // workers)
                     for job in jobs
@@ -273,7 +271,7 @@ def _on_dask(address: str) -> Callable[..., Executor]:
 
 
 def _check_folder(out: Path) -> None:
-    """Raise what `made_folder` would raise."""
+    """Raise the errors that `made_folder` would raise, without making the folder."""
     if out.is_dir():
         return
     if os.path.lexists(out):
@@ -283,9 +281,9 @@ def _check_folder(out: Path) -> None:
 
 @contextmanager
 def _lock(out: Path) -> Iterator[int]:
-    """Hold the locks of the folder: that of this process, and that which its workers inherit, which is yielded.
+    """Hold two locks of the folder: one for this process, and one that its workers inherit, which is yielded.
 
-    If a run was killed, its workers may take some seconds to end.
+    The second one shows that workers of a killed run are still alive. They may take some seconds to end.
     """
     deadline = time.monotonic() + _PATIENCE
     with ExitStack() as stack:
@@ -326,7 +324,7 @@ class _Progress:
 
 
 class _Batch:
-    """A batch that runs."""
+    """The state of a running batch."""
 
     def __init__(
         self,
@@ -344,10 +342,10 @@ class _Batch:
         self._choices = choices
         self._watch = watch
         self._stores = stores
-        #: Where the folder is at a URL; then `_out` has what is to be uploaded of it.
+        #: The folder in the store if the destination is a URL; then `_out` has the files of it that are uploaded.
         self._store = store
         records = read_manifest(out / MANIFEST)
-        # What is in the manifest by now was completed.
+        # An output in the manifest was completed, even if the note still lists it.
         begun = read_begun(out) - {record.output for record in records.values()}
         self._history = History(records, begun)
         self._records: dict[str, Record] = {}
@@ -355,13 +353,13 @@ class _Batch:
         self.report = BatchReport(out, dry_run=options.dry_run)
 
     def open_report(self, stack: ExitStack) -> Callable[[str], None] | None:
-        """Make sure that the report can be written, before anything else is."""
+        """Make sure that the report can be written, before anything is converted."""
         path = self._options.report
         if path is None:
             return None
         real = Path(os.path.realpath(path))
         if real == self._out / MANIFEST or (real.is_relative_to(self._out) and self._is_output(real)):
-            raise DestinationError("the report cannot go there: it is written by the batch", path=path)
+            raise DestinationError("the report cannot be written there: the batch writes this file itself", path=path)
         beginning = BEGINNINGS[path.suffix.lower()]
         try:
             if self._options.dry_run:
@@ -369,7 +367,7 @@ class _Batch:
                 return None
             return stack.enter_context(text_output(path, beginning=beginning, overwrite=False))
         except (DestinationError, OutputError) as err:
-            err.message = f"the report cannot go there: {err.message}"
+            err.message = f"the report cannot be written there: {err.message}"
             raise
 
     def _is_output(self, path: Path) -> bool:
@@ -385,7 +383,7 @@ class _Batch:
             stores=self._stores,
         )
         if not found:
-            raise UsageError(f"no recording is in {', '.join(self._sources)}")
+            raise UsageError(f"no recording found in {', '.join(self._sources)}")
         keys = [each.key for each in found]
         self.made = make_plan(
             found,
@@ -405,11 +403,11 @@ class _Batch:
         self.report.warnings += [*self._choices.warnings(keys), *self.made.warnings]
 
     def _refuse_idle(self) -> None:
-        """Raise for options that go with URLs, or do not."""
+        """Raise for options that have no effect with URLs, or without URLs."""
         if self._stores.are_used:
             if self._options.checksum:
                 raise UsageError(
-                    "`checksum` is for local recordings", hint="a store says by itself whether an object has changed"
+                    "`checksum` works only with local recordings", hint="a store reports itself whether objects changed"
                 )
         elif self._options.scratch is not None or self._options.scratch_size is not None:
             raise UsageError("`scratch` and `scratch_size` have no effect: no source and no destination is a URL")
@@ -420,14 +418,14 @@ class _Batch:
         return identity_of(files_of(self._out, output))
 
     def clean_up(self) -> None:
-        """Remove what killed runs left beside the outputs of this folder."""
+        """Remove the temporary files that killed runs have left beside the outputs in this folder."""
         planned = [step.output for action in ("convert", "keep") for step in self.made.of(action)]
         for output in {*self._history.owned, *planned}:
             clean_up(self._out / whole(output))
 
     def convert(self, lock: int | None, make: Callable[..., Executor]) -> None:
-        """Do what the plan says, and note it."""
-        # The largest first, so that no worker is left with a long one while the others have nothing to do.
+        """Carry out the plan, and write the manifest."""
+        # The largest first, so that at the end no worker is busy with a long recording while the others are idle.
         steps = sorted(self.made.of("convert"), key=lambda step: (-step.found.identity.size_bytes, step.found.key))
         by_key = {step.found.key: step for step in self.made.steps}
         jobs = [self._job(step, self._out) for step in steps]
@@ -439,7 +437,7 @@ class _Batch:
             for step in self.made.of("refuse"):
                 self._note(self._refused(step))
             with TemporaryDirectory(prefix="pc2scan-") as folder:
-                # Nothing is written there either: only the folders of outputs may not exist yet.
+                # Nothing is written there either. It is needed because the folders of the outputs may not exist yet.
                 self._run(executor, [self._job(step, Path(folder), flat=True) for step in steps], by_key, self._note)
             self.report.estimate_seconds = estimated_seconds(jobs, list(self._history.records.values()), wanted)
             return
@@ -485,7 +483,7 @@ class _Batch:
         note: Callable[[Record], None],
         begin: Callable[[str, bool], None] = lambda _output, _begins: None,
     ) -> None:
-        """Do jobs, in whatever order they end."""
+        """Run jobs, and handle their events in the order in which they come."""
         progress = _Progress({job.key: job.size_bytes for job in jobs}, self._watch)
         events = executor(jobs)
         try:
@@ -498,9 +496,9 @@ class _Batch:
                         progress.at(key, done / total if total else 0.0)
                     case Died(key, why):
                         progress.at(key, 0.0)
-                        self._watch.note(f"{key}: {why}; it is tried again")
-                    case Told(text):
-                        self._watch.told(text)
+                        self._watch.warn(f"{key}: {why}; it is tried again")
+                    case Information(text):
+                        self._watch.inform(text)
                     case Ended(result):
                         record = self._recorded(steps[result.key], result)
                         if record.is_written and self._store is None:
@@ -513,12 +511,12 @@ class _Batch:
                         if self._options.fail_fast and record.exit_status in (1, 2):
                             return
         finally:
-            # Also where noting fails: no worker goes on.
+            # Also if the manifest cannot be written: the workers must end.
             events.close()
 
     @contextmanager
     def _begun(self, steps: Sequence[Step]) -> Iterator[Callable[[str, bool], None]]:
-        """Note what is going to be written, as long as it is not in the manifest."""
+        """Keep a note of the outputs that are being written and are not in the manifest yet."""
         outputs = {step.output for step in steps}
         earlier = self._history.begun
         write_begun(self._out, outputs | earlier)
@@ -532,7 +530,7 @@ class _Batch:
         try:
             yield begin
         finally:
-            # What is not there is nobody's.
+            # Only outputs that exist stay in the note.
             left = {output for output in (earlier | running) - ended if self._is_there(output)}
             with suppress(OutputError):
                 if left:
@@ -542,7 +540,7 @@ class _Batch:
 
     @contextmanager
     def _folders(self, steps: Sequence[Step]) -> Iterator[None]:
-        """Make the folders of the outputs; those that stay empty are removed again."""
+        """Make the folders of the outputs; those that stay empty are removed at the end."""
         made: list[Path] = []
         interrupted = {Path(output).parent for output in self._history.begun}
         try:
@@ -553,7 +551,7 @@ class _Batch:
                         if folder in interrupted:
                             made.append(path)
                         continue
-                    # Where it cannot be made, the conversions into it say why.
+                    # If it cannot be made, the conversions that write into it report why.
                     with suppress(OSError):
                         path.mkdir()
                         made.append(path)
@@ -585,7 +583,7 @@ class _Batch:
         return Record(key=step.found.key, sources=paths, container=step.found.container, options=choice.digest, **known)
 
     def _refused(self, step: Step) -> Record:
-        """The line of a recording that cannot be converted."""
+        """Return the manifest's line for a recording that is refused."""
         assert step.error is not None
         earlier = step.record.output if step.record is not None else ""
         status = step.error.exit_status
@@ -599,7 +597,7 @@ class _Batch:
         )
 
     def _recorded(self, step: Step, result: Any) -> Record:
-        """The line of a recording that was converted, or not."""
+        """Return the manifest's line for a recording whose conversion has ended."""
         names = (
             "identity",
             "sha256",
@@ -624,7 +622,7 @@ class _Batch:
 
 
 def _known(history: History, stores: Stores) -> Known:
-    """What earlier runs have found, by path and identity."""
+    """Return a function that looks up recordings that earlier runs have found, by path and identity."""
     containers: dict[tuple[str, Any], str] = {}
     for record in history.records.values():
         if not record.container:
@@ -640,7 +638,7 @@ def _checksum(found: Found) -> str:
     try:
         return checksum_of(found.paths)
     except OSError:
-        # The conversion reports it.
+        # The conversion will report the error.
         return ""
 
 

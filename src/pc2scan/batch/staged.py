@@ -1,8 +1,8 @@
-"""Jobs whose sources or results are at URLs: copied here before a worker gets them, uploaded after.
+"""Jobs with sources or results at URLs: sources are downloaded before a worker begins, and results uploaded after.
 
-While workers convert, the next recordings are downloaded and the last results uploaded. What all of this takes on the
-local disk is set aside before it begins: the copies of a recording, and as much again for a result that is uploaded. A
-recording whose result needs more is tried again with all the room there is.
+While workers convert, the next recordings are downloaded and the last results uploaded. Space on the local disk is
+reserved before a download: the size of the sources, and as much again for a result that will be uploaded. A recording
+whose result needs more is tried again with all the space.
 """
 
 from __future__ import annotations
@@ -37,31 +37,31 @@ if TYPE_CHECKING:
 
 __all__ = ["is_remote", "jobs_here"]
 
-#: Bytes that a result may have beyond those of its sources: an index, definitions.
+#: Bytes by which a result may be larger than its sources: an index, message definitions.
 _BESIDE = 1_000_000
 
-#: Seconds for copies to end, after which the folder is removed nevertheless.
+#: Seconds that copying threads have to end. After that the folder is removed in any case.
 _PATIENCE = 5.0
 
-#: What jobs of several tasks in one process share, by folder and size.
+#: Space for copies, by folder and size. Dask tasks that run in one process share it.
 _rooms: dict[tuple[Path | None, int | None], Room] = {}
 _rooms_lock = RLock()
 
 
 class _StoppedError(Exception):
-    """Nobody wants the copy."""
+    """The queue was closed, so the copy is not needed."""
 
 
 @contextmanager
 def jobs_here(jobs: Sequence[Job], workers: int) -> Iterator[Queue]:
-    """Yield the queue of jobs; those at URLs are copied, and their results uploaded, as long as the context lasts.
+    """Yield the queue of jobs. While the context lasts, sources at URLs are copied, and results uploaded.
 
     Parameters
     ----------
     jobs
         In the order in which they begin.
     workers
-        How many convert; so many recordings are copied ahead.
+        The number of workers, and of recordings that are copied ahead.
     """
     if not any(is_remote(job) and not job.dry_run for job in jobs):
         yield Queue(jobs)
@@ -79,26 +79,26 @@ def jobs_here(jobs: Sequence[Job], workers: int) -> Iterator[Queue]:
 
 
 def is_remote(job: Job) -> bool:
-    """Whether a job reads or writes anything at a URL."""
+    """Return whether a job reads or writes anything at a URL."""
     others = job.request.options.frames.tf_from
     return any(map(is_url, (*map(Path, job.sources), Path(job.destination), *others)))
 
 
 @dataclass(slots=True, eq=False)
 class _Copy:
-    """A job, and what of it is here."""
+    """A job and its local copies."""
 
     job: Job
     folder: Path
     reserved: int = 0
-    #: Whether it has all the room there is.
+    #: Whether all the space is reserved for it.
     alone: bool = False
     identity: Identity | None = None
     names: Names = field(default_factory=Names)
 
 
 class _StagedQueue(Queue):
-    """Copies jobs ahead of the workers."""
+    """Copies the sources of jobs ahead of the workers."""
 
     def __init__(self, jobs: Sequence[Job], workers: int, folder: Path, room: Room) -> None:
         super().__init__(())
@@ -120,25 +120,25 @@ class _StagedQueue(Queue):
 
     @property
     def is_open(self) -> bool:
-        """Whether there is anything left to do here."""
+        """Whether anything is left to do besides the jobs that workers have."""
         with self._lock:
             return bool(len(self) or self._uploading)
 
     def begin(self, post: Callable[[Event | None], None]) -> None:
-        """Start copying; ``post`` is called by any thread with what happens, None to look again."""
+        """Start copying; ``post``, which any thread may call, takes events, and None if another job is ready."""
         super().begin(post)
         self._room.listeners.append(self.look)
         self.look()
 
     def take(self) -> Job | None:
-        """Return the next job that is here; None while there is none."""
+        """Return the next job whose sources are copied; None while there is none."""
         with self._lock:
             job = super().take()
         self.look()
         return job
 
     def done(self, result: Result) -> Result | None:
-        """Upload a result; None until that is done."""
+        """Begin to upload a result, and return None; a result that needs no upload is returned."""
         copy = self._copies[result.key]
         if (result.error or {}).get("class") == ScratchError.__name__ and not copy.alone:
             with self._lock:
@@ -165,7 +165,7 @@ class _StagedQueue(Queue):
                 self._release(copy)
 
     def look(self) -> None:
-        """Copy the next ones, as far as there is room."""
+        """Begin to copy the next recordings, as far as there is space."""
         with self._lock:
             while self._waiting and not self._closed and self._loading + len(self._ready) < self._ahead:
                 copy = self._waiting[0]
@@ -189,7 +189,7 @@ class _StagedQueue(Queue):
                 self._start(self._load, copy)
 
     def _needed(self, job: Job) -> tuple[int, int]:
-        """Bytes of the copies of a job, and those that are set aside for its result."""
+        """Return the bytes of the copies of a job, and the bytes that are reserved for its result."""
         from pc2scan.remote.store import Place  # noqa: PLC0415  # loads fsspec
 
         needed = job.size_bytes if any(is_url(Path(path)) for path in job.sources) else 0
@@ -212,7 +212,7 @@ class _StagedQueue(Queue):
             raise _StoppedError
 
     def _load(self, copy: _Copy) -> None:
-        """Copy a recording: runs in a thread."""
+        """Copy the sources of a job. Runs in a thread."""
         try:
             job = self._copied(copy)
             self._check()
@@ -220,7 +220,7 @@ class _StagedQueue(Queue):
             return
         except Exception as err:  # noqa: BLE001  # one recording must not end the others
             error = (
-                err if isinstance(err, Pc2ScanError) else OutputError(f"its local copy: {type(err).__name__}: {err}")
+                err if isinstance(err, Pc2ScanError) else OutputError(f"cannot be copied: {type(err).__name__}: {err}")
             )
             result = self._ended(copy, _failed(copy, error))
             with self._lock:
@@ -264,20 +264,24 @@ class _StagedQueue(Queue):
         destination, most = job.destination, None
         if is_url(Path(destination)):
             place = Place(Path(destination))
-            # Those of a killed worker, which tries it again.
+            # Where the worker writes the result, which is uploaded from there.
             (copy.folder / "out").mkdir(parents=True)
             copy.names.add(copy.folder / "out", place.parent)
             destination, most = str(copy.folder / "out" / place.name), (str(copy.folder), copy.reserved)
         return replace(job, sources=tuple(map(str, sources)), destination=destination, request=request, room=most)
 
     def _upload(self, copy: _Copy, result: Result) -> None:
-        """Upload a result: runs in a thread."""
+        """Upload a result. Runs in a thread."""
         try:
             result = replace(result, output_identity=self._uploaded(copy))
         except _StoppedError:
             return
         except Exception as err:  # noqa: BLE001  # one recording must not end the others
-            error = err if isinstance(err, Pc2ScanError) else OutputError(f"{type(err).__name__}: {err}")
+            error = (
+                err
+                if isinstance(err, Pc2ScanError)
+                else OutputError(f"cannot be uploaded: {type(err).__name__}: {err}")
+            )
             result = replace(
                 _failed(copy, error), started=result.started, seconds=result.seconds, attempts=result.attempts
             )
@@ -287,12 +291,12 @@ class _StagedQueue(Queue):
             self._post(Ended(result))
 
     def _uploaded(self, copy: _Copy) -> Identity:
-        """Upload what was written, complete or not at all; return its identity."""
+        """Upload the result, complete or not at all; return its identity."""
         from pc2scan.remote.store import Place  # noqa: PLC0415  # loads fsspec
 
         target = Place(Path(copy.job.destination))
         folder = Place(Path(copy.job.destination.rstrip("/").rpartition("/")[0]))
-        # The first of several parts is the last to appear, and to go: where it is, all are.
+        # From the last part to the first: if the first part exists, all parts exist.
         made = [copy.folder / "out" / name for name in in_order(p.name for p in (copy.folder / "out").iterdir())][::-1]
         output = target.name
         if made and target.name not in {path.name for path in made}:
@@ -317,14 +321,14 @@ class _StagedQueue(Queue):
                     done.append(folder.upload_file(path, path.name, self._check))
                     objects[path.name] = place.stated()
         except BaseException:
-            # Of files that are one recording, none is left.
+            # If the recording has several files, none of them stays.
             if len(made) > 1:
                 folder.remove(done)
             raise
         return identity_in(objects, output)
 
     def _remove_parts(self, folder: Place, output: str, made: Sequence[Path], *, replaces: bool) -> None:
-        """Remove the parts of an earlier result that the new ones do not replace."""
+        """Remove the parts of an earlier result that have no new part of the same name."""
         there = parts_among((name for name in folder.below() if "/" not in name), output)
         if there and not replaces:
             shown = folder.child(there[0]).shown
@@ -333,7 +337,7 @@ class _StagedQueue(Queue):
             folder.child(name).delete()
 
     def _ended(self, copy: _Copy, result: Result) -> Result:
-        """Remove the copies, and show URLs in a result."""
+        """Remove the copies, and replace their paths in the result by URLs."""
         shown: Result = copy.names.of(replace(result, identity=copy.identity or result.identity))
         with self._lock:
             self._release(copy)

@@ -1,8 +1,8 @@
-"""A batch at URLs: local stand-ins in which recordings are found, and the folder of the results in a store.
+"""Sources and destinations of a batch at URLs: local stand-ins of the sources, and the folder of the results.
 
-Recordings are found, and plans made, in a tree of files of which only what is looked at is fetched: there
-``s3://drives/a.bag`` is ``<folder>/s3/drives/a.bag``. The folder of the results is in the tree, too, and has the
-manifest.
+A local tree of files stands in for what is at URLs: ``s3://drives/a.bag`` is ``<folder>/s3/drives/a.bag``. Recordings
+are found in it, and plans are made for it. Only bytes that are read are fetched. The folder of the results has a copy
+in the tree, too, with the manifest.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _GLOB = frozenset("*?[")
 #: The lock of a folder in a store.
 _LOCK = ".pc2scan-lock"
 
-#: Seconds between two signs of life of the run that holds it, and after which one without is taken for killed.
+#: Seconds between two signs of life of the run that holds the lock, and after how many without one it counts as dead.
 _ALIVE_SECONDS = 20.0
 _DEAD_SECONDS = 70.0
 
@@ -48,24 +48,24 @@ _PUSH_SECONDS = 10.0
 
 
 class Stores:
-    """The tree of what is at URLs.
+    """The local tree that stands in for what is at URLs.
 
     Parameters
     ----------
     scratch
-        Where local copies are; None: in the system's folder for temporary files.
+        The folder for local copies; None: the system's folder for temporary files.
 
     Attributes
     ----------
     names
-        Shows URLs for what is in the tree.
+        Replaces paths in the tree by URLs in texts for users.
     """
 
     def __init__(self, scratch: Path | None) -> None:
         self._scratch = scratch
         self._stack = ExitStack()
         self._tree: Path | None = None
-        #: With all that is secret in them, by the path in the tree.
+        #: URLs by their paths in the tree, including secrets such as signatures.
         self._urls: dict[Path, str] = {}
         self._made: list[Path] = []
         self._out: Path | None = None
@@ -82,7 +82,7 @@ class Stores:
         self._stack.close()
 
     def located(self, text: str) -> str:
-        """Return the path of a source: that in the tree for a URL, with stand-ins of what is there.
+        """Return the local path of a source; for a URL, make stand-ins of what is there.
 
         Raises
         ------
@@ -92,7 +92,7 @@ class Stores:
         return self._listed(url_of(Path(text))) if is_url(Path(text)) else text
 
     def beside(self, path: Path, name: str) -> str:
-        """Return what a relative path in a file means: a URL, if the file is at one."""
+        """Resolve a path that a list of paths contains; if the list is at a URL, the result is a URL, too."""
         if is_url(Path(name)) or not self.is_remote(path):
             return name if is_url(Path(name)) else str(path.parent / name)
         return f"{self.url_of(path).partition('?')[0].rpartition('/')[0]}/{name}"
@@ -107,16 +107,16 @@ class Stores:
         return str(absolute)
 
     def shown(self, path: Path) -> str:
-        """Return the URL of a path in the tree as users see it; another path is made absolute."""
+        """Return the URL of a path in the tree without secrets; another path is made absolute."""
         url = self.url_of(path)
         return shown_url(url) if is_url(Path(url)) else url
 
     def is_remote(self, path: Path) -> bool:
-        """Whether a path is in the tree."""
+        """Return whether a path is in the tree."""
         return self._tree is not None and path.is_relative_to(self._tree)
 
     def complete(self, path: Path) -> None:
-        """Fetch what must be there as a whole before a recording is opened."""
+        """Fetch files that must be complete before a recording can be opened, such as databases."""
         if self._tree is not None:
             from pc2scan.remote.ranges import complete  # noqa: PLC0415  # loads fsspec
 
@@ -124,7 +124,7 @@ class Stores:
 
     @contextmanager
     def naming(self) -> Iterator[None]:
-        """Show URLs in the errors of the body."""
+        """Replace paths in the tree by URLs in errors that the body raises."""
         try:
             yield
         except Pc2ScanError as err:
@@ -132,7 +132,7 @@ class Stores:
             raise
 
     def forget(self) -> None:
-        """Remove the stand-ins: once recordings are found, nothing reads them."""
+        """Remove the stand-ins. They are not needed after the recordings are found."""
         for path in self._made:
             on_demand.pop(path, None)
             versions.pop(str(path), None)
@@ -159,7 +159,7 @@ class Stores:
         return self._tree.parent
 
     def _path_of(self, place: Place, url: str) -> Path:
-        """The path in the tree for a URL, which is noted."""
+        """Return the path in the tree for a URL, and note the URL."""
         parts = urlsplit(place.shown)
         root = self.folder() / "tree" / parts.scheme / (parts.netloc or "_")
         self.names.add(root, f"{parts.scheme}://{parts.netloc}")
@@ -168,7 +168,7 @@ class Stores:
         return path
 
     def _listed(self, url: str) -> str:
-        """Make stand-ins of all that a source may be."""
+        """Make stand-ins of everything that a source may refer to."""
         from pc2scan.remote.store import Place  # noqa: PLC0415  # loads fsspec
 
         base, pattern = url, ""
@@ -178,13 +178,13 @@ class Stores:
         place = Place(Path(base))
         path = self._path_of(place, base)
         if path == self._out or (self._out is not None and path.is_relative_to(self._out)):
-            # It is refused there.
+            # `find` refuses it.
             return str(path) + pattern
         objects = {} if place.is_read_only else place.below()
         if objects:
             for below, found in objects.items():
                 parts = below.split("/")
-                # Hidden names, and those that would lead elsewhere.
+                # Not hidden names, and not `.` or `..`, which would lead elsewhere.
                 if all(parts) and not any(part.startswith(".") for part in parts):
                     self._stand_in(place.child(below), path / below, found)
         elif not pattern:
@@ -205,22 +205,22 @@ class Stores:
             stand_in(place, path, found.size)
         except (FileExistsError, NotADirectoryError) as err:
             raise RecordingError(
-                "is a file, and the folder of others", path=place.shown, hint="name the folders below it"
+                "is both a file and a folder with files", path=place.shown, hint="give the folders below it as sources"
             ) from err
         except OSError as err:
             raise UsageError(f"`scratch`: {self._scratch or 'the folder'} cannot be written: {err.strerror}") from err
 
 
 class Output:
-    """The folder of a batch in a store.
+    """The folder of the results in a store.
 
-    Its manifest, and the note of what is being written, are files here that are uploaded: now and then while
-    recordings are converted, and at the end.
+    The manifest and the note of outputs that are being written are local files. They are uploaded from time to time
+    while recordings are converted, and at the end.
 
     Attributes
     ----------
     folder
-        With these files.
+        The local folder with these files.
     """
 
     def __init__(self, place: Place, folder: Path) -> None:
@@ -240,28 +240,28 @@ class Output:
                 (self.folder / name).write_bytes(data)
 
     def present(self, output: str) -> Identity:
-        """Return the identity of what was at a place below the folder when it was listed first."""
+        """Return the identity that an output had when the folder was listed first."""
         if self._objects is None:
             self._objects = self._place.below()
         return identity_in(self._objects, output)
 
     def exists(self, output: str) -> bool:
-        """Whether anything is at a place now."""
+        """Return whether an output exists now."""
         return bool(identity_in(self._place.child(output.rpartition("/")[0]).below(), output.rpartition("/")[2]).files)
 
     def push(self, *, at_once: bool = False) -> None:
-        """Upload what has changed of the files, if it is time.
+        """Upload the files that have changed, if the last upload is long enough ago.
 
         Raises
         ------
         DestinationError
-            If another run has taken the folder over.
+            If another run has taken over the folder.
         OutputError
             If they cannot be written.
         """
         if self._lost.is_set():
             raise DestinationError(
-                "another batch has taken this folder over: this run gave no sign of life for a while",
+                "another batch has taken over this folder, because this run gave no sign of life for a while",
                 path=self._place.shown,
             )
         began = time.monotonic()
@@ -280,7 +280,7 @@ class Output:
 
     @contextmanager
     def locked(self) -> Iterator[None]:
-        """Hold the lock: an object that only one run can create, with signs of life in it.
+        """Hold the lock: an object that only one run can create, and which it rewrites regularly as a sign of life.
 
         Raises
         ------
@@ -294,7 +294,7 @@ class Output:
 
         def live() -> None:
             while not ended.wait(_ALIVE_SECONDS):
-                # A network that fails for a while is no reason to end.
+                # The network may fail for a while.
                 with suppress(Pc2ScanError):
                     if json.loads(lock.read() or b"{}").get("run") != sign["run"]:
                         self._lost.set()
@@ -326,7 +326,7 @@ class Output:
             if _is_dead_here(other) or time.monotonic() > deadline:
                 lock.delete()
             elif other.get("host") == sign["host"] and other.get("pid"):
-                # It lives.
+                # The run that holds the lock is a process of this machine, and is alive.
                 raise self._busy(other)
             else:
                 seen = found
@@ -340,7 +340,7 @@ class Output:
 
 
 def identity_in(objects: dict[str, Object], output: str) -> Identity:
-    """Return the identity of a file, of a folder, or of numbered files, among the objects of a store."""
+    """Return the identity of an output (a file, a folder, or numbered files) from a listing of the store."""
     if is_numbered(output):
         parts = parts_among(objects, output)
         return Identity(tuple((key.rpartition("/")[2], *objects[key]) for key in parts))
@@ -360,7 +360,7 @@ def _lock_of(data: bytes) -> dict[str, object]:
 
 
 def _is_dead_here(other: dict[str, object]) -> bool:
-    """Whether the run that holds a lock was on this machine, and has ended."""
+    """Return whether the run that holds the lock was on this machine and has ended."""
     pid = other.get("pid")
     if other.get("host") != socket.gethostname() or not isinstance(pid, int) or os.name == "nt":
         return False

@@ -1,4 +1,4 @@
-"""What a batch did: one structure that the tables, the report's files and the exit status all read."""
+"""The report of a batch: the structure from which tables, report files and the exit status are made."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ if TYPE_CHECKING:
 
 __all__ = ["BEGINNINGS", "BatchReport", "Facts", "Outcome", "report_text"]
 
-#: Outcomes from bad to good, which is the order in which recordings are shown.
+#: Outcomes from bad to good. Recordings are shown in this order.
 _ORDER = ("died", "failed", "not begun", "empty", "incomplete", "converted", "skipped")
 
 #: Outcomes that make the exit status 1, and 3.
 _BAD, _ODD = frozenset({"died", "failed", "not begun"}), frozenset({"empty", "incomplete"})
 
-#: Recordings that are shown as text; the report's file and the manifest have all of them.
+#: Maximum number of recordings in the table on the screen. The report's file and the manifest have all of them.
 _MAX_SHOWN = 30
 
 #: Columns of the report's table.
@@ -47,7 +47,7 @@ _COLUMNS = (
     ("error", "error"),
 )
 
-#: What reports begin with, by suffix: such a file may be replaced by another report.
+#: The first bytes of reports, by suffix. Only a file that begins with them is replaced by another report.
 BEGINNINGS = {
     ".json": b'{\n  "pc2scan": "',
     ".csv": (",".join(heading for heading, _ in _COLUMNS)).encode(),
@@ -56,7 +56,7 @@ BEGINNINGS = {
 
 
 class Facts(NamedTuple):
-    """What the report of a conversion, or of an export, says in numbers; ``damage`` in words."""
+    """The numbers of a conversion's or an export's report; ``damage`` is text."""
 
     scans: int = 0
     empty_scans: int = 0
@@ -66,7 +66,7 @@ class Facts(NamedTuple):
 
     @classmethod
     def of(cls, report: Mapping[str, Any]) -> Facts:
-        """Read a report; an empty one has none."""
+        """Read a report; all are zero if it is empty."""
         topics = report.get("topics", ())
         warnings = len(report.get("warnings", ()))
         if "format" in report:
@@ -84,7 +84,7 @@ class Facts(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
-    """What became of one recording.
+    """The outcome of one recording.
 
     Attributes
     ----------
@@ -95,17 +95,17 @@ class Outcome:
     why
         The reason.
     outcome
-        As that of a `pc2scan.batch.manifest.Record`; or ``skipped``, or ``not begun``, because the run ended before.
+        As in a `pc2scan.batch.manifest.Record`; or ``skipped``; or ``not begun``, if the run ended before that.
     exit_status
-        What `pc2scan convert` would have ended with.
+        The exit status that `pc2scan convert` would have had.
     output
-        Where the result is, below the folder of the batch; empty for none.
+        The path of the result, relative to the folder of the batch; empty for none.
     scans, empty_scans
         Messages that were converted, and how many of them have no return.
     skipped, damaged, warnings
-        Messages that are missing in the result; damaged places of the source; warnings.
+        Numbers of messages that are missing in the result, of damaged places in the source, and of warnings.
     bytes_read, bytes_written, seconds, attempts
-        Of the conversion.
+        As the conversion reports them.
     error
         Why it failed; empty if it did not.
     """
@@ -129,7 +129,7 @@ class Outcome:
 
     @classmethod
     def of(cls, step: Step, record: Record | None) -> Outcome:
-        """Return the outcome of a step of the plan, with the line of the manifest that it has led to."""
+        """Return the outcome of a step of the plan, given its line of the manifest."""
         if step.action == "skip":
             return cls(key=step.found.key, action="skip", why=step.why, outcome="skipped")
         if record is None:
@@ -157,12 +157,12 @@ class Outcome:
 
     @property
     def rank(self) -> tuple[int, bool, bool]:
-        """The key of an order in which the odd ones come first."""
+        """The sorting key that puts bad outcomes first."""
         return _ORDER.index(self.outcome), not self.empty_scans, not self.warnings
 
     @property
     def remark(self) -> str:
-        """What is special, in some words."""
+        """A short text on what is special: skipped messages, damage, warnings."""
         if self.error:
             return self.error
         counted = ((self.skipped, "skipped"), (self.damaged, "damaged"), (self.warnings, "warnings"))
@@ -171,24 +171,24 @@ class Outcome:
 
 @dataclass(slots=True, repr=False)
 class BatchReport(Shown):
-    """What happened in a batch.
+    """The report of a batch.
 
     Attributes
     ----------
     destination
-        The folder.
+        The folder of the results.
     outcomes
         One for each recording, in the order of their names.
     dry_run
-        Whether nothing was written: outcomes are forecasts, and sizes estimates.
+        Whether it was a dry run: outcomes are forecasts, and sizes are estimates.
     seconds
-        How long it took.
+        The duration of the run.
     workers
         How many recordings were converted at a time; 0 if there were none.
     estimate_seconds
-        Of a dry run: how long the conversions would take on this machine; None if nobody knows.
+        For a dry run: how long the conversions would take on this machine; None if that cannot be estimated.
     warnings
-        What a user should know though nothing failed.
+        Warnings.
     """
 
     destination: Path | str
@@ -221,7 +221,7 @@ class BatchReport(Shown):
         return f"<BatchReport on {str(self.destination)!r}: {counts or 'nothing'}, exit status {self.exit_status}>"
 
     def tables(self, most: int | None = _MAX_SHOWN) -> Iterator[str | Table]:
-        """Yield the recordings, the odd ones first, and the total."""
+        """Yield the recordings, bad outcomes first, and the total."""
         ordered = sorted(self.outcomes, key=lambda outcome: outcome.rank)
         listed = ordered[:most]
         if listed:
@@ -300,7 +300,7 @@ class BatchReport(Shown):
 
 
 def report_text(report: BatchReport, suffix: str) -> str:
-    """Return a report as the text of a file with this suffix: a key of `BEGINNINGS`."""
+    """Return a report as the text of a file; ``suffix`` is a key of `BEGINNINGS`."""
     if suffix == ".json":
         import json  # noqa: PLC0415  # only where it is asked for
 
@@ -328,6 +328,6 @@ def _markdown(report: BatchReport, headings: Sequence[str], rows: Sequence[Seque
 
 
 def _cell(text: str) -> str:
-    # Names come from recordings and folders: nothing of them is markup.
+    # Names come from recordings and folders. Escaped, they cannot be taken for markup.
     escaped = "".join(f"\\{c}" if c in "\\`*_{}[]<>#|~" else c for c in text)
     return "".join(c if c.isprintable() else " " for c in escaped)

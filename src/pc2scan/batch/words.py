@@ -1,4 +1,4 @@
-"""The words of a dataset file: the options of a conversion, what each may be, and as a JSON schema."""
+"""The options that a dataset file may have: their types, descriptions, and the JSON schema that is made of them."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ class Word:
     kind
         ``flag``, ``number``, ``text``, ``texts`` (one or a list), ``path`` or ``paths``; ``value`` is a number or text.
     what
-        What it means.
+        A description.
     choices
-        What it may be; empty for anything.
+        Allowed values; empty if any value is allowed.
     """
 
     kind: str
@@ -46,7 +46,7 @@ def _parameter_words() -> dict[str, Word]:
 #: Every option of a conversion that a dataset file may have.
 WORDS: dict[str, Word] = {
     "topics": Word("texts", "Topics to convert, and the topics of their scans: /points:=/scan."),
-    "keep": Word("texts", "Of all topics that are not converted, write only these (names or globs)."),
+    "keep": Word("texts", "Write only these of the topics that are not converted (names or globs)."),
     "drop": Word("texts", "Do not write these topics (names or globs)."),
     "keep_clouds": Word("flag", "Write the converted clouds too."),
     "remove": Word("texts", "Remove beams that are shadows or speckles: shadows, speckles filter_window=3."),
@@ -56,18 +56,18 @@ WORDS: dict[str, Word] = {
     "end": Word("value", "End time (exclusive), in the form of start."),
     "scans": Word("path", "A file with several outputs, each with options of its own. Relative to the dataset file."),
     "level": Word("flag", "Make scans in a frame without roll and pitch, by fixed_frame or imu."),
-    "imu": Word("text", "With level: the IMU that knows which way is up, TOPIC or TOPIC:FRAME."),
+    "imu": Word("text", "With level: the IMU that measures the direction of up, TOPIC or TOPIC:FRAME."),
     "params_file": Word("path", "A ROS parameter file or an XML launch file. Relative to the dataset file."),
     "launch_args": Word("texts", "Arguments of the launch file: name:=value."),
-    "node": Word("text", "Whose section of the parameter file, or which node of the launch file."),
-    "param": Word("texts", "Parameters in ROS's notation: name:=value."),
-    "remap": Word("texts", "ROS's remappings: cloud_in:=/points."),
-    "preset": Word("text", "Parameters for a consumer of the scans.", tuple(PRESETS)),
-    "where": Word("texts", "Use only points whose fields fulfil this: ring in (3, 4, 5)."),
+    "node": Word("text", "The node whose parameters are read from the parameter file or the launch file."),
+    "param": Word("texts", "Parameters in ROS notation: name:=value."),
+    "remap": Word("texts", "Remappings in ROS notation: cloud_in:=/points."),
+    "preset": Word("text", "Parameters that suit a consumer of the scans.", tuple(PRESETS)),
+    "where": Word("texts", "Use only points whose fields fulfil a condition: ring in (3, 4, 5)."),
     "exclude_box": Word("texts", "Reject points in a box: frame x0 x1 y0 y1 z0 z1."),
     "exclude_polygon": Word("texts", "Reject points above, below and in a polygon: frame x0 y0 x1 y1 x2 y2 ..."),
     "min_height_slope": Word("number", "Reject points below min_height + this * range."),
-    "ground": Word("text", "Whether points on the ground are used.", ("keep", "remove")),
+    "ground": Word("text", "Keep or remove points on the ground.", ("keep", "remove")),
     "static_tf": Word("texts", "Add transforms: parent child x y z roll pitch yaw."),
     "static_tf_file": Word("path", "A YAML list of such transforms. Relative to the dataset file."),
     "write_static_tf": Word("flag", "Write the added transforms to /tf_static."),
@@ -80,15 +80,17 @@ WORDS: dict[str, Word] = {
         "text", "Field with the times of points, and its unit: t or t:ns; or azimuth, or azimuth:0.1:cw:end."
     ),
     "stamp": Word("text", "The time of a deskewed scan.", ("header", "start", "middle", "end")),
-    "lead": Word("text", "Of topics that become one scan, the one whose stamps it has. Default: the first."),
-    "window": Word("value", "Stamps of the others may be so far from it. Default: half the median period."),
-    "accumulate": Word("value", "All points of the last seconds in each scan; or of the last clouds: 10clouds."),
-    "every": Word("value", "One scan for each so many seconds, instead of one for each cloud."),
+    "lead": Word("text", "When several topics become one scan: the topic whose stamps it has. Default: the first."),
+    "window": Word(
+        "value", "Maximum difference between its stamp and those of the others. Default: half the median period."
+    ),
+    "accumulate": Word("value", "Each scan has all points of the last seconds, or of the last clouds: 10clouds."),
+    "every": Word("value", "Make a scan once in this many seconds, instead of one for each cloud."),
     "rebin": Word("flag", "Convert LaserScan to LaserScan."),
     "reverse": Word("flag", "Convert LaserScan to PointCloud2."),
-    "channels": Word("texts", "Further fields of the clouds that reverse makes.", ("distances", "stamps", "viewpoint")),
-    "range_cutoff": Word("number", "Of reverse: keep only returns nearer than this, metres."),
-    "on_error": Word("text", "For messages that cannot be converted.", ("skip", "fail")),
+    "channels": Word("texts", "With reverse: further fields of the clouds.", ("distances", "stamps", "viewpoint")),
+    "range_cutoff": Word("number", "With reverse: keep only returns nearer than this, in metres."),
+    "on_error": Word("text", "What to do if a message cannot be converted.", ("skip", "fail")),
     "fail_on": Word("text", "Fail if a scan has no return, or for any warning.", ("empty", "warning")),
     "min_used": Word("number", "Fail if less than this share of a topic's points, 0 to 1, is in its scans."),
     "verify": Word("flag", "Compare the CRCs of MCAP files."),
@@ -99,16 +101,16 @@ WORDS: dict[str, Word] = {
         ("npz", "csv", "tum", "carmen", "flaser", "pcd", "kitti"),
     ),
     "pose_frame": Word("text", "With export: write the robot's pose in this frame (odom, map) at each stamp."),
-    "base_frame": Word("text", "With export: whose pose."),
+    "base_frame": Word("text", "With export: the frame of the robot, whose pose is written."),
     "odom_topic": Word("text", "With export: take the poses from this nav_msgs/Odometry topic."),
-    "to": Word("text", "Format of the output. Default: the source's.", tuple(TO)),
+    "to": Word("text", "Format of the output. Default: that of the source.", tuple(TO)),
     "storage": Word("text", "Storage of a rosbag2 directory.", ("mcap", "sqlite3")),
     "compression": Word("text", "Compression of the output.", ("none", "lz4", "zstd", "bz2")),
     "profile": Word("text", "ROS version of an .mcap file.", ("ros1", "ros2")),
     "metadata_version": Word("number", "Version of a rosbag2 directory's metadata.yaml, 8 or 9."),
-    "split": Word("text", "Write several files, by time (60s, 10min) or size (500MB, 1GiB)."),
+    "split": Word("text", "Split the output into several files, by time (60s, 10min) or size (500MB, 1GiB)."),
     "repeat_latched": Word("flag", "With split: repeat latched messages and static transforms in each file."),
-    "ros_distro": Word("text", "ROS distribution with the message definitions that a recording lacks."),
+    "ros_distro": Word("text", "ROS distribution whose message definitions are used if the recording has none."),
     **_parameter_words(),
 }
 

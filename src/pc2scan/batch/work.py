@@ -1,4 +1,4 @@
-"""Converts one recording of a batch, in whatever process: a job becomes a result, and errors are part of it."""
+"""Converts one recording of a batch in any process: a job becomes a result, which includes errors."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ _OUTCOMES = {0: "converted", 3: "incomplete", 4: "empty"}
 
 
 class Step(Protocol):
-    """A part of a conversion that a process of its own does; see `pc2scan.batch.cutting`."""
+    """A part of a conversion that runs as a job of its own; see `pc2scan.batch.cutting`."""
 
     def do(self, job: Job, progress: Callable[[int, int, int], None] | None) -> Any:
-        """Do it, and return what `Result.made` is."""
+        """Run the step; what it returns becomes `Result.made`."""
         ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Job:
-    """A recording to be converted: all that another process needs to know.
+    """A recording to be converted, with everything that another process needs for it.
 
     Attributes
     ----------
@@ -49,29 +49,29 @@ class Job:
     sources, destination
         Absolute paths, or URLs.
     request
-        What is asked for.
+        The conversion that is requested.
     size_bytes
-        Of the sources.
+        The size of all sources together.
     replaces
-        Whether what is at the destination may be replaced.
+        Whether an existing output may be replaced.
     threads
-        How many threads convert.
+        The number of threads of the conversion.
     checksum
-        Whether the result has the checksum of the sources.
+        Whether the checksum of the sources is computed.
     dry_run
-        Whether nothing is written, and the result is a forecast.
+        Whether nothing is written; the result is then a forecast.
     shown
-        Whether the result has the report as text, too.
+        Whether the result includes the report as text.
     scratch, scratch_size
-        Where local copies of what is at URLs are, and how many bytes of them there may be.
+        The folder for local copies of recordings at URLs, and how many bytes they may take.
     room
-        The folder of the copies and of a result that is uploaded, and how many bytes may be in it; None for any.
+        The folder with the copies and a result that is to be uploaded, and how many bytes it may have; None: no limit.
     step
-        The part of the conversion that is to be done; None for all of it.
+        The part of the conversion that is to be run; None for all of it.
     """
 
     key: str
-    # URLs may have secrets in them, and jobs are shown in the logs of a cluster.
+    # Not in the repr: URLs may contain secrets, and a cluster writes jobs into its logs.
     sources: tuple[str, ...] = field(repr=False)
     destination: str = field(repr=False)
     request: Request
@@ -89,9 +89,9 @@ class Job:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Result:
-    """What became of a job: the attributes of a `pc2scan.batch.manifest.Record` that only the conversion knows.
+    """The result of a job: the attributes of a `pc2scan.batch.manifest.Record` that only the conversion knows.
 
-    ``text`` is the report for people, if the job asked for it; ``made`` is what a step returns.
+    ``text`` is the report as text if the job requests it; ``made`` is what a step returns.
     """
 
     key: str
@@ -115,7 +115,7 @@ def outcome_of(exit_status: int) -> str:
 
 
 def convert_one(job: Job, progress: Callable[[int, int, int], None] | None = None) -> Result:
-    """Convert a recording; whatever goes wrong with it is in the result.
+    """Convert a recording. Errors do not raise; they are part of the result.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ def convert_one(job: Job, progress: Callable[[int, int, int], None] | None = Non
 
 
 def _at_urls(job: Job, progress: Callable[[int, int, int], None] | None) -> Result:
-    """Look into recordings of which only ranges are read: a dry run; all else is copied before it comes here."""
+    """Do a dry run of recordings at URLs, of which only ranges are read. Real conversions get local copies instead."""
     from pc2scan.remote.ranges import nearby  # noqa: PLC0415  # loads fsspec
 
     assert job.dry_run
@@ -190,13 +190,13 @@ def _at_urls(job: Job, progress: Callable[[int, int, int], None] | None) -> Resu
 def _done(
     job: Job, sources: list[Path], destination: Path, progress: Callable[[int, int, int], None] | None
 ) -> Report | ExportReport:
-    """Convert or export; raises what that raises."""
+    """Convert or export; raises the errors of that."""
     request = job.request
     options = replace(request.options, jobs=job.threads)
     if job.dry_run and request.export is not None and not request.export.converting:
         return _looked_into(job, sources)
     if request.export is None or job.dry_run:
-        # Scans that would be exported are those that would be converted.
+        # The forecast of an export that converts clouds is the forecast of the conversion.
         output = request.output._replace(overwrite=job.replaces, dry_run=job.dry_run)
         return run(
             sources,
@@ -213,7 +213,7 @@ def _done(
 
 
 def _looked_into(job: Job, sources: list[Path]) -> ExportReport:
-    """Open a recording of which messages would be exported as they are."""
+    """Open a recording whose scans or clouds would be exported without conversion, and report what would be read."""
     from pc2scan.export.report import ExportReport  # noqa: PLC0415  # most batches write recordings
 
     options = job.request.options
@@ -225,7 +225,7 @@ def _looked_into(job: Job, sources: list[Path]) -> ExportReport:
 
 
 def _identity(destination: Path, report: Mapping[str, Any] | None) -> Identity:
-    """Of what was written: a file, a directory, or numbered files."""
+    """Return the identity of the output: a file, a directory, or numbered files."""
     files = (report or {}).get("files") or ()
     return identity_of(map(Path, files) if files and not destination.is_dir() else [destination])
 

@@ -1,8 +1,8 @@
 """A worker process of a batch: converts one recording after the other until its standard input ends.
 
-It is a new interpreter that imports nothing of the parent's program, so that a script without
-``if __name__ == "__main__"``, and a notebook, can start it. Its input ends when the parent closes it, or dies: then the
-conversion is interrupted, removes what it has written, and the process ends.
+It is a new interpreter that does not import the parent's program, so that a notebook, or a script without
+``if __name__ == "__main__"``, can start it. Its input ends when the parent closes it or dies. Then the conversion is
+interrupted, its unfinished output is removed, and the process ends.
 """
 
 from __future__ import annotations
@@ -30,23 +30,23 @@ __all__ = ["main"]
 #: Seconds between two messages about progress.
 _PROGRESS_SECONDS = 0.1
 
-#: Seconds until a process ends that cannot be interrupted.
+#: Seconds after which the process is ended even if its conversion does not react to the interrupt.
 _PATIENCE = 10.0
 
 
 class _Ending:
-    """Ends this process when its parent is gone."""
+    """Ends this process when its input ends: the parent has closed it or died."""
 
     def __init__(self) -> None:
         self.begun = False
-        # Ctrl-C reaches every process of the terminal; the parent decides what it means.
+        # A terminal sends Ctrl-C to all of its processes. It is ignored here: the parent handles it.
         signal.signal(signal.SIGINT, self._interrupted)
         if hasattr(signal, "pthread_sigmask"):
-            # Workers of a Dask cluster on this machine have it blocked.
+            # Workers of a Dask cluster on this machine block the signal.
             signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
 
     def begin(self) -> None:
-        """Interrupt the conversion; called by the thread that reads."""
+        """Interrupt the conversion; called by the thread that reads the input."""
         self.begun = True
         watch = threading.Timer(_PATIENCE, os._exit, (1,))
         watch.daemon = True
@@ -71,7 +71,7 @@ def _read(stream: BinaryIO, jobs: SimpleQueue[Any], ending: _Ending) -> None:
 
 
 class _Progress:
-    """Tells the parent how far a conversion is, now and then."""
+    """Sends the progress of a conversion to the parent from time to time."""
 
     def __init__(self, stream: BinaryIO, key: str) -> None:
         self._stream = stream
@@ -95,9 +95,9 @@ def _serve(jobs: SimpleQueue[Any], answers: BinaryIO) -> None:
 
 
 def main() -> None:
-    """Serve the parent."""
+    """Convert the jobs that the parent sends."""
     ending = _Ending()
-    # Answers have a descriptor of their own: whatever a library prints goes to standard error.
+    # Answers use a copy of standard output. What libraries print goes to standard error, so it cannot mix with them.
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     jobs: SimpleQueue[Any] = SimpleQueue()
@@ -106,7 +106,7 @@ def main() -> None:
         keep_freed_memory()
         _serve(jobs, answers)
     except (KeyboardInterrupt, BrokenPipeError):
-        # The parent has ended, or does not want the result.
+        # The parent has ended, or has interrupted the conversion.
         pass
-    # What threads still do is of no use to anybody, and everything that was written is removed or complete.
+    # Does not wait for threads: their work is not needed any more, and all output is complete or removed.
     os._exit(0)

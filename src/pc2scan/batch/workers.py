@@ -1,6 +1,7 @@
-"""Worker processes on this machine: jobs go in, events come out, in whatever order.
+"""Runs jobs in worker processes on this machine, and yields their events.
 
-An executor is a function from jobs to events, such as `execute`. It does nothing with them.
+An executor is a function from jobs to events, such as `execute`. It only runs jobs; what the events mean for the batch
+is decided by its caller.
 """
 
 from __future__ import annotations
@@ -32,21 +33,21 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Sequence
     from typing import BinaryIO
 
-__all__ = ["Began", "Died", "Ended", "Event", "Executor", "Progressed", "Queue", "Told", "execute"]
+__all__ = ["Began", "Died", "Ended", "Event", "Executor", "Information", "Progressed", "Queue", "execute"]
 
-#: Seconds that an interrupted worker has to remove what it has written.
+#: Seconds that an interrupted worker has to remove its unfinished output.
 _PATIENCE = 12.0
 
-#: What a worker runs.
+#: The program of a worker.
 _PROGRAM = f"import json, sys; sys.path[:] = json.loads(sys.argv[1]); from {__package__}.worker import main; main()"
 
-#: So many workers may die before they begin.
+#: If more workers than this die before they begin, the batch fails.
 _MAX_STILLBORN = 3
 
-#: Seconds between two calls of what asks whether the jobs are still wanted.
+#: Seconds between two calls of ``check``.
 _CHECK_SECONDS = 0.5
 
-#: Characters of a dead worker's standard error that are reported.
+#: Characters of a dead worker's standard error that are read; the last line is reported.
 _SAID = 2_000
 
 
@@ -57,7 +58,7 @@ class Began(NamedTuple):
 
 
 class Progressed(NamedTuple):
-    """Bytes of a recording that were read, and bytes in all."""
+    """Bytes of a recording that were read, and bytes in total."""
 
     key: str
     done: int
@@ -65,7 +66,7 @@ class Progressed(NamedTuple):
 
 
 class Died(NamedTuple):
-    """The process that converted a recording died, and another one tries again."""
+    """The process that converted a recording died; the recording is tried again."""
 
     key: str
     why: str
@@ -77,20 +78,20 @@ class Ended(NamedTuple):
     result: Result
 
 
-class Told(NamedTuple):
-    """What a user wants to know, such as where to look."""
+class Information(NamedTuple):
+    """Information for the user, such as the address of a dashboard."""
 
     text: str
 
 
-Event = Began | Progressed | Died | Ended | Told
+Event = Began | Progressed | Died | Ended | Information
 
 
 class Executor(Protocol):
-    """Does jobs, and yields what happens; closing it interrupts them, and leaves no half results."""
+    """Runs jobs, and yields events. Closing the generator interrupts the jobs and removes their unfinished outputs."""
 
     def __call__(self, jobs: Sequence[Job]) -> Generator[Event]:
-        """Do the jobs."""
+        """Run jobs."""
         ...
 
 
@@ -100,7 +101,7 @@ class Queue:
     Parameters
     ----------
     jobs
-        Those that workers can begin. Whoever gives a deque may append more.
+        Jobs that workers can begin. If it is a deque, more may be appended to it.
     """
 
     def __init__(self, jobs: Sequence[Job]) -> None:
@@ -108,16 +109,16 @@ class Queue:
         self._post: Callable[[Event | None], None] = lambda _event: None
 
     def __len__(self) -> int:
-        """Jobs that no worker has."""
+        """Return the number of jobs that no worker has."""
         return len(self._ready)
 
     @property
     def is_open(self) -> bool:
-        """Whether there is anything left to do beside what workers do."""
+        """Whether anything is left to do besides the jobs that workers have."""
         return bool(self._ready)
 
     def begin(self, post: Callable[[Event | None], None]) -> None:
-        """Note where events go that are not of workers; None: another job is ready."""
+        """Begin; ``post`` takes events that do not come from workers, and None if another job is ready."""
         self._post = post
 
     def take(self) -> Job | None:
@@ -129,13 +130,13 @@ class Queue:
         (self._ready.appendleft if first else self._ready.append)(job)
 
     def done(self, result: Result) -> Result | None:
-        """Take a worker's result, and return it; None if something is left to be done with it."""
+        """Take the result of a worker, and return it; None if something is left to do with it, such as an upload."""
         return result
 
 
 @dataclass(slots=True)
 class _Worker:
-    """A worker process, and the job that it has."""
+    """A worker process and its current job."""
 
     process: subprocess.Popen[bytes]
     said: Any
@@ -144,7 +145,7 @@ class _Worker:
     ready: bool = False
 
     def give(self, job: Job) -> None:
-        """Send a job; a process that is dead is found to be so by its reader."""
+        """Send a job. If the process is dead, the thread that reads its answers reports it."""
         self.job, self.began = job, time.monotonic()
         try:
             send(_pipe(self.process.stdin), job)
@@ -154,7 +155,7 @@ class _Worker:
             raise _unsendable(err) from err
 
     def ended(self) -> str:
-        """Wait for the end of a process that has closed its pipe; return how it ended, for people."""
+        """Wait for the end of a process that has closed its pipe; return how it ended, as text."""
         code = self.process.wait()
         self.said.seek(0, os.SEEK_END)
         self.said.seek(max(0, self.said.tell() - _SAID))
@@ -175,7 +176,7 @@ class _Worker:
 
 @dataclass(slots=True)
 class _Pool:
-    """The workers, and what they send."""
+    """The workers and their messages."""
 
     lock: int | None
     stillborn: int = 0
@@ -184,7 +185,7 @@ class _Pool:
 
     def add(self) -> _Worker:
         said = tempfile.TemporaryFile()  # noqa: SIM115  # closed with the worker
-        # What can be imported here can be imported there.
+        # The worker gets the same import path as this process.
         paths = json.dumps([path or os.getcwd() for path in sys.path])  # noqa: PTH109
         try:
             process = subprocess.Popen(  # noqa: S603  # this interpreter, and text of our own
@@ -193,7 +194,7 @@ class _Pool:
                 stdout=subprocess.PIPE,
                 stderr=said,
                 env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
-                # The lock of the batch is held until the last worker has ended, however the parent does.
+                # Workers inherit the lock: it is held until the last of them has ended, even if the parent was killed.
                 pass_fds=() if self.lock is None or os.name == "nt" else (self.lock,),
             )
         except OSError as err:
@@ -215,7 +216,7 @@ class _Pool:
             self.inbox.put((worker, ("unreadable", f"{type(err).__name__}: {err}")))
 
     def close(self) -> None:
-        """Interrupt and end all workers; what they were writing is removed."""
+        """Interrupt all workers and wait for their end; their unfinished outputs are removed."""
         for worker in self.workers:
             with suppress(OSError):
                 _pipe(worker.process.stdin).close()
@@ -241,22 +242,22 @@ def execute(
     lock: int | None = None,
     check: Callable[[], None] | None = None,
 ) -> Generator[Event]:
-    """Do jobs in worker processes.
+    """Run jobs in worker processes.
 
     Parameters
     ----------
     jobs
-        In the order in which they begin. A deque is emptied, and may get more while events are taken.
+        In the order in which they begin. Jobs are removed from a deque, and more may be appended between events.
     workers
-        How many processes, at most.
+        The maximum number of processes.
     cores
-        How many threads all of them may have. The last recordings get those of workers that have nothing left to do.
+        The number of threads of all workers together. The last recordings get the threads of idle workers.
     retries
-        How often a recording is tried again whose worker died; at the end, by a single thread.
+        How often a recording is tried again if its worker died. The last attempt uses a single thread.
     lock
-        The descriptor of the lock that workers inherit.
+        The file descriptor of the lock that workers inherit.
     check
-        Called now and then; what it raises ends the jobs.
+        Called from time to time. If it raises, the jobs are interrupted.
 
     Yields
     ------
@@ -312,7 +313,7 @@ def execute(
                     worker.job = None
                     idle.append(worker)
                     done = pending.done(replace(result, attempts=attempts[result.key]))
-                    # The worker goes on while the manifest is written, which waits for the disk.
+                    # Workers get their next jobs before the manifest is written, which waits for the disk.
                     yield from begin()
                     if done is not None:
                         yield Ended(done)
@@ -325,7 +326,7 @@ def execute(
 def _after_death(
     worker: _Worker, pool: _Pool, pending: Queue, attempts: dict[str, int], retries: int
 ) -> Generator[Event]:
-    """Try again what a dead worker was converting, or give it up."""
+    """Put the job of a dead worker back into the queue, or report its recording as died."""
     why = worker.ended()
     job = worker.job
     if not worker.ready:
@@ -341,7 +342,7 @@ def _after_death(
     with suppress(Pc2ScanError):
         clean_up(Path(job.destination))
     if attempts[job.key] <= retries:
-        # It may have died behind the last step.
+        # The worker may have died after it completed the output, which the next attempt may then replace.
         pending.again(replace(job, replaces=True))
         yield Died(job.key, why)
     else:
@@ -353,7 +354,7 @@ def _after_death(
 def _unsendable(why: object) -> Pc2ScanError:
     return Pc2ScanError(
         f"the options cannot be sent to another process: {why}",
-        hint="a filter of your own must be a class of a module that can be imported",
+        hint="your own filters must be classes of a module that can be imported",
     )
 
 

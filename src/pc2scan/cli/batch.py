@@ -229,13 +229,13 @@ def batch(
             progress=progress,
             done=lambda record: _show_record(record, quiet=running.quiet, dry_run=dry_run),
             shown=_show_text if running.verbose and not running.quiet else None,
-            note=warn,
-            told=lambda text: None if running.quiet else typer.echo(message(text), err=True),
+            warn=warn,
+            inform=lambda text: None if running.quiet else typer.echo(message(text), err=True),
         )
         try:
             report = run_batch(sources, destination, words, options, origins=origins, watch=watch)
         except KeyboardInterrupt:
-            typer.echo("hint: the same command again goes on where this one was interrupted", err=True)
+            typer.echo("hint: run the same command again to continue it", err=True)
             raise
     _show_report(report, quiet=running.quiet, verbose=running.verbose)
     raise typer.Exit(report.exit_status)

@@ -123,7 +123,7 @@ def _may_replace(path: Path, beginning: bytes | None, *, overwrite: bool) -> boo
     if not overwrite and not _is_ours(path, beginning):
         # Only texts say by their beginning that pc2scan wrote them.
         raise DestinationError(
-            "exists already" if beginning is None else "exists already, and is not what pc2scan writes there",
+            "exists already" if beginning is None else "exists already, and was not written by pc2scan",
             path=path,
             hint="choose another name; or `overwrite=True` replaces it",
         )

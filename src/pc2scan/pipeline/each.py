@@ -189,7 +189,7 @@ def _refuse_collisions(outcomes: Sequence[Outcome]) -> None:
         place = outcome.destination.parent.resolve(), outcome.destination.name.casefold()
         if place in destinations:
             raise DestinationError(
-                f"would be made of {destinations[place]} and of {outcome.source}",
+                f"would be the output of both {destinations[place]} and {outcome.source}",
                 path=outcome.destination,
                 hint="convert one of them into another folder",
             )

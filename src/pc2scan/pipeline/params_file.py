@@ -265,7 +265,7 @@ def _leaves(mapping: Any, file: Path, above: tuple[str, ...]) -> Iterator[_Leaf]
         name, line = str(key.value), key.start_mark.line + 1
         if name in first_lines:
             raise ParameterError(
-                f"{file}, {place_of(key)}: {name!r} is there twice, first in line {first_lines[name]}",
+                f"{file}, {place_of(key)}: {name!r} is given twice, first in line {first_lines[name]}",
                 name=name,
             )
         first_lines[name] = line

@@ -174,5 +174,5 @@ def report_file(output: OutputOptions, stack: ExitStack) -> Callable[[str], None
             return None
         return stack.enter_context(text_output(output.report, beginning=BEGINNING, overwrite=output.overwrite))
     except (DestinationError, OutputError) as err:
-        err.message = f"the report cannot go there: {err.message}"
+        err.message = f"the report cannot be written there: {err.message}"
         raise

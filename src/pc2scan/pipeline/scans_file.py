@@ -192,7 +192,7 @@ class _EntryReader:
                 raise UsageError(f"{self._path}, line {at}: a key must be plain text")
             text = str(key.value)
             if text in found:
-                raise UsageError(f"{self._path}, line {at}: {text!r} is there twice, first in {found[text].place}")
+                raise UsageError(f"{self._path}, line {at}: {text!r} is given twice, first in {found[text].place}")
             found[text] = self.entry(value, text, depth + 1, at)
         return _Entry(found, place)
 
@@ -226,7 +226,7 @@ def _outputs(root: _Entry) -> Iterator[tuple[str, _Entry]]:
         if not topic.strip() or any(character.isspace() for character in topic) or ":=" in topic:
             raise UsageError(f"{entry.place}: {topic!r} is not a topic", hint=_EXAMPLE)
         if full in seen:
-            raise UsageError(f"{entry.place}: {full} is there twice, first in {seen[full]}")
+            raise UsageError(f"{entry.place}: {full} is given twice, first in {seen[full]}")
         seen[full] = entry.place
         yield full, entry
 

@@ -77,7 +77,7 @@ def _metadata(document: Any, facts: Mapping[str, Facts]) -> Iterator[str]:
         topic = entry["topic_metadata"]
         topics[topic["name"]] = (topic["type"], topic["serialization_format"], entry["message_count"])
     if len(topics) != len(root["topics_with_message_count"]):
-        yield "a topic is there twice"
+        yield "a topic is given twice"
     stored = {}
     for own in facts.values():
         for name, kinds in own.topics.items():
