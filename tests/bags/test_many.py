@@ -14,7 +14,7 @@ import zstandard
 from bags import mcap_files, rosbag1_files
 from pc2scan.bags import many, units
 from pc2scan.bags.many import Many
-from pc2scan.bags.mcap import reader as mcap_reader
+from pc2scan.bags.mcap import messages as mcap_messages
 from pc2scan.bags.opening import open_recording
 from pc2scan.bags.rosbag1 import chunks as rosbag1_chunks
 from pc2scan.bags.units import Stretch, Unit, in_time_order
@@ -99,7 +99,7 @@ def test_the_messages_are_the_same(
         made.append(self)
 
     monkeypatch.setattr(Many, "__init__", init)
-    for module in (many, mcap_reader, rosbag1_chunks):
+    for module in (many, mcap_messages, rosbag1_chunks):
         monkeypatch.setattr(module, "MAX_TOGETHER", 7)
     assert read(path, *cut) == expected
     assert any(len(each) > 7 for each in made)

@@ -154,7 +154,7 @@ class Counts:
             (mcap_chunks, "_decompressed", "decompressed"),
             (rosbag1_reader, "decompressed", "decompressed"),
             (rosbag1_reader, "with_payload", "decompressed"),
-            (mcap_reader, "_messages_in", "split"),
+            (mcap_reader, "messages_in", "split"),
             (rosbag1_writer, "_compressed", "compressed"),
             (mcap_writer, "compress", "compressed"),
         ):

@@ -1,4 +1,4 @@
-"""Reading MCAP: every shape that the mcap library writes, selection, and what a connection says."""
+"""Reading MCAP: every shape that the mcap library writes, and selection."""
 
 from __future__ import annotations
 
@@ -7,14 +7,11 @@ from contextlib import closing
 from typing import TYPE_CHECKING
 
 import pytest
-from mcap.reader import make_reader
-from mcap.records import MessageIndex
-from mcap.writer import Writer as LibraryWriter
 
 from pc2scan.bags.mcap.reader import McapReader
 from pc2scan.bags.mcap.writer import McapWriter
 from pc2scan.errors import RecordingError
-from pc2scan.model import Attachment, Definition, Metadata, RawMessage
+from pc2scan.model import Attachment, Definition, Metadata
 from support import RECORDINGS, needs_shared
 
 if TYPE_CHECKING:
@@ -27,15 +24,9 @@ from bags.mcap_files import (
     SAMPLE,
     connection,
     content,
-    encoded,
     library,
     library_file,
-    raw_channel,
-    raw_chunk,
-    raw_file,
-    raw_message,
     read,
-    record,
     write,
 )
 
@@ -78,67 +69,6 @@ def test_selection_in_every_shape(tmp_path: Path, case: str) -> None:
         assert content(reader, start_ns=5000) == []
 
 
-def test_two_channels_of_one_topic_stay_two(tmp_path: Path) -> None:
-    path = tmp_path / "a.mcap"
-    writer = McapWriter(path)
-    one = writer.add_connection(connection(metadata={"publisher": "a"}))
-    two = writer.add_connection(connection(metadata={"publisher": "b"}))
-    writer.write(two, 1, b"2", 1)
-    writer.write(one, 2, b"1", 2)
-    writer.finish()
-    with closing(McapReader(path)) as reader:
-        assert [(c.topic, c.metadata["publisher"]) for c in reader.connections] == [
-            ("/points", "a"),
-            ("/points", "b"),
-        ]
-        assert [bytes(m.data) for m in reader.messages()] == [b"2", b"1"]
-    with path.open("rb") as file:
-        summary = make_reader(file).get_summary()
-    assert summary is not None
-    # One schema for both.
-    assert len(summary.schemas) == 1
-    assert len(summary.channels) == 2
-
-
-@pytest.mark.parametrize(
-    ("value", "expected"),
-    [("1", True), ("true", True), ("True", True), ("0", False), ("false", False), (None, False)],
-)
-def test_ros1_latching(tmp_path: Path, value: str | None, *, expected: bool) -> None:
-    path = tmp_path / "a.mcap"
-    with path.open("wb") as file:
-        writer = LibraryWriter(file)
-        writer.start("ros1", "test")
-        schema = writer.register_schema("std_msgs/String", "ros1msg", b"string data")
-        writer.register_channel("/a", "ros1", schema, {} if value is None else {"latching": value})
-        writer.finish()  # type: ignore[no-untyped-call]
-    with closing(McapReader(path)) as reader:
-        assert reader.connections[0].latching is expected
-
-
-@pytest.mark.parametrize(
-    ("profile", "schema", "expected"),
-    [
-        ("", "ros1msg", "ros1"),
-        ("", "ros2msg", "cdr"),
-        ("", "ros2idl", "cdr"),
-        ("ros1", "", "ros1"),
-        ("ros2", "", "cdr"),
-        ("ros1", "ros2msg", "cdr"),
-        ("", "protobuf", ""),
-    ],
-)
-def test_an_empty_message_encoding_is_deduced(tmp_path: Path, profile: str, schema: str, expected: str) -> None:
-    path = tmp_path / "a.mcap"
-    with path.open("wb") as file:
-        writer = LibraryWriter(file)
-        writer.start(profile, "test")
-        writer.register_channel("/a", "", writer.register_schema("a/B", schema, b""), {})
-        writer.finish()  # type: ignore[no-untyped-call]
-    with closing(McapReader(path)) as reader:
-        assert reader.connections[0].serialization == expected
-
-
 def test_a_damaged_attachment(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     writer = McapWriter(path)
@@ -172,16 +102,6 @@ def test_only_chunks_with_wanted_messages_are_read(tmp_path: Path, loads: list[S
         assert len(loads) == 20
 
 
-def test_data_are_views(tmp_path: Path) -> None:
-    path = write(tmp_path / "a.mcap", [(0, 1, b"abc"), (0, 2, b"def")])
-    with closing(McapReader(path)) as reader:
-        first, second = reader.messages()
-    assert isinstance(first, RawMessage)
-    assert isinstance(first.data, memoryview)
-    assert isinstance(second.data, memoryview)
-    assert first.data.obj is second.data.obj
-
-
 def test_truncated_while_reading(tmp_path: Path) -> None:
     messages = [(0, t, os.urandom(5000)) for t in range(20)]
     path = write(tmp_path / "a.mcap", messages, chunk_size=1000)
@@ -200,25 +120,6 @@ def test_reading_after_close(tmp_path: Path) -> None:
     reader.close()
     with pytest.raises(RecordingError, match="Bad file descriptor"):
         content(reader)
-
-
-@pytest.mark.parametrize(
-    ("records", "match"),
-    [
-        (raw_message() + raw_message()[:-1], "are sound for 35 of 69 bytes"),
-        (raw_message() + b"\x05" + bytes(8), "are sound for 35 of 44 bytes"),
-        (raw_message() + record(5, bytes(21)) + raw_message(), "are sound for 35 of 100 bytes"),
-        (raw_message() + b"\x03\xff" + bytes(7), "are sound for 35 of 44 bytes"),
-        (raw_message() + raw_message(channel=2), "channel 2 has messages"),
-    ],
-)
-def test_damage_among_the_messages_of_a_sound_chunk(tmp_path: Path, records: bytes, match: str) -> None:
-    index = encoded(MessageIndex(channel_id=1, records=[(1, 0)]))
-    path = raw_file(tmp_path / "a.mcap", raw_channel(), raw_chunk(records), index)
-    with closing(McapReader(path, strict=True)) as reader:
-        assert [c.topic for c in reader.connections] == ["/t"]
-        with pytest.raises(RecordingError, match=match):
-            content(reader)
 
 
 @needs_shared

@@ -11,14 +11,14 @@ from pc2scan.bags.formats import and_list
 from pc2scan.files.compression import CompressionError, decompress
 from pc2scan.files.crc32 import crc32
 from pc2scan.files.limits import allowed_bytes
-from pc2scan.model import RawMessage, own
+from pc2scan.model import own
 
-from .records import CHUNK, COMPRESSIONS, MESSAGE, OP_CHUNK, RECORD, UINT64
+from .records import CHUNK, COMPRESSIONS, OP_CHUNK, RECORD, UINT64
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable
 
-    from pc2scan.model import Buffer, Connection
+    from pc2scan.model import Buffer
 
     from .records import RecordFile
 
@@ -175,10 +175,3 @@ def _decompressed(data: memoryview, chunk: ChunkSegment, file: RecordFile) -> Bu
     if len(unpacked) != size:
         raise file.damage(f"{where} decompresses to {len(unpacked)} bytes, declared are {size}")
     return unpacked
-
-
-def message_at(data: memoryview, known: Mapping[int, Connection], place: int) -> RawMessage:
-    """Return the message of a known channel that begins at a place."""
-    _, length, channel_id, sequence, log_time_ns, publish_time_ns = MESSAGE.unpack_from(data, place)
-    content = data[place + MESSAGE.size : place + RECORD.size + length]
-    return RawMessage(known[channel_id], log_time_ns, content, publish_time_ns, sequence)

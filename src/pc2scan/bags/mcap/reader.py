@@ -2,42 +2,33 @@
 
 from __future__ import annotations
 
-from array import array
 from collections import deque
 from contextlib import suppress
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from pc2scan.bags.chunked.salvaged import Salvaged, note_salvaged
 from pc2scan.bags.chunked.segments import counted, standing_alone, units_of
 from pc2scan.bags.chunked.spans import SpanCheck
 from pc2scan.bags.damage import DamageLog
-from pc2scan.bags.many import MAX_TOGETHER, Many, mapped
+from pc2scan.bags.many import Many, mapped
 from pc2scan.bags.parts import AnotherBeginsError, PartReader, note_next, opened_parts
-from pc2scan.bags.qos import latches
 from pc2scan.bags.zstd import is_frame, unpacked_messages
 from pc2scan.errors import DamageError, stamp_text
 from pc2scan.files.crc32 import crc32
 from pc2scan.files.limits import MAX_CONNECTIONS
-from pc2scan.model import (
-    Attachment,
-    Connection,
-    Definition,
-    Metadata,
-    RawMessage,
-    StoredChunk,
-    Summary,
-    own,
-)
+from pc2scan.model import Attachment, Metadata, StoredChunk
 
 from . import record_types as records
-from .chunks import ChunkSegment, chunk_at, message_at, payload, with_payload
+from .chunks import ChunkSegment, chunk_at, payload, with_payload
 from .copies import agreed, whole_by_content, whole_by_index
 from .data_crc import data_crc
+from .declared import connections_of, summary_of
 from .entries import index_check
 from .index import ExtraIndex, McapIndex, find_declarations, find_index
+from .messages import ANY_TIME, messages_in
 from .record_types import Opcode
-from .records import FIRST_PRIVATE, MESSAGE, OP_MESSAGE, RECORD, RecordFile, parse, split
+from .records import FIRST_PRIVATE, RECORD, RecordFile, parse, split
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Container, Iterator, Mapping, Sequence
@@ -49,17 +40,11 @@ if TYPE_CHECKING:
     from pc2scan.bags.formats import ReadOptions
     from pc2scan.bags.reader import Reader
     from pc2scan.bags.units import Item, Loaded, Unit
-    from pc2scan.model import ChunkRule
+    from pc2scan.model import ChunkRule, Connection, RawMessage, Summary
 
-    Messages = list[RawMessage] | Many[RawMessage]
+    from .messages import Messages
 
 __all__ = ["McapReader", "open_reader"]
-
-_SERIALIZATION_OF_SCHEMA = {"ros1msg": "ros1", "ros2msg": "cdr", "ros2idl": "cdr"}
-
-_ANY_TIME = (0, (1 << 64) - 1)
-
-_SERIALIZATION_OF_PROFILE = {"ros1": "ros1", "ros2": "cdr"}
 
 
 def open_reader(path: Path, options: ReadOptions) -> Reader:
@@ -111,7 +96,7 @@ class McapReader(PartReader):
             find_declarations(self._file, self._index, self._records, self._log)
             self._note_differing(self._index.differing)
             self._compare_extras()
-            self._connections = tuple(_connections(self._index, self._file, self._log))
+            self._connections = tuple(connections_of(self._index, self._file, self._log))
             self._spans = SpanCheck(
                 self._index.segments,
                 self._indexed_span,
@@ -123,7 +108,7 @@ class McapReader(PartReader):
             self._spans.compare_ends()
             sound = verify and not self._log.found
             self._data_crc = data_crc(self._file, self._index, self._log) if sound else None
-            self._summary = _summary_of(self._index, self._file, self._log)
+            self._summary = summary_of(self._index, self._file, self._log)
             self._is_whole = not self._log.found
         except BaseException:
             self._file.close()
@@ -198,7 +183,7 @@ class McapReader(PartReader):
             span = _declared_span(segment)
             further = partial(self._compare_declaration, data, segment) if isinstance(segment, ChunkSegment) else None
             check = self._check_index(segment, wanted, data)
-            scan = _messages_in(data, wanted, first, stop, span or _ANY_TIME, further)
+            scan = messages_in(data, wanted, first, stop, span or ANY_TIME, further)
             if scan.astray is not None and span:
                 raise self._file.damage(
                     f"the chunk at byte {segment.offset} has a message of log time {stamp_text(scan.astray)}, "
@@ -275,7 +260,7 @@ class McapReader(PartReader):
         """Whether messages are single zstd frames, which one segment shows for all."""
         data, _ = self._prefix(segment)
         known = {connection.id: connection for connection in self._connections}
-        return any(map(is_frame, _messages_in(data, known, 0, 1 << 64).messages))
+        return any(map(is_frame, messages_in(data, known, 0, 1 << 64).messages))
 
     def _records(self, chunk: Segment) -> Iterator[tuple[int, memoryview]]:
         """A chunk's records, as far as they can be read."""
@@ -389,7 +374,7 @@ class McapReader(PartReader):
         """Read a chunk and return the log times of its messages."""
         data, problem = self._prefix(segment)
         known = {connection.id: connection for connection in self._connections}
-        messages = _messages_in(data, known, 0, 1 << 64).messages
+        messages = messages_in(data, known, 0, 1 << 64).messages
         times = messages.times if isinstance(messages, Many) else [message.log_time_ns for message in messages]
         return (min(times), max(times)) if times and problem is None else None
 
@@ -492,200 +477,3 @@ def _declared_span(segment: Segment) -> tuple[int, int] | None:
     if isinstance(segment, ChunkSegment) and 0 < segment.start_ns <= segment.end_ns:
         return segment.start_ns, segment.end_ns
     return None
-
-
-class _Scan(NamedTuple):
-    """The result of scanning records for messages.
-
-    Attributes
-    ----------
-    messages
-        The wanted messages, in the order of the file.
-    others
-        Other channels with messages.
-    size
-        Number of sound bytes.
-    astray
-        Log time of a wanted message outside of the declared times.
-    """
-
-    messages: Messages
-    others: set[int]
-    size: int
-    astray: int | None
-
-
-def _messages_in(
-    data: memoryview,
-    wanted: Mapping[int, Connection],
-    start_ns: int,
-    stop_ns: int,
-    span: tuple[int, int] = _ANY_TIME,
-    further: Callable[[int], None] | None = None,
-) -> _Scan:
-    """Scan records for messages; those outside of ``span``, the declared log times, are skipped.
-
-    ``further`` is called with the offset of every other record.
-    """
-    scan = _stretch_of(data, wanted, start_ns, stop_ns, span, further, 0)
-    if scan.size + MESSAGE.size > len(data):
-        return scan
-    messages, others, position, astray = scan
-    assert isinstance(messages, list)
-    count = len(messages)
-    while True:
-        more = _stretch_of(data, wanted, start_ns, stop_ns, span, further, position)
-        others |= more.others
-        astray = more.astray if astray is None else astray
-        count += len(more.messages)
-        messages = [*messages, *more.messages] if count <= MAX_TOGETHER else []
-        if more.size == position:
-            break
-        position = more.size
-    if count <= MAX_TOGETHER:
-        return _Scan(messages, others, position, astray)
-    start_ns, stop_ns = max(start_ns, span[0]), min(stop_ns, span[1] + 1)
-    return _Scan(_many(data[:position], wanted, start_ns, stop_ns), others, position, astray)
-
-
-def _many(data: memoryview, wanted: Mapping[int, Connection], start_ns: int, stop_ns: int) -> Many[RawMessage]:
-    """The messages among sound records, each made when its turn comes."""
-    times, places = array("Q"), array("Q")
-    position, last = 0, len(data) - MESSAGE.size
-    while position <= last:
-        opcode, length, channel_id, _, log_time_ns, _ = MESSAGE.unpack_from(data, position)
-        if opcode == OP_MESSAGE and channel_id in wanted and start_ns <= log_time_ns < stop_ns:
-            times.append(log_time_ns)
-            places.append(position)
-        position += RECORD.size + length
-    return Many(times, places, partial(message_at, memoryview(own(data)), wanted), len(data))
-
-
-def _stretch_of(
-    data: memoryview,
-    wanted: Mapping[int, Connection],
-    start_ns: int,
-    stop_ns: int,
-    span: tuple[int, int],
-    further: Callable[[int], None] | None,
-    position: int,
-) -> _Scan:
-    """Scan records from a place on for so many bytes that they can be no more than `MAX_TOGETHER` messages."""
-    astray: int | None = None
-    first_ns, last_ns = span
-    # One comparison for cut and span; only if it fails, the two are distinguished.
-    start_ns, stop_ns = max(start_ns, first_ns), min(stop_ns, last_ns + 1)
-    found: list[RawMessage] = []
-    others: set[int] = set()
-    append, unpack = found.append, MESSAGE.unpack_from
-    # The class's constructor takes twice as long, which matters for small messages.
-    new: Callable[[type[RawMessage], tuple[object, ...]], RawMessage] = tuple.__new__
-    size = len(data)
-    last = min(size, position + MAX_TOGETHER * MESSAGE.size) - MESSAGE.size
-    while position <= last:
-        opcode, length, channel_id, sequence, log_time_ns, publish_time_ns = unpack(data, position)
-        following = position + 9 + length
-        if following > size:
-            return _Scan(found, others, position, astray)
-        if opcode == OP_MESSAGE:
-            if length < 22:
-                return _Scan(found, others, position, astray)
-            connection = wanted.get(channel_id)
-            if connection is None:
-                others.add(channel_id)
-            elif start_ns <= log_time_ns < stop_ns:
-                data_view = data[position + 31 : following]
-                append(new(RawMessage, (connection, log_time_ns, data_view, publish_time_ns, sequence)))
-            elif not first_ns <= log_time_ns <= last_ns:
-                astray = log_time_ns
-        elif further is not None:
-            further(position)
-        position = following
-    # The rest is too short for a message, but may be another record.
-    while position + 9 <= size and data[position] != OP_MESSAGE:
-        following = position + 9 + RECORD.unpack_from(data, position)[1]
-        if following > size:
-            break
-        if further is not None:
-            further(position)
-        position = following
-    return _Scan(found, others, position, astray)
-
-
-def _connections(index: McapIndex, file: RecordFile, log: DamageLog) -> Iterator[Connection]:
-    for channel in index.channels.values():
-        schema = index.schemas.get(channel.schema_id)
-        if schema is None and channel.schema_id:
-            missing = f"channel {channel.id} has schema {channel.schema_id}, which is not in the file"
-            log.note(file.damage(missing), key=channel.id)
-        yield _connection(channel, schema, index)
-
-
-def _connection(channel: records.Channel, schema: records.Schema | None, index: McapIndex) -> Connection:
-    metadata = channel.metadata
-    encoding = schema.encoding if schema else ""
-    serialization = (
-        channel.message_encoding
-        or _SERIALIZATION_OF_SCHEMA.get(encoding)
-        or _SERIALIZATION_OF_PROFILE.get(index.profile, "")
-    )
-    qos = metadata.get("offered_qos_profiles", "")
-    ros1 = serialization == "ros1"
-    return Connection(
-        id=channel.id,
-        topic=channel.topic,
-        msgtype=schema.name if schema else "",
-        serialization=serialization,
-        definition=Definition(encoding, schema.data) if schema else Definition(),
-        digest=metadata.get("topic_type_hash") or metadata.get("md5sum", ""),
-        callerid=metadata.get("callerid"),
-        latching=metadata.get("latching") in ("1", "true", "True") if ros1 else latches(qos),
-        qos=qos,
-        metadata=metadata,
-        message_count=_message_count(channel.id, index),
-        schema_id=channel.schema_id,
-    )
-
-
-def _message_count(channel_id: int, index: McapIndex) -> int | None:
-    statistics = index.statistics
-    if statistics is None:
-        return index.counts[channel_id] if index.all_counted else None
-    # Writers may omit the counts by channel.
-    if statistics.message_count and not statistics.channel_message_counts:
-        return None
-    return statistics.channel_message_counts.get(channel_id, 0)
-
-
-def _summary_of(index: McapIndex, file: RecordFile, log: DamageLog) -> Summary:
-    statistics = index.statistics
-    if statistics is not None:
-        count: int | None = statistics.message_count
-        times = (statistics.message_start_time, statistics.message_end_time) if count else None
-    else:
-        count, times = index.counts.total() if index.all_counted else None, None
-    # A chunk without messages has both times zero.
-    held = [s for s in index.segments if s.connection_ids is not None or s.end_ns]
-    found = (min(s.start_ns for s in held), max(s.end_ns for s in held)) if held else None
-    covers = times is not None and found is not None and times[0] <= found[0] <= found[1] <= times[1]
-    if times and found and not covers:
-        log.note(
-            file.damage(
-                f"the statistics have log times {stamp_text(times[0])} to {stamp_text(times[1])}, "
-                f"the messages {stamp_text(found[0])} to {stamp_text(found[1])}"
-            ),
-            key="statistics",
-            messages_lost=0,
-        )
-    # For a damaged recording, the statistics are more complete.
-    times = times if covers and log.found else found or times
-    return Summary(
-        container="mcap",
-        storage="",
-        compression=tuple(sorted({segment.compression for segment in index.segments})),
-        size_bytes=file.size,
-        message_count=count,
-        start_ns=times[0] if times else None,
-        end_ns=times[1] if times else None,
-        profile=index.profile,
-    )

@@ -23,8 +23,9 @@ from pc2scan.files.salvage import decompressed_prefix
 
 from . import record_types as records
 from .another import refuse_another
-from .chunks import CHUNK_HEAD_SIZE, ChunkSegment, chunk_at, message_at
+from .chunks import CHUNK_HEAD_SIZE, ChunkSegment, chunk_at
 from .index import McapIndex, RecordWalk, read_header, read_summary
+from .messages import message_at
 from .record_types import Opcode
 from .records import COMPRESSIONS, FIRST_PRIVATE, MAGIC, MESSAGE, OP_CHUNK, OP_MESSAGE, OP_MESSAGE_INDEX, RECORD, parse
 

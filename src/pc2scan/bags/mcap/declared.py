@@ -1,0 +1,106 @@
+"""The connections and the summary of an MCAP file, from its index."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pc2scan.bags.qos import latches
+from pc2scan.errors import stamp_text
+from pc2scan.model import Connection, Definition, Summary
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from pc2scan.bags.damage import DamageLog
+
+    from . import record_types as records
+    from .index import McapIndex
+    from .records import RecordFile
+
+__all__ = ["connections_of", "summary_of"]
+
+_SERIALIZATION_OF_SCHEMA = {"ros1msg": "ros1", "ros2msg": "cdr", "ros2idl": "cdr"}
+
+
+_SERIALIZATION_OF_PROFILE = {"ros1": "ros1", "ros2": "cdr"}
+
+
+def connections_of(index: McapIndex, file: RecordFile, log: DamageLog) -> Iterator[Connection]:
+    """Yield a connection for each channel; a schema that is missing is noted as damage."""
+    for channel in index.channels.values():
+        schema = index.schemas.get(channel.schema_id)
+        if schema is None and channel.schema_id:
+            missing = f"channel {channel.id} has schema {channel.schema_id}, which is not in the file"
+            log.note(file.damage(missing), key=channel.id)
+        yield _connection(channel, schema, index)
+
+
+def _connection(channel: records.Channel, schema: records.Schema | None, index: McapIndex) -> Connection:
+    metadata = channel.metadata
+    encoding = schema.encoding if schema else ""
+    serialization = (
+        channel.message_encoding
+        or _SERIALIZATION_OF_SCHEMA.get(encoding)
+        or _SERIALIZATION_OF_PROFILE.get(index.profile, "")
+    )
+    qos = metadata.get("offered_qos_profiles", "")
+    ros1 = serialization == "ros1"
+    return Connection(
+        id=channel.id,
+        topic=channel.topic,
+        msgtype=schema.name if schema else "",
+        serialization=serialization,
+        definition=Definition(encoding, schema.data) if schema else Definition(),
+        digest=metadata.get("topic_type_hash") or metadata.get("md5sum", ""),
+        callerid=metadata.get("callerid"),
+        latching=metadata.get("latching") in ("1", "true", "True") if ros1 else latches(qos),
+        qos=qos,
+        metadata=metadata,
+        message_count=_message_count(channel.id, index),
+        schema_id=channel.schema_id,
+    )
+
+
+def _message_count(channel_id: int, index: McapIndex) -> int | None:
+    statistics = index.statistics
+    if statistics is None:
+        return index.counts[channel_id] if index.all_counted else None
+    # Writers may omit the counts by channel.
+    if statistics.message_count and not statistics.channel_message_counts:
+        return None
+    return statistics.channel_message_counts.get(channel_id, 0)
+
+
+def summary_of(index: McapIndex, file: RecordFile, log: DamageLog) -> Summary:
+    """Return the summary; statistics that contradict the messages' log times are noted as damage."""
+    statistics = index.statistics
+    if statistics is not None:
+        count: int | None = statistics.message_count
+        times = (statistics.message_start_time, statistics.message_end_time) if count else None
+    else:
+        count, times = index.counts.total() if index.all_counted else None, None
+    # A chunk without messages has both times zero.
+    held = [s for s in index.segments if s.connection_ids is not None or s.end_ns]
+    found = (min(s.start_ns for s in held), max(s.end_ns for s in held)) if held else None
+    covers = times is not None and found is not None and times[0] <= found[0] <= found[1] <= times[1]
+    if times and found and not covers:
+        log.note(
+            file.damage(
+                f"the statistics have log times {stamp_text(times[0])} to {stamp_text(times[1])}, "
+                f"the messages {stamp_text(found[0])} to {stamp_text(found[1])}"
+            ),
+            key="statistics",
+            messages_lost=0,
+        )
+    # For a damaged recording, the statistics are more complete.
+    times = times if covers and log.found else found or times
+    return Summary(
+        container="mcap",
+        storage="",
+        compression=tuple(sorted({segment.compression for segment in index.segments})),
+        size_bytes=file.size,
+        message_count=count,
+        start_ns=times[0] if times else None,
+        end_ns=times[1] if times else None,
+        profile=index.profile,
+    )

@@ -1,0 +1,149 @@
+"""Finds the messages among the records of an MCAP file, in a chunk or outside."""
+
+from __future__ import annotations
+
+from array import array
+from functools import partial
+from typing import TYPE_CHECKING, NamedTuple
+
+from pc2scan.bags.many import MAX_TOGETHER, Many
+from pc2scan.model import RawMessage, own
+
+from .records import MESSAGE, OP_MESSAGE, RECORD
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from pc2scan.model import Connection
+
+    Messages = list[RawMessage] | Many[RawMessage]
+
+__all__ = ["ANY_TIME", "Found", "message_at", "messages_in"]
+
+#: The first and the last log time that a message can have.
+ANY_TIME = (0, (1 << 64) - 1)
+
+
+class Found(NamedTuple):
+    """The result of scanning records for messages.
+
+    Attributes
+    ----------
+    messages
+        The wanted messages, in the order of the file.
+    others
+        Other channels with messages.
+    size
+        Number of sound bytes.
+    astray
+        Log time of a wanted message outside of the declared times.
+    """
+
+    messages: Messages
+    others: set[int]
+    size: int
+    astray: int | None
+
+
+def messages_in(
+    data: memoryview,
+    wanted: Mapping[int, Connection],
+    start_ns: int,
+    stop_ns: int,
+    span: tuple[int, int] = ANY_TIME,
+    further: Callable[[int], None] | None = None,
+) -> Found:
+    """Scan records for messages; those outside of ``span``, the declared log times, are skipped.
+
+    ``further`` is called with the offset of every other record.
+    """
+    scan = _stretch_of(data, wanted, start_ns, stop_ns, span, further, 0)
+    if scan.size + MESSAGE.size > len(data):
+        return scan
+    messages, others, position, astray = scan
+    assert isinstance(messages, list)
+    count = len(messages)
+    while True:
+        more = _stretch_of(data, wanted, start_ns, stop_ns, span, further, position)
+        others |= more.others
+        astray = more.astray if astray is None else astray
+        count += len(more.messages)
+        messages = [*messages, *more.messages] if count <= MAX_TOGETHER else []
+        if more.size == position:
+            break
+        position = more.size
+    if count <= MAX_TOGETHER:
+        return Found(messages, others, position, astray)
+    start_ns, stop_ns = max(start_ns, span[0]), min(stop_ns, span[1] + 1)
+    return Found(_many(data[:position], wanted, start_ns, stop_ns), others, position, astray)
+
+
+def _many(data: memoryview, wanted: Mapping[int, Connection], start_ns: int, stop_ns: int) -> Many[RawMessage]:
+    """The messages among sound records, each made when its turn comes."""
+    times, places = array("Q"), array("Q")
+    position, last = 0, len(data) - MESSAGE.size
+    while position <= last:
+        opcode, length, channel_id, _, log_time_ns, _ = MESSAGE.unpack_from(data, position)
+        if opcode == OP_MESSAGE and channel_id in wanted and start_ns <= log_time_ns < stop_ns:
+            times.append(log_time_ns)
+            places.append(position)
+        position += RECORD.size + length
+    return Many(times, places, partial(message_at, memoryview(own(data)), wanted), len(data))
+
+
+def _stretch_of(
+    data: memoryview,
+    wanted: Mapping[int, Connection],
+    start_ns: int,
+    stop_ns: int,
+    span: tuple[int, int],
+    further: Callable[[int], None] | None,
+    position: int,
+) -> Found:
+    """Scan records from a place on for so many bytes that they can be no more than `MAX_TOGETHER` messages."""
+    astray: int | None = None
+    first_ns, last_ns = span
+    # One comparison for cut and span; only if it fails, the two are distinguished.
+    start_ns, stop_ns = max(start_ns, first_ns), min(stop_ns, last_ns + 1)
+    found: list[RawMessage] = []
+    others: set[int] = set()
+    append, unpack = found.append, MESSAGE.unpack_from
+    # The class's constructor takes twice as long, which matters for small messages.
+    new: Callable[[type[RawMessage], tuple[object, ...]], RawMessage] = tuple.__new__
+    size = len(data)
+    last = min(size, position + MAX_TOGETHER * MESSAGE.size) - MESSAGE.size
+    while position <= last:
+        opcode, length, channel_id, sequence, log_time_ns, publish_time_ns = unpack(data, position)
+        following = position + 9 + length
+        if following > size:
+            return Found(found, others, position, astray)
+        if opcode == OP_MESSAGE:
+            if length < 22:
+                return Found(found, others, position, astray)
+            connection = wanted.get(channel_id)
+            if connection is None:
+                others.add(channel_id)
+            elif start_ns <= log_time_ns < stop_ns:
+                data_view = data[position + 31 : following]
+                append(new(RawMessage, (connection, log_time_ns, data_view, publish_time_ns, sequence)))
+            elif not first_ns <= log_time_ns <= last_ns:
+                astray = log_time_ns
+        elif further is not None:
+            further(position)
+        position = following
+    # The rest is too short for a message, but may be another record.
+    while position + 9 <= size and data[position] != OP_MESSAGE:
+        following = position + 9 + RECORD.unpack_from(data, position)[1]
+        if following > size:
+            break
+        if further is not None:
+            further(position)
+        position = following
+    return Found(found, others, position, astray)
+
+
+def message_at(data: memoryview, known: Mapping[int, Connection], place: int) -> RawMessage:
+    """Return the message of a known channel that begins at a place."""
+    _, length, channel_id, sequence, log_time_ns, publish_time_ns = MESSAGE.unpack_from(data, place)
+    content = data[place + MESSAGE.size : place + RECORD.size + length]
+    return RawMessage(known[channel_id], log_time_ns, content, publish_time_ns, sequence)
