@@ -1,4 +1,4 @@
-"""The connections and the summary of an MCAP file, from its index."""
+"""What the index of an MCAP file declares: its connections, its summary, and counts, compared with what there is."""
 
 from __future__ import annotations
 
@@ -8,16 +8,18 @@ from pc2scan.bags.qos import latches
 from pc2scan.errors import stamp_text
 from pc2scan.model import Connection, Definition, Summary
 
+from . import record_types as records
+from .chunks import ChunkSegment
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from pc2scan.bags.damage import DamageLog
 
-    from . import record_types as records
     from .index import McapIndex
     from .records import RecordFile
 
-__all__ = ["connections_of", "summary_of"]
+__all__ = ["compare_counts", "connections_of", "summary_of"]
 
 _SERIALIZATION_OF_SCHEMA = {"ros1msg": "ros1", "ros2msg": "cdr", "ros2idl": "cdr"}
 
@@ -104,3 +106,41 @@ def summary_of(index: McapIndex, file: RecordFile, log: DamageLog) -> Summary:
         end_ns=times[1] if times else None,
         profile=index.profile,
     )
+
+
+def compare_counts(index: McapIndex, file: RecordFile, log: DamageLog) -> None:
+    """Note wrong counts and offsets in the summary, of everything but messages."""
+    statistics = index.statistics
+    if log.found:
+        return
+    if statistics is not None:
+        for kind, declared, places in (
+            ("attachments", statistics.attachment_count, index.attachments),
+            ("metadata records", statistics.metadata_count, index.metadata),
+        ):
+            if len(places) < declared:
+                error = f"the statistics count {declared} {kind}, {len(places)} were found"
+                log.note(file.damage(error), key=kind)
+        for kind, declared, fewest, most in _declarations_counted(index, statistics):
+            # Some writers count nothing, some only declarations with messages, and some unwritten ones, too.
+            if declared and not (fewest <= declared and (declared <= most or not index.channels_listed)):
+                error = f"the statistics count {declared} {kind}, {most} were found"
+                log.note(file.damage(error), key=kind, messages_lost=0)
+    begun = {*index.attachments, *index.metadata}
+    # The index that @mcap/core 2.2.2 writes for files without chunks has wrong offsets.
+    for offset, entry in index.extra_indexes.items() if index.summarized else ():
+        if offset not in begun:
+            kind = "attachment" if isinstance(entry, records.AttachmentIndex) else "metadata record"
+            error = f"the summary has the {kind} {entry.name!r:.80} at byte {offset}, where none is"
+            log.note(file.damage(error), offset=offset, key="index", messages_lost=0)
+
+
+def _declarations_counted(index: McapIndex, statistics: records.Statistics) -> Iterator[tuple[str, int, int, int]]:
+    """Yield for channels, schemas and chunks the count of the statistics, and the smallest and largest right count."""
+    used = {number for number, count in statistics.channel_message_counts.items() if count}
+    channels = [index.channels[number] for number in used if number in index.channels]
+    schemas = {channel.schema_id for channel in channels} - {0}
+    chunks = sum(isinstance(segment, ChunkSegment) for segment in index.segments)
+    yield "channels", statistics.channel_count, len(used), len(index.channels)
+    yield "schemas", statistics.schema_count, len(schemas), len(index.schemas)
+    yield "chunks", statistics.chunk_count, chunks, chunks

@@ -15,20 +15,18 @@ from pc2scan.bags.many import Many, mapped
 from pc2scan.bags.parts import AnotherBeginsError, PartReader, note_next, opened_parts
 from pc2scan.bags.zstd import is_frame, unpacked_messages
 from pc2scan.errors import DamageError, stamp_text
-from pc2scan.files.crc32 import crc32
 from pc2scan.files.limits import MAX_CONNECTIONS
-from pc2scan.model import Attachment, Metadata, StoredChunk
+from pc2scan.model import StoredChunk
 
-from . import record_types as records
 from .chunks import ChunkSegment, chunk_at, payload, with_payload
 from .copies import agreed, whole_by_content, whole_by_index
 from .data_crc import data_crc
-from .declared import connections_of, summary_of
+from .declared import compare_counts, connections_of, summary_of
 from .entries import index_check
-from .index import ExtraIndex, McapIndex, find_declarations, find_index
+from .index import McapIndex, find_declarations, find_index
 from .messages import ANY_TIME, messages_in
 from .record_types import Opcode
-from .records import FIRST_PRIVATE, RECORD, RecordFile, parse, split
+from .records import FIRST_PRIVATE, RECORD, RecordFile, split
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Container, Iterator, Mapping, Sequence
@@ -40,7 +38,7 @@ if TYPE_CHECKING:
     from pc2scan.bags.formats import ReadOptions
     from pc2scan.bags.reader import Reader
     from pc2scan.bags.units import Item, Loaded, Unit
-    from pc2scan.model import ChunkRule, Connection, RawMessage, Summary
+    from pc2scan.model import Attachment, ChunkRule, Connection, Metadata, RawMessage, Summary
 
     from .messages import Messages
 
@@ -95,7 +93,7 @@ class McapReader(PartReader):
             note_next(self._file, self._log)
             find_declarations(self._file, self._index, self._records, self._log)
             self._note_differing(self._index.differing)
-            self._compare_extras()
+            compare_counts(self._index, self._file, self._log)
             self._connections = tuple(connections_of(self._index, self._file, self._log))
             self._spans = SpanCheck(
                 self._index.segments,
@@ -324,33 +322,6 @@ class McapReader(PartReader):
         elif len(self._agreed) < MAX_CONNECTIONS:
             self._agreed.add(record)
 
-    def _compare_extras(self) -> None:
-        """Note wrong counts and offsets in the summary, of everything but messages."""
-        index = self._index
-        statistics = index.statistics
-        if self._log.found:
-            return
-        if statistics is not None:
-            for kind, declared, places in (
-                ("attachments", statistics.attachment_count, index.attachments),
-                ("metadata records", statistics.metadata_count, index.metadata),
-            ):
-                if len(places) < declared:
-                    error = f"the statistics count {declared} {kind}, {len(places)} were found"
-                    self._log.note(self._file.damage(error), key=kind)
-            for kind, declared, fewest, most in _declarations_counted(index, statistics):
-                # Some writers count nothing, some only declarations with messages, and some unwritten ones, too.
-                if declared and not (fewest <= declared and (declared <= most or not index.channels_listed)):
-                    error = f"the statistics count {declared} {kind}, {most} were found"
-                    self._log.note(self._file.damage(error), key=kind, messages_lost=0)
-        begun = {*index.attachments, *index.metadata}
-        # The index that @mcap/core 2.2.2 writes for files without chunks has wrong offsets.
-        for offset, entry in index.extra_indexes.items() if index.summarized else ():
-            if offset not in begun:
-                kind = "attachment" if isinstance(entry, records.AttachmentIndex) else "metadata record"
-                error = f"the summary has the {kind} {entry.name!r:.80} at byte {offset}, where none is"
-                self._log.note(self._file.damage(error), offset=offset, key="index", messages_lost=0)
-
     def _note_differing(self, places: Mapping[str, int]) -> None:
         for what, offset in places.items():
             error = self._file.damage(f"{what} is declared again, and differently, at byte {offset}")
@@ -409,67 +380,23 @@ class McapReader(PartReader):
 
     def attachments(self) -> Iterator[Attachment]:
         """Yield attachments in the order of the file; each is read when it is needed."""
-        for offset in sorted(self._index.attachments):
-            content = self._file.record(offset, Opcode.ATTACHMENT)
-            try:
-                record = parse(records.Attachment, content, offset, self._file)
-                # The CRC follows the data, which follow two times, two strings and their own length.
-                texts = len(record.name.encode()) + len(record.media_type.encode())
-                covered = 8 + 8 + 4 + 4 + texts + 8 + len(record.data)
-            except DamageError as err:
-                self._log.note(err, offset=offset, bytes_lost=len(content))
-                continue
-            if self._verify and record.crc and (actual := crc32(memoryview(content)[:covered])) != record.crc:
-                self._log.note(
-                    self._file.damage(f"attachment {record.name!r} has CRC {actual:08x}, recorded is {record.crc:08x}"),
-                    offset=offset,
-                )
-            expected = records.AttachmentIndex(
-                offset=offset,
-                length=RECORD.size + len(content),
-                log_time=record.log_time,
-                create_time=record.create_time,
-                data_size=len(record.data),
-                name=record.name,
-                media_type=record.media_type,
-            )
-            self._compare_extra(offset, expected, record.name)
-            yield Attachment(record.name, record.media_type, record.log_time, record.create_time, record.data)
+        if not self._index.attachments:
+            return iter(())
+        from .extras import attachments_of  # noqa: PLC0415  # few files have any
+
+        return attachments_of(self._file, self._index, self._log, verify=self._verify)
 
     def metadata(self) -> Iterator[Metadata]:
         """Yield metadata records in the order of the file."""
-        for offset in sorted(self._index.metadata):
-            content = self._file.record(offset, Opcode.METADATA)
-            try:
-                record = parse(records.Metadata, content, offset, self._file)
-            except DamageError as err:
-                self._log.note(err, offset=offset, bytes_lost=len(content))
-                continue
-            expected = records.MetadataIndex(offset, RECORD.size + len(content), record.name)
-            self._compare_extra(offset, expected, record.name)
-            yield Metadata(record.name, record.metadata)
+        if not self._index.metadata:
+            return iter(())
+        from .extras import metadata_of  # noqa: PLC0415  # few files have any
 
-    def _compare_extra(self, offset: int, expected: ExtraIndex, name: str) -> None:
-        """Note an attachment or a metadata record that the summary contradicts."""
-        if self._index.extra_indexes.get(offset, expected) != expected:
-            kind = "attachment" if isinstance(expected, records.AttachmentIndex) else "metadata record"
-            error = self._file.damage(f"the summary contradicts the {kind} {name!r:.80} at byte {offset}")
-            self._log.note(error, offset=offset, key="index", messages_lost=0)
+        return metadata_of(self._file, self._index, self._log)
 
     def close(self) -> None:
         """Release the file."""
         self._file.close()
-
-
-def _declarations_counted(index: McapIndex, statistics: records.Statistics) -> Iterator[tuple[str, int, int, int]]:
-    """Yield for channels, schemas and chunks the count of the statistics, and the smallest and largest right count."""
-    used = {number for number, count in statistics.channel_message_counts.items() if count}
-    channels = [index.channels[number] for number in used if number in index.channels]
-    schemas = {channel.schema_id for channel in channels} - {0}
-    chunks = sum(isinstance(segment, ChunkSegment) for segment in index.segments)
-    yield "channels", statistics.channel_count, len(used), len(index.channels)
-    yield "schemas", statistics.schema_count, len(schemas), len(index.schemas)
-    yield "chunks", statistics.chunk_count, chunks, chunks
 
 
 def _declared_span(segment: Segment) -> tuple[int, int] | None:
