@@ -494,7 +494,7 @@ main()
 @pytest.mark.parametrize(
     ("moment", "name", "written"),
     [
-        (("staging", "_sync", 1), "out.mcap", []),
+        (("staging", "sync", 1), "out.mcap", []),
         (("os", "link", 1), "out.mcap", ["out.mcap"]),
         (("staging", "sync_directory", 1), "out.mcap", ["out.mcap"]),
         (("staging", "_rename_directory", 1), "out", ["out"]),
@@ -509,7 +509,7 @@ def test_an_interruption_says_what_was_written(
     source = write_rosbag1(tmp_path / "drive.bag", CONTENT)
     out = tmp_path / "out"
     out.mkdir()
-    if overwrite and moment[1] in {"_sync", "sync_directory"}:
+    if overwrite and moment[1] in {"sync", "sync_directory"}:
         (out / name).write_bytes(b"old")
     options = ["-o", str(out / name), "--report", str(out / "report.json"), *["--overwrite"] * overwrite]
     command = [sys.executable, "-c", _INTERRUPTED_BEHIND, *map(str, moment), "repair", str(source), *options]
@@ -518,7 +518,7 @@ def test_an_interruption_says_what_was_written(
     said = f"{', '.join(str(out / each) for each in written)} {'is' if len(written) == 1 else 'are'} complete"
     assert done.stderr.splitlines()[-1] == f"interrupted: {said if written else 'nothing was written'}"
     left = {path.name: path for path in out.iterdir()}
-    assert sorted(left) == sorted(written or ([name] if overwrite and moment[1] == "_sync" else []))
+    assert sorted(left) == sorted(written or ([name] if overwrite and moment[1] == "sync" else []))
     if written:
         assert run("info", out / name).status == 0
     elif left:

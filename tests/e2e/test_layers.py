@@ -247,7 +247,7 @@ LOADED_BY_CONVERT = {
     ),
     "pc2scan.core": "consumers counts kernel layout level moving params points presets project reduce rule",
     "pc2scan.files": (
-        "borrowed compression crc32 limits overlap source staging system temporary text_output write_ahead"
+        "borrowed compression crc32 limits overlap places run_lock source staging system temporary write_ahead"
     ),
     "pc2scan.messages": "clouds consumed definitions laserscan outputs pointcloud2 tfmessage wire",
     "pc2scan.pipeline": (

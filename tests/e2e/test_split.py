@@ -17,7 +17,8 @@ import pc2scan
 from e2e.command import run
 from pc2scan.bags.opening import open_recording
 from pc2scan.errors import DestinationError, OutputError, UsageError
-from pc2scan.files import staging
+from pc2scan.files import staged_parts
+from pc2scan.files.staging import rename_file
 from support import ROOT
 
 if TYPE_CHECKING:
@@ -213,15 +214,15 @@ def test_all_parts_appear_or_none(
         for number in (0, 1, 7):
             existing.with_name(f"out_{number}.bag").unlink()
     before = state(tmp_path)
-    rename, calls = staging._rename_file, [0]
+    calls = [0]
 
     def failing(partial: Path, dst: Path) -> None:
         calls[0] += 1
         if calls[0] == 3:
             raise OSError(5, "Input/output error")
-        rename(partial, dst)
+        rename_file(partial, dst)
 
-    monkeypatch.setattr(staging, "_rename_file", failing)
+    monkeypatch.setattr(staged_parts, "rename_file", failing)
     with pytest.raises(OutputError, match="its parts cannot be renamed"):
         pc2scan.convert(HALL, existing, split="0.2s", overwrite=overwrite, **HEIGHTS)
     assert state(tmp_path) == before

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,7 +12,6 @@ import pytest
 from bags.rosbag2_files import compress_file, write_metadata
 from pc2scan.bags.rosbag2.metadata import beside_recording
 from pc2scan.errors import DestinationError, OutputError
-from pc2scan.files import staging
 from pc2scan.files.staging import staged as staged_anywhere
 
 if TYPE_CHECKING:
@@ -283,89 +280,6 @@ def test_a_left_link_is_removed_and_not_followed(tmp_path: Path) -> None:
     with staged(tmp_path / "out", overwrite=False) as partial:
         make_file(partial)
     assert is_new(tmp_path / "precious")
-
-
-def test_two_runs_at_once(tmp_path: Path) -> None:
-    pytest.importorskip("fcntl")
-    program = (
-        "import sys, pathlib\n"
-        "from pc2scan.files.staging import staged\n"
-        "with staged(pathlib.Path(sys.argv[1]), overwrite=True) as partial:\n"
-        "    partial.write_text('other'); print('ready', flush=True); sys.stdin.read()\n"
-    )
-    source = str(Path(staging.__file__).parents[2])
-    with subprocess.Popen(
-        [sys.executable, "-c", program, str(tmp_path / "out")],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        env={**os.environ, "PYTHONPATH": source},
-    ) as other:
-        assert other.stdout is not None
-        assert other.stdout.readline() == b"ready\n"
-        with (
-            pytest.raises(DestinationError, match="being written by another run"),
-            staged(tmp_path / "out", overwrite=True),
-        ):
-            pytest.fail("the body must not run")
-        assert (tmp_path / "out.pc2scan-partial").read_text() == "other"
-        other.kill()
-    assert names(tmp_path) == ["out.pc2scan-partial", "out.pc2scan-partial.lock"]
-    with staged(tmp_path / "out", overwrite=False) as partial:
-        make_file(partial)
-    assert names(tmp_path) == ["out"]
-
-
-def test_without_locks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    fcntl = pytest.importorskip("fcntl")
-
-    def refuse(*_: object) -> None:
-        raise OSError(37, "No locks available")
-
-    monkeypatch.setattr(fcntl, "flock", refuse)
-    with staged(tmp_path / "file system", overwrite=False) as partial:
-        make_file(partial)
-    monkeypatch.setitem(sys.modules, "fcntl", None)
-    with staged(tmp_path / "windows", overwrite=False) as partial:
-        make_file(partial)
-    assert names(tmp_path) == ["file system", "windows"]
-
-
-def test_places_that_cannot_be(tmp_path: Path) -> None:
-    (tmp_path / "file").touch()
-    for dst, message in [
-        (tmp_path / "missing" / "out", "its directory does not exist"),
-        (tmp_path / "file" / "out", "file is not a directory"),
-        (Path(), "not a name"),
-        (Path("/"), "not a name"),
-        (tmp_path / "..", "not a name"),
-        (Path("/dev/pc2scan-test"), "/dev holds devices"),
-        (Path("/proc/self/fd/pc2scan-test"), "/proc/self/fd holds devices"),
-    ]:
-        with pytest.raises(DestinationError, match=message), staged(dst, overwrite=True):
-            pytest.fail("the body must not run")
-
-
-def test_a_directory_that_is_not_writable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    parent = tmp_path / "closed"
-    parent.mkdir()
-    parent.chmod(0o500)
-    if os.access(parent, os.W_OK):
-        # Root may write everywhere.
-        monkeypatch.setattr(os, "access", lambda *_: False)
-    try:
-        with pytest.raises(OutputError, match="not writable"), staged(parent / "out", overwrite=False):
-            pytest.fail("the body must not run")
-    finally:
-        parent.chmod(0o700)
-
-
-def test_a_file_system_that_refuses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(*_: object) -> int:
-        raise OSError(30, "Read-only file system")
-
-    monkeypatch.setattr(staging, "_locked", refuse)
-    with pytest.raises(OutputError, match="Read-only file system"), staged(tmp_path / "out", overwrite=False):
-        pytest.fail("the body must not run")
 
 
 def test_a_body_that_makes_nothing(tmp_path: Path) -> None:

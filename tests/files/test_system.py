@@ -15,7 +15,8 @@ import pytest
 
 from e2e.command import environment
 from pc2scan.errors import DestinationError
-from pc2scan.files import staging, system
+from pc2scan.files import run_lock, system
+from pc2scan.files.places import check_place
 from pc2scan.files.staging import staged
 from support import ROOT
 
@@ -120,7 +121,7 @@ def test_a_lock_that_is_open_cannot_be_removed_on_windows(tmp_path: Path, monkey
                 raise PermissionError(errno.EACCES, "in use")
         unlink(path, missing_ok)
 
-    monkeypatch.setattr(staging, "_open_lock", opened)
+    monkeypatch.setattr(run_lock, "_open_lock", opened)
     monkeypatch.setattr(os, "close", closed)
     monkeypatch.setattr(Path, "unlink", unlinked)
     with staged(tmp_path / "out", overwrite=False) as partial:
@@ -145,10 +146,10 @@ def test_a_lock_that_is_open_cannot_be_removed_on_windows(tmp_path: Path, monkey
 def test_names_that_windows_cannot_have(
     name: str, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    staging.check_place(tmp_path / name)
+    check_place(tmp_path / name)
     monkeypatch.setattr(system, "os", SimpleNamespace(name="nt"))
     if not reason:
-        staging.check_place(tmp_path / name)
+        check_place(tmp_path / name)
         return
     with pytest.raises(DestinationError, match=reason):
-        staging.check_place(tmp_path / name)
+        check_place(tmp_path / name)

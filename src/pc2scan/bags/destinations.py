@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.errors import DestinationError
-from pc2scan.files.staging import LEFTOVERS
+from pc2scan.files.places import LEFTOVERS
 
 from . import zstd
 from .formats import FORMATS, Format, WriteOptions
@@ -332,7 +332,7 @@ def open_writer(destination: Destination, staged_path: Path, name: str, cut: Cut
         From `plan_destination`.
     staged_path
         The path to write to; see `pc2scan.files.staging.staged`. For several files that are no directory: the
-        directory that they are written in; see `pc2scan.files.staging.staged_parts`.
+        directory that they are written in; see `pc2scan.files.staged_parts.staged_parts`.
     name
         The final name; a rosbag2 directory's files, and several files, are named after it.
     cut

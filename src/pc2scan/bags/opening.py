@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 from pc2scan.errors import MissingError, RecordingError, UsageError
 from pc2scan.files.compression import LZ4_MAGIC, ZSTD_MAGIC
+from pc2scan.files.places import working_names
 from pc2scan.files.source import opened_bytes
-from pc2scan.files.staging import working_names
 from pc2scan.remote.urls import is_url, shown_path
 
 from .formats import FORMATS, ReadOptions, and_list

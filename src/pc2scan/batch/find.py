@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, NamedTuple
 from pc2scan.bags.folders import continues, groups_of_parts, is_named_as_recording, natural_order
 from pc2scan.bags.opening import open_recording, sniff
 from pc2scan.errors import Pc2ScanError, RecordingError, UsageError
+from pc2scan.files.places import working_names
 from pc2scan.files.source import opened_bytes
-from pc2scan.files.staging import working_names
 from pc2scan.remote.urls import is_url
 
 from .identity import Identity, identity_of

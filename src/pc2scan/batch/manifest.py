@@ -13,7 +13,7 @@ from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.errors import DestinationError, OutputError, UsageError
-from pc2scan.files.staging import sync_directory
+from pc2scan.files.system import sync_directory
 from pc2scan.files.text_output import text_output
 from pc2scan.version import __version__
 

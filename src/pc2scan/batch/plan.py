@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from pc2scan.bags.destinations import named_after
 from pc2scan.errors import DestinationError
-from pc2scan.files.staging import working_names
+from pc2scan.files.places import working_names
 from pc2scan.shown import size
 from pc2scan.version import __version__
 

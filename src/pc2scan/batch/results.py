@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pc2scan.bags.splitting import part_name
-from pc2scan.files.staging import parts_beside
+from pc2scan.files.staged_parts import parts_beside
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

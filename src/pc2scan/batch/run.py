@@ -11,7 +11,9 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.errors import DestinationError, OutputError, UsageError
-from pc2scan.files.staging import check_place, clean_up, made_folder, note_written, only_run
+from pc2scan.files.places import check_place, made_folder
+from pc2scan.files.run_lock import only_run
+from pc2scan.files.staging import clean_up, note_written
 from pc2scan.files.text_output import check_text_output, text_output
 from pc2scan.pipeline.scheduler import cores as all_cores
 from pc2scan.remote.names import ShownUrl

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.errors import DestinationError
 
-from .staging import working_names
+from .places import working_names
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence

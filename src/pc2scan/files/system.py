@@ -1,4 +1,4 @@
-"""What operating systems differ in: reading at a place, and locks."""
+"""What operating systems differ in: reading at a place, locks, names, and waiting for the disk."""
 
 from __future__ import annotations
 
@@ -9,8 +9,18 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
-__all__ = ["BINARY", "REFUSES_LINKS", "lock", "read_at", "sought_and_read", "unusable_name"]
+__all__ = [
+    "BINARY",
+    "REFUSES_LINKS",
+    "lock",
+    "read_at",
+    "sought_and_read",
+    "sync_directory",
+    "sync_file",
+    "unusable_name",
+]
 
 #: Windows would translate line ends in files that are opened without it.
 BINARY = getattr(os, "O_BINARY", 0)
@@ -84,3 +94,21 @@ def unusable_name(name: str) -> str:
         return "ends with a character that Windows drops"
     forbidden = sorted(set(name) & set('<>:"|?*'))
     return f"has {' '.join(forbidden)}, which names on Windows cannot have" if forbidden else ""
+
+
+def sync_file(path: Path) -> None:
+    """Wait until a file's content is on the disk."""
+    # Not read-only: Windows flushes only files that are open for writing.
+    with path.open("rb+") as file:
+        os.fsync(file.fileno())
+
+
+def sync_directory(path: Path) -> None:
+    """Wait until a directory's entries are on the disk, if the system can do so."""
+    if os.name == "nt":
+        return
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

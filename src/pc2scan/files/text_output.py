@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 
 from pc2scan.errors import DestinationError, OutputError
 
+from .places import check_place
 from .source import NewFile
-from .staging import check_place, prepared
+from .staging import prepared
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence

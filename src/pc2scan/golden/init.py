@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, NamedTuple
 from pc2scan.bags.opening import open_recordings
 from pc2scan.bags.topics import find_topics
 from pc2scan.errors import DestinationError, OutputError, ResultError
-from pc2scan.files.staging import made_folder, staged
+from pc2scan.files.places import made_folder
+from pc2scan.files.staging import staged
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.pipeline.options import ConvertOptions, bound_of

@@ -31,7 +31,8 @@ from pc2scan.errors import (
     TopicError,
     UsageError,
 )
-from pc2scan.files.staging import check_destination, check_parts, made_folder, parts_beside, staged, staged_parts
+from pc2scan.files.places import made_folder
+from pc2scan.files.staging import check_destination, staged
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.model import MAX_ROSBAG2_NS
 from pc2scan.remote.urls import is_url, shown_path
@@ -271,7 +272,10 @@ def _run(
         report.warnings += overlap_warnings(readers)
     report.warnings += (*plan.warnings, *doubts(options))
     in_parts = output.cut is not None and not target.storage
-    files.parts = parts_beside(path) if in_parts else ()
+    if in_parts:
+        from pc2scan.files.staged_parts import check_parts, parts_beside, staged_parts  # noqa: PLC0415  # most are one file
+
+        files.parts = parts_beside(path)
     if output.dry_run:
         report.dry_run = True
         files.open_report(stack)

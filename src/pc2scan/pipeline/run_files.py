@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, NamedTuple
 from pc2scan.errors import DestinationError, OutputError, RecordingError, UsageError
 from pc2scan.files.overlap import InputPath, OutputPath, refuse_overlap
 from pc2scan.files.source import state_of
-from pc2scan.files.text_output import check_text_output, text_output
 
 from .report import BEGINNING
 
@@ -168,6 +167,8 @@ def report_file(output: OutputOptions, stack: ExitStack) -> Callable[[str], None
     """
     if output.report is None:
         return None
+    from pc2scan.files.text_output import check_text_output, text_output  # noqa: PLC0415  # only reports need it
+
     try:
         if output.dry_run:
             check_text_output(output.report, beginning=BEGINNING, overwrite=output.overwrite)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from pc2scan.errors import OutputError, UnwritableError
 from pc2scan.files.compression import compress
-from pc2scan.files.staging import sync_file
+from pc2scan.files.system import sync_file
 from pc2scan.files.write_ahead import WriteAhead
 
 if TYPE_CHECKING:

@@ -257,7 +257,7 @@ def write_info(folder: Path, info: Mapping[str, Any]) -> None:
     OutputError
         If it cannot be written.
     """
-    from pc2scan.files.staging import sync_directory  # noqa: PLC0415
+    from pc2scan.files.system import sync_directory  # noqa: PLC0415
 
     try:
         with (folder / METADATA_NAME).open("x", encoding="utf-8", newline="\n") as file:

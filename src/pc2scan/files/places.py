@@ -1,0 +1,118 @@
+"""Where a destination can be written, and how the files are named that a run has beside it."""
+
+from __future__ import annotations
+
+import os
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING
+
+from pc2scan.errors import DestinationError, OutputError
+
+from . import system
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+__all__ = [
+    "LEFTOVERS",
+    "LOCK",
+    "OLD",
+    "PARTIAL",
+    "check_length",
+    "check_new_folder",
+    "check_place",
+    "made_folder",
+    "working_names",
+]
+
+PARTIAL = ".pc2scan-partial"
+OLD = ".pc2scan-old"
+LOCK = f"{PARTIAL}.lock"
+
+#: Endings of the files that a killed run leaves beside its destination.
+LEFTOVERS = (PARTIAL, OLD)
+
+
+def working_names(dst: Path) -> tuple[Path, ...]:
+    """Return the paths beside a destination that a run creates, renames and removes while it writes it.
+
+    No input may have one of them: see `pc2scan.files.overlap`.
+    """
+    return tuple(dst.with_name(dst.name + ending) for ending in (PARTIAL, OLD, LOCK)) if dst.name else ()
+
+
+def check_place(dst: Path) -> None:
+    """Raise if nothing of this name can be written."""
+    if dst.name in {"", ".."}:
+        raise DestinationError("is not a name that a recording can have", path=dst)
+    if reason := system.unusable_name(dst.name):
+        raise DestinationError(f"cannot be written: the name {reason}", path=dst, hint="choose another name")
+    parent = dst.parent
+    try:
+        exists = parent.exists()
+    except OSError as err:
+        raise DestinationError(f"its directory cannot be there: {err.strerror}", path=dst) from err
+    if not exists:
+        from shlex import quote  # noqa: PLC0415  # few destinations are wrong
+
+        hint = f"create it: mkdir -p {quote(str(parent))}"
+        raise DestinationError("its directory does not exist", path=dst, hint=hint)
+    check_length(dst)
+    if not parent.is_dir():
+        raise DestinationError(f"{parent} is not a directory", path=dst)
+    # Even links there are not replaced: /dev/stdout is one.
+    place = os.path.realpath(parent)
+    if place == "/dev" or place.startswith(("/proc/", "/sys/")):
+        raise DestinationError(f"{parent} holds devices, not files", path=dst, hint="name a file in another directory")
+    if not os.access(parent, os.W_OK | os.X_OK):
+        raise OutputError(
+            "its directory is not writable", path=dst, hint="write into another one, or change its rights"
+        )
+
+
+def check_length(dst: Path) -> None:
+    """Raise if the file system cannot hold the name, or one of its `working_names`."""
+    limit = 255
+    # Not every system and file system can tell.
+    with suppress(OSError, ValueError, AttributeError):
+        limit = os.pathconf(dst.parent, "PC_NAME_MAX")
+    allowed = limit - len(LOCK)
+    if (length := len(os.fsencode(dst.name))) > allowed:
+        raise DestinationError(
+            f"its name has {length} bytes, at most {allowed} are possible", path=dst, hint="choose a shorter name"
+        )
+
+
+@contextmanager
+def made_folder(folder: Path) -> Iterator[None]:
+    """Make a folder to write into, if it does not exist; it is removed again if the body fails and leaves it empty.
+
+    Raises
+    ------
+    DestinationError
+        If it is not a folder, or the folder above it does not exist.
+    OutputError
+        If it cannot be made.
+    """
+    if folder.is_dir():
+        yield
+        return
+    check_new_folder(folder)
+    try:
+        folder.mkdir()
+    except OSError as err:
+        raise OutputError(f"cannot be made: {err.strerror}", path=folder) from err
+    try:
+        yield
+    except BaseException:
+        with suppress(OSError):
+            folder.rmdir()
+        raise
+
+
+def check_new_folder(folder: Path) -> None:
+    """Raise if no folder of this name can be made."""
+    if os.path.lexists(folder):
+        raise DestinationError("is not a folder", path=folder, hint="choose another name")
+    check_place(folder)
