@@ -75,6 +75,25 @@ def test_what_is_loaded_ahead_is_bounded_and_enough(size: int, jobs: int) -> Non
     assert jobs < most <= bound + 2
 
 
+@pytest.mark.parametrize("jobs", [1, 2, 4])
+def test_of_units_that_take_memory_already_one_waits_for_each_thread(jobs: int) -> None:
+    listed = taken = most = 0
+
+    def units() -> Iterator[Unit]:
+        nonlocal listed, most
+        for number in range(20):
+            listed += 1
+            most = max(most, listed - taken)
+            yield unit(number, 1 << 20)._replace(is_in_memory=True)
+
+    with Threads(jobs) as threads:
+        for _ in schedule(units(), lambda message: message, threads):
+            taken += 1
+    assert taken == 20
+    # One more is listed, and the next one is looked at to know what is due first.
+    assert most <= jobs + 2
+
+
 @pytest.mark.parametrize("window", [1, 3])
 def test_no_more_than_the_window_is_in_flight(window: int) -> None:
     lock = Lock()

@@ -123,6 +123,8 @@ class Unit(NamedTuple):
         first and its last one.
     stretch
         Its place in a file; None if it is not in one piece.
+    is_in_memory
+        Whether it takes its memory as soon as it is listed, as the rows of a database do.
     """
 
     start_ns: int
@@ -132,6 +134,7 @@ class Unit(NamedTuple):
     is_quick: bool = False
     may_be_whole: bool = False
     stretch: Stretch | None = None
+    is_in_memory: bool = False
 
 
 class Handle(NamedTuple):

@@ -108,7 +108,7 @@ def _ahead(
     try:
         for unit in units:
             too_large = unit.size > LARGEST_AHEAD
-            while waiting and (too_large or not results.has_room(unit.size)):
+            while waiting and (too_large or not _may_wait(unit, results, threads.jobs)):
                 yield Handle(waiting.popleft(), results.take)
             if too_large:
                 yield Handle(unit, partial(_together, threads, unit, callback))
@@ -120,6 +120,11 @@ def _ahead(
             yield Handle(waiting.popleft(), results.take)
     finally:
         results.cancel()
+
+
+def _may_wait(unit: Unit, results: InOrder[Loaded[Any]], jobs: int) -> bool:
+    """Whether one more unit may be loaded ahead; of those that take memory already, one for each thread is enough."""
+    return results.has_room(unit.size) and (len(results) < jobs or not unit.is_in_memory)
 
 
 def _together(threads: Threads, unit: Unit, callback: Callable[[RawMessage], Item]) -> Loaded[Item]:

@@ -215,7 +215,7 @@ class Sqlite3Reader(Reader):
 
         def unit() -> Unit:
             rest = _Rows(rows, len(rows), partial(wanted, before))
-            return Unit(rows[0].log_time_ns, (number,), size, rest, is_quick=size < _WORTH_A_THREAD)
+            return Unit(rows[0].log_time_ns, (number,), size, rest, is_quick=size < _WORTH_A_THREAD, is_in_memory=True)
 
         for key, message in wanted():
             rows.append(message)
