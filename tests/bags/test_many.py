@@ -17,7 +17,7 @@ from pc2scan.bags.many import Many
 from pc2scan.bags.mcap import messages as mcap_messages
 from pc2scan.bags.opening import open_recording
 from pc2scan.bags.rosbag1 import chunks as rosbag1_chunks
-from pc2scan.bags.units import Stretch, Unit, in_time_order
+from pc2scan.bags.units import Extent, Unit, in_time_order
 from pc2scan.errors import RecordingError
 
 if TYPE_CHECKING:
@@ -132,8 +132,8 @@ def test_more_messages_than_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     with closing(open_recording(path)) as reader:
         (unit,) = reader.units()
         assert isinstance(unit, Unit)
-        assert isinstance(unit.stretch, Stretch)
+        assert isinstance(unit.extent, Extent)
         assert len(list(in_time_order([unit]))) == 99
-        few = unit._replace(stretch=unit.stretch._replace(length=80))
+        few = unit._replace(extent=unit.extent._replace(length=80))
         with pytest.raises(RecordingError, match="more messages than bytes"):
             list(in_time_order([few]))

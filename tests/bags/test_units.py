@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pc2scan.bags.units import Stretch, Unit, by_start, in_time_order
+from pc2scan.bags.units import Extent, Unit, by_start, in_time_order
 from pc2scan.errors import RecordingError
 from pc2scan.model import Connection, RawMessage, StoredChunk
 
@@ -147,7 +147,7 @@ def test_what_will_be_loaded_is_announced_some_way_ahead() -> None:
 
         return loading
 
-    units = [Unit(at, (at,), size, load(at), stretch=Stretch(file, at, size - 100)) for at in places]
+    units = [Unit(at, (at,), size, load(at), extent=Extent(file, at, size - 100)) for at in places]
     assert len(list(in_time_order(units))) == 12
     ends = [at + size - 100 for at in places]
     # Four bring it beyond 32 MiB, and when no more than half of that is left, the next ones follow.

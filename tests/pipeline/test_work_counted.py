@@ -80,7 +80,7 @@ def record(folder: Path, suffix: str, compression: str, size: int = CLOUD_BYTES)
     return path
 
 
-class Stretch(NamedTuple):
+class Extent(NamedTuple):
     """Bytes of a file that were read."""
 
     offset: int
@@ -91,13 +91,13 @@ class Stretch(NamedTuple):
 
 
 @pytest.fixture
-def stretches(monkeypatch: pytest.MonkeyPatch) -> list[Stretch]:
+def extents(monkeypatch: pytest.MonkeyPatch) -> list[Extent]:
     """Everything that is read of any source, in order."""
-    found: list[Stretch] = []
+    found: list[Extent] = []
     original = files.SourceFile.read
 
     def counting(self: files.SourceFile, offset: int, length: int) -> bytes:
-        found.append(Stretch(offset, length))
+        found.append(Extent(offset, length))
         return original(self, offset, length)
 
     monkeypatch.setattr(files.SourceFile, "read", counting)
@@ -121,8 +121,8 @@ def drive(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     return record(tmp_path, *request.param)
 
 
-def times_read(stretches: list[Stretch], chunks: list[Segment]) -> list[int]:
-    return [sum(stretch.covers(chunk) for stretch in stretches) for chunk in chunks]
+def times_read(extents: list[Extent], chunks: list[Segment]) -> list[int]:
+    return [sum(extent.covers(chunk) for extent in extents) for chunk in chunks]
 
 
 def convert(source: Path, **options: Any) -> pc2scan.Report:
@@ -132,33 +132,33 @@ def convert(source: Path, **options: Any) -> pc2scan.Report:
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
-def test_chunks_that_nobody_wants_are_not_read(drive: Path, jobs: int, stretches: list[Stretch]) -> None:
+def test_chunks_that_nobody_wants_are_not_read(drive: Path, jobs: int, extents: list[Extent]) -> None:
     chunks = segments(drive)
     assert [len(chunks[topic]) for topic in ("/points", "/other", "/tf")] == [CLOUDS] * 3
-    stretches.clear()
+    extents.clear()
     assert convert(drive, jobs=jobs).topics[0].messages_out == CLOUDS
-    assert times_read(stretches, chunks["/points"]) == [1] * CLOUDS
+    assert times_read(extents, chunks["/points"]) == [1] * CLOUDS
     # Transforms are small: a look at the header behind them may take them along.
-    assert times_read(stretches, chunks["/other"]) == [0] * CLOUDS
+    assert times_read(extents, chunks["/other"]) == [0] * CLOUDS
     stored = sum(chunk.length for chunk in chunks["/points"])
-    assert sum(stretch.length for stretch in stretches) < stored + chunks["/other"][0].length * CLOUDS
+    assert sum(extent.length for extent in extents) < stored + chunks["/other"][0].length * CLOUDS
 
 
-def test_a_cut_reads_only_its_own_chunks(drive: Path, stretches: list[Stretch]) -> None:
+def test_a_cut_reads_only_its_own_chunks(drive: Path, extents: list[Extent]) -> None:
     chunks = segments(drive)["/points"]
-    stretches.clear()
+    extents.clear()
     convert(drive, start="0.000002", end="0.000004")
-    assert times_read(stretches, chunks) == [0, 0, 1, 1, 0, 0]
+    assert times_read(extents, chunks) == [0, 0, 1, 1, 0, 0]
 
 
-def test_transforms_are_found_without_reading_clouds(drive: Path, stretches: list[Stretch]) -> None:
+def test_transforms_are_found_without_reading_clouds(drive: Path, extents: list[Extent]) -> None:
     chunks = segments(drive)
-    stretches.clear()
+    extents.clear()
     params = pc2scan.ProjectionParams(min_height=-2, max_height=2, target_frame="base_link")
     assert convert(drive, params=params).topics[0].messages_out == CLOUDS
-    assert times_read(stretches, chunks["/points"]) == [1] * CLOUDS
-    assert times_read(stretches, chunks["/other"]) == [0] * CLOUDS
-    assert min(times_read(stretches, chunks["/tf"])) >= 1
+    assert times_read(extents, chunks["/points"]) == [1] * CLOUDS
+    assert times_read(extents, chunks["/other"]) == [0] * CLOUDS
+    assert min(times_read(extents, chunks["/tf"])) >= 1
 
 
 @pytest.mark.parametrize("jobs", [1, 2])

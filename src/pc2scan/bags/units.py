@@ -27,10 +27,10 @@ if TYPE_CHECKING:
 __all__ = [
     "MAX_OPEN_BYTES",
     "UNKNOWN_START_NS",
+    "Extent",
     "Handle",
     "Load",
     "Loaded",
-    "Stretch",
     "Timed",
     "Unit",
     "by_start",
@@ -95,7 +95,7 @@ class Load(Protocol):
         ...
 
 
-class Stretch(NamedTuple):
+class Extent(NamedTuple):
     """The place of a unit: the file, and its bytes there."""
 
     file: SourceFile
@@ -121,7 +121,7 @@ class Unit(NamedTuple):
     may_be_whole
         Whether a chunk may be copied as a whole: all of it is wanted, and no other unit has messages between its
         first and its last one.
-    stretch
+    extent
         Its place in a file; None if it is not in one piece.
     is_in_memory
         Whether it takes its memory as soon as it is listed, as the rows of a database do.
@@ -133,7 +133,7 @@ class Unit(NamedTuple):
     load: Load
     is_quick: bool = False
     may_be_whole: bool = False
-    stretch: Stretch | None = None
+    extent: Extent | None = None
     is_in_memory: bool = False
 
 
@@ -209,7 +209,7 @@ def in_time_order(
 
 
 def _announced(units: Iterable[Unit]) -> Iterator[Unit]:
-    """Yield the units, and announce their stretches to the system ahead of their turn.
+    """Yield the units, and announce their extents to the system ahead of their turn.
 
     Units that follow each other are announced by one call, because every call lets other threads take the
     interpreter's lock.
@@ -219,33 +219,33 @@ def _announced(units: Iterable[Unit]) -> Iterator[Unit]:
     announced = 0
     while True:
         if announced <= _ANNOUNCED_BYTES // 2:
-            stretches: list[Stretch] = []
+            extents: list[Extent] = []
             while announced < _ANNOUNCED_BYTES and (unit := next(source, None)) is not None:
                 coming.append(unit)
-                if unit.stretch is None:
+                if unit.extent is None:
                     break
-                announced += unit.stretch.length
-                _append(stretches, unit.stretch)
-            for file, offset, length in stretches:
+                announced += unit.extent.length
+                _append(extents, unit.extent)
+            for file, offset, length in extents:
                 file.expect(offset, length)
         if not coming:
             return
         due = coming.popleft()
-        announced -= due.stretch.length if due.stretch else 0
+        announced -= due.extent.length if due.extent else 0
         yield due
         # The unit may hold rows of a database, which must not stay in memory while the next one is made.
         unit = None
         del due
 
 
-def _append(stretches: list[Stretch], following: Stretch) -> None:
-    """Append a stretch, or extend the last one if it follows that."""
-    if stretches:
-        file, offset, length = stretches[-1]
+def _append(extents: list[Extent], following: Extent) -> None:
+    """Append an extent, or extend the last one if it follows that."""
+    if extents:
+        file, offset, length = extents[-1]
         if file is following.file and 0 <= following.offset - offset - length <= _GAP_BYTES:
-            stretches[-1] = Stretch(file, offset, following.offset + following.length - offset)
+            extents[-1] = Extent(file, offset, following.offset + following.length - offset)
             return
-    stretches.append(following)
+    extents.append(following)
 
 
 class _Open:
@@ -293,8 +293,8 @@ def _merged(
             # Makes room before loading.
             _evict(heap, max_open_bytes - unit.size)
             found = coming.result()
-            if unit.stretch and not isinstance(found, StoredChunk):
-                most += unit.stretch.length - len(found)
+            if unit.extent and not isinstance(found, StoredChunk):
+                most += unit.extent.length - len(found)
                 if most < 0:
                     raise RecordingError("has more messages than bytes, which no recording does", path=path)
             if found:

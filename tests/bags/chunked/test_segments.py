@@ -72,6 +72,6 @@ def test_units_are_in_the_order_in_which_they_are_due() -> None:
         (1, (30,), True, False),
         (5, (10,), False, True),
     ]
-    assert [unit.stretch for unit in units] == [(file, 30, 10), (file, 10, 10)]
+    assert [unit.extent for unit in units] == [(file, 30, 10), (file, 10, 10)]
     large = replace(early, uncompressed_size=1 << 20)
     assert not units_of([large], load, [], file)[0].is_quick

@@ -9,7 +9,7 @@ from itertools import accumulate, zip_longest
 from operator import attrgetter
 from typing import TYPE_CHECKING, Protocol
 
-from pc2scan.bags.units import Stretch, Unit, by_start
+from pc2scan.bags.units import Extent, Unit, by_start
 from pc2scan.model import declared_counts
 
 if TYPE_CHECKING:
@@ -164,7 +164,7 @@ def units_of(
             load=partial(load, segment),
             is_quick=segment.compression == "none" and segment.uncompressed_size < _WORTH_A_THREAD,
             may_be_whole=segment in alone,
-            stretch=Stretch(file, segment.offset, segment.length),
+            extent=Extent(file, segment.offset, segment.length),
         )
         for segment in segments
     )
