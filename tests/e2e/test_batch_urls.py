@@ -19,7 +19,6 @@ from e2e.command import environment as plain_environment
 from pc2scan.errors import DestinationError, MissingError, RecordingError, UsageError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
     from pathlib import Path
 
 fsspec = pytest.importorskip("fsspec")
@@ -29,26 +28,10 @@ HEIGHTS = ("--min-height", "-2", "--max-height", "2")
 KEYWORDS: dict[str, Any] = {"min_height": -2, "max_height": 2}
 
 
-@pytest.fixture(scope="module")
-def server() -> Iterator[dict[str, str]]:
-    moto = pytest.importorskip("moto.server", reason="moto's server stands in for S3")
-    pytest.importorskip("s3fs", reason="s3fs reads S3")
-    running = moto.ThreadedMotoServer(ip_address="127.0.0.1", port=0)
-    running.start()
-    host, port = running.get_host_and_port()
-    yield {
-        "AWS_ENDPOINT_URL": f"http://{host}:{port}",
-        "AWS_ACCESS_KEY_ID": "testing",
-        "AWS_SECRET_ACCESS_KEY": "testing-secret",
-        "AWS_DEFAULT_REGION": "us-east-1",
-    }
-    running.stop()
-
-
 @pytest.fixture
-def s3(server: dict[str, str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
+def s3(s3_server: dict[str, str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
     """A file system with an empty bucket of the test's own, and an environment that leads there."""
-    for name, value in server.items():
+    for name, value in s3_server.items():
         monkeypatch.setenv(name, value)
     fs = fsspec.filesystem("s3", skip_instance_cache=True)
     fs.bucket = tmp_path.name.replace("_", "-").lower()
@@ -336,14 +319,14 @@ def test_words_about_urls_without_one(drives: Path, tmp_path: Path) -> None:
 
 
 def test_workers_of_a_cluster_copy_for_themselves(
-    s3: Any, server: dict[str, str], drives: Path, scratch: Path, tmp_path: Path
+    s3: Any, s3_server: dict[str, str], drives: Path, scratch: Path, tmp_path: Path
 ) -> None:
     pytest.importorskip("psutil", reason="distributed needs it")
     pytest.importorskip("distributed", reason="distributed is not installed")
     from batch.test_cluster import cluster
 
     source, out = upload(s3, drives, "in"), f"s3://{s3.bucket}/out"
-    with cluster(tmp_path, **server) as address:
+    with cluster(tmp_path, **s3_server) as address:
         done = batch(source, "-o", out, "--scratch", scratch, "--dask", address)
         again = batch(source, "-o", out, "--dask", address)
     assert done.returncode == 1, done.stderr

@@ -237,38 +237,22 @@ def test_a_web_server_is_read_only(web: str, tmp_path: Path) -> None:
     assert "geheim" not in refused.stderr
 
 
-@pytest.fixture
-def s3() -> Iterator[dict[str, str]]:
-    server = pytest.importorskip("moto.server", reason="moto's server stands in for S3")
-    pytest.importorskip("s3fs", reason="s3fs reads S3")
-    running = server.ThreadedMotoServer(ip_address="127.0.0.1", port=0)
-    running.start()
-    host, port = running.get_host_and_port()
-    yield {
-        "AWS_ENDPOINT_URL": f"http://{host}:{port}",
-        "AWS_ACCESS_KEY_ID": "testing",
-        "AWS_SECRET_ACCESS_KEY": "testing-secret",
-        "AWS_DEFAULT_REGION": "us-east-1",
-    }
-    running.stop()
-
-
-def test_an_s3_server(s3: dict[str, str]) -> None:
+def test_an_s3_server(s3_server: dict[str, str]) -> None:
     code = "import fsspec, sys; s3 = fsspec.filesystem('s3'); s3.mkdir('drives'); "
     code += "s3.put(sys.argv[1], 'drives/in/hall.bag')"
     command = [sys.executable, "-c", code, str(FIXTURES / "hall.bag")]
-    subprocess.run(command, check=True, timeout=120, env=os.environ | s3)
-    done = run("info", "s3://drives/in/hall.bag", environment=s3)
+    subprocess.run(command, check=True, timeout=120, env=os.environ | s3_server)
+    done = run("info", "s3://drives/in/hall.bag", environment=s3_server)
     assert done.returncode == 0, done.stderr
     for name in ("x.bag", "x"):
-        done = run("convert", "s3://drives/in/hall.bag", "-o", f"s3://drives/out/{name}", environment=s3)
+        done = run("convert", "s3://drives/in/hall.bag", "-o", f"s3://drives/out/{name}", environment=s3_server)
         assert done.returncode == 0, done.stderr
         assert "testing-secret" not in done.stdout + done.stderr
-    done = run("convert", "s3://drives/in/hall.bag", "-o", "s3://drives/out/x.bag", environment=s3)
+    done = run("convert", "s3://drives/in/hall.bag", "-o", "s3://drives/out/x.bag", environment=s3_server)
     assert done.returncode == 2
     assert "exists already" in done.stderr
-    shown = run("info", "s3://drives/out/x", environment=s3)
+    shown = run("info", "s3://drives/out/x", environment=s3_server)
     assert shown.stdout.startswith("s3://drives/out/x: rosbag2 mcap"), shown.stderr
-    missing = run("info", "s3://drives/none.bag", environment=s3)
+    missing = run("info", "s3://drives/none.bag", environment=s3_server)
     assert missing.returncode == 2
     assert "nothing of this name" in missing.stderr
