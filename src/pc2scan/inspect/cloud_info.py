@@ -12,10 +12,9 @@ from pc2scan.errors import DecodeError, TransformError
 from pc2scan.json_types import json_value
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.pointcloud2 import DATATYPES, POINTCLOUD2, decode_pointcloud2
-from pc2scan.shown import Table
 from pc2scan.tf.mounting import mounting
 
-from .spread import Spread, finite, spread_of
+from .spread import Spread, finite, spread_of, spread_table
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -24,6 +23,7 @@ if TYPE_CHECKING:
 
     from pc2scan.core.points import Points
     from pc2scan.model import RawMessage
+    from pc2scan.shown import Table
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.mounting import Mounting
     from pc2scan.tf.placing import Frames
@@ -112,11 +112,7 @@ class CloudInfo:
         spreads = {name: spread for name in ("x", "y", "z", "range") if (spread := getattr(self, name)) is not None}
         if spreads:
             yield ""
-            yield Table(
-                ("[m]", "min", "5%", "median", "95%", "max"),
-                [(name, *(f"{v:.3f}" for v in (s.min, s.p5, s.median, s.p95, s.max))) for name, s in spreads.items()],
-                left=("[m]",),
-            )
+            yield spread_table(spreads)
         if self.height_counts:
             yield ""
             yield "  heights (z)" + (f" in {self.target_frame}" if self.target_frame else "")

@@ -12,9 +12,9 @@ from pc2scan.core.consumers import CONSUMERS, OUTCOMES, Outcome, judge
 from pc2scan.errors import DecodeError
 from pc2scan.messages.consumed import consumed_scan
 from pc2scan.messages.laserscan import decode_laserscan
-from pc2scan.shown import Table, agreeing, counted
+from pc2scan.shown import agreeing, counted
 
-from .spread import Spread, spread_of
+from .spread import Spread, spread_of, spread_table
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
     from pc2scan.core.consumers import Scan
     from pc2scan.model import RawMessage
+    from pc2scan.shown import Table
 
 __all__ = ["ScanInfo", "ScanLook"]
 
@@ -116,12 +117,7 @@ class ScanInfo:
             yield "          " + ", ".join(f"{name} {share:.1%}" for share, name in others if share)
         if self.range is not None:
             yield ""
-            spread = self.range
-            yield Table(
-                ("[m]", "min", "5%", "median", "95%", "max"),
-                [("range", *(f"{v:.3f}" for v in (spread.min, spread.p5, spread.median, spread.p95, spread.max)))],
-                left=("[m]",),
-            )
+            yield spread_table({"range": self.range})
         outcomes: dict[str, list[str]] = {}
         for consumer, outcome in self.consumers:
             outcomes.setdefault(outcome, []).append(consumer)

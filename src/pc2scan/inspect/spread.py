@@ -1,4 +1,4 @@
-"""The distribution of a quantity: its percentiles."""
+"""The distribution of a quantity: its percentiles, and a table of them."""
 
 from __future__ import annotations
 
@@ -7,10 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pc2scan.shown import Table
+
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from numpy.typing import NDArray
 
-__all__ = ["Spread", "finite", "spread_of"]
+__all__ = ["Spread", "finite", "spread_of", "spread_table"]
 
 #: Numbers of float64 beyond this count as infinite.
 _LARGEST = 1e300
@@ -39,3 +43,12 @@ def spread_of(values: NDArray[np.floating[Any]]) -> Spread | None:
     if not known.size:
         return None
     return Spread(*(float(value) for value in np.percentile(known, [0, 5, 50, 95, 100])))
+
+
+def spread_table(spreads: Mapping[str, Spread]) -> Table:
+    """Return the table of spreads by name."""
+    return Table(
+        ("[m]", "min", "5%", "median", "95%", "max"),
+        [(name, *(f"{v:.3f}" for v in (s.min, s.p5, s.median, s.p95, s.max))) for name, s in spreads.items()],
+        left=("[m]",),
+    )
