@@ -19,13 +19,13 @@ NEW_ID = -1
 #: The latest log time that rosbag2 can store; it is also the start of a recording without messages.
 MAX_ROSBAG2_NS = 2**63 - 1
 
-#: The QoS profile of a latched topic as rosbag2 (metadata version 8) writes it: keep last 1, reliable, transient
-#: local, automatic liveliness, infinite durations. Other topics get no profile: ``ros2 bag play`` uses its default.
-LATCHED_QOS = """\
+#: QoS profiles as rosbag2 (metadata version 8) writes them: keep last, reliable, automatic liveliness, infinite
+#: durations.
+_QOS = """\
 - history: 1
-  depth: 1
+  depth: {depth}
   reliability: 1
-  durability: 1
+  durability: {durability}
   deadline:
     sec: 9223372036
     nsec: 854775807
@@ -38,6 +38,12 @@ LATCHED_QOS = """\
     nsec: 854775807
   avoid_ros_namespace_conventions: false
 """
+
+#: The QoS profile of a latched topic: keep last 1, transient local. Most other topics get no profile: ``ros2 bag play``
+#: uses its default.
+LATCHED_QOS = _QOS.format(depth=1, durability=1)
+#: The QoS profile of tf2's transform broadcaster: keep last 100, volatile.
+TF_QOS = _QOS.format(depth=100, durability=2)
 
 
 class Definition(NamedTuple):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from pc2scan.messages.definitions import definition
 from pc2scan.messages.tfmessage import encode_transforms
-from pc2scan.model import NEW_ID, Connection
+from pc2scan.model import NEW_ID, TF_QOS, Connection
 from pc2scan.tf.imu_reading import ImuRequest, MeasuredUp, read_up
 from pc2scan.tf.levelling import UpByFrame, UpByImu
 from pc2scan.tf.reading import is_static, tf_connections
@@ -29,25 +29,6 @@ if TYPE_CHECKING:
 __all__ = ["LevelFrames", "Ups", "tf_connection"]
 
 _TFMESSAGE = "tf2_msgs/msg/TFMessage"
-
-#: The QoS profile of tf2's transform broadcaster: keep last 100, reliable, volatile.
-_QOS = """\
-- history: 1
-  depth: 100
-  reliability: 1
-  durability: 2
-  deadline:
-    sec: 9223372036
-    nsec: 854775807
-  lifespan:
-    sec: 9223372036
-    nsec: 854775807
-  liveliness: 1
-  liveliness_lease_duration:
-    sec: 9223372036
-    nsec: 854775807
-  avoid_ros_namespace_conventions: false
-"""
 
 
 class Ups:
@@ -114,7 +95,7 @@ def tf_connection(reader: Reader, frames: FrameOptions, target: Destination) -> 
         definition=text,
         digest=digest,
         callerid="/pc2scan" if target.ros_version == 1 else None,
-        qos=_QOS if target.ros_version == 2 else "",
+        qos=TF_QOS if target.ros_version == 2 else "",
     )
 
 
