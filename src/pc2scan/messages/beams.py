@@ -12,9 +12,11 @@ from pc2scan.core.unproject import unproject
 from pc2scan.errors import DecodeError
 
 if TYPE_CHECKING:
+    from pc2scan.core.unproject import UnprojectedScan, UnprojectParams
+
     from .laserscan import LaserScan
 
-__all__ = ["ScanPoints", "beams_of"]
+__all__ = ["ScanPoints", "beams_of", "unprojected"]
 
 
 class ScanPoints(NamedTuple):
@@ -37,6 +39,30 @@ class ScanPoints(NamedTuple):
     rejected: dict[str, int]
 
 
+def unprojected(scan: LaserScan, params: UnprojectParams | None = None) -> UnprojectedScan:
+    """Return the points of a scan, as `unproject` makes them.
+
+    Raises
+    ------
+    DecodeError
+        See `unproject`; with the scan's stamp.
+    """
+    try:
+        return unproject(
+            scan.ranges,
+            scan.intensities,
+            angle_min=scan.angle_min,
+            angle_increment=scan.angle_increment,
+            range_min=scan.range_min,
+            range_max=scan.range_max,
+            time_increment=scan.time_increment,
+            params=params,
+        )
+    except DecodeError as err:
+        err.stamp_ns = scan.stamp_ns
+        raise
+
+
 def beams_of(scan: LaserScan) -> ScanPoints:
     """Return the returns of a scan.
 
@@ -45,18 +71,7 @@ def beams_of(scan: LaserScan) -> ScanPoints:
     DecodeError
         If its angles are not finite, or it has intensities, but not one for each range.
     """
-    try:
-        found = unproject(
-            scan.ranges,
-            scan.intensities,
-            angle_min=scan.angle_min,
-            angle_increment=scan.angle_increment,
-            range_min=scan.range_min,
-            range_max=scan.range_max,
-        )
-    except DecodeError as err:
-        err.stamp_ns = scan.stamp_ns
-        raise
+    found = unprojected(scan)
     fields = {name: np.ascontiguousarray(found.points[name]) for name in found.points.dtype.names or ()}
     with np.errstate(all="ignore"):
         fields[TIME] = found.beams * np.float64(float32(scan.time_increment))

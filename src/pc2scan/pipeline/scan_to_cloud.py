@@ -7,8 +7,9 @@ from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.core.counts import PointCounts
-from pc2scan.core.unproject import UnprojectedScan, UnprojectParams, deskew, last_beam_ns, unproject
+from pc2scan.core.unproject import UnprojectedScan, UnprojectParams, deskew, last_beam_ns
 from pc2scan.errors import DecodeError, stamp_text
+from pc2scan.messages.beams import unprojected
 from pc2scan.messages.laserscan import LaserScan, decode_laserscan
 from pc2scan.messages.outputs import OF_SCANS
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, StructuredCloud
@@ -64,21 +65,7 @@ class ScanToCloud(Conversion):
         return (self._cloud,)
 
     def _cloud(self, scan: LaserScan) -> Result:
-        try:
-            points = unproject(
-                scan.ranges,
-                scan.intensities,
-                angle_min=scan.angle_min,
-                angle_increment=scan.angle_increment,
-                range_min=scan.range_min,
-                range_max=scan.range_max,
-                time_increment=scan.time_increment,
-                params=self.channels,
-            )
-        except DecodeError as err:
-            err.stamp_ns = scan.stamp_ns
-            raise
-        header, points = self._placed(scan, points)
+        header, points = self._placed(scan, unprojected(scan, self.channels))
         message = StructuredCloud(header.sequence, header.stamp_ns, header.frame_id, points.points)
         rejected = points.rejected
         counts = PointCounts(
