@@ -50,29 +50,37 @@ def test_results_come_in_the_order_of_time(jobs: int | None) -> None:
     assert found == [10 * number + place for number in range(40) for place in range(1 + number % 3)]
 
 
+class InFlight:
+    """Counts messages that were loaded, and those of them that were taken; ``most`` is the largest difference."""
+
+    def __init__(self) -> None:
+        self._lock = Lock()
+        self._loaded = self.taken = self.most = 0
+
+    def load(self, message: RawMessage) -> RawMessage:
+        with self._lock:
+            self._loaded += 1
+            self.most = max(self.most, self._loaded - self.taken)
+        return message
+
+    def take(self) -> None:
+        with self._lock:
+            self.taken += 1
+
+
 @pytest.mark.parametrize("jobs", [2, 4])
 @pytest.mark.parametrize("size", [1 << 10, 5 << 20, LARGEST_AHEAD])
 def test_what_is_loaded_ahead_is_bounded_and_enough(size: int, jobs: int) -> None:
     """However large units are, there is one for every thread, and one more for the first that is done."""
-    lock = Lock()
-    loaded = taken = most = 0
-
-    def work(message: RawMessage) -> RawMessage:
-        nonlocal loaded, most
-        with lock:
-            loaded += 1
-            most = max(most, loaded - taken)
-        return message
-
+    flight = InFlight()
     with Threads(jobs) as threads:
-        for _ in schedule([unit(number, size) for number in range(40)], work, threads):
+        for _ in schedule([unit(number, size) for number in range(40)], flight.load, threads):
             time.sleep(0.001)
-            with lock:
-                taken += 1
+            flight.take()
     bound = max(min(threads.ahead, jobs * AHEAD_BYTES // size), jobs + 1)
-    assert taken == 40
+    assert flight.taken == 40
     # What the caller has in its hands counts too, and what it is about to take.
-    assert jobs < most <= bound + 2
+    assert jobs < flight.most <= bound + 2
 
 
 @pytest.mark.parametrize("jobs", [1, 2, 4])
@@ -96,21 +104,11 @@ def test_of_units_that_take_memory_already_one_waits_for_each_thread(jobs: int) 
 
 @pytest.mark.parametrize("window", [1, 3])
 def test_no_more_than_the_window_is_in_flight(window: int) -> None:
-    lock = Lock()
-    loaded = taken = most = 0
-
-    def work(message: RawMessage) -> RawMessage:
-        nonlocal loaded, most
-        with lock:
-            loaded += 1
-            most = max(most, loaded - taken)
-        return message
-
+    flight = InFlight()
     with Threads(4) as threads:
-        for _ in schedule([unit(number) for number in range(40)], work, threads, window=window):
-            with lock:
-                taken += 1
-    assert 1 <= most <= window + 2
+        for _ in schedule([unit(number) for number in range(40)], flight.load, threads, window=window):
+            flight.take()
+    assert 1 <= flight.most <= window + 2
 
 
 @pytest.mark.parametrize("jobs", [None, 2])
