@@ -31,6 +31,13 @@ FLAT = Lidar("/flat", "flat", Rigid.from_rpy(0.0, 0.0, -1.2, (0.1, -0.3, 0.4)), 
 #: Fine beams, whose middles are where the message says: what is left of an error is not that of the binning.
 FINE = ("--geometry", "centered", "--beams", "2880", "--min-height", "0.1", "--only-scans")
 MOVED = ("--target-frame", "base_link", "--fixed-frame", "odom")
+#: `two_topics` and `MOVED`, and where the floor ends, for Python.
+BOTH: dict[str, Any] = {
+    "topics": ["/front:=/scan", "/rear:=/scan"],
+    "target_frame": "base_link",
+    "fixed_frame": "odom",
+    "min_height": 0.1,
+}
 
 
 class Done(NamedTuple):
@@ -223,12 +230,9 @@ def test_points_that_wait_in_borrowed_memory_are_those_that_were_read(
                 done = pc2scan.convert(
                     source,
                     tmp_path / "out.mcap",
-                    topics=["/front:=/scan", "/rear:=/scan"],
-                    target_frame="base_link",
-                    fixed_frame="odom",
-                    min_height=0.1,
                     jobs=jobs,
                     overwrite=True,
+                    **BOTH,
                     **options,
                 )
                 found.add((tmp_path / "out.mcap").read_bytes())
@@ -456,12 +460,9 @@ def test_python_takes_the_same_words(tmp_path: Path) -> None:
     report = pc2scan.convert(
         source,
         tmp_path / "python.mcap",
-        topics=["/front:=/scan", "/rear:=/scan"],
-        target_frame="base_link",
-        fixed_frame="odom",
         lead="/rear",
         window=0.06,
-        min_height=0.1,
+        **BOTH,
     )
     assert (tmp_path / "python.mcap").read_bytes() == (tmp_path / "out.mcap").read_bytes()
     (front,) = [topic for topic in report.topics if topic.topic == "/front"]
