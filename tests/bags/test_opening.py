@@ -65,7 +65,7 @@ def test_an_unknown_file_is_told_what_is_readable(tmp_path: Path) -> None:
 
 
 def test_nothing_there(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match="there is nothing of this name"):
+    with pytest.raises(RecordingError, match="does not exist"):
         open_recording(tmp_path / "x.bag")
 
 

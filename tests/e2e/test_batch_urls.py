@@ -163,7 +163,7 @@ def test_globs_single_files_and_lists(s3: Any, drives: Path, tmp_path: Path) -> 
     assert keys(f"{source}/list.txt") == {"a.bag", "robot1/c"}
     with pytest.raises(UsageError, match="matches nothing"):
         keys(f"{source}/*.db3")
-    with pytest.raises(MissingError, match="there is nothing of this name"):
+    with pytest.raises(MissingError, match="does not exist"):
         keys(f"{source}/none.bag")
 
 
@@ -215,7 +215,7 @@ def test_the_room_is_bounded(s3: Any, drives: Path, scratch: Path, tmp_path: Pat
         [f"{source}/a.bag", f"{source}/b.mcap"], tmp_path / "out", scratch=scratch, scratch_size=f"{most}B", **KEYWORDS
     )
     by_key = {outcome.key: outcome for outcome in report.outcomes}
-    assert f"take {sizes['a.bag']:,} bytes, there may be {most:,}" in by_key["a.bag"].error
+    assert f" may have {most:,}" in by_key["a.bag"].error
     assert by_key["b.mcap"].outcome == "converted"
     # The result, too.
     report = pc2scan.batch(

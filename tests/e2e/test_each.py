@@ -176,7 +176,7 @@ def test_one_that_fails_does_not_keep_the_others_from_it(drives: Path) -> None:
     (drives / "e.bag").write_bytes(b"no bag")
     done = run("convert", "--each", drives, drives / "missing.bag", "-o", f"{drives.parent}/", *HEIGHTS)
     assert done.status == 1
-    assert "missing.bag: there is nothing of this name" in done.stderr
+    assert "missing.bag: does not exist" in done.stderr
     assert "e.bag: is not a recording" in done.stderr
     assert f"{damaged}:\n" in done.stderr
     assert "4 of 6 recordings converted, 2 failed" in done.stdout

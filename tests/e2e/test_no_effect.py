@@ -25,7 +25,7 @@ MOUNT = "base_link lidar 0 0 0.5 0 0 0"
             "--node chooses a section of a parameter file, and none is given",
             "--params-file FILE --node front",
         ),
-        (["--tf-from", "none.bag"], "none.bag: there is nothing of this name (from --tf-from)", ""),
+        (["--tf-from", "none.bag"], "none.bag: does not exist (from --tf-from)", ""),
         (["--ros-distro", "jazzi"], "--ros-distro is 'jazzi', which is not known", "did you mean jazzy?"),
         (["--metadata-version", "9"], "--metadata-version is for rosbag2 directories", "leave it out"),
         (["--storage", "mcap"], "--storage is for rosbag2 directories", "leave it out"),

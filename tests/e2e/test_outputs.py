@@ -104,7 +104,7 @@ def test_names_that_are_as_long_as_they_can_be(folder: Path) -> None:
     """With an ending they are too long, to be looked for and to be written."""
     longest = folder / f"{'x' * 251}.bag"
     missing = run("info", longest)
-    assert (missing.status, missing.stderr.splitlines()[0]) == (2, f"error: {longest}: there is nothing of this name")
+    assert (missing.status, missing.stderr.splitlines()[0]) == (2, f"error: {longest}: does not exist")
     before = state_of(folder)
     for options in (("-o", longest), ("-o", folder / "out.bag", "--report", longest)):
         done = run("convert", folder / "drive.bag", *options)

@@ -91,8 +91,8 @@ def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
 WEB: tuple[tuple[str, type[Pc2ScanError], str], ...] = (
     ("403", RecordingError, "access is refused (403"),
     ("401", RecordingError, "access is refused (401"),
-    ("404", MissingError, "there is nothing of this name"),
-    ("500", RecordingError, "the store has an error of its own (status 500)"),
+    ("404", MissingError, "does not exist"),
+    ("500", RecordingError, "the store reports an internal error (status 500)"),
     ("silent", RecordingError, "does not answer in time"),
     ("stalls", RecordingError, "does not answer in time"),
     ("cuts", RecordingError, "the download was cut off"),
@@ -138,9 +138,9 @@ def test_a_batch_goes_on(place: str, tmp_path: Path) -> None:
     ("endpoint", "message"),
     [
         ("http://{place}/403", "access is refused (403"),
-        ("http://{place}/500", "the store has an error of its own"),
+        ("http://{place}/500", "the store reports an internal error"),
         ("http://{place}/silent", "does not answer in time"),
-        ("http://127.0.0.1:9", "nobody answers at this address"),
+        ("http://127.0.0.1:9", "the host cannot be reached"),
     ],
 )
 def test_an_s3_server(endpoint: str, message: str, place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

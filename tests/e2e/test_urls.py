@@ -97,7 +97,7 @@ def test_an_existing_destination_stays(bucket: Any) -> None:
 @pytest.mark.parametrize("overwrite", [False, True])
 def test_a_folder_of_a_store_is_never_replaced(bucket: Any, overwrite: bool) -> None:
     bucket.pipe_file("/out/mine/thesis.tex", b"mine")
-    with pytest.raises(DestinationError, match="no folder of a store is replaced"):
+    with pytest.raises(DestinationError, match="folders in a store are never replaced"):
         pc2scan.convert("memory://bucket/hall.bag", "memory://out/mine", overwrite=overwrite, **HEIGHTS)
     assert bucket.find("/out/mine") == ["/out/mine/thesis.tex"]
 
@@ -175,7 +175,7 @@ def test_only_ranges_are_read(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("bucket")
 def test_nothing_there_and_other_commands() -> None:
-    with pytest.raises(MissingError, match=r"memory://bucket/none\.bag: there is nothing of this name"):
+    with pytest.raises(MissingError, match=r"memory://bucket/none\.bag: does not exist"):
         pc2scan.info("memory://bucket/none.bag")
     with pytest.raises(UsageError, match="only convert, info and tf read URLs"):
         pc2scan.check("https://me:secret@example.org/a.bag?token=1")

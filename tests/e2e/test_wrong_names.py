@@ -32,7 +32,7 @@ def test_a_missing_file_is_the_same_in_all_commands(command: str, tmp_path: Path
     done = run(command, tmp_path / "drvie.bag", *COMMANDS[command])
     assert (done.status, done.stdout) == (2, "")
     error, hint = done.stderr.splitlines()
-    assert error == f"error: {tmp_path / 'drvie.bag'}: there is nothing of this name"
+    assert error == f"error: {tmp_path / 'drvie.bag'}: does not exist"
     assert hint == f"hint: did you mean {tmp_path / 'drive.bag'}?"
 
 

@@ -54,7 +54,7 @@ class TestFinding:
         assert names(tmp_path) == ["a"]
 
     def test_nothing_to_find(self, tmp_path: Path) -> None:
-        with pytest.raises(UsageError, match="there is nothing of this name"):
+        with pytest.raises(UsageError, match="does not exist"):
             case_folders(tmp_path / "nowhere")
         with pytest.raises(UsageError, match="has no cases"):
             case_folders(tmp_path)

@@ -539,7 +539,7 @@ def test_no_text_whatever_raises_anything_else(load: Load, text: str | bytes) ->
 
 def test_files_that_are_not_there(tmp_path: Path) -> None:
     missing = failure(lambda: load_params_file(tmp_path / "none.yaml"))
-    assert str(missing) == f"{tmp_path / 'none.yaml'}: there is nothing of this name"
+    assert str(missing) == f"{tmp_path / 'none.yaml'}: does not exist"
     directory = failure(lambda: load_params_file(tmp_path))
     assert str(directory) == f"{tmp_path}: this is a directory, not a parameter file"
     (tmp_path / "file").touch()

@@ -169,7 +169,7 @@ REFUSED = [
     ("scans:\n  /a:\n    where: ring >\n", "line 3, /a: `where`", None),
     ("scans:\n  /a:\n    preset: slam\n", "line 2, /a: there is no preset 'slam'", None),
     ("scans:\n  /a:\n    node: front\n", "line 3, /a: `node` chooses a section", None),
-    ("scans:\n  /a:\n    params_file: nowhere.yaml\n", "nowhere.yaml: there is nothing of this name", None),
+    ("scans:\n  /a:\n    params_file: nowhere.yaml\n", "nowhere.yaml: does not exist", None),
     (
         "scans:\n  /a:\n    min_height: 2\n    max_height: 1\n",
         "line 2, /a: min_height 2.0 m is above max",
@@ -192,7 +192,7 @@ def test_what_is_wrong_is_told_with_its_place(text: str, message: str, hint: str
 
 
 def test_a_file_that_is_not_there(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="there is nothing of this name"):
+    with pytest.raises(UsageError, match="does not exist"):
         load_scans(tmp_path / "scans.yaml")
 
 

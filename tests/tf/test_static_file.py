@@ -55,5 +55,5 @@ def test_files_that_are_no_list_of_transforms(tmp_path: Path, text: str, words: 
 
 
 def test_a_missing_file(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="there is nothing of this name"):
+    with pytest.raises(UsageError, match="does not exist"):
         load_static_transforms(tmp_path / "nothing.yaml")

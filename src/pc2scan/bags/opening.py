@@ -74,13 +74,13 @@ def sniff(path: Path) -> str:
     except FileNotFoundError as err:
         if is_url(path):
             raise UsageError(
-                "only convert, info and tf read URLs", path=shown_path(path), hint="download it and name the copy"
+                "only convert, info and tf read URLs", path=shown_path(path), hint="download it, and convert the copy"
             ) from err
         from pc2scan.files.nearby import missing_hint  # noqa: PLC0415  # only for errors
 
         suffixes = [entry.suffix for entry in FORMATS.values() if entry.suffix]
         hint = _interrupted(path) or missing_hint(path, suffixes)
-        raise MissingError("there is nothing of this name", path=path, hint=hint) from err
+        raise MissingError("does not exist", path=path, hint=hint) from err
     except OSError as err:
         raise RecordingError(f"cannot be read: {err.strerror}", path=path) from err
     if head.startswith(ZSTD_MAGIC):

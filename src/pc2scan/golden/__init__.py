@@ -1,4 +1,4 @@
-"""Conversions guarded by what they once made: folders with an input, parameters, and the expected output."""
+"""Golden cases: folders with an input, parameters and the expected output, against which conversions are checked."""
 
 from pc2scan.callable_package import make_callable
 

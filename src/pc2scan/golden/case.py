@@ -64,13 +64,13 @@ class Case:
     rules: Rules
 
     def new_expected(self) -> Path:
-        """Return where to write the expected output: in its present form, or as text if text can hold it."""
+        """Return where to write the expected output: in its present form; if there is none, as text where possible."""
         return self.expected or self.folder / ("expected.mcap" if self.all_topics else EXPECTED_TEXT)
 
     def read_files(self) -> list[InputPath]:
         """Return the files that its conversion reads: recordings, parameters, settings, and those in arguments."""
         values = [part.partition("=")[2] if part.startswith("-") else part for part in self.arguments]
-        # Any of them may be a file; most are not.
+        # Any argument may be a path; only those that exist are returned.
         named = [Path(value) for value in values if os.path.lexists(value)]
         paths = [*self.inputs, *filter(None, (self.params,)), self.folder / SETTINGS, *named]
         return [InputPath(path, "file of a case") for path in paths]
@@ -101,7 +101,7 @@ def case_folders(folder: Path, pattern: str = "") -> list[tuple[str, Path]]:
     """
     try:
         if not os.path.lexists(folder):
-            raise UsageError("there is nothing of this name", path=folder, hint=missing_hint(folder))
+            raise UsageError("does not exist", path=folder, hint=missing_hint(folder))
         if not folder.is_dir():
             raise UsageError("is not a folder", path=folder, hint="give the folder with the cases")
         if is_case(folder):
@@ -159,7 +159,7 @@ def _case_of(folder: Path, settings: dict[str, Any]) -> Case:
 
 
 def _refuse_misnamed(folder: Path) -> None:
-    """Raise if a file's name is nearly one that would be read: without its ``param.yaml``, a case has the defaults."""
+    """Raise if a file's name is a misspelling of one that would be read: a ``param.yaml`` would silently be ignored."""
     there = {entry.name for entry in folder.iterdir()}
     kinds = ((SETTINGS,), (_PARAMS,), _INPUTS, _EXPECTED)
     missing = [name for kind in kinds if not there & {*kind} for name in kind]
@@ -224,7 +224,7 @@ def _params(folder: Path, named: Any) -> Path | None:
 
 
 def _existing(folder: Path, name: str) -> Path:
-    """Return a file of the settings; if it is missing, that is an error and not an expected failure."""
+    """Return a file that the settings name. A missing one is always an error, even if the case expects a failure."""
     path = folder / name
     if not path.exists():
         raise _error(folder, f"names {name}, which does not exist", "paths are relative to the case's folder")

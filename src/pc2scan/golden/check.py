@@ -95,7 +95,7 @@ def _outcome_of(case: Case, command: Command, *, update: bool) -> tuple[CaseOutc
         actual = Path(folder) / "actual.mcap"
         ended = _convert(case, command, actual, "--compression", "none")
         if ended.status != case.exit_status:
-            text = f"the conversion ended with {ended.status}, expected is {case.exit_status}"
+            text = f"the conversion ended with exit status {ended.status}, expected was {case.exit_status}"
             return CaseOutcome.failed, [text, *ended.messages.splitlines()], None
         if not actual.exists():
             # The conversion failed as expected.
@@ -150,6 +150,6 @@ def _write_expected(case: Case, actual: Path, command: Command) -> None:
     finally:
         source.close()
     refuse_overlap(case.read_files(), [OutputPath(path)])
-    # In a case, any file of this name is its expected output.
+    # Any existing file may be replaced: in a case, a file of this name is always its expected output.
     with text_output(path, beginning=b"", overwrite=True) as write:
         write(text)

@@ -1,4 +1,4 @@
-"""Makes a golden case of a few seconds of a drive: the input is cut out, and the output becomes the expected one."""
+"""Makes a golden case from a few seconds of a recording: cuts out the input, and writes the expected output."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ if TYPE_CHECKING:
 
 __all__ = ["NewCase", "make_case"]
 
-#: What conversions read beside clouds and scans.
+#: Types that conversions read besides clouds and scans.
 _ALSO_READ = {"tf2_msgs/msg/TFMessage", "tf/msg/tfMessage", "sensor_msgs/msg/Imu"}
 
-#: Larger inputs belong into Git LFS, if anywhere.
+#: For larger inputs there is a warning that suggests Git LFS.
 _LARGE_BYTES = 10_000_000
 
 
@@ -63,7 +63,7 @@ def make_case(
     folder
         The case; it must not exist. The folder above it is made, if it does not exist.
     source
-        The recording. Its clouds, scans, transforms and IMUs are kept, byte for byte.
+        The recording. Its clouds, scans, transforms and IMU messages are kept, byte for byte.
     command
         Runs ``pc2scan``.
     start, end
@@ -76,10 +76,10 @@ def make_case(
     Raises
     ------
     Pc2ScanError
-        If the recording cannot be read, the case cannot be written, or its conversion does not end with 0.
+        If the recording cannot be read, the case cannot be written, or its conversion does not succeed.
     """
     if os.path.lexists(folder):
-        raise DestinationError("exists already", path=folder, hint="name a folder that does not exist: the new case")
+        raise DestinationError("exists already", path=folder, hint="give a folder that does not exist yet")
     with ExitStack() as stack:
         if folder.parent != folder and not os.path.lexists(folder.parent):
             stack.enter_context(made_folder(folder.parent))
@@ -97,14 +97,14 @@ def make_case(
         result = check_case(folder.name, partial, command, update=True)
         if result.outcome != "updated":
             raise ResultError(
-                "; ".join(result.lines) or "its conversion makes nothing to compare",
+                "; ".join(result.lines) or "its conversion writes nothing that can be compared",
                 path=folder,
-                hint="a case's conversion ends with 0: cut out a part with transforms for each cloud (`start`, `end`)",
+                hint="the conversion must succeed: cut out a part with transforms for each cloud (`start`, `end`)",
             )
         files = tuple((file.name, file.stat().st_size) for file in sorted(partial.iterdir()))
     warnings = [*report.warnings, *(str(place) for place in report.damage)]
     if dict(files)[name] > _LARGE_BYTES:
-        warnings.append(f"{name} has {dict(files)[name] / 1e6:.0f} MB: cut out less (`start`, `end`), or use Git LFS")
+        warnings.append(f"{name} has {dict(files)[name] / 1e6:.0f} MB: shorten it (`start`, `end`), or use Git LFS")
     return NewCase(folder, files, tuple(warnings))
 
 

@@ -1,4 +1,4 @@
-"""The results of golden cases: text, JSON, JUnit XML, pytest's results and the exit status are made from them."""
+"""The results of golden cases, from which text, JSON, JUnit XML, pytest's results and the exit status are made."""
 
 from __future__ import annotations
 
@@ -65,18 +65,18 @@ class GoldenReport(Shown):
 
     @property
     def counts(self) -> dict[CaseOutcome, int]:
-        """Cases by outcome."""
+        """Number of cases by outcome."""
         counted = Counter(case.outcome for case in self.cases)
         return {outcome: counted[outcome] for outcome in CaseOutcome}
 
     @property
     def seconds(self) -> float:
-        """The time of all cases."""
+        """The duration of all cases together."""
         return sum(case.seconds for case in self.cases)
 
     @property
     def exit_status(self) -> int:
-        """0: all as expected or updated; 1: some differ; 2: some could not be checked."""
+        """0: all passed or were updated; 1: some differ; 2: some could not be checked."""
         return 2 if self.counts[CaseOutcome.error] else 1 if self.counts[CaseOutcome.failed] else 0
 
     def __repr__(self) -> str:

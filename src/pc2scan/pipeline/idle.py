@@ -36,7 +36,7 @@ def refuse_unusable(options: ConvertOptions) -> None:
         if not os.path.lexists(path):
             from pc2scan.files.nearby import missing_hint  # noqa: PLC0415  # only for errors
 
-            raise MissingError("there is nothing of this name (from `tf_from`)", path=path, hint=missing_hint(path))
+            raise MissingError("does not exist (from `tf_from`)", path=path, hint=missing_hint(path))
     if options.ros_distro:
         from pc2scan.messages.transcode import DISTROS  # noqa: PLC0415  # few conversions name one
 

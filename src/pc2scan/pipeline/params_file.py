@@ -218,7 +218,7 @@ def read_text(path: Path) -> str:
             data = file.read(MAX_FILE_BYTES + 1)
     except FileNotFoundError as err:
         hint = missing_hint(path, (".yaml", ".yml"))
-        raise ParameterError(f"{path}: there is nothing of this name", hint=hint) from err
+        raise ParameterError(f"{path}: does not exist", hint=hint) from err
     except IsADirectoryError as err:
         raise ParameterError(f"{path}: this is a directory, not a parameter file") from err
     except OSError as err:

@@ -414,9 +414,7 @@ def _refuse_missing_destination(sources: Sequence[Path], destination: Path | Non
     *others, last = sources
     if not others or destination or output.folder or os.path.lexists(last) or not all(map(os.path.lexists, others)):
         return
-    raise MissingError(
-        "there is nothing of this name", path=last, hint=f"did you mean `destination={shlex.quote(str(last))}`?"
-    )
+    raise MissingError("does not exist", path=last, hint=f"did you mean `destination={shlex.quote(str(last))}`?")
 
 
 def _plan(reader: Reader, options: ConvertOptions) -> Plan:

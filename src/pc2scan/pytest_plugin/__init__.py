@@ -52,7 +52,7 @@ def pytest_configure(config: pytest.Config) -> None:
     config.args += [str(folder) for folder in asked if str(folder) not in config.args]
 
 
-# Older versions of pytest do not know this hook.
+# Optional: older versions of pytest do not have this hook.
 @pytest.hookimpl(tryfirst=True, optionalhook=True)
 def pytest_collect_directory(path: Path, parent: pytest.Collector) -> GoldenFolder | GoldenCase | None:
     """Collect the folders of golden cases; pytest collects all others."""

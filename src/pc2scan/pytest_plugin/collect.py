@@ -35,7 +35,7 @@ class GoldenFolder(pytest.Directory):
     """A folder with cases in it."""
 
     def collect(self) -> Iterator[pytest.Item | pytest.Collector]:
-        """Yield its cases, and the folders that may have some."""
+        """Yield its cases, and the folders that may contain cases."""
         for path in sorted(self.path.iterdir()):
             if path.is_dir() and not path.is_symlink() and not path.name.startswith("."):
                 yield collector(path, self)
@@ -45,12 +45,12 @@ class GoldenCase(pytest.Directory):
     """A case."""
 
     def collect(self) -> Iterator[pytest.Item]:
-        """Yield its one test; the id is the folder, so that pytest accepts the id that it prints."""
+        """Yield its only test. The id is the folder, so that an id which pytest prints can be given to pytest."""
         yield GoldenItem.from_parent(self, name=self.name, nodeid=self.nodeid)
 
 
 class GoldenItem(pytest.Item):
-    """The test that the conversion of a case writes the expected output."""
+    """The test of a case: its conversion writes the expected output."""
 
     def runtest(self) -> None:
         """Convert and compare."""

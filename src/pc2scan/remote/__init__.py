@@ -1,1 +1,1 @@
-"""Recordings at URLs: in buckets, on web servers, in memory; fsspec reads and writes them."""
+"""Reads and writes recordings at URLs (buckets, web servers) by fsspec."""

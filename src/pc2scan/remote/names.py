@@ -1,4 +1,4 @@
-"""What users see: URLs, where local copies of them were read and written."""
+"""Replaces the paths of local copies by URLs in what users see."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ __all__ = ["Names", "ShownUrl"]
 
 
 class Names:
-    """Replaces local folders by the URLs whose copies they have."""
+    """Replaces local folders by the URLs of which they contain copies."""
 
     def __init__(self) -> None:
         self._urls: dict[str, str] = {}
 
     def add(self, folder: Path, url: str) -> None:
-        """Show everything in ``folder`` as what is below ``url``."""
+        """Replace paths in ``folder`` by URLs below ``url`` from now on."""
         self._urls[str(folder)] = url.rstrip("/")
 
     def text(self, text: str) -> str:
@@ -45,7 +45,7 @@ class Names:
         if is_dataclass(value) and not isinstance(value, type):
             for each in fields(value):
                 found = getattr(value, each.name)
-                # Numbers need no look, and are most of it.
+                # Most values are numbers, and are skipped.
                 if isinstance(found, str | Path | tuple | list | dict) or is_dataclass(found):
                     object.__setattr__(value, each.name, self.of(found))
         return value
@@ -59,11 +59,11 @@ class Names:
 
 
 class ShownUrl(str):
-    """A URL where results have a path."""
+    """A URL in a result that otherwise has a path there."""
 
     __slots__ = ()
 
     @property
     def name(self) -> str:
-        """The last part."""
+        """The last part of the URL's path."""
         return self.rpartition("/")[2]

@@ -1,7 +1,8 @@
-"""Recordings at URLs of which only what is asked for is read.
+"""Reads only the needed ranges of recordings at URLs.
 
-Readers need files. Each remote file gets a local one of the same size without content: bytes are fetched and put into
-it when they are first read. Databases and compressed files are fetched whole: their libraries read the file themselves.
+Readers need local files. So each remote file gets a local stand-in: a file of the same size without content, into which
+bytes are fetched when they are first read. Databases and compressed files are fetched as a whole, because their
+libraries read the file themselves.
 """
 
 from __future__ import annotations
@@ -27,13 +28,13 @@ if TYPE_CHECKING:
 
 __all__ = ["Nearby", "complete", "nearby", "stand_in"]
 
-#: Fetched bytes are multiples of this, which is small beside a request's own time.
+#: Bytes are fetched in blocks of this size. Their transfer takes little time compared with the request itself.
 _BLOCK = 1 << 16
 
-#: A request is at most so many blocks.
+#: Maximum number of blocks in a request.
 _MOST_BLOCKS = 1 << 9
 
-#: Files up to this size are fetched whole.
+#: Files up to this size are fetched as a whole.
 _SMALL = 1 << 17
 
 _WHOLE = (ZSTD_MAGIC, b"SQLite format 3\0")
@@ -45,9 +46,9 @@ class Nearby:
     Attributes
     ----------
     paths
-        In the order of the recordings; those that are local are themselves.
+        In the order of the recordings. Local recordings keep their paths.
     names
-        Shows URLs for the stand-ins.
+        Replaces paths of stand-ins by URLs in texts for users.
     """
 
     def __init__(self) -> None:
@@ -57,12 +58,12 @@ class Nearby:
 
 @contextmanager
 def nearby(paths: Sequence[Path]) -> Iterator[Nearby]:
-    """Make recordings readable as files, as long as the context lasts; errors in it name their URLs.
+    """Make recordings readable as local files while the context lasts; errors in it name URLs.
 
     Raises
     ------
     RecordingError
-        If one cannot be read, or was changed meanwhile.
+        If a recording cannot be read, or was changed while it was read.
     """
     found = Nearby()
     with ExitStack() as stack:
@@ -98,7 +99,7 @@ def nearby(paths: Sequence[Path]) -> Iterator[Nearby]:
 
 
 def stand_in(place: Place, target: Path, size: int) -> None:
-    """Put a file of this size at a path, of which nothing is fetched before it is read; `on_demand` has it from now on.
+    """Create a stand-in of this size at a path; its bytes are fetched when they are first read (see `on_demand`).
 
     Raises
     ------
@@ -109,7 +110,7 @@ def stand_in(place: Place, target: Path, size: int) -> None:
 
 
 def complete(path: Path) -> None:
-    """Fetch all of a file whose library reads it by itself: before such a file is opened as a recording."""
+    """Fetch a file as a whole if it is one that a library reads itself; called before it is opened as a recording."""
     files = [file for file in on_demand if file.parent == path] if path.is_dir() else [path]
     for file in files:
         fetch = on_demand.get(file)
@@ -134,7 +135,7 @@ def _stand_in(place: Place, target: Path, stack: ExitStack) -> None:
 
 
 class _Fetched:
-    """A file that is filled as it is read."""
+    """A stand-in that is filled as it is read."""
 
     def __init__(self, place: Place, path: Path, size: int) -> None:
         self._place = place
@@ -149,11 +150,11 @@ class _Fetched:
             raise self._no_copy(err) from err
 
     def _no_copy(self, err: OSError) -> RecordingError:
-        hint = "set the environment variable TMPDIR to a folder with room"
+        hint = "set the environment variable TMPDIR to a folder with enough space"
         return RecordingError(f"no local copy can be written: {err.strerror}", path=self._place.shown, hint=hint)
 
     def fetch(self, offset: int, length: int) -> None:
-        """Make sure that these bytes are there; any thread may call it."""
+        """Fetch those of these bytes that are missing; any thread may call it."""
         last = min(-(-(offset + length) // _BLOCK), len(self._there))
         with self._lock:
             block = self._there.find(0, offset // _BLOCK, last)
@@ -165,7 +166,7 @@ class _Fetched:
                 block = self._there.find(0, stop, last)
 
     def keep(self, start: int, data: bytes) -> None:
-        """Put bytes into the file."""
+        """Write fetched bytes into the stand-in."""
         try:
             with self._path.open("r+b") as file:
                 file.seek(start)

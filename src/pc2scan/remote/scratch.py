@@ -1,4 +1,4 @@
-"""Folders for local copies: how large they may become, and how they are removed, also after a run that was killed."""
+"""Folders for local copies: limits their size, and removes them, also those of killed runs."""
 
 from __future__ import annotations
 
@@ -22,24 +22,24 @@ if TYPE_CHECKING:
 
 __all__ = ["Limit", "Room", "ScratchError", "scratch_folder"]
 
-#: Seconds between two looks at the size of a folder.
+#: Seconds between two measurements of a folder's size.
 _LOOK_SECONDS = 0.1
 
 
 class ScratchError(OutputError):
-    """A result, and the copies of its sources, take more room than there may be."""
+    """A result and the copies of its sources take more space than allowed."""
 
 
 @contextmanager
 def scratch_folder(scratch: Path | None) -> Iterator[Path]:
-    """Make a folder for local copies that is removed at the end; those of killed runs on this machine are removed, too.
+    """Make a folder for local copies, which is removed at the end. Also removes folders of killed runs on this machine.
 
-    Its name has that of the machine, as machines may share a disk, and the process.
+    Its name has the machine's name, since machines may share a disk, and the id of the process.
 
     Raises
     ------
     UsageError
-        If it cannot be made.
+        If the folder cannot be made.
     """
     parent = Path(gettempdir()) if scratch is None else scratch
     prefix = f"pc2scan-{re.sub(r'[^A-Za-z0-9]', '_', socket.gethostname())}-"
@@ -54,9 +54,9 @@ def scratch_folder(scratch: Path | None) -> Iterator[Path]:
 
 
 def _remove_left(parent: Path, prefix: str) -> None:
-    """Remove what killed runs of this user have left: their processes are not there any more."""
+    """Remove folders of this user's killed runs: those whose processes do not exist any more."""
     if os.name == "nt":
-        # There, asking for a process ends it.
+        # On Windows, os.kill would end the process instead of only looking it up.
         return
     with suppress(OSError):
         for folder in list(parent.iterdir()):
@@ -72,19 +72,19 @@ def _remove_left(parent: Path, prefix: str) -> None:
 
 
 class Room:
-    """How many bytes of local copies there may be, shared by all that copy.
+    """The space for local copies, shared by all threads that copy.
 
     Parameters
     ----------
     folder
-        Where they are.
+        The folder for the copies.
     most
-        How many bytes; None: as many as are free.
+        Number of bytes; None: all free space of the disk.
 
     Attributes
     ----------
     listeners
-        Called when bytes were given back.
+        Called when reserved bytes were released.
     """
 
     def __init__(self, folder: Path, most: int | None) -> None:
@@ -96,7 +96,7 @@ class Room:
         self._lock = Lock()
 
     def reserve(self, size: int) -> bool:
-        """Set bytes aside; False if there are not so many now. More than all is never there."""
+        """Reserve bytes; False if that much is not available now, or never will be."""
         with self._lock:
             if self._reserved + size > self.total:
                 return False
@@ -104,18 +104,18 @@ class Room:
             return True
 
     def release(self, size: int) -> None:
-        """Give bytes back."""
+        """Release reserved bytes."""
         with self._lock:
             self._reserved -= size
         for listener in list(self.listeners):
             listener()
 
     def refusal(self, size: int, folder: Path) -> UsageError:
-        """Return the error for copies for which there is never enough."""
-        hint = "a larger `scratch_size`, or a part of the recordings"
+        """Return the error for copies that can never fit."""
+        hint = "give a larger `scratch_size`, or fewer recordings"
         return UsageError(
-            f"local copies of the sources take {size:,} bytes, there may be {self.total:,} in {folder}",
-            hint=hint if self.is_limited else "`scratch` names a folder with more room",
+            f"local copies of the sources take {size:,} bytes, {folder} may have {self.total:,}",
+            hint=hint if self.is_limited else "give a folder with more space as `scratch`",
         )
 
 
@@ -125,9 +125,9 @@ class Limit:
     Parameters
     ----------
     folder
-        With the copies of the sources, and the result.
+        The folder with the copies of the sources, and the result.
     most
-        How many bytes may be in it.
+        How many bytes it may have.
     """
 
     def __init__(self, folder: Path, most: int) -> None:
@@ -136,13 +136,13 @@ class Limit:
         self._next = 0.0
 
     def watching(self, progress: Progress | None) -> Progress:
-        """Return a function that looks, now and then, and tells of the progress."""
+        """Return a progress function that also checks the size from time to time."""
 
         def called(done: int, total: int, messages: int) -> None:
             began = time.monotonic()
             if began >= self._next:
                 self.check()
-                # Of very many files, looking takes a while.
+                # Measuring takes long if there are very many files, so it is done for a twentieth of the time at most.
                 self._next = time.monotonic() + max(_LOOK_SECONDS, 20 * (time.monotonic() - began))
             if progress is not None:
                 progress(done, total, messages)
@@ -150,7 +150,7 @@ class Limit:
         return called
 
     def check(self) -> None:
-        """Raise ScratchError if it is too large."""
+        """Raise ScratchError if the folder is too large."""
         size = 0
         for place, _, names in os.walk(self._folder):
             for name in names:
@@ -158,6 +158,6 @@ class Limit:
                     size += os.lstat(os.path.join(place, name)).st_size  # noqa: PTH118  # very many, perhaps
         if size > self._most:
             raise ScratchError(
-                f"the result, with the local copies of its sources, takes more than {self._most:,} bytes",
-                hint="a larger `scratch_size`, or another folder for `scratch`",
+                f"the result and the local copies of its sources take more than {self._most:,} bytes",
+                hint="give a larger `scratch_size`, or another folder as `scratch`",
             )

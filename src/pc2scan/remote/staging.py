@@ -1,4 +1,4 @@
-"""Conversions from and to URLs: sources are copied here first, and the result is uploaded when it is complete."""
+"""Conversions from and to URLs: sources are downloaded first, and the result is uploaded when it is complete."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ __all__ = ["Asked", "Staged", "staged"]
 
 
 class Asked(NamedTuple):
-    """What is read and written, by path or URL.
+    """The sources and the destination of a conversion as requested: paths or URLs.
 
     Attributes
     ----------
     sources, tf_from
-        What is read.
+        The recordings that are read, and those that only transforms are taken from.
     destination, folder
-        Where it goes; if both are None, next to the first source.
+        The destination, or the folder for it; if both are None, it is next to the first source.
     scratch, scratch_size
-        Where local copies are, and how many bytes of them there may be; None: the system's folder, and its free room.
+        The folder for local copies, and how many bytes it may have; None: the system's folder, and all its free space.
     overwrite, dry_run
         As for local conversions.
     """
@@ -50,9 +50,9 @@ class Staged:
     Attributes
     ----------
     sources, tf_from, destination, folder
-        As in `Asked`, local.
+        The local paths of those in `Asked`.
     names
-        Shows URLs for the local paths.
+        Replaces local paths by URLs in texts for users.
     """
 
     def __init__(self, asked: Asked, scratch: Path) -> None:
@@ -68,7 +68,7 @@ class Staged:
         self.tf_from = [self._here(path) for path in asked.tf_from]
         self.destination, self.folder = asked.destination, asked.folder
         self._place_destination()
-        #: What the result may take beside the copies; None where it is not here, or may take all.
+        #: Limits the size of copies and result; None if the result is not written here, or there is no limit.
         self.limit = self._make_room()
         for place, target in self._downloads:
             target.parent.mkdir(exist_ok=True)
@@ -92,7 +92,7 @@ class Staged:
         return target
 
     def _place_destination(self) -> None:
-        """Find out where the result is uploaded, and refuse what can be refused before anything is read."""
+        """Determine where the result is uploaded, and raise errors that can be found before anything is read."""
         asked = self._asked
         first = asked.sources[0] if asked.sources else None
         if asked.destination is not None:
@@ -105,7 +105,7 @@ class Staged:
             return
         place = Place(named)
         if place.is_read_only:
-            hint = "name a destination: `destination=scans.mcap`"
+            hint = "give a destination: `destination=scans.mcap`"
             raise DestinationError(f"{place.scheme}:// can only be read", path=place.shown, hint=hint)
         if named is asked.destination:
             if any(place.key == read.key and place.scheme == read.scheme for read in self._read):
@@ -128,7 +128,7 @@ class Staged:
             self.destination = self._out_folder / place.name
 
     def _make_room(self) -> Limit | None:
-        """Refuse copies that are too large, before the first byte is read; return the limit of copies and result."""
+        """Raise if the copies would be too large, before anything is read; return the limit of copies and result."""
         asked = self._asked
         room = Room(self._scratch, asked.scratch_size)
         needed = sum(place.stated().size for place, _ in self._downloads)
@@ -139,13 +139,13 @@ class Staged:
         return None if self._out is None or asked.scratch_size is None else Limit(self._scratch, asked.scratch_size)
 
     def upload(self) -> None:
-        """Upload what was written, complete or not at all."""
+        """Upload the result, complete or not at all."""
         if self._out is None or self._out_folder is None or self._asked.dry_run:
             return
         sources = {*self.sources, *self.tf_from}
         if self.limit is not None:
             self.limit.check()
-        # The first of several parts appears last: where it is, all are.
+        # From the last part to the first: if the first part exists, all parts exist.
         made = sorted((path for path in self._out_folder.iterdir() if path not in sources), reverse=True)
         for path in made:
             self._out.refuse_existing(path.name, overwrite=self._asked.overwrite)
@@ -157,7 +157,7 @@ class Staged:
                 else:
                     done.append(self._out.upload_file(path, path.name))
         except BaseException:
-            # Of files that are one recording, none is left.
+            # If the recording has several files, none of them stays.
             if len(made) > 1:
                 self._out.remove(done)
             raise
@@ -165,14 +165,14 @@ class Staged:
 
 @contextmanager
 def staged(asked: Asked) -> Iterator[Staged]:
-    """Copy the sources of a conversion, as long as the context lasts; errors in it name URLs.
+    """Make local copies of a conversion's sources, which exist while the context lasts; errors in it name URLs.
 
     Raises
     ------
     RecordingError
-        If a source cannot be read, or changes meanwhile.
+        If a source cannot be read, or changes while it is read.
     UsageError
-        If there is no room, or the destination cannot be written or exists.
+        If there is not enough space, or the destination cannot be written or exists.
     """
     with scratch_folder(asked.scratch) as scratch:
         found: Staged | None = None

@@ -1,4 +1,4 @@
-"""What is at a URL: its size and identity, its bytes, and errors in one line."""
+"""Files and folders at URLs: their sizes and versions, reading and writing them, and errors in one line."""
 
 from __future__ import annotations
 
@@ -17,35 +17,37 @@ if TYPE_CHECKING:
 
 __all__ = ["Object", "Place"]
 
-#: What tells one version of an object from another, the best first; stores differ in which of these they have.
+#: Attributes that distinguish versions of an object, the best first. Stores differ in which of these they have.
 _VERSION = (
     *("ETag", "etag", "md5Hash", "generation", "mtime", "LastModified", "last_modified", "Last-Modified"),
     *("Content-MD5", "created"),
 )
 
-#: Stores in which an upload is visible before it is complete, unless it gets its name afterwards.
+#: Stores in which an unfinished upload is visible. There, files get their names when they are complete.
 _GRADUAL = ("file", "memory")
 
-#: Seconds until a connection, and until the next bytes.
+#: Timeouts in seconds: for a connection, and for the next bytes.
 _CONNECT_SECONDS, _READ_SECONDS = 10, 20
 
 _DENIED = (401, 403)
 _NOT_FOUND = 404
 _SERVER_ERROR = 500
 
-#: What errors of the stores' libraries are called whose transfer has ended too early.
+#: Names of the stores' libraries' errors for transfers that have ended too early.
 _CUT = ("ClientPayloadError", "IncompleteRead", "ResponseStreamingError", "ServerDisconnected", "ConnectionClosedError")
-#: And where nobody answers at all.
+#: Names of their errors for hosts that do not answer.
 _UNREACHABLE = ("ClientConnector", "EndpointConnectionError", "ConnectTimeout", "ConnectionRefused", "gaierror")
 
-_NO_RIGHTS = "check the credentials that the store's own tools use (environment, configuration files), and their rights"
+_NO_RIGHTS = (
+    "check the permissions, and the credentials that the store's own tools use (environment, configuration files)"
+)
 _OTHER_NAME = "choose another name, or remove it with the store's own tools"
-_AGAIN = "try it again; where it stays so, check the network and the store"
-_NO_ANSWER = "check the network, the name of the host and, for a store of your own, its endpoint"
+_AGAIN = "try again; if it fails again, check the network and the store"
+_NO_ANSWER = "check the network, the host's name and, for your own store, its endpoint"
 
 
 class Object(NamedTuple):
-    """A file of a store: its size, and what changes if the file does; empty where the store says nothing of it."""
+    """A file of a store: its size, and its version, which changes if the file does; empty if the store has none."""
 
     size: int
     version: str
@@ -104,7 +106,7 @@ class Place:
 
     @property
     def is_read_only(self) -> bool:
-        """Whether nothing can be written there."""
+        """Whether files there can only be read."""
         return self.scheme in {"http", "https"}
 
     def stated(self) -> Object:
@@ -112,12 +114,12 @@ class Place:
         found = self._info(self.key)
         if found.get("size") is None:
             raise RecordingError(
-                "the server does not say how large it is", path=self.shown, hint="download it and name the copy"
+                "the server does not report its size", path=self.shown, hint="download it, and convert the copy"
             )
         return _object(found)
 
     def below(self) -> dict[str, Object]:
-        """Return all files below a folder, by their paths relative to it; empty if there is nothing."""
+        """Return all files below a folder, by their paths relative to it; empty if there are none."""
         with self.reported():
             self._fs.invalidate_cache()
             try:
@@ -137,24 +139,24 @@ class Place:
         return objects
 
     def _has_bucket(self) -> bool:
-        """Whether the bucket is there, where a store has buckets."""
+        """Return whether the bucket exists; True for stores without buckets."""
         if self.scheme in _GRADUAL:
             return True
         with self.reported():
             return bool(self._fs.exists(self.key.strip("/").partition("/")[0]))
 
     def is_folder(self) -> bool:
-        """Whether the key is what others begin with; True for nothing at all."""
+        """Whether it is a folder: other keys begin with this one. True for the root of a store."""
         with self.reported():
             self._fs.invalidate_cache()
             return not self._fs.isfile(self.key)
 
     def child(self, below: str) -> Place:
-        """Return what is at a path relative to this folder."""
+        """Return the place at a path relative to this folder."""
         return self._at(f"{self.key.rstrip('/')}/{below}", f"{self.shown.rstrip('/')}/{below}")
 
     def read(self) -> bytes | None:
-        """Return a small file as a whole; None if there is none."""
+        """Return the content of a small file; None if it does not exist."""
         with self.reported():
             self._fs.invalidate_cache()
             try:
@@ -163,7 +165,7 @@ class Place:
                 return None
 
     def write(self, data: bytes, *, is_new: bool = False) -> bool:
-        """Write a small file as a whole; False if ``is_new`` is asked for, and there is one."""
+        """Write a small file. With ``is_new``, return False if it exists already."""
         with self.reported(writes=True):
             self._makedirs(self.key.rpartition("/")[0])
             try:
@@ -171,14 +173,14 @@ class Place:
             except FileExistsError:
                 return False
             except OSError as err:
-                # S3 says that a condition is not fulfilled.
+                # S3's answer if the file exists: the condition of the request is not fulfilled.
                 if is_new and ("PreconditionFailed" in str(err) or "At least one of the pre-conditions" in str(err)):
                     return False
                 raise
         return True
 
     def delete(self) -> None:
-        """Remove a file, if it is there."""
+        """Remove a file if it exists."""
         with self.reported(writes=True), suppress(FileNotFoundError):
             self._fs.rm_file(self.key)
 
@@ -214,22 +216,22 @@ class Place:
         return other
 
     def bytes_at(self, start: int, stop: int) -> bytes:
-        """Read a range, and no more if the server can do that."""
+        """Read a range of bytes."""
         with self.reported():
             data = bytes(self._fs.cat_file(self.key, start=start, end=stop))
         if len(data) != stop - start:
             raise RecordingError(
-                f"the server sent {len(data)} bytes, asked for {stop - start}: it does not serve ranges, or the file "
+                f"the server sent {len(data)} bytes instead of {stop - start}: it does not serve ranges, or the file "
                 "changed",
                 path=self.shown,
-                hint="download it and name the copy",
+                hint="download it, and convert the copy",
             )
         return data
 
     def download(self, target: Path, check: Callable[[], None] | None = None) -> Object:
-        """Copy the file, and return what it is; an error if it changes meanwhile, or not all of it arrives.
+        """Download the file, and return its size and version; raises if it changes meanwhile, or arrives incomplete.
 
-        ``check`` is called now and then; what it raises ends the copying.
+        ``check`` is called from time to time. If it raises, the download ends.
         """
         before = self.stated()
         with self.reported():
@@ -246,15 +248,16 @@ class Place:
         return before
 
     def changed(self) -> RecordingError:
-        """Make the error for a source that is not what it was."""
+        """Return the error for a source that has changed."""
         return RecordingError(
             "was changed while it was read", path=self.shown, hint="wait until the recording is complete, or copy it"
         )
 
     def upload(self, source: Path, name: str, check: Callable[[], None] | None = None) -> None:
-        """Copy a directory into this folder, under a name that nothing has yet; nobody sees a part of it.
+        """Upload a directory into this folder, under a new name.
 
-        A directory's metadata.yaml is the last file, and what makes it a recording.
+        Its metadata.yaml is uploaded last. Without this file readers do not take it for a recording, so an unfinished
+        upload is never read.
         """
         key = f"{self.key.rstrip('/')}/{name}"
         files = sorted(
@@ -272,14 +275,14 @@ class Place:
             raise
 
     def upload_file(self, source: Path, name: str, check: Callable[[], None] | None = None) -> str:
-        """Copy a file into this folder, under a name; nobody sees a part of it. Returns its key."""
+        """Upload a file into this folder and return its key. It is visible only when it is complete."""
         key = f"{self.key.rstrip('/')}/{name}"
         self._makedirs(self.key)
         self._put(source, key, check)
         return key
 
     def remove_below(self) -> None:
-        """Remove a folder of our own: what makes it a recording first."""
+        """Remove an earlier output that is a folder; its metadata.yaml first, so that it is no recording any more."""
         for below in sorted(self.below(), key=lambda name: (name != "metadata.yaml", name)):
             self.child(below).delete()
         if self.scheme in _GRADUAL:
@@ -287,7 +290,7 @@ class Place:
                 self._fs.rm(self.key, recursive=True)
 
     def refuse_existing(self, name: str, *, overwrite: bool) -> None:
-        """Raise if this folder has something of a name that may not be replaced: a folder never is."""
+        """Raise if this name exists in the folder and may not be replaced. Folders are never replaced."""
         key = f"{self.key.rstrip('/')}/{name}"
         shown = f"{self.shown.rstrip('/')}/{name}"
         if not self._exists(key):
@@ -295,12 +298,12 @@ class Place:
         with self.reported():
             is_folder = self._fs.isdir(key)
         if is_folder:
-            raise DestinationError("is a folder, and no folder of a store is replaced", path=shown, hint=_OTHER_NAME)
+            raise DestinationError("is a folder; folders in a store are never replaced", path=shown, hint=_OTHER_NAME)
         if not overwrite:
             raise DestinationError("exists already", path=shown, hint="`overwrite=True` replaces it")
 
     def remove(self, keys: list[str]) -> None:
-        """Remove what an upload that failed has left, as far as possible."""
+        """Remove the files of a failed upload, as far as possible."""
         for key in keys:
             with suppress(Exception):
                 self._fs.rm_file(key)
@@ -311,7 +314,7 @@ class Place:
                 self._fs.makedirs(key, exist_ok=True)
 
     def _put(self, source: Path, key: str, check: Callable[[], None] | None = None) -> None:
-        """Copy a file; an object store shows it when it is complete."""
+        """Upload a file. If the store shows unfinished uploads, the file has a temporary name until it is complete."""
         with self.reported(writes=True):
             if self.scheme not in _GRADUAL:
                 self._fs.put_file(str(source), key, **_called(check))
@@ -327,48 +330,48 @@ class Place:
 
     @contextmanager
     def reported(self, *, writes: bool = False) -> Iterator[None]:
-        """Make the errors of fsspec and the stores' libraries ours: one line, without secrets."""
+        """Turn errors of fsspec and the stores' libraries into our own: one line, without secrets."""
         kind = OutputError if writes else RecordingError
         try:
             yield
         except (Pc2ScanError, ImportError):
             raise
         except FileNotFoundError as err:
-            # fsspec says this of whatever a web server answers.
+            # fsspec raises this for every error status of a web server, not only for 404.
             if err.__cause__ is not None and getattr(err.__cause__, "status", 0) != _NOT_FOUND:
                 raise self._error(err.__cause__, kind, writes=writes) from None
             if writes:
                 raise OutputError("there is no such bucket or folder", path=self.shown, hint=_NO_RIGHTS) from None
             if "bucket does not exist" in str(err):
                 raise MissingError("there is no such bucket", path=self.shown, hint=_NO_RIGHTS) from None
-            hint = "check its spelling; capital letters count, and some stores say this where rights are missing"
-            raise MissingError("there is nothing of this name", path=self.shown, hint=hint) from None
+            hint = "check its spelling (case matters); some stores also answer this if permissions are missing"
+            raise MissingError("does not exist", path=self.shown, hint=hint) from None
         except Exception as err:  # noqa: BLE001  # each store's library has errors of its own
             raise self._error(err, kind, writes=writes) from None
 
     def _error(self, err: BaseException, kind: type[Pc2ScanError], *, writes: bool) -> Pc2ScanError:
         """Return our error for one of a store's library.
 
-        Its text is not shown: it may have the URL with its signature.
+        The text of that error is not shown, because it may have the URL with its signature.
         """
         name, status = type(err).__name__, _status(err)
         if isinstance(err, FileNotFoundError):
-            return kind("there is nothing of this name", path=self.shown)
+            return kind("does not exist", path=self.shown)
         if "NoSuchBucket" in name:
             return (kind if writes else MissingError)("there is no such bucket", path=self.shown, hint=_NO_RIGHTS)
         if isinstance(err, PermissionError) or status in _DENIED or "Credential" in name:
             return kind(f"access is refused ({status or 403}, or no credentials)", path=self.shown, hint=_NO_RIGHTS)
         if isinstance(err, OSError) and err.errno == errno.ENOSPC:
-            return kind("no room for its local copy", path=self.shown, hint="`scratch` names another disk")
+            return kind("no space for its local copy", path=self.shown, hint="give another disk's folder as `scratch`")
         if name.startswith(_UNREACHABLE):
-            return kind(f"nobody answers at this address ({name})", path=self.shown, hint=_NO_ANSWER)
+            return kind(f"the host cannot be reached ({name})", path=self.shown, hint=_NO_ANSWER)
         if "Timeout" in name:
             return kind(f"the store does not answer in time ({name})", path=self.shown, hint=_NO_ANSWER)
         does = "upload" if writes else "download"
         if name.startswith(_CUT):
             return kind(f"the {does} was cut off ({name})", path=self.shown, hint=_AGAIN)
         if status is not None and status >= _SERVER_ERROR:
-            return kind(f"the store has an error of its own (status {status})", path=self.shown, hint=_AGAIN)
+            return kind(f"the store reports an internal error (status {status})", path=self.shown, hint=_AGAIN)
         does = "written" if writes else "read"
         return kind(f"cannot be {does}: {f'status {status}' if status else name}", path=self.shown, hint=_NO_ANSWER)
 
@@ -379,16 +382,16 @@ def _object(entry: dict[str, Any]) -> Object:
 
 
 def _patience(scheme: str) -> dict[str, Any]:
-    """How long a store is waited for, unless the user has configured it: by default S3 takes minutes to give up.
+    """Return options with timeouts for a store, unless the user has configured them.
 
-    And a web server's file may take longer than five minutes, as long as bytes arrive.
+    By default S3 takes minutes to give up, and a web server's file may not take longer than five minutes.
     """
     from fsspec.config import conf  # noqa: PLC0415  # only an extra
 
     if conf.get(scheme):
         return {}
     if scheme in {"s3", "s3a"}:
-        # s3fs tries five times by itself.
+        # No retries of the S3 library: s3fs itself tries five times.
         config = {"connect_timeout": _CONNECT_SECONDS, "read_timeout": _READ_SECONDS, "retries": {"max_attempts": 0}}
         return {"config_kwargs": config}
     if scheme in {"http", "https"}:
@@ -401,7 +404,7 @@ def _patience(scheme: str) -> dict[str, Any]:
 
 
 def _status(err: BaseException) -> int | None:
-    """Return the status of the HTTP answer that an error is about; None for none."""
+    """Return the HTTP status that an error reports; None if it has none."""
     status = getattr(err, "status", None)
     if status is None:
         response = getattr(err.__cause__, "response", None)
@@ -410,7 +413,7 @@ def _status(err: BaseException) -> int | None:
 
 
 def _called(check: Callable[[], None] | None) -> dict[str, Any]:
-    """The argument of fsspec that calls a function while it copies."""
+    """Return the argument that lets fsspec call a function while it copies."""
     if check is None:
         return {}
     from fsspec.callbacks import Callback  # noqa: PLC0415  # only an extra

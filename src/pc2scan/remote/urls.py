@@ -1,4 +1,4 @@
-"""Paths that are URLs. This module loads quickly: every command asks it."""
+"""Recognises paths that are URLs. Every command imports this module, so it must load quickly."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 __all__ = ["LIBRARIES", "is_url", "shown_path", "shown_url", "url_of"]
 
-#: The library that fsspec needs for a scheme; empty where it needs none.
+#: The library that fsspec needs for a scheme; empty if it needs none.
 LIBRARIES = {
     "s3": "s3fs",
     "s3a": "s3fs",
@@ -27,7 +27,7 @@ LIBRARIES = {
 
 
 def is_url(path: Path | None) -> bool:
-    """Whether a path was given as a URL.
+    """Return whether a path was given as a URL.
 
     >>> from pathlib import PurePosixPath as Path
     >>> is_url(Path("s3://bucket/drive.mcap")), is_url(Path("s3/drive.mcap")), is_url(None)
@@ -35,7 +35,7 @@ def is_url(path: Path | None) -> bool:
     """
     if path is None:
         return False
-    # A Path has one slash where a URL has two.
+    # Path has turned the two slashes of the URL into one.
     scheme, _, rest = path.as_posix().partition(":")
     return rest.startswith("/") and scheme in LIBRARIES
 
@@ -53,7 +53,7 @@ def url_of(path: Path) -> str:
 
 
 def shown_url(url: str) -> str:
-    """Return a URL without what may be secret: user, password, query and fragment.
+    """Return a URL without its parts that may be secret: user, password, query and fragment.
 
     >>> shown_url("https://me:secret@example.org/drive.mcap?signature=1")
     'https://example.org/drive.mcap'

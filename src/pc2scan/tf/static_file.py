@@ -44,7 +44,7 @@ def load_static_transforms(path: Path) -> tuple[StaticTransform, ...]:
             document = YAML(typ="safe", pure=True).load(file.read(_MAX_FILE_BYTES))
     except FileNotFoundError as err:
         hint = missing_hint(path, (".yaml", ".yml"))
-        raise UsageError("there is nothing of this name", path=path, hint=hint) from err
+        raise UsageError("does not exist", path=path, hint=hint) from err
     except OSError as err:
         raise UsageError(f"cannot be read: {err.strerror}", path=path) from err
     except (YAMLError, UnicodeDecodeError, RecursionError) as err:
