@@ -121,7 +121,7 @@ def test_a_file_of_parameters_is_beaten_by_keywords(tmp_path: Path) -> None:
         pc2scan.convert(HALL, tmp_path / "b.bag", params=params, preset="nav2")
     report = pc2scan.convert(HALL, tmp_path / "b.bag", params=params, max_height=3)
     assert (report.params.min_height, report.params.max_height) == (-0.25, 3.0)
-    with pytest.raises(Pc2ScanError, match="nothing of this name"):
+    with pytest.raises(Pc2ScanError, match="does not exist"):
         pc2scan.ProjectionParams.from_file(tmp_path / "none.yaml")
 
 

@@ -1,4 +1,4 @@
-"""The functions of ``pc2scan``: what the commands do, for Python, in the same words."""
+"""The functions of ``pc2scan``: each does what the command of the same name does, with the same option names."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ __all__ = [
     "view",
 ]
 
-#: Words of the command line, and of ROS, for what an argument is called.
+#: Names that users of the command line or of ROS may try, and the arguments that they mean.
 _SYNONYMS = {
     "topic": "topics",
     "source": "sources",
@@ -150,115 +150,118 @@ def convert(
     Parameters
     ----------
     sources
-        A recording, or several that are one: ROS 1 bag, rosbag2 directory, ``.db3`` or ``.mcap``; or its URL.
+        A recording: ROS 1 bag, rosbag2 directory, ``.db3`` or ``.mcap``; or its URL. Several are read as one recording.
     destination
-        ``*.bag``: a ROS 1 bag; ``*.mcap``: an MCAP file; text that ends with a slash: into that folder, named after
-        the first source; any other name: a rosbag2 directory. Default: next to the first source, in its format, with
-        ``_scan`` in its name.
+        ``*.bag``: a ROS 1 bag; ``*.mcap``: an MCAP file; text that ends with a slash: a folder, in which the
+        destination is named after the first source; any other name: a rosbag2 directory. Default: next to the first
+        source, in its format, with ``_scan`` in its name.
     params
         The parameters of the projection, instead of ``preset`` and ``params_file``. Default: upstream's defaults.
     preset
-        A consumer of the scans: what suits it.
+        The name of a consumer of the scans, such as ``slam_toolbox``: the parameters that suit it.
     params_file, node
-        A ROS parameter file, and the node whose section of it counts. Beats ``preset``.
+        A ROS parameter file, and the node whose parameters are read from it. They override ``preset``.
     scans
-        Several outputs, each with sources, parameters and choices of its own: a YAML or JSON file, or what such a file
-        has: ``{"/scan": {"min_height": 0.1}, "/low": {"max_height": 0.1}}``. Parameters by name beat all outputs'; the
-        other arguments that an output has cannot be given too.
+        Several outputs, each with its own sources, parameters and options: a YAML or JSON file, or the content of such
+        a file: ``{"/scan": {"min_height": 0.1}, "/low": {"max_height": 0.1}}``. Parameters by name override those of
+        all outputs. Other arguments that an output may have cannot be given besides.
     topics
-        What to convert, as ``/points`` or ``/points:=/scan``. Default: every PointCloud2 topic.
+        The topics to convert, as ``/points`` or ``/points:=/scan``. Default: every PointCloud2 topic.
     keep, drop
-        Names or globs that choose among the topics that are not converted.
+        Names or globs of the topics that are not converted: write only these; do not write these.
     keep_clouds, only_scans
-        Whether the converted clouds are written too; whether nothing but the scans is.
+        Write the converted clouds too; write nothing but the scans.
     start, end
-        The cut by log time, from ``start`` on and before ``end``. A number: seconds from the beginning, from
-        100,000,000 on seconds since 1970, whole numbers from 100,000,000,000 on nanoseconds since 1970. Or a
-        ``datetime`` with a time zone, a ``numpy.datetime64`` (UTC), a ``timedelta`` from the beginning, or text as
-        the command line takes it.
+        Convert only messages with log times from ``start`` on and before ``end``. A number: seconds from the beginning;
+        from 100,000,000 on, seconds since 1970; whole numbers from 100,000,000,000 on, nanoseconds since 1970. Or a
+        ``datetime`` with a time zone, a ``numpy.datetime64`` (UTC), a ``timedelta`` from the beginning, or text as on
+        the command line.
     static_tf, static_tf_file, write_static_tf
-        Transforms that the recording lacks, as `StaticTransform` or as text, ``parent child x y z roll pitch yaw``; a
-        YAML file of such; whether they are written to ``/tf_static`` of the destination.
+        Static transforms to add, as `StaticTransform` or as text, ``parent child x y z roll pitch yaw``; a YAML file
+        with such transforms; whether they are written to ``/tf_static`` of the destination.
     tf_from, tf_topics
-        Further recordings whose transforms count; where the transforms are, if not on ``/tf`` and ``/tf_static``.
+        Further recordings to read transforms from; the topics of the transforms, if not ``/tf`` and ``/tf_static``.
     source_frame
-        Frame of the messages to convert, where their own is wrong or empty.
+        The frame of the messages to convert, if their own ``frame_id`` is wrong or empty.
     frames
-        All of these in one object, instead of them.
+        All of these arguments about frames in one object.
     where, exclude_box, exclude_polygon, min_height_slope, ground
-        Which points of the clouds are used: those whose fields fulfil conditions (``ring in (3, 4) or intensity > 9``),
-        not those in boxes (``frame x0 x1 y0 y1 z0 z1``) or polygons (``frame x0 y0 x1 y1 x2 y2 ...``), not those below
-        a limit that grows with range, and with ``ground="remove"`` not those on the ground.
+        Filters of points. Used are points whose fields fulfil all conditions (``ring in (3, 4) or intensity > 9``).
+        Rejected are points in boxes (``frame x0 x1 y0 y1 z0 z1``), points in polygons
+        (``frame x0 y0 x1 y1 x2 y2 ...``), points below ``min_height + min_height_slope * range`` and, with
+        ``ground="remove"``, points on the ground.
     filters
         Further filters, as objects.
     remove
-        Which beams of scans are removed, by the rules of laser_filters: ``shadows``, ``speckles``, or with parameters,
-        ``"speckles filter_window=3"``; or several.
+        Beams to remove from scans, by the rules of laser_filters: ``shadows`` or ``speckles``, also with parameters,
+        ``"speckles filter_window=3"``; or several of these.
     keep_used
-        A topic for the points that the scans' beams read: PointCloud2 with all their fields, and the beam's number.
+        A topic to which the points that the scans' beams read are written: PointCloud2 with all of their fields and the
+        beam's index.
     reverse
-        Whether LaserScan becomes PointCloud2.
+        Convert LaserScan to PointCloud2.
     deskew, fixed_frame, point_time, stamp
-        Whether each point (with ``reverse`` each beam) is transformed by the pose at its own time. Of clouds: through a
-        frame that does not move, such as ``odom``; the field with the times of points, and its unit, as ``t:ns``; which
-        time the scan has: ``header``, ``start``, ``middle`` or ``end``.
+        Transform each point (with ``reverse``, each beam) by the pose at its own time. For clouds: a frame that does
+        not move, such as ``odom``; the field with the times of points and its unit, as ``t:ns``; and which time becomes
+        the scan's stamp: ``header``, ``start``, ``middle`` or ``end``.
     level, imu
-        Whether scans are made in a frame without the roll and pitch of the target frame: by ``fixed_frame``, whose z is
-        up, or by an IMU, ``/imu/data`` (``/imu/data:imu_link`` if its messages have another frame or none).
+        Make scans in a frame without the roll and pitch of the target frame. The direction of up comes from
+        ``fixed_frame``, whose z axis points up, or from an IMU, ``/imu/data`` (``/imu/data:imu_link`` if its messages
+        have a wrong frame or none).
     lead, window
-        Of topics that become one scan (``["/front:=/scan", "/rear:=/scan"]``), the one whose stamps the scan has, by
-        default the first; and how far stamps of the others may be from it, by default half the median period. Times
-        are seconds, text with a unit, or a ``timedelta``.
+        When several topics become one scan (``["/front:=/scan", "/rear:=/scan"]``): the topic whose stamps the scan
+        has, by default the first; and the maximum difference to the stamps of the others, by default half the median
+        period. Times are seconds, text with a unit, or a ``timedelta``.
     accumulate, every
-        A scan has all points of the last so many seconds, or clouds as ``"10clouds"``; and is made once for each so
-        many seconds, instead of for each cloud. ``fixed_frame`` accounts for what the robot moved meanwhile.
+        Use all points of the last seconds, or of the last clouds (``"10clouds"``), in each scan; make a scan once in
+        this many seconds, instead of one for each cloud. ``fixed_frame`` compensates the robot's motion in this time.
     rebin
-        Whether LaserScan becomes LaserScan: other beams, other frames, several in one.
+        Convert LaserScan to LaserScan: with other beams, in another frame, or several in one.
     channels, range_cutoff
-        Further fields of the clouds that ``reverse`` makes (``distances``, ``stamps``, ``viewpoint``), or all of them
-        as `UnprojectParams`; only returns nearer than ``range_cutoff`` are kept, metres.
+        With ``reverse``: further fields of the clouds (``distances``, ``stamps``, ``viewpoint``), or all parameters as
+        `UnprojectParams`; keep only returns nearer than ``range_cutoff``, in metres.
     on_error
-        ``skip`` counts and lists messages that cannot be converted, ``fail`` makes the first one an error.
+        If a message cannot be converted: ``skip`` counts and lists it, ``fail`` raises an error.
     fail_on, min_used
-        What makes the run fail: ``empty`` (a scan without any return) or ``warning``; and fewer of a topic's points in
-        its scans than this share, 0 to 1.
+        Fail if a scan has no return (``empty``), or for any warning (``warning``); fail if less than this share of a
+        topic's points, 0 to 1, is in its scans.
     storage, compression, profile, metadata_version, to
-        The form of the destination. Default: that of its format.
+        The format of the destination. Default: that of its name, or of the source.
     split, repeat_latched
-        Write several files, each of so much log time (``60s``, ``10min``) or so many bytes of messages before
-        compression (``500MB``, ``1GiB``); whether latched messages and static transforms are repeated at the beginning
-        of each. ``files`` of the report lists them.
+        Write several files, each with a duration of log time (``60s``, ``10min``) or a size of messages before
+        compression (``500MB``, ``1GiB``); repeat latched messages and static transforms at the beginning of each file.
+        ``files`` of the report lists the files.
     ros_distro
-        Whose definitions stand in for those that the recording lacks.
+        The ROS distribution whose message definitions are used if the recording has none.
     scratch, scratch_size
-        Where local copies of what is at URLs are, and how much room they may take there, as ``"20GB"``.
+        The folder for local copies of recordings at URLs, and how much space they may take, as ``"20GB"``.
     overwrite
-        Whether an existing destination is replaced, and whatever is in the report's place.
+        Replace an existing destination, and an existing file at the report's path.
     report
         A file to write the report to, as JSON.
     dry_run
-        Whether nothing is written, the report neither: the numbers of messages and bytes are estimates then.
+        Write nothing, not even the report. Numbers of messages and bytes are estimates then.
     jobs
-        Threads; 0 means as many as there are cores. The output does not depend on it.
+        Number of threads; 0 means one for each core. The output does not depend on it.
     verify
-        Whether the CRCs that MCAP files carry are compared.
+        Check the CRCs of MCAP files.
     strict
-        Whether damage of a source is an error; otherwise everything readable is recovered.
+        Raise an error if a source is damaged. Otherwise everything readable is recovered.
     progress
-        Called now and then with bytes read, bytes in all, and messages read.
+        Called from time to time with bytes read, bytes in total, and messages read.
     **parameters
-        Parameters of the projection by name, as `ProjectionParams` has them: ``min_height=-0.3``. They beat
+        Parameters of the projection by name, as in `ProjectionParams`: ``min_height=-0.3``. They override
         ``params_file``, ``preset`` and ``params``.
 
     Returns
     -------
     Report
-        What happened, message by message and point by point; ``print`` shows it as a table.
+        Counts of messages and points, warnings and damage; ``print`` shows them as tables.
 
     Raises
     ------
     UsageError
-        If the request contradicts itself, the sources or the destination.
+        If an argument is wrong, contradicts another one, or does not fit the sources or the destination.
     RecordingError
         If a source cannot be read.
     DamageError
@@ -266,9 +269,9 @@ def convert(
     OutputError
         If the destination cannot be written.
     ResultError
-        If no message was converted, or the result is not as good as ``fail_on`` and ``min_used`` demand.
+        If no message was converted, or the result does not meet ``fail_on`` or ``min_used``.
     MessageError
-        If ``on_error`` is ``fail`` and a message cannot be converted. After any error the destination is as it was.
+        If ``on_error`` is ``fail`` and a message cannot be converted. After any error the destination is unchanged.
 
     Examples
     --------
@@ -309,7 +312,7 @@ def convert(
 
 
 def _batch_words() -> Iterable[str]:
-    """Return the words of conversions that `batch` takes."""
+    """Return the keywords of conversions that `batch` takes."""
     from .batch.request import words_known  # noqa: PLC0415
 
     return words_known()
@@ -334,54 +337,55 @@ def batch(
     progress: Callable[[BatchProgress], None] | None = None,
     **words: Any,
 ) -> BatchReport:
-    """Convert every recording of a dataset, each by itself, in processes, as ``pc2scan batch`` does.
+    """Convert every recording of a dataset by itself, in several processes, as ``pc2scan batch`` does.
 
     Parameters
     ----------
     sources
-        Folders, which are searched; recordings; globs; text files with a path a line. Recordings are found by content.
-        Any of them may be a URL (``s3://``, ``gs://``, ``az://``; single files at ``https://``).
+        Folders, which are searched; recordings; globs; text files with one path per line. Recordings are recognised by
+        content. Any of these may be a URL (``s3://``, ``gs://``, ``az://``; single files at ``https://``).
     destination
-        The folder for the results, in the tree of the sources, and for ``manifest.jsonl``. A second call does only what
-        is missing, changed or failed. It may be a URL.
+        The folder for the results, in the same subfolders as the sources, and for ``manifest.jsonl``. A second call
+        converts only recordings whose results are missing, out of date or failed. It may be a URL.
     dataset
-        A dataset file: options that differ between recordings. ``words`` override it.
+        A dataset file, with options for some recordings or all. Options of the call override it.
     jobs
-        Recordings at a time; 0 means as many as there are cores, and memory for. What is written does not depend on it.
+        Number of recordings converted at a time; 0: one for each core, as far as the memory is enough. The outputs do
+        not depend on it.
     retries
-        How often a recording is tried again whose process died.
+        How often a recording is tried again if its process died.
     force
-        Whether what was converted before is converted again.
+        Convert recordings again whose results are up to date.
     checksum
-        Whether unchanged recordings are recognised by SHA-256, not by their time of modification.
+        Recognise unchanged recordings by their SHA-256, not by their time of modification.
     fail_fast
-        Whether the first recording that fails ends the run.
+        End the run when the first recording fails.
     dry_run
-        Whether nothing is written; outcomes are forecasts, sizes and times estimates.
+        Write nothing. Outcomes are forecasts then, and sizes and times are estimates.
     dask
-        True: a Dask cluster on this machine converts; an address, ``tcp://scheduler:8786``: the cluster of that
-        scheduler. Needs ``pc2scan[dask]``. With True, a script needs ``if __name__ == "__main__"``.
+        The address of a Dask scheduler whose cluster converts, ``tcp://scheduler:8786``; True: start a cluster on this
+        machine. Needs ``pc2scan[dask]``. With True, a script needs ``if __name__ == "__main__"``.
     scratch, scratch_size
-        As for `pc2scan.convert`: the folder for local copies of what is at URLs, and what all of them may take there.
-        With the ``dask`` cluster of an address each worker has a folder, and so much room, of its own.
+        The folder for local copies of recordings at URLs, and the space that all copies together may take. With the
+        address of a Dask scheduler, each worker has its own folder with this much space.
     report
         A file to write the summary to: ``.json``, ``.csv`` or ``.md``.
     progress
-        Called now and then with how far it is.
+        Called from time to time with the progress.
     **words
-        Every option of `pc2scan.convert` that is not one of a single run, and the parameters of the projection. With
-        ``export`` (``npz``, ``csv``, ...) results are what `pc2scan.export` writes, in a folder for each recording;
-        ``pose_frame``, ``base_frame`` and ``odom_topic`` as there.
+        Options of `pc2scan.convert`, except those of a single run, and parameters of the projection. With ``export``
+        (``npz``, ``csv``, ...), scans or clouds are exported as by `pc2scan.export`, to one folder for each recording;
+        ``pose_frame``, ``base_frame`` and ``odom_topic`` are as for that function.
 
     Returns
     -------
     BatchReport
-        What became of each recording; ``print`` shows it as a table. A recording that fails is no exception.
+        The outcome of each recording; ``print`` shows it as a table. A recording that fails does not raise.
 
     Raises
     ------
     UsageError
-        If an option is wrong, for whichever recording; nothing was begun then.
+        If an option is wrong, for any recording. Nothing was converted then.
     OutputError
         If the folder or its manifest cannot be written.
 
@@ -425,28 +429,28 @@ def repair(
     verify: bool = True,
     progress: Progress | None = None,
 ) -> Report:
-    """Make a sound recording of a damaged one, as ``pc2scan repair`` does: all that can be recovered, byte for byte.
+    """Write everything that can be recovered from a damaged recording to a new one, as ``pc2scan repair`` does.
 
     Parameters
     ----------
     source
-        A recording, damaged or not. It is never changed.
+        A recording, damaged or not. It is not changed. Its messages are copied byte for byte.
     destination
         As for `pc2scan.convert`. Default: next to the source, in its format, with ``_repaired`` in its name.
     storage, compression
-        The form of the destination. Default: the source's.
+        The format of the destination. Default: that of the source.
     overwrite, report, verify, progress
         As for `pc2scan.convert`.
 
     Returns
     -------
     Report
-        ``damage`` lists what is damaged; ``exit_status`` is 0 if nothing is, else 3.
+        ``damage`` lists the damage; ``exit_status`` is 0 if there is none, else 3.
 
     Raises
     ------
     UsageError
-        If the destination cannot be.
+        If the destination exists or is not possible.
     RecordingError
         If nothing of the source can be read.
     OutputError
@@ -483,23 +487,23 @@ def info(
     source_frame: str = "",
     frames: FrameOptions | None = None,
 ) -> Info:
-    """Look into a recording, as ``pc2scan info`` does: containers, topics, and what its clouds look like.
+    """Describe a recording, as ``pc2scan info`` does: its container, topics, clouds and scans.
 
     Parameters
     ----------
     sources
-        A recording, or several that are one.
+        A recording, or several that are read as one.
     samples
-        Clouds and scans of each topic to look at, spread evenly over the recording.
+        Number of clouds and scans to read from each topic, evenly spread over the recording.
     target_frame
-        Frame that heights are shown in, as conversions see them. Default: the clouds' own.
+        The frame in which heights are shown, as for conversions. Default: the clouds' own frames.
     static_tf, tf_from, tf_topics, source_frame, frames
         As for `pc2scan.convert`.
 
     Returns
     -------
     Info
-        What is in it; ``print`` shows it as tables.
+        The description; ``print`` shows it as tables.
 
     Raises
     ------
@@ -549,16 +553,16 @@ def view(
     strict: bool = False,
     **parameters: Any,
 ) -> Page:
-    """Show a recording as a page, as ``pc2scan view`` does: its clouds and the scan that comes of them, to be tuned.
+    """Show a recording as an HTML page, as ``pc2scan view`` does: its clouds, and their scans with tunable parameters.
 
     Parameters
     ----------
     sources
-        A recording, or several that are one: ROS 1 bag, rosbag2 directory, ``.db3`` or ``.mcap``.
+        A recording, or several that are read as one: ROS 1 bag, rosbag2 directory, ``.db3`` or ``.mcap``.
     clouds
-        How many moments of each topic are on the page, evenly spread over the recording.
+        Number of clouds of each topic on the page, evenly spread over the recording.
     at
-        A moment to show instead, or several, as ``start`` takes it.
+        A time, or several, whose clouds are shown instead; in the forms of ``start``.
     params, preset, params_file, node, topics, start, end, **parameters
         As for `pc2scan.convert`.
     static_tf, static_tf_file, tf_from, tf_topics, source_frame, frames
@@ -569,7 +573,7 @@ def view(
     Returns
     -------
     Page
-        Notebooks show it in their cell; ``save`` writes it to a file.
+        The page. Notebooks show it in a cell; ``save`` writes it to a file.
 
     Raises
     ------
@@ -599,7 +603,7 @@ def view(
 
 
 @known_keywords(further=parameter_names, synonyms=_SYNONYMS)
-def map(  # noqa: A001  # as the command is called
+def map(  # noqa: A001  # the command's name
     sources: PathText | Iterable[PathText],
     *,
     odom_frame: str = "odom",
@@ -643,28 +647,30 @@ def map(  # noqa: A001  # as the command is called
     progress: Progress | None = None,
     **parameters: Any,
 ) -> Map:
-    """Draw the scans of a recording into a map, as ``pc2scan map`` does: where the recorded odometry places them.
+    """Draw the scans of a recording into a map by its recorded odometry, as ``pc2scan map`` does.
 
-    A preview, no SLAM: nothing is matched or corrected. It shows whether heights, mounts, stamps and odometry fit
-    together. Scans are placed at their stamp, their beams at their own time where ``time_increment`` says it.
+    This is a preview, not SLAM: no scans are matched, and no poses corrected. It shows whether heights, mounting,
+    stamps and odometry fit together. A scan has the pose at its stamp; with a ``time_increment``, each beam has the
+    pose at its own time.
 
     Parameters
     ----------
     sources
-        A recording, or several that are one: ROS 1 bag, rosbag2 directory, ``.db3`` or ``.mcap``.
+        A recording, or several that are read as one: ROS 1 bag, rosbag2 directory, ``.db3`` or ``.mcap``.
     odom_frame
-        The frame in which the robot moves; that of the map.
+        The frame of the map, in which the robot moves.
     base_frame
-        The robot's frame, whose way is shown. Default: ``base_link``, or ``base_footprint`` where that is not there.
+        The robot's frame, whose path is shown. Default: ``base_link``, or ``base_footprint`` if that does not exist.
     resolution
-        The side of a cell, metres.
+        The side of a cell, in metres.
     max_range
-        Returns beyond it only clear the way so far, metres. Default: all returns count.
+        Returns beyond this range clear cells up to it, and mark none; metres. Default: no limit.
     clear_to
-        How far beams without a return clear, metres. By default they say nothing, as in gmapping and slam_toolbox.
+        The range up to which beams without a return clear cells, in metres. Default: such beams are ignored, as in
+        gmapping and slam_toolbox.
     topics
-        LaserScan or PointCloud2 topics. Default: all scans; all clouds if there are no scans, or if anything is given
-        that makes scans of clouds.
+        LaserScan or PointCloud2 topics. Default: all scans; all clouds if there are no scans, or if an option is given
+        that converts clouds.
     params, preset, params_file, node, start, end, **parameters
         As for `pc2scan.convert`.
     static_tf, static_tf_file, tf_from, tf_topics, source_frame, frames
@@ -681,16 +687,16 @@ def map(  # noqa: A001  # as the command is called
     Returns
     -------
     Map
-        Its ``cells`` are an array; ``save`` writes it for map_server. Notebooks show its picture.
+        The map: ``cells`` is an array, ``save`` writes files for map_server. Notebooks show its picture.
 
     Raises
     ------
     UsageError
-        If the request contradicts itself or the recording, there is no such frame, or the map would be too large.
+        If an argument is wrong or does not fit the recording, a frame does not exist, or the map would be too large.
     RecordingError
         If a source cannot be read.
     ResultError
-        If no scan has a place, or none has a return.
+        If no scan has a pose, or none has a return.
 
     Examples
     --------
@@ -724,34 +730,34 @@ def check(
     tf_topics: str | Iterable[str] = (),
     frames: FrameOptions | None = None,
 ) -> Check:
-    """Tell whether SLAM and navigation would accept the scans of a recording, as ``pc2scan check`` does.
+    """Check whether SLAM and navigation would accept the scans of a recording, as ``pc2scan check`` does.
 
     Parameters
     ----------
     sources
-        A recording, or several that are one.
+        A recording, or several that are read as one.
     consumers
-        Whose verdicts count: ``slam_toolbox``, ``cartographer``, ``gmapping``, ``amcl``, ``nav2``, ``mrpt``. Default:
-        all, and defects count too. All are reported in any case.
+        The consumers whose verdicts decide the exit status: ``slam_toolbox``, ``cartographer``, ``gmapping``, ``amcl``,
+        ``nav2``, ``mrpt``. Default: all of them, and defects of the scans. All are reported in any case.
     topics
-        LaserScan topics to look at. Default: all.
+        LaserScan topics to check. Default: all.
     odom_frame, base_frame
-        The frames that scans must be connected with; an empty ``base_frame`` means ``base_link``, or
-        ``base_footprint`` where that is not there.
+        The frames that the scans' frames must be connected with. An empty ``base_frame`` means ``base_link``, or
+        ``base_footprint`` if that does not exist.
     tf_from, tf_topics
-        Further recordings whose transforms count; where the transforms are, if not on ``/tf`` and ``/tf_static``.
+        Further recordings to read transforms from; the topics of the transforms, if not ``/tf`` and ``/tf_static``.
     frames
-        Both of these in one object, instead of them.
+        Both of these in one object.
 
     Returns
     -------
     Check
-        ``exit_status`` is 0 if the scans are good; ``print`` shows why not.
+        The verdicts: ``exit_status`` is 0 if all are good; ``print`` shows the reasons if not.
 
     Raises
     ------
     UsageError
-        If a consumer is unknown, there is no such topic, or several namespaces have transforms and none was named.
+        If a consumer or a topic does not exist, or if several namespaces have transforms and ``tf_topics`` is empty.
     RecordingError
         If a source cannot be read.
     """
@@ -779,9 +785,9 @@ def tf(
     Parameters
     ----------
     sources
-        Recordings; their transforms count together.
+        A recording, or several, whose transforms are read together.
     tf_topics
-        Where the transforms are, if not on ``/tf`` and ``/tf_static``.
+        The topics of the transforms, if not ``/tf`` and ``/tf_static``.
     static_tf
         Transforms to add, as `StaticTransform` or as text: ``parent child x y z roll pitch yaw``.
 
@@ -795,7 +801,7 @@ def tf(
     RecordingError
         If a source cannot be read.
     UsageError
-        If several namespaces have transforms and none was named.
+        If several namespaces have transforms and ``tf_topics`` is empty.
     """
     from .inspect.tf import frame_tree  # noqa: PLC0415
 
@@ -814,34 +820,34 @@ def golden(
     topics: str | Iterable[str] = (),
     params_file: PathText | None = None,
 ) -> GoldenReport:
-    """Check conversions against what they are expected to make, as ``pc2scan golden`` does.
+    """Compare the outputs of conversions with expected ones (golden cases), as ``pc2scan golden`` does.
 
     Parameters
     ----------
     folder
         A folder of cases, or one case.
     pattern
-        Only cases with this in their name; may be a glob.
+        Check only cases whose names contain this text, or match this glob.
     update
-        Whether to write the expected output of cases that differ or have none.
+        Write the expected output of cases that differ or have none.
     init
-        Make a new case of this recording first: ``folder``, which must not exist.
+        A recording from which a new case is made first. The new case is ``folder``, which must not exist.
     start, end, topics, params_file
-        With ``init``: the cut of the recording, its topics of clouds and scans (default: all), and the parameter file.
+        With ``init``: the part of the recording, the topics of clouds and scans (default: all), and the parameter file.
 
     Returns
     -------
     GoldenReport
-        What became of each case; ``exit_status`` is 0 if all are as expected.
+        The result of each case; ``exit_status`` is 0 if all are as expected.
 
     Raises
     ------
     UsageError
-        If there is no such folder, or no case in it.
+        If the folder does not exist or has no case.
 
     Notes
     -----
-    While a case runs, what this process prints is held back, and SIGTERM ends the process in order.
+    While a case runs, the output of this process is captured, and on SIGTERM temporary files are removed first.
     """
     from .cli.in_process import run_command  # noqa: PLC0415
     from .golden.case import case_folders  # noqa: PLC0415
@@ -856,7 +862,7 @@ def golden(
         source, chosen = path_of("init", init), names_in("topics", topics)
         make_case(path, source, run_command, start=start, end=end, topics=chosen, params=params)
     elif start is not None or end is not None or topics or params_file is not None:
-        raise UsageError("`start`, `end`, `topics` and `params_file` are for a new case: init=SRC")
+        raise UsageError("`start`, `end`, `topics` and `params_file` have no effect without `init`")
     report = GoldenReport(str(path))
     for name, case in case_folders(path, pattern):
         report.cases.append(check_case(name, case, run_command, update=update))
@@ -882,34 +888,34 @@ def diff(
     Parameters
     ----------
     a, b
-        ``a`` is the reference. Default of ``b``: ``a`` itself, for two topics of it.
+        The recordings; ``a`` is the reference. ``b`` is ``a`` by default, to compare two topics of one recording.
     topics
-        What to compare, as ``/scan`` or ``/scan:=/scan2``. Default: every LaserScan and PointCloud2 topic.
+        The topics to compare, as ``/scan`` or ``/scan:=/scan2``. Default: every LaserScan and PointCloud2 topic.
     all_topics
-        Whether the other topics are compared too: matched by log time, byte for byte.
+        Compare the other topics too: their messages are matched by log time, and compared byte for byte.
     atol, rtol
-        Absolute tolerance, and tolerance relative to the value in ``a``; they add up. A number is for all values, a
-        mapping has one for ``ranges``, ``intensities`` or a field of the clouds.
+        Absolute tolerance, and tolerance relative to the value in ``a``. Their sum is allowed. A number applies to all
+        values; a mapping has numbers for ``ranges``, ``intensities`` or fields of the clouds.
     allow_beams
-        Share of a topic's beams (clouds: points) that may be beyond the tolerance.
+        The share of a topic's beams (clouds: points) that may exceed the tolerance, 0 to 1.
     ignore
-        What is not compared: ``log_time``, ``seq``, ``frame_id``, ``order``, ``intensities``, ``ranges``, ``angle_min``
-        and the other numbers of a scan, ``shape``, ``layout``, ``padding``, ``is_dense``.
+        Properties that are not compared: ``log_time``, ``seq``, ``frame_id``, ``order``, ``intensities``, ``ranges``,
+        ``angle_min`` and the other numbers of a scan, ``shape``, ``layout``, ``padding``, ``is_dense``.
     explain
-        Whether to find out how many differing beams another libm explains; see ``libm`` of each topic.
+        Count the differing beams that another libm explains; see ``libm`` of each topic.
     clouds
-        The recording with the clouds that the scans were made of. Default: ``a``, or where it has none, ``b``. If it
-        is given, differing beams are explained.
+        The recording with the clouds from which the scans were made. Default: ``a``; if it has none, ``b``. If it is
+        given, ``explain`` is on.
 
     Returns
     -------
     Difference
-        ``same`` is true if nothing differs; ``print`` shows what the command prints.
+        The differences: ``same`` is true if there are none; ``print`` shows what the command prints.
 
     Raises
     ------
     UsageError
-        If a topic is not there, there is nothing to compare, or a rule cannot be.
+        If a topic does not exist, there is nothing to compare, or a tolerance or another rule is wrong.
     RecordingError
         If a recording cannot be read.
 
@@ -950,7 +956,7 @@ def export(
     sources: PathText | Iterable[PathText],
     destination: PathText,
     *,
-    format: str | None = None,  # noqa: A002  # the command's word
+    format: str | None = None,  # noqa: A002  # the command's name for it
     pose_frame: str = "",
     base_frame: str = "",
     odom_topic: str = "",
@@ -996,48 +1002,49 @@ def export(
     Parameters
     ----------
     sources
-        A recording, or several that are one: ROS 1 bag, rosbag2 directory, ``.db3`` or ``.mcap``.
+        A recording, or several that are read as one: ROS 1 bag, rosbag2 directory, ``.db3`` or ``.mcap``.
     destination
-        A file; or a folder, which is made: of several topics, of clouds, and where the text ends with a slash.
+        A file; a folder for several topics and for clouds, or if the text ends with a slash. The folder is created.
     format
-        ``npz``, ``csv``, ``tum``, ``carmen``, ``flaser``, ``pcd`` or ``kitti``. Default: that of the file's suffix.
+        ``npz``, ``csv``, ``tum``, ``carmen``, ``flaser``, ``pcd`` or ``kitti``. Default: by the file's suffix.
     pose_frame
-        Write the robot's pose in this frame, such as ``odom``, at each message's own stamp, from the transforms.
+        Write the robot's pose in this frame, such as ``odom``, at the stamp of each message, from the transforms.
         Messages without a transform at their stamp are skipped.
     base_frame
-        Whose pose. Default: ``base_link``, or ``base_footprint``, where it is between ``pose_frame`` and the message's
-        frame; else the frame farthest up that nothing moves against the message's frame.
+        The frame whose pose is written. Default: ``base_link`` or ``base_footprint`` if it lies between ``pose_frame``
+        and the message's frame; otherwise the highest frame in the tree that does not move relative to the message's
+        frame.
     odom_topic
         Take the poses from this nav_msgs/Odometry topic instead.
     topics, start, end
-        As for `pc2scan.convert`. Default: all LaserScan topics; of clouds, and where scans are made of them, all
+        As for `pc2scan.convert`. Default: all LaserScan topics; if clouds are exported or converted, all
         PointCloud2 topics.
     params, preset, params_file, node, **parameters
-        As for `pc2scan.scans`: with any of them scans are made of clouds on the way.
+        As for `pc2scan.scans`: any of them means that scans are made from clouds.
     static_tf, static_tf_file, tf_from, tf_topics, source_frame, frames
-        As for `pc2scan.convert`; for poses too.
+        As for `pc2scan.convert`; also used for poses.
     where, exclude_box, exclude_polygon, min_height_slope, ground, filters
-        As for `pc2scan.convert`, where scans are made of clouds.
+        As for `pc2scan.convert`, if clouds are converted.
     deskew, fixed_frame, point_time, stamp, level, imu
-        As for `pc2scan.convert`, where scans are made of clouds.
+        As for `pc2scan.convert`, if clouds are converted.
     lead, window, accumulate, every, rebin
         As for `pc2scan.convert`. Topics that share a target become one scan.
     on_error
-        ``skip`` counts and lists messages that cannot be written, ``fail`` makes the first one an error.
+        If a message cannot be written: ``skip`` counts and lists it, ``fail`` raises an error.
     overwrite
-        Whether an existing destination is replaced: a file, or a folder with nothing but an export of this format.
+        Replace an existing destination: a file, or a folder that has only an export in this format.
     verify, strict, progress
         As for `pc2scan.convert`.
 
     Returns
     -------
     ExportReport
-        What was written, and what was skipped; ``print`` shows it as a table.
+        Counts of written and skipped messages; ``print`` shows them as a table.
 
     Raises
     ------
     UsageError
-        If the request contradicts itself or the recording, or the format cannot hold the data.
+        If an argument is wrong or does not fit the recording, or the format cannot hold the data.
     RecordingError
         If a source cannot be read.
     DamageError
@@ -1045,7 +1052,7 @@ def export(
     OutputError
         If the destination cannot be written.
     ResultError
-        If there is nothing to write.
+        If no message could be written.
     MessageError
         If ``on_error`` is ``fail`` and a message cannot be written. After any error nothing is written.
 
@@ -1118,24 +1125,24 @@ def scans(
     strict: bool = False,
     **parameters: Any,
 ) -> Scans:
-    """Iterate over the scans of a recording, or over scans that are made of its clouds on the way.
+    """Iterate over the scans of a recording, or convert its clouds and iterate over the resulting scans.
 
-    Scans are read as the loop goes on, in the order of log time, so that memory stays small. With ``params``,
-    ``preset``, ``params_file`` or any parameter of the projection the clouds are converted instead, without a file;
-    the scans are those that `pc2scan.convert` writes, to the bit.
+    Scans are read one by one during the loop, in the order of log time, so memory use stays small. With ``params``,
+    ``preset``, ``params_file`` or any parameter of the projection, clouds are converted instead, without writing a
+    file. The scans are identical to those that `pc2scan.convert` writes.
 
     Parameters
     ----------
     source
-        A recording, or several that are one: ROS 1 bag, rosbag2 directory, ``.db3`` or ``.mcap``.
+        A recording, or several that are read as one: ROS 1 bag, rosbag2 directory, ``.db3`` or ``.mcap``.
     topic
-        A topic, or several; of clouds also as ``/points:=/scan``. Default: the only one.
+        A topic, or several; for clouds also as ``/points:=/scan``. Default: the only one in the recording.
     start, end, verify, strict
-        As for `pc2scan.convert`. Damage that is read around is a `pc2scan.errors.RecordingWarning`.
+        As for `pc2scan.convert`. Recovered damage is reported as a `pc2scan.errors.RecordingWarning`.
     params, preset, params_file, node, **parameters
         As for `pc2scan.convert`.
     static_tf, static_tf_file, tf_from, tf_topics, source_frame, frames
-        As for `pc2scan.convert`; for clouds with a ``target_frame``.
+        As for `pc2scan.convert`, if clouds are converted.
     where, exclude_box, exclude_polygon, min_height_slope, ground, filters
         As for `pc2scan.convert`.
     deskew, fixed_frame, point_time, stamp, level, imu
@@ -1143,24 +1150,24 @@ def scans(
     lead, window, accumulate, every, rebin
         As for `pc2scan.convert`. Topics that share a target become one scan.
     on_error
-        ``skip``: messages that cannot be used are counted and listed, and a warning says so. ``fail``: the first one is
+        If a message cannot be used: ``skip`` counts and lists it, and issues a warning; ``fail`` raises
         an error.
 
     Returns
     -------
     Scans
-        Iterate over it; each loop starts again. ``to_xarray`` and ``to_dataframe`` make one table of all scans.
+        An iterable; each loop begins at the start. ``to_xarray`` and ``to_dataframe`` make one table of all scans.
 
     Raises
     ------
     UsageError
-        If the request contradicts itself or the recording, a topic is missing, or there are several and none was named.
+        If an argument is wrong or does not fit the recording, or if ``topic`` is missing or needed.
     RecordingError
         If a source cannot be read.
     DamageError
         With ``strict``, if a source is damaged.
     MessageError
-        If ``on_error`` is ``fail`` and a message cannot be used; in the loop.
+        If ``on_error`` is ``fail`` and a message cannot be used. Raised in the loop.
 
     Examples
     --------
@@ -1180,11 +1187,11 @@ def scans(
     if projected or given & {"lead", "window", "accumulate", "every", "rebin"}:
         conversion = conversion_of({**words, "topics": names, "only_scans": True}).options
         if conversion.scan.reverse:
-            raise UsageError("the parameter file is for laserscan_to_pointcloud, scans are made of clouds")
+            raise UsageError("the parameter file is for laserscan_to_pointcloud, which does not make scans")
     elif given - {"start", "end", "on_error", "verify", "strict"}:
         raise UsageError(
-            "transforms, filters, `node`, `deskew` and `level` count only where clouds are converted",
-            hint="give parameters: `preset`, `params_file`, or any of them by name, `target_frame=base_link`",
+            "transforms, filters, `node`, `deskew` and `level` have no effect, because no clouds are converted",
+            hint="to convert clouds, give `preset`, `params_file`, or a parameter by name, `target_frame=base_link`",
         )
     selection = selection_of(source, names, start, end, on_error, verify=verify, strict=strict)
     return Scans(selection, conversion)
@@ -1203,35 +1210,35 @@ def clouds(
 ) -> Clouds:
     """Iterate over the clouds of a recording.
 
-    Clouds are read as the loop goes on, in the order of log time, so that memory stays small.
+    Clouds are read one by one during the loop, in the order of log time, so memory use stays small.
 
     Parameters
     ----------
     source
-        A recording, or several that are one: ROS 1 bag, rosbag2 directory, ``.db3`` or ``.mcap``.
+        A recording, or several that are read as one: ROS 1 bag, rosbag2 directory, ``.db3`` or ``.mcap``.
     topic
-        A topic, or several. Default: the only one.
+        A topic, or several. Default: the only one in the recording.
     start, end, verify, strict
-        As for `pc2scan.convert`. Damage that is read around is a `pc2scan.errors.RecordingWarning`.
+        As for `pc2scan.convert`. Recovered damage is reported as a `pc2scan.errors.RecordingWarning`.
     on_error
-        ``skip``: messages that cannot be read are counted and listed, and a warning says so. ``fail``: the first one is
+        If a message cannot be read: ``skip`` counts and lists it, and issues a warning; ``fail`` raises
         an error.
 
     Returns
     -------
     Clouds
-        Iterate over it; each loop starts again. ``to_dataframe`` makes one table of all clouds.
+        An iterable; each loop begins at the start. ``to_dataframe`` makes one table of all clouds.
 
     Raises
     ------
     UsageError
-        If a topic is missing, or there are several and none was named.
+        If ``topic`` does not exist, or if it is not given and there are several.
     RecordingError
         If a source cannot be read.
     DamageError
         With ``strict``, if a source is damaged.
     MessageError
-        If ``on_error`` is ``fail`` and a message cannot be read; in the loop.
+        If ``on_error`` is ``fail`` and a message cannot be read. Raised in the loop.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Arguments as Python users give them: paths, names and times in any of their usual forms, and misspelt keywords."""
+"""Reads arguments of the public functions: paths and names in any of their usual forms; finds misspelt keywords."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ __all__ = ["known_keywords", "names_in", "path_of", "path_text", "paths_in", "re
 _Arguments = ParamSpec("_Arguments")
 _Result = TypeVar("_Result")
 
-#: A value in an error message is cut behind so many characters.
+#: Maximum number of characters of a value in an error message.
 _LONGEST = 80
 
 
-#: What arguments with these annotations must be.
+#: Checks for arguments, by annotation: a test, and what the argument must be, for the error.
 _CHECKS: Mapping[str, tuple[Callable[[object], bool], str]] = {
     "bool": (lambda value: isinstance(value, bool), "True or False"),
     "int": (lambda value: isinstance(value, int) and not isinstance(value, bool), "a whole number"),
@@ -37,7 +37,7 @@ _CHECKS: Mapping[str, tuple[Callable[[object], bool], str]] = {
 
 
 def shown(value: object) -> str:
-    """A value and its type, for an error message."""
+    """Return a value and its type, for an error message."""
     text = repr(value)
     return f"{text if len(text) <= _LONGEST else f'{text[:_LONGEST]}...'} ({type(value).__name__})"
 
@@ -50,12 +50,12 @@ def path_of(name: str, value: object) -> Path:
 def path_text(name: str, value: object) -> str:
     """Return a path that was given as text or as an object, as text.
 
-    A leading ``~`` is the home folder, as a shell would have it, unless there is a file with that name.
+    A leading ``~`` is the home folder, as in a shell, unless a file with that name exists.
 
     Parameters
     ----------
     name
-        What the argument is called.
+        The name of the argument.
     value
         The argument.
 
@@ -97,7 +97,7 @@ def paths_in(name: str, values: PathText | Iterable[PathText]) -> list[Path]:
 
 
 def names_in(name: str, values: object) -> tuple[str, ...]:
-    """Return the names of an argument that takes one name or several; none for None.
+    """Return the names of an argument that takes one name or several; an empty tuple for None.
 
     Raises
     ------
@@ -120,7 +120,7 @@ def names_in(name: str, values: object) -> tuple[str, ...]:
 def refuse_unknown(
     function: str, names: Iterable[str], known: Iterable[str], synonyms: Mapping[str, str] | None = None
 ) -> None:
-    """Raise a TypeError for the first name that is not known, with the known name that is meant or nearest to it."""
+    """Raise a TypeError for the first unknown name, with a suggestion: the synonym's meaning, or a similar name."""
     candidates = sorted(known)
     for name in names:
         if name in candidates:
@@ -134,20 +134,20 @@ def refuse_unknown(
 def known_keywords(
     *, further: Callable[[], Iterable[str]] = tuple, synonyms: Mapping[str, str] | None = None
 ) -> Callable[[Callable[_Arguments, _Result]], Callable[_Arguments, _Result]]:
-    """Decorate a function so that a misspelt keyword is a TypeError that names the right one, and so are wrong types.
+    """Decorate a function so that a misspelt keyword or a wrong type raises a TypeError that suggests the right one.
 
     Parameters
     ----------
     further
         Returns the keywords that the function takes as ``**keywords``.
     synonyms
-        Words that are no argument, and the argument that they mean.
+        Names that are not arguments, and the arguments that they mean.
     """
 
     def decorated(function: Callable[_Arguments, _Result]) -> Callable[_Arguments, _Result]:
         parameters = inspect.signature(function).parameters.values()
         named = {p.name for p in parameters if p.kind not in (p.VAR_KEYWORD, p.VAR_POSITIONAL)}
-        # Annotations are text. What is truthy by chance must not replace a file.
+        # Annotations are text. The check for bool keeps `overwrite="no"` from replacing a file.
         checks = {p.name: _CHECKS[p.annotation] for p in parameters if p.annotation in _CHECKS}
 
         @wraps(function)

@@ -3,25 +3,25 @@
 ::
 
     Pc2ScanError                   exit status 1
-    ├── UsageError                 exit status 2: the call is wrong, nothing was tried
+    ├── UsageError                 exit status 2: the call is wrong, nothing was read or written
     │   ├── ParameterError         a projection parameter's name, type or value
     │   │   └── SeveralNodesError  a parameter file with several nodes, where one is expected
     │   ├── TopicError             a topic that is missing, of another type or taken
-    │   └── DestinationError       DST cannot be written as asked for
+    │   └── DestinationError       DST cannot be written as requested
     ├── RecordingError             a source cannot be read
-    │   ├── MissingError           exit status 2: there is nothing of its name
+    │   ├── MissingError           exit status 2: it does not exist
     │   └── DamageError            bytes of it are missing or wrong; without ``strict``, the rest is recovered
-    ├── ResultError                nothing was converted, or less than was demanded; nothing is written
+    ├── ResultError                nothing was converted, or less than required; nothing is written
     ├── OutputError                the destination cannot be written
     └── MessageError               one message cannot be converted (skipped, or fatal with ``fail``)
         ├── DecodeError            its bytes contradict its type
         ├── TransformError         no transform for its frame and stamp
-        │   └── UnconnectedError   no transform for its frame, at whatever stamp
+        │   └── UnconnectedError   no transform for its frame, at any stamp
         └── UnwritableError        the destination's format cannot hold its log time or its size
 
 `RecordingWarning` is the category of Python's warnings about recordings.
 
-Any other exception is a bug and keeps its traceback. This module imports nothing of pc2scan.
+Any other exception is a bug and keeps its traceback. This module imports no other module of pc2scan.
 """
 
 from __future__ import annotations
@@ -55,12 +55,12 @@ __all__ = [
 ]
 
 
-#: How a hint begins where a traceback shows it.
+#: The beginning of a hint in a traceback.
 _HINT = "hint: "
 
 
 def stamp_text(stamp_ns: int) -> str:
-    """Return nanoseconds as seconds with every digit (a float loses the last ones).
+    """Return nanoseconds as seconds with all nine decimals, of which a float would lose the last.
 
     >>> stamp_text(1604515190231374463), stamp_text(-1)
     ('1604515190.231374463', '-0.000000001')
@@ -70,7 +70,7 @@ def stamp_text(stamp_ns: int) -> str:
 
 
 def name_list(names: Sequence[str], limit: int = 20) -> str:
-    """Return names as a list for an error message: all of them, or the first ones and how many more.
+    """Return names as a list for an error message: all of them, or the first ones and the number of the others.
 
     >>> name_list(["/a", "/b", "/c"], limit=2), name_list([])
     ('/a, /b and 1 more', 'none')
@@ -87,7 +87,7 @@ class Pc2ScanError(Exception):
     message
         What was wrong: observed and allowed, in one sentence.
     path, topic, stamp_ns
-        Where, as far as known. ``stamp_ns`` is the header's stamp in nanoseconds.
+        The place of the error, as far as known. ``stamp_ns`` is the header's stamp in nanoseconds.
     hint
         What the user can do; tracebacks show it too. Message and hint name options as Python does, in backticks:
         ```overwrite=True` replaces it``.
@@ -113,7 +113,7 @@ class Pc2ScanError(Exception):
 
     @property
     def hint(self) -> str | None:
-        """What the user can do about it; None where nothing is known."""
+        """What the user can do about it; None if there is no advice."""
         return self._hint
 
     @hint.setter
@@ -173,14 +173,14 @@ class ParameterError(UsageError):
 
 
 class SeveralNodesError(ParameterError):
-    """A parameter or launch file has several nodes, and it was not said which one is meant.
+    """A parameter file or launch file has several nodes, and none was chosen.
 
     Parameters
     ----------
     message, hint
         As for `ParameterError`.
     nodes
-        Their names, fully qualified.
+        The fully qualified names of the nodes.
     """
 
     def __init__(self, message: str, *, nodes: tuple[str, ...], hint: str | None = None) -> None:
@@ -193,7 +193,7 @@ class TopicError(UsageError):
 
 
 class DestinationError(UsageError):
-    """The destination exists, is a source, or cannot be written as asked for."""
+    """The destination exists, is a source, or cannot be written as requested."""
 
 
 class RecordingError(Pc2ScanError):
@@ -201,7 +201,7 @@ class RecordingError(Pc2ScanError):
 
 
 class MissingError(RecordingError):
-    """There is nothing of a source's name."""
+    """A source does not exist."""
 
     exit_status = 2
 
@@ -211,7 +211,7 @@ class DamageError(RecordingError):
 
 
 class ResultError(Pc2ScanError):
-    """No message was converted, or the result is not as good as was demanded; nothing is written."""
+    """No message was converted, or the result does not meet the requirements; nothing is written."""
 
 
 class OutputError(Pc2ScanError):
@@ -232,14 +232,14 @@ class TransformError(MessageError):
     Attributes
     ----------
     reason
-        Why, without the times: the same for all messages of which it is true. Empty where the message has no times.
+        The text without its times: errors with the same reason are counted together. Empty if the text has no times.
     """
 
     reason: str = ""
 
 
 class UnconnectedError(TransformError):
-    """No transforms connect two frames, at whatever stamp."""
+    """No transforms connect two frames, at any stamp."""
 
 
 class UnwritableError(MessageError):
@@ -247,4 +247,4 @@ class UnwritableError(MessageError):
 
 
 class RecordingWarning(UserWarning):
-    """A recording is damaged, a message of it cannot be used, or its scans are probably not what was wanted."""
+    """A recording is damaged, a message cannot be used, or the scans are probably not as intended."""

@@ -62,7 +62,7 @@ class Definition(NamedTuple):
 
     @property
     def text(self) -> str:
-        """The definition as text; bytes that are not UTF-8 become replacement characters."""
+        """Return the definition as text. Bytes that are not UTF-8 become replacement characters."""
         return self.data.decode("utf-8", "replace")
 
 
@@ -119,12 +119,12 @@ class Connection:
 
     @property
     def ros_type(self) -> str:
-        """The type in ROS 2's spelling, whatever the recording's: ``sensor_msgs/msg/PointCloud2``."""
+        """The type in ROS 2 spelling, ``sensor_msgs/msg/PointCloud2``, whichever spelling is recorded."""
         return normalized_type(self.msgtype)
 
     @property
     def in_utf8(self) -> Connection:
-        """The same with texts in UTF-8; texts of ROS 1 may be any bytes, read as surrogates."""
+        """Return the connection with texts in UTF-8. Those of ROS 1 may have any bytes, read as surrogates."""
         texts = (self.topic, self.msgtype, self.digest, self.callerid or "", *chain(*self.metadata.items()))
         if all(map(str.isascii, texts)):
             return self
@@ -163,7 +163,7 @@ class RawMessage(NamedTuple):
 
 
 def own(data: Buffer) -> Buffer:
-    """Return data that may be kept: a copy of borrowed data (see `pc2scan.files.source.SourceFile.borrow`)."""
+    """Return data that may be kept. Borrowed data is copied (see `pc2scan.files.source.SourceFile.borrow`)."""
     return data if isinstance(data, bytes) or isinstance(data.obj, bytes) else bytes(data)
 
 
@@ -180,7 +180,7 @@ def declared_counts(connections: Iterable[Connection]) -> dict[int, int]:
 
 @dataclass(slots=True, eq=False)
 class StoredChunk:
-    """A chunk that is written as a whole, without reading its messages one by one.
+    """A chunk that is copied as a whole, without reading its messages one by one.
 
     Attributes
     ----------
@@ -210,7 +210,7 @@ class StoredChunk:
 
 
 class ChunkRule(NamedTuple):
-    """Which chunks can be copied to a destination as a whole.
+    """The conditions under which a chunk can be copied to a destination as a whole.
 
     Attributes
     ----------
@@ -222,12 +222,12 @@ class ChunkRule(NamedTuple):
         The connections that are copied unchanged and have the same ids in the destination. A chunk with messages of
         other connections is not copied.
     declarations
-        Schema and Channel records of the destination, byte for byte. A chunk may repeat these and has no others.
+        Schema and Channel records of the destination, byte for byte. A chunk may repeat these, but have no others.
     last_ns
         The latest log time that the destination can store; None if it can store all of the source's.
     grid
-        A beginning and a duration, nanoseconds: a chunk lies within one of the stretches of this duration that are
-        counted from the beginning, or before the end of the first one. None for no such limit.
+        A beginning and a duration, nanoseconds. They divide time into intervals; a chunk must lie within one of them,
+        or before the end of the first one. None: no such condition.
     """
 
     container: str
@@ -238,7 +238,7 @@ class ChunkRule(NamedTuple):
     grid: tuple[int, int] | None = None
 
     def is_cut(self, first_ns: int, last_ns: int) -> bool:
-        """Whether a line of the grid lies between the log times of a chunk's first and last message."""
+        """Return whether a boundary of the grid lies between the log times of a chunk's first and last message."""
         if self.grid is None:
             return False
         begin_ns, duration_ns = self.grid
@@ -263,7 +263,7 @@ class Metadata(NamedTuple):
 
 
 class Summary(NamedTuple):
-    """A reader's summary of its recording, made without reading the messages.
+    """A summary of a recording that is made without reading its messages.
 
     Attributes
     ----------
@@ -276,7 +276,7 @@ class Summary(NamedTuple):
     size_bytes
         Size of all files together.
     message_count, start_ns, end_ns
-        None if they are unknown without reading every message. ``end_ns`` is the last message's log time.
+        None if they are not known without reading every message. ``end_ns`` is the last message's log time.
     """
 
     container: str
@@ -290,22 +290,22 @@ class Summary(NamedTuple):
 
 
 class Writer(Protocol):
-    """Writes a recording, which is valid only after `finish`."""
+    """Writes a recording. It is valid only after `finish`."""
 
     def keep_ids(self, connections: Collection[Connection]) -> None:
         """Reserve the ids of these connections, so that they keep them when they are declared."""
         ...
 
     def add_connection(self, connection: Connection) -> int:
-        """Declare a connection; returns the handle for `write`. Its ``id`` matters only if it is reserved."""
+        """Declare a connection, and return its handle for `write`. Its ``id`` is ignored unless it is reserved."""
         ...
 
     def declarations(self) -> frozenset[bytes]:
-        """Return the declarations so far that a chunk may repeat; see `ChunkRule`."""
+        """Return the declarations written so far, which chunks may repeat; see `ChunkRule`."""
         ...
 
     def compress_ahead(self, pool: Threads) -> None:
-        """Compress on these threads, which outlive the writer's work; the written bytes stay the same."""
+        """Compress on these threads, which must run until `finish` or `abort`. The written bytes stay the same."""
         ...
 
     def write(self, handle: int, log_time_ns: int, data: Buffer, publish_time_ns: int, sequence: int = 0) -> None:

@@ -1,4 +1,4 @@
-"""Names that nearly match: what was probably meant by a name that is not there."""
+"""Finds the name that a user probably meant, among existing names."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ if TYPE_CHECKING:
 
 __all__ = ["did_you_mean", "nearest"]
 
-#: So many names are compared, of at most so many characters: names come from recordings, and may be any number.
+#: Maximum number of names that are compared, and their maximum length: recordings may have any number of names.
 _MOST = 2_000
 _LONGEST = 255
 
 
 def nearest(asked: str, known: Iterable[str]) -> str | None:
-    """Return the name that is most like the one asked for, or None if there is none like it.
+    """Return the name that is most similar to the requested one, or None if none is similar.
 
-    Case, slashes at the ends, and hyphens for underscores make no difference; it may be a part of a longer name.
+    Case, slashes at the ends, and hyphens instead of underscores are ignored. A part of a name matches, too.
 
     >>> nearest("Base-Link", ["odom", "base_link"]), nearest("points", ["/lidar/points", "/imu"])
     ('base_link', '/lidar/points')
@@ -31,7 +31,7 @@ def nearest(asked: str, known: Iterable[str]) -> str | None:
     if not wanted:
         return None
     close = difflib.get_close_matches(wanted, names, n=1)
-    # Then what ends or begins with it, the shortest first; single letters are at the end of anything.
+    # Then names that contain it as a part, or are a part of it, the shortest first.
     close += sorted((name for name in names if _is_part(wanted, name) or _is_part(name, wanted)), key=len)
     if not close:
         ends = {name.rpartition("/")[2]: name for name in names}
@@ -40,7 +40,7 @@ def nearest(asked: str, known: Iterable[str]) -> str | None:
 
 
 def did_you_mean(asked: str, known: Iterable[str]) -> str:
-    """Return ``did you mean base_link?``, or the empty text where no name is like the one asked for."""
+    """Return ``did you mean base_link?``, or empty text if no name is similar to the requested one."""
     name = nearest(asked, known)
     return f"did you mean {name}?" if name else ""
 

@@ -1,4 +1,4 @@
-"""What Python users ask for, as the pipeline takes it: parameters, frames, filters, times and places."""
+"""Reads the keywords of the public functions into the pipeline's options: parameters, frames, filters, times, paths."""
 
 from __future__ import annotations
 
@@ -50,31 +50,31 @@ _FILTERS = ("where", "exclude_box", "exclude_polygon", "min_height_slope", "grou
 _COMBINING = ("lead", "window", "accumulate", "every", "rebin")
 _CHANNELS = ("channels", "range_cutoff")
 
-#: Attributes of an output, and of a conversion, that are words as they are.
+#: Keywords that are attributes of an output, and of a conversion, without any reading.
 _OF_A_SCAN = ("deskew", "fixed_frame", "point_time", "stamp", "level", "imu", "keep_used")
 _OF_ALL = ("keep_clouds", "only_scans", "on_error", "ros_distro", "jobs", "verify", "strict", "fail_on", "min_used")
 
-#: What an output has of its own, and so cannot be given beside ``scans``. ``param`` counts for all outputs.
+#: Keywords that each output in ``scans`` has itself, so they cannot be given besides. ``param`` applies to all outputs.
 _BESIDE = (
     *(name for name in _PARAMETERS if name != "param"),
     *("topics", "reverse", "remove", *_FILTERS, *_COMBINING, *_CHANNELS, *_OF_A_SCAN),
 )
 
-#: The defaults that are neither None nor empty.
+#: Defaults other than None, False and empty.
 _USUAL = {"stamp": "header", "ground": "keep", "on_error": "skip", "verify": True}
 
-#: The words of a conversion besides parameters of the projection: keywords of `pc2scan.convert`, and ``param``,
+#: The keywords of a conversion besides parameters of the projection: those of `pc2scan.convert`, and ``param``,
 #: ``launch_args`` and ``remap``, which only the command line has.
 WORDS = frozenset(("scans", "param", "keep", "drop", "start", "end", *_BESIDE, *_FRAMES, *_OF_ALL))
 
 
 class Conversion(NamedTuple):
-    """A conversion as it was asked for, read and checked.
+    """The options of a conversion, read and checked.
 
     Attributes
     ----------
     options
-        As the pipeline takes them.
+        The options of the pipeline.
     files
         The files that were read for them, by option.
     """
@@ -84,13 +84,13 @@ class Conversion(NamedTuple):
 
 
 def words_among(arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the words among the ``locals()`` of a function with parameters of the projection as ``**parameters``."""
+    """Return the keywords in the ``locals()`` of a function with parameters of the projection as ``**parameters``."""
     words = {name: value for name, value in arguments.items() if name in WORDS}
     return words | dict(arguments["parameters"])
 
 
 def given_among(words: Mapping[str, Any]) -> list[str]:
-    """Return the words that have another value than their default."""
+    """Return the names of keywords whose values differ from their defaults."""
 
     def is_usual(name: str, value: object) -> bool:
         if isinstance(value, Sequence) and not isinstance(value, str):
@@ -105,21 +105,21 @@ def conversion_of(
     origins: Mapping[str, str] | None = None,
     note: Callable[[str], None] = lambda _: None,
 ) -> Conversion:
-    """Read the words of a conversion: those of Python, of the command line, and of dataset files.
+    """Read the keywords of a conversion, which come from Python, the command line or a dataset file.
 
     Parameters
     ----------
     words
-        `WORDS`, and parameters of the projection by name. One that is missing has the default of `pc2scan.convert`.
+        `WORDS`, and parameters of the projection by name. Missing ones have the defaults of `pc2scan.convert`.
     origins
-        Where parameters come from, for errors and reports; those that are missing were given in Python.
+        Where parameters come from, for errors and reports. Missing ones were given in Python.
     note
-        Called with what the user should know of files, once for each, also if an error follows.
+        Called with warnings about files, once for each, also if an error follows.
 
     Raises
     ------
     UsageError
-        If a word has a wrong value, or contradicts another one.
+        If a keyword has a wrong value, or contradicts another one.
     """
     words = {**words, "filters": tuple(words.get("filters", ()))}
     settings = [
@@ -150,7 +150,7 @@ def conversion_of(
 
 
 def _several_scans(words: Mapping[str, Any], settings: list[Setting], note: Callable[[str], None]) -> Conversion:
-    """Read the words of a conversion with several outputs; parameters that are given beside them count for all."""
+    """Read the keywords of a conversion with several outputs; parameters besides ``scans`` apply to all of them."""
     from .pipeline.param_assignment import parse_param  # noqa: PLC0415  # few conversions have several outputs
     from .pipeline.scans_file import load_scans, refuse_beside  # noqa: PLC0415
 
@@ -171,14 +171,14 @@ def _of_node(
     *,
     one_of_several: bool = False,
 ) -> Conversion:
-    """Read the words of a conversion with one output, by one node of a parameter file if there is one."""
+    """Read the keywords of a conversion with one output; a parameter file is read for one of its nodes."""
     resolved = _resolved(words, settings, node)
     _note_ignored(resolved.ignored, note)
     frames = _frames(words)
     topics, typed = names_in("topics", words.get("topics")), list(names_in("remap", words.get("remap")))
     if typed and topics:
         raise UsageError(
-            "`topics` and `remap` say the same in two ways; give one of them", hint="`topics=/points:=/scan` is both"
+            "`topics` and `remap` both name the topics; give only one of them", hint="such as `topics=/points:=/scan`"
         )
     if typed or resolved.remaps:
         from .pipeline.remaps import meant_for, remapped  # noqa: PLC0415  # few are given any
@@ -207,7 +207,7 @@ def _of_node(
 
 def _note_ignored(places: Iterable[str], note: Callable[[str], None]) -> None:
     for place in places:
-        note(f"not a parameter of the projection, ignored: {place}")
+        note(f"ignored, because it is not a parameter of the projection: {place}")
 
 
 def _options(words: Mapping[str, Any], scans: tuple[ScanSpec, ...], frames: FrameOptions) -> ConvertOptions:
@@ -223,7 +223,7 @@ def _options(words: Mapping[str, Any], scans: tuple[ScanSpec, ...], frames: Fram
 
 
 def _named(words: Mapping[str, Any]) -> dict[str, Path]:
-    """The files that are named among the words, and read for them."""
+    """Return the files that keywords name and that are read, by keyword."""
     named = {name: words.get(name) for name in ("params_file", "static_tf_file")}
     return {f"`{name}`": path_of(name, path) for name, path in named.items() if path is not None}
 
@@ -251,8 +251,8 @@ def _resolved(words: Mapping[str, Any], settings: list[Setting], node: str | Non
     others = {"preset": words.get("preset"), "params_file": file, "node": node}
     if given := [f"`{name}`" for name, value in others.items() if value is not None]:
         raise UsageError(
-            f"params has all parameters, {' and '.join(given)} cannot count",
-            hint="ProjectionParams.preset() and ProjectionParams.from_file() take changes by name",
+            f"params has all parameters, so {' and '.join(given)} would have no effect",
+            hint="use ProjectionParams.preset() or ProjectionParams.from_file(), which take changes by name",
         )
     changes: dict[str, Any] = {setting.name: words[setting.name] for setting in settings}
     angles = {name: getattr(params, name) for name in ("angle_min", "angle_max", "geometry")}
@@ -289,10 +289,10 @@ def frames_of(
     tf_topics: str | Iterable[str] = (),
     source_frame: str = "",
 ) -> FrameOptions:
-    """Gather what is asked for about frames."""
+    """Combine the arguments about frames into one object."""
     if frames is not None:
         if static_tf or static_tf_file or write_static_tf or tf_from or tf_topics or source_frame:
-            raise UsageError("frames has all that is asked for about frames; give that, or the arguments one by one")
+            raise UsageError("give frames, or the arguments about frames one by one, not both")
         if not isinstance(frames, FrameOptions):
             raise TypeError(f"frames is {type(frames).__name__}, it must be FrameOptions")
         return frames
@@ -316,15 +316,15 @@ def frames_of(
 
 
 def destination_of(destination: PathText | None) -> tuple[Path | None, Path | None]:
-    """Return where to write to, or into which folder."""
-    # As text: a path that is an object has lost its slash.
+    """Return the path of the destination, or the folder for it; at least one of them is None."""
+    # Read as text, because a Path object has lost a slash at the end, which means a folder.
     return destination_and_folder(None if destination is None else path_text("destination", destination))
 
 
 def _channels(
     channels: str | Iterable[str] | UnprojectParams | None, range_cutoff: float | None
 ) -> UnprojectParams | None:
-    """Gather which fields clouds are to have."""
+    """Combine the arguments about the fields of clouds into one object."""
     if channels is None and range_cutoff is None:
         return None
     from .core.unproject import UnprojectParams  # noqa: PLC0415
@@ -336,7 +336,7 @@ def _channels(
     for name in names:
         if name not in known:
             hint = did_you_mean(name, known) or None
-            raise UsageError(f"`channels` has {name!r}, it must be of {', '.join(known)}", hint=hint)
+            raise UsageError(f"`channels` has {name!r}, its values must be among {', '.join(known)}", hint=hint)
     wanted = {name: name in names for name in known}
     return UnprojectParams(**wanted, range_cutoff=-1.0 if range_cutoff is None else range_cutoff)
 
@@ -351,7 +351,7 @@ def selection_of(
     verify: bool,
     strict: bool,
 ) -> Selection:
-    """Gather which messages are read."""
+    """Combine the arguments about which messages are read into one object."""
     from .streams.stream import Selection  # noqa: PLC0415
 
     return Selection(
@@ -366,7 +366,7 @@ def selection_of(
 
 
 def _filters(words: Mapping[str, Any], resolved: ResolvedSources) -> tuple[Filter, ...]:
-    """Gather which points of clouds are used."""
+    """Combine the arguments about points into filters."""
     conditions, boxes, polygons = (
         names_in(name, words.get(name)) for name in ("where", "exclude_box", "exclude_polygon")
     )
@@ -380,7 +380,7 @@ def _filters(words: Mapping[str, Any], resolved: ResolvedSources) -> tuple[Filte
 
 
 def _beam_filters(remove: object) -> tuple[BeamFilter, ...]:
-    """Read which beams are removed."""
+    """Read the filters of beams."""
     texts = names_in("remove", remove)
     if not texts:
         return ()
@@ -390,8 +390,8 @@ def _beam_filters(remove: object) -> tuple[BeamFilter, ...]:
 
 
 def moments_of(at: Time | Iterable[Time]) -> list[TimeBound]:
-    """Read one moment, or several."""
-    # An array of no dimensions is one moment.
+    """Read one time, or several."""
+    # A NumPy array without dimensions is one time.
     if isinstance(at, Iterable) and not isinstance(at, str) and getattr(at, "shape", True) != ():
         return [TimeBound.of(time) for time in at]
     return [TimeBound.of(cast("Time", at))]

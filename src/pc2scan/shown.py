@@ -1,4 +1,4 @@
-"""Results as people see them in Python: tables and lines, as text for ``print`` and as HTML for notebooks."""
+"""Shows results to users in Python: tables and lines, as text for ``print`` and as HTML for notebooks."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ if TYPE_CHECKING:
 
 __all__ = ["Shown", "Table", "agreeing", "count", "counted", "duration", "listed", "plain", "size", "stamp"]
 
-#: Characters of a line and of a cell of a table. ROS's own names have at most 255.
+#: Maximum number of characters of a line or a table's cell. Names in ROS have at most 255.
 _MAX_LINE = 4_000
 _MAX_CELL = 255
 
-#: Seconds since 1970 that are dates: from 1980 to 2100.
+#: Stamps between these, in seconds since 1970 (years 1980 to 2100), are shown as dates.
 _FIRST_DATE, _LAST_DATE = 315_532_800, 4_102_444_800
 
 
@@ -35,7 +35,7 @@ class Shown:
 
     @abstractmethod
     def _shown(self) -> Iterator[str | Table]:
-        """Tables, and lines of text; an empty line separates."""
+        """Yield tables and lines of text; an empty line separates them."""
 
     def __str__(self) -> str:
         lines: list[str] = []
@@ -44,14 +44,14 @@ class Shown:
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
-        """What notebooks show."""
+        """Return the HTML that notebooks show."""
         parts: list[str] = []
         lines: list[str] = []
         for part in [*self._shown(), Table((), ())]:
             if not isinstance(part, Table):
                 lines.append(_escaped(part))
                 continue
-            # Empty lines around tables are theirs.
+            # Without empty lines at the ends: HTML has space around tables anyway.
             if text := "\n".join(lines).strip("\n"):
                 parts.append(f"<pre>{text}</pre>")
             lines.clear()
@@ -60,7 +60,7 @@ class Shown:
 
 
 def plain(text: str, most: int = _MAX_LINE) -> str:
-    r"""Return a line as it may be shown: names come from recordings, and recordings may be untrusted.
+    r"""Return a line that is safe to show: recordings may be untrusted, so names may have control characters.
 
     >>> plain("/scan\x1b[2J"), plain("a" * 5000)[-20:]
     ('/scan\\x1b[2J', 'aaaa... (5000 chars)')
@@ -75,7 +75,7 @@ def count(number: int) -> str:
 
 
 def counted(number: int, noun: str, verb: str = "") -> str:
-    """Render a number of things, with a verb, which is given as it is for several.
+    """Render a number of things, optionally with a verb, which is given in the plural.
 
     >>> counted(1, "scan"), counted(2_000, "other topic"), counted(1, "scan", "have")
     ('1 scan', '2,000 other topics', '1 scan has')
@@ -85,7 +85,7 @@ def counted(number: int, noun: str, verb: str = "") -> str:
 
 
 def agreeing(number: int, verb: str) -> str:
-    """Return the form of a verb for a number of things, given the one for several: are, were, have, differ.
+    """Return the form of a verb for a number of things, given the plural: are, were, have, differ.
 
     >>> agreeing(1, "have"), agreeing(0, "were"), agreeing(1, "differ")
     ('has', 'were', 'differs')
@@ -119,7 +119,7 @@ def duration(seconds: float) -> str:
 
 
 def stamp(stamp_ns: int) -> str:
-    """Render a stamp, with its date where it has one: simulated time begins at 0.
+    """Render a stamp, with its date if it is one: simulated time begins at 0.
 
     >>> stamp(1604515190231374463), stamp(5_000_000_000)
     ('1604515190.231374463 (2020-11-04 18:39:50 UTC)', '5.000000000')
@@ -133,7 +133,7 @@ def stamp(stamp_ns: int) -> str:
 
 
 def listed(entries: Sequence[str], label: str, most: int) -> Iterator[str]:
-    """Yield lines that begin with a label, at most so many, and how many more there are."""
+    """Yield at most ``most`` lines that begin with a label, and a line with the number of further entries."""
     yield from (f"{label}: {entry}" for entry in entries[:most])
     if len(entries) > most:
         yield f"{label}: {len(entries) - most:,} more"

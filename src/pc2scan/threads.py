@@ -22,26 +22,26 @@ _Arguments = ParamSpec("_Arguments")
 
 
 class Task(Generic[_Result]):
-    """A piece of work for threads. A thread that waits for its result works on other tasks meanwhile.
+    """A piece of work for threads. A thread that waits for its result runs other tasks meanwhile.
 
-    Not a `concurrent.futures.Future`: importing these takes a fiftieth of a short conversion.
+    It is not a `concurrent.futures.Future`, because importing that module takes 2 % of a short conversion.
     """
 
     def __init__(self, work: Callable[[], _Result], threads: Threads) -> None:
         self._work: Callable[[], _Result] | None = work
         self._threads = threads
-        #: Taken once, by who runs or cancels it.
+        #: Acquired once, by the thread that runs or cancels the task, and never released.
         self._taken = Lock()
         self._done = Event()
         self._result: _Result
         self._error: BaseException | None = None
 
     def run(self) -> None:
-        """Do the work, unless it was cancelled; an interruption is raised at once."""
+        """Run the work unless it was cancelled. An interruption is raised at once."""
         if not self._taken.acquire(blocking=False):
             return
         work, self._work = self._work, None
-        assert work is not None  # whoever takes the task is the first to see it
+        assert work is not None  # only the thread that has acquired `_taken` gets here
         try:
             self._result = work()
         except Exception as err:  # noqa: BLE001  # `result` raises it
@@ -53,7 +53,7 @@ class Task(Generic[_Result]):
             self._done.set()
 
     def cancel(self) -> bool:
-        """Make sure that the work is never done, and its result never waited for; False if it has begun."""
+        """Cancel the work, and return True; False if it has begun."""
         if not self._taken.acquire(blocking=False):
             return False
         self._work, self._error = None, RuntimeError("the work was cancelled")
@@ -61,7 +61,7 @@ class Task(Generic[_Result]):
         return True
 
     def done(self) -> bool:
-        """Whether there is a result or an error."""
+        """Return whether there is a result or an error."""
         return self._done.is_set()
 
     def result(self) -> _Result:
@@ -72,7 +72,7 @@ class Task(Generic[_Result]):
         try:
             raise error
         finally:
-            # The error has this frame in its traceback: neither keeps the other.
+            # The error's traceback refers to this frame. Deleting both names breaks the reference cycle.
             del self, error
 
     def exception(self) -> BaseException | None:
@@ -95,12 +95,12 @@ class Threads:
     jobs
         Number of threads.
     ahead
-        Pieces of work that may be queued or finished before their turn.
+        Number of tasks that may be queued or finished before their results are needed.
 
     Notes
     -----
-    With an executor of the standard library the caller's thread would be one more than there are cores, and short work
-    would wait as long for the interpreter's lock as it takes.
+    With an executor of the standard library there would be one more thread than cores, the caller's. Short tasks would
+    then wait for the interpreter's lock as long as they run.
     """
 
     def __init__(self, jobs: int) -> None:
@@ -123,12 +123,12 @@ class Threads:
     def submit(
         self, work: Callable[_Arguments, _Result], /, *args: _Arguments.args, **kwargs: _Arguments.kwargs
     ) -> Task[_Result]:
-        """Let one of the threads call ``work``."""
+        """Queue a call of ``work`` for one of the threads."""
         task = Task(partial(work, *args, **kwargs), self)
         self._tasks.put(task)
         if len(self._threads) < self.jobs - 1:
             thread = Thread(target=self._serve, name=f"pc2scan_{len(self._threads)}")
-            # If the system allows no more threads, the existing ones do the work.
+            # If the system allows no more threads, the existing ones run the task.
             with suppress(RuntimeError):
                 thread.start()
                 self._threads.append(thread)
@@ -146,10 +146,10 @@ class Threads:
 
     def _serve(self) -> None:
         while (task := self._tasks.get()) is not None:
-            # The task keeps the error, also an interruption of this thread alone.
+            # The task keeps the error, also an interruption of this thread.
             with suppress(BaseException):
                 task.run()
-            # Releases the result while the thread waits for the next task.
+            # Frees the result now: the thread may wait long for its next task.
             del task
 
 
@@ -161,11 +161,11 @@ class InOrder(Generic[_Result]):
     threads
         The threads.
     bytes_a_thread
-        Bytes that may wait for each thread.
+        Bytes that may wait, for each thread.
     least
-        Pieces of work that may always wait, whatever their size.
+        Number of tasks that may wait, whatever their size.
     most
-        Pieces of work that may wait at most; None: as many as `Threads.ahead`.
+        Maximum number of tasks that wait; None: `Threads.ahead`.
     """
 
     def __init__(self, threads: Threads, bytes_a_thread: int, least: int, most: int | None = None) -> None:
@@ -174,18 +174,18 @@ class InOrder(Generic[_Result]):
         self._most = max(1, threads.ahead if most is None else min(most, threads.ahead))
         self._least = min(least, self._most)
         self._held = 0
-        #: The result, its task, and its size in bytes. Work that is done at its turn has no task.
+        #: A function that returns the result, the task (None for work that `take` runs itself), and the size in bytes.
         self._waiting: deque[tuple[Callable[[], _Result], Task[_Result] | None, int]] = deque()
 
     def __len__(self) -> int:
         return len(self._waiting)
 
     def has_room(self, size: int) -> bool:
-        """Whether one more piece of this size may wait."""
+        """Return whether one more task of this size may be queued."""
         return len(self._waiting) < (self._most if self._held + size <= self._bytes else self._least)
 
     def put(self, work: Callable[[], _Result], size: int, *, at_its_turn: bool = False) -> None:
-        """Queue ``work`` for a thread, or (``at_its_turn``) for the caller of `take`."""
+        """Queue ``work`` for a thread; with ``at_its_turn``, the thread that calls `take` runs it."""
         task = None if at_its_turn else self._threads.submit(work)
         self._waiting.append((work if task is None else task.result, task, size))
         self._held += size

@@ -141,4 +141,4 @@ def test_what_a_parameter_file_has_besides_is_reported(tmp_path: Path) -> None:
     file = tmp_path / "params.yaml"
     file.write_text("pointcloud_to_laserscan:\n  ros__parameters:\n    cloud_in: /points\n", "utf-8")
     text = said("convert", HALL, "--params-file", str(file), "--start", "soon")
-    assert text.startswith(f"warning: not a parameter of the projection, ignored: {file}, line 3, ")
+    assert text.startswith(f"warning: ignored, because it is not a parameter of the projection: {file}, line 3, ")

@@ -262,7 +262,7 @@ def test_the_same_source_twice_is_refused(bag: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "content", "word"),
     [
-        ("absent.bag", None, "nothing of this name"),
+        ("absent.bag", None, "does not exist"),
         ("text.bag", b"hello", "not a recording"),
         ("empty.mcap", b"", "empty"),
     ],

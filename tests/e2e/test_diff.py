@@ -355,7 +355,7 @@ def test_what_cannot_be_compared_ends_with_2(reference: Path, tmp_path: Path) ->
     text = Recording((CHATTER,), (item(CHATTER, T0, lambda g, _: string("hello", g)),))
     talk = write_mcap(tmp_path / "talk.mcap", text)
     for arguments, told in (
-        ((reference, tmp_path / "nowhere.bag"), "nothing of this name"),
+        ((reference, tmp_path / "nowhere.bag"), "does not exist"),
         ((reference, broken), "broken.mcap"),
         ((talk, talk), "--all-topics"),
         ((reference, reference, "--topic", "/scam"), "/scan"),

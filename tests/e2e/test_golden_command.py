@@ -256,7 +256,7 @@ def test_junit_and_patterns(folder: Path, tmp_path: Path) -> None:
 
 def test_wrong_usage(folder: Path, tmp_path: Path) -> None:
     for arguments, told in (
-        ((tmp_path / "nowhere",), "nothing of this name"),
+        ((tmp_path / "nowhere",), "does not exist"),
         ((HALL,), "not a folder"),
         ((folder, "-k", "nothing"), "none of its 1 cases"),
         ((folder, "--junit", tmp_path / "no" / "report.xml"), "directory does not exist"),

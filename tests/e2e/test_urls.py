@@ -255,4 +255,4 @@ def test_an_s3_server(s3_server: dict[str, str]) -> None:
     assert shown.stdout.startswith("s3://drives/out/x: rosbag2 mcap"), shown.stderr
     missing = run("info", "s3://drives/none.bag", environment=s3_server)
     assert missing.returncode == 2
-    assert "nothing of this name" in missing.stderr
+    assert "does not exist" in missing.stderr

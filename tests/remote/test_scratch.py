@@ -60,6 +60,6 @@ def test_a_limit_counts_all_files(tmp_path: Path) -> None:
     called: list[int] = []
     limit.watching(lambda done, _total, _messages: called.append(done))(1, 2, 3)
     (tmp_path / "b").write_bytes(b"x" * 41)
-    with pytest.raises(ScratchError, match="takes more than 100 bytes"):
+    with pytest.raises(ScratchError, match="take more than 100 bytes"):
         limit.check()
     assert called == [1]

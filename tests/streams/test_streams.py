@@ -335,7 +335,7 @@ def test_several_recordings_are_one(tmp_path: Path) -> None:
 
 
 def test_nothing_there_is_an_error_at_once(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match="nothing of this name"):
+    with pytest.raises(RecordingError, match="does not exist"):
         pc2scan.scans(tmp_path / "none.bag")
 
 
@@ -459,5 +459,5 @@ def test_a_change_of_the_files_is_seen_by_the_next_loop(tmp_path: Path) -> None:
     with closing(iter(stream)) as items:
         next(items)
     path.unlink()
-    with pytest.raises(RecordingError, match="nothing of this name"):
+    with pytest.raises(RecordingError, match="does not exist"):
         iter(stream)
