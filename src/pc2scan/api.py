@@ -862,7 +862,7 @@ def golden(
         source, chosen = path_of("init", init), names_in("topics", topics)
         make_case(path, source, run_command, start=start, end=end, topics=chosen, params=params)
     elif start is not None or end is not None or topics or params_file is not None:
-        raise UsageError("`start`, `end`, `topics` and `params_file` have no effect without `init`")
+        raise UsageError("`start`, `end`, `topics` and `params_file` have no effect without init=SRC")
     report = GoldenReport(str(path))
     for name, case in case_folders(path, pattern):
         report.cases.append(check_case(name, case, run_command, update=update))
