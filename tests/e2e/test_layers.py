@@ -235,17 +235,15 @@ LOADED_BY_CONVERT = {
         "arguments bags callable_package cli core errors files json_types messages model names pipeline "
         "remote requests shown text_enum tf threads version"
     ),
-    "pc2scan.bags": (
-        "chunked damage destinations formats many mcap merged opening parts reader rosbag1 topics units zstd"
-    ),
-    "pc2scan.bags.chunked": "entries salvaged segments spans",
+    "pc2scan.bags": ("chunked damage destinations formats many mcap opening parts reader rosbag1 topics units zstd"),
+    "pc2scan.bags.chunked": "entries segments spans",
     "pc2scan.bags.mcap": "record_types records writer",
     "pc2scan.bags.rosbag1": "chunks copies counts entries index lz4_frames reader records",
     "pc2scan.cli": (
         "app completion convert damage fitting groups interrupts memory next_command options outcome progress "
         "render screen spelling usage"
     ),
-    "pc2scan.core": "consumers counts kernel layout level moving params points presets project reduce rule",
+    "pc2scan.core": "consumers counts kernel layout level moving params points presets project rule",
     "pc2scan.files": (
         "borrowed compression crc32 limits overlap places run_lock source staging system temporary write_ahead"
     ),

@@ -34,12 +34,7 @@ if TYPE_CHECKING:
     from .damage import Damage
     from .units import Item, Load, Loaded, Unit
 
-__all__ = ["MergedReader", "as_one", "merged_summary", "unified"]
-
-
-def as_one(readers: Sequence[Reader]) -> Reader:
-    """Return several recordings as one; a single one is returned unchanged."""
-    return readers[0] if len(readers) == 1 else MergedReader(readers)
+__all__ = ["MergedReader", "merged_summary", "unified"]
 
 
 class MergedReader(Reader):

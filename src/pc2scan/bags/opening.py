@@ -16,13 +16,13 @@ from pc2scan.remote.urls import is_url, shown_path
 from .formats import FORMATS, ReadOptions, and_list
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
     from contextlib import ExitStack
     from pathlib import Path
 
     from .reader import Reader
 
-__all__ = ["open_recording", "open_recordings", "sniff"]
+__all__ = ["as_one", "open_recording", "open_recordings", "sniff"]
 
 #: Other files that users try to open.
 _LOOKALIKES = {
@@ -188,3 +188,12 @@ def _recognised(head: bytes, path: Path, state: str = "") -> str:
 def _shown(head: bytes) -> str:
     """Bytes of unknown origin for a terminal: printable ASCII as it is, everything else escaped."""
     return repr(head)[1:]
+
+
+def as_one(readers: Sequence[Reader]) -> Reader:
+    """Return several recordings as one; a single one is returned unchanged."""
+    if len(readers) == 1:
+        return readers[0]
+    from .merged import MergedReader  # noqa: PLC0415  # most recordings are one
+
+    return MergedReader(readers)

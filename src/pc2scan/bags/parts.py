@@ -1,4 +1,4 @@
-"""Reads recordings that follow each other in one file, as ``cat a.bag b.bag`` makes them, as one recording.
+"""Finds recordings that follow each other in one file, as ``cat a.bag b.bag`` makes them.
 
 Each has its own ids and offsets, and therefore its own reader, which treats its part as a whole file.
 """
@@ -11,15 +11,12 @@ from typing import TYPE_CHECKING
 from pc2scan.errors import DamageError, RecordingError
 
 from .damage import RECOVER, DamageLog
-from .merged import MergedReader
 from .reader import Reader
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
 
     from pc2scan.files.source import SourceFile
-
-    from .damage import Damage
 
 __all__ = ["AnotherBeginsError", "PartReader", "note_next", "opened_parts"]
 
@@ -85,21 +82,8 @@ def opened_parts(open_part: Callable[[int], PartReader]) -> Reader:
         for part in parts:
             part.close()
         raise
-    return first if len(parts) == 1 and not log.found else _PartsReader(parts, log)
+    if len(parts) == 1 and not log.found:
+        return first
+    from .concatenated import ConcatenatedReader  # noqa: PLC0415  # most files are one recording
 
-
-class _PartsReader(MergedReader):
-    """All recordings of a file as one."""
-
-    def __init__(self, readers: Sequence[Reader], log: DamageLog) -> None:
-        super().__init__(readers)
-        self._log = log
-
-    @staticmethod
-    def _refuse(readers: Sequence[Reader]) -> None:
-        """Accept readers of one file, and of both ROS versions."""
-
-    @property
-    def damage(self) -> tuple[Damage, ...]:
-        """The damage in the parts, and between them."""
-        return (*super().damage, *self._log.found)
+    return ConcatenatedReader(parts, log)

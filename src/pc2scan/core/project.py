@@ -27,7 +27,6 @@ from .counts import PointCounts
 from .moving import MovingTransform
 from .params import ProjectionParams
 from .points import Columns, coordinates_of, values_of
-from .reduce import extremes, means, read, surfaces, winners
 from .rule import rule_of
 
 if TYPE_CHECKING:
@@ -293,6 +292,8 @@ class Projector:
         (K,) int64, (K,) int32
             The numbers of points, increasing, and the beam of each. See `pc2scan.core.reduce.read`.
         """
+        from .reduce import read  # noqa: PLC0415  # few conversions need the points behind the ranges
+
         x, y, z = _coordinates(x, y, z, None)
         rows = transform if transform is None or isinstance(transform, MovingTransform) else packed(transform)
         bins, returns, numbers = np.empty(x.size, np.int32), np.empty(x.size, np.float32), np.empty(x.size, np.int64)
@@ -307,6 +308,8 @@ class Projector:
         self, bins: NDArray[np.int32], returns: NDArray[np.float32], values: NDArray[Any] | None
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return ranges and intensities (none without ``values``) of beams, from returns in the order of the cloud."""
+        from .reduce import extremes, means, surfaces, winners  # noqa: PLC0415  # few conversions reduce otherwise
+
         params = self.params
         counts = np.bincount(bins, minlength=self._beams)
         found = np.full(counts.size, self._empty, np.float32)

@@ -6,8 +6,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from pc2scan.bags.merged import as_one
-from pc2scan.bags.opening import open_recordings
+from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.errors import (
     DestinationError,
     MessageError,

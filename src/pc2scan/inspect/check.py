@@ -8,8 +8,7 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pc2scan.bags.merged import as_one
-from pc2scan.bags.opening import open_recordings
+from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import find_topics
 from pc2scan.core.consumers import CONSUMERS, OUTCOMES, Outcome
 from pc2scan.errors import DecodeError, TopicError, UsageError, stamp_text

@@ -7,8 +7,7 @@ from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from pc2scan.bags.merged import as_one
-from pc2scan.bags.opening import open_recordings
+from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import UsageError
 from pc2scan.json_types import json_value

@@ -16,8 +16,7 @@ from dataclasses import replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.bags.merged import as_one
-from pc2scan.bags.opening import open_recordings
+from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.rosbag2.writer import joined_info, write_info
 from pc2scan.bags.zstd import SUFFIXES
 from pc2scan.errors import OutputError

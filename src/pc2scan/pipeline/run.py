@@ -21,8 +21,7 @@ from pc2scan.bags.destinations import (
     plan_destination,
 )
 from pc2scan.bags.formats import chunk_format
-from pc2scan.bags.merged import as_one
-from pc2scan.bags.opening import open_recordings
+from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.errors import (
     DamageError,
     MissingError,

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Generic, NamedTuple, Protocol, TypeVar
 from weakref import WeakSet, finalize
 
-from pc2scan.bags.merged import as_one
-from pc2scan.bags.opening import open_recordings
+from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import find_topics, short_types
 from pc2scan.bags.units import in_time_order
 from pc2scan.errors import MessageError, RecordingWarning, TopicError, UsageError, name_list

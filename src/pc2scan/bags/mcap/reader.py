@@ -7,7 +7,6 @@ from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING
 
-from pc2scan.bags.chunked.salvaged import Salvaged, note_salvaged
 from pc2scan.bags.chunked.segments import counted, standing_alone, units_of
 from pc2scan.bags.chunked.spans import SpanCheck
 from pc2scan.bags.damage import DamageLog
@@ -33,6 +32,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pc2scan.bags.chunked.entries import IndexCheck
+    from pc2scan.bags.chunked.salvaged import Salvaged
     from pc2scan.bags.chunked.segments import Segment
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.formats import ReadOptions
@@ -353,6 +353,8 @@ class McapReader(PartReader):
         """Note a damaged segment, and recover its messages."""
         if self._log.strict:
             raise problem
+        from pc2scan.bags.chunked.salvaged import note_salvaged  # noqa: PLC0415  # only damaged files pay for it
+
         from .recovery import salvaged_messages  # noqa: PLC0415
 
         known = {connection.id: connection for connection in self._connections}

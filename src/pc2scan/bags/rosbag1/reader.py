@@ -7,7 +7,6 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from pc2scan.bags.chunked.entries import IndexCheck
-from pc2scan.bags.chunked.salvaged import Salvaged, note_salvaged
 from pc2scan.bags.chunked.segments import counted, standing_alone, units_of
 from pc2scan.bags.chunked.spans import SpanCheck
 from pc2scan.bags.damage import DamageLog
@@ -25,6 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping, Sequence
     from pathlib import Path
 
+    from pc2scan.bags.chunked.salvaged import Salvaged
     from pc2scan.bags.chunked.segments import Segment
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.formats import ReadOptions
@@ -235,6 +235,8 @@ class Rosbag1Reader(PartReader):
         error = self._file.damage_error(f"the chunk with data at byte {segment.offset} cannot be read: {problem}")
         if self._log.strict:
             raise error from problem
+        from pc2scan.bags.chunked.salvaged import note_salvaged  # noqa: PLC0415  # only damaged bags pay for it
+
         from .recovery import payload_prefix, salvaged_messages  # noqa: PLC0415
 
         chunk = payload_prefix(self._file, segment)
