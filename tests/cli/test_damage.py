@@ -8,8 +8,9 @@ import pytest
 
 from pc2scan.bags.damage import Damage
 from pc2scan.cli.damage import show_damage, show_recovery
-from pc2scan.pipeline.report import Report, TopicReport
+from pc2scan.pipeline.report import Report
 from pc2scan.pipeline.scan_spec import ScanSpec
+from pc2scan.pipeline.topic_report import TopicReport
 
 PATH = Path("drive.bag")
 

@@ -27,9 +27,9 @@ from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointField, encode_pointcl
 from pc2scan.model import Connection, RawMessage
 from pc2scan.pipeline import cloud_to_scan, scheduler, stream
 from pc2scan.pipeline.conversion import Converted
-from pc2scan.pipeline.report import TopicReport
 from pc2scan.pipeline.routes import OpenRoute
 from pc2scan.pipeline.scheduler import Later
+from pc2scan.pipeline.topic_report import TopicReport
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -12,7 +12,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from .options import ConvertOptions
-    from .report import Report, TopicReport
+    from .report import Report
+    from .topic_report import TopicReport
 
 __all__ = ["refuse_nothing", "refuse_unsatisfied"]
 

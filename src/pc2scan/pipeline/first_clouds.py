@@ -29,8 +29,9 @@ if TYPE_CHECKING:
     from pc2scan.tf.mounting import Mounting
     from pc2scan.tf.placing import Placement
 
-    from .report import Report, TopicReport
+    from .report import Report
     from .scan_spec import ScanSpec
+    from .topic_report import TopicReport
 
 __all__ = ["FirstClouds", "Sample", "TopicClouds"]
 

@@ -23,8 +23,9 @@ if TYPE_CHECKING:
     from pc2scan.tf.options import FrameOptions
     from pc2scan.tf.placing import LevelTransform
 
-    from .report import Report, TopicReport
+    from .report import Report
     from .scan_spec import ScanSpec
+    from .topic_report import TopicReport
 
 __all__ = ["LevelFrames", "Ups", "tf_connection"]
 

@@ -8,7 +8,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from .report import Report, Tally
+    from .report import Report
+    from .tally import Tally
 
 __all__ = ["Made", "Piece"]
 

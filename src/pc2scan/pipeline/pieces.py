@@ -23,7 +23,8 @@ from pc2scan.errors import OutputError
 from pc2scan.tf.stored import store_transforms
 
 from .report import MAX_LISTED
-from .run import conclude, opened_plan, span_of
+from .run import opened_plan, span_of
+from .tally import conclude
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -36,8 +37,10 @@ if TYPE_CHECKING:
     from .options import ConvertOptions
     from .piece import Made, Piece
     from .plan import Plan
-    from .report import Report, Tally, TopicReport
+    from .report import Report
     from .stream import Span
+    from .tally import Tally
+    from .topic_report import TopicReport
 
 __all__ = ["Stretch", "Stretches", "join", "joined_report", "may_be_cut", "read_stretch", "stretches_of"]
 

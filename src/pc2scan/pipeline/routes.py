@@ -15,7 +15,7 @@ from pc2scan.model import LATCHED_QOS, NEW_ID, ChunkRule, Connection
 from pc2scan.tf.reading import is_static
 
 from .conversion import converter
-from .report import TopicReport
+from .topic_report import TopicReport
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence

@@ -10,7 +10,6 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
-from pc2scan.bags.damage import RECOVER, Damage, count_details
 from pc2scan.bags.destinations import (
     beside_recording,
     check_to,
@@ -35,23 +34,19 @@ from pc2scan.files.staging import check_destination, staged
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.model import MAX_ROSBAG2_NS
 from pc2scan.remote.urls import is_url, shown_path
-from pc2scan.shown import agreeing, counted
 from pc2scan.tf.options import FrameOptions
 from pc2scan.tf.reading import read_some_transforms
 from pc2scan.threads import Threads
 
-from .acceptance import ghosts, refusal
+from .acceptance import ghosts
 from .beforehand import refuse_no_messages
 from .declarations import Declarations
-from .demands import refuse_nothing, refuse_unsatisfied
 from .first_clouds import FirstClouds
 from .idle import doubts, refuse_unusable
-from .parameters import from_preset, preset_of
 from .plan import make_plan
 from .prepare import prepared
-from .report import Failure, Report, Tally, TopicReport
+from .report import Failure, Report
 from .routes import (
-    OpenRoute,
     bind,
     carry_extras,
     chunk_rule,
@@ -63,6 +58,8 @@ from .routes import (
 from .run_files import OutputOptions, RunFiles, report_file, scratch_bytes
 from .scheduler import cores
 from .stream import Progress, Span, stream
+from .tally import conclude, tally_of
+from .topic_report import TopicReport
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -81,7 +78,6 @@ if TYPE_CHECKING:
 __all__ = [
     "OutputOptions",
     "Progress",
-    "conclude",
     "opened_plan",
     "report_failure",
     "report_file",
@@ -362,7 +358,7 @@ def _run(
                     report.warnings += (each for each in ghosts(spec.params) if each not in report.warnings)
             files.refuse_changed()
             report.damage += [damage for each in (reader, *others) for damage in each.damage]
-            tally = _tally(reader, routes, target.serialization)
+            tally = tally_of(reader, routes, target.serialization)
             if piece is None:
                 conclude(report, tally, options)
             writer.finish()
@@ -382,22 +378,6 @@ def _run(
 
             report.files = files_in(unfinished, path)
     return None
-
-
-def conclude(report: Report, tally: Tally, options: ConvertOptions) -> None:
-    """Add to a report what only the whole conversion can tell.
-
-    Raises
-    ------
-    Pc2ScanError
-        If the result is not worth writing.
-    """
-    report.warnings += [f"{', '.join(names)}: {text}" for text, names in tally.refusals.items()]
-    _compare_counts(tally, options, report)
-    report.conclude()
-    if not options.repair:
-        refuse_nothing(report)
-        refuse_unsatisfied(report, options)
 
 
 def _transforms_of(sources: Sequence[Path], options: ConvertOptions, span: Span) -> TransformBuffer | None:
@@ -458,43 +438,6 @@ def _target(
     return target
 
 
-def _tally(reader: Reader, routes: Mapping[int, OpenRoute], serialization: str) -> Tally:
-    """Return what is compared or said at the end."""
-    written = [route for route in routes.values() if route.writes]
-    return Tally(
-        reader.path,
-        [(route.connection.topic, route.connection.message_count, route.messages) for route in written],
-        # MCAP's writers may omit the counts by channel, and store the sum.
-        reader.summary.message_count if len(written) == len(reader.connections) else None,
-        _refusals(routes.values(), serialization),
-    )
-
-
-def _compare_counts(tally: Tally, options: ConvertOptions, report: Report) -> None:
-    """Compare how many messages were read with how many the sources declare, for each connection.
-
-    If known damage explains a difference, the report only has both numbers.
-    """
-    if options.start is not None or options.end is not None:
-        return
-    counts = [(topic, known, read) for topic, known, read in tally.counts if known is not None]
-    declared = tally.declared
-    if declared is None and len(counts) == len(tally.counts):
-        declared = sum(count for _, count, _ in counts)
-    if declared is None:
-        return
-    found = report.messages_read
-    lost = max(declared - found, sum(max(0, count - read) for _, count, read in counts))
-    report.messages_declared = declared
-    details = count_details(counts)
-    if (declared == found and not details) or any(damage.loses for damage in report.damage):
-        return
-    missing = f"declares {counted(declared, 'message')}, {found:,} {agreeing(found, 'were')} found{details}"
-    if options.strict:
-        raise DamageError(missing, path=tally.path, hint=RECOVER)
-    report.damage.append(Damage(missing, tally.path, messages_lost=max(0, lost)))
-
-
 def _level_frames(
     reader: Reader, plan: Plan, target: Destination, options: ConvertOptions, declared: Declarations, report: Report
 ) -> LevelFrames | None:
@@ -531,19 +474,6 @@ def span_of(reader: Reader, options: ConvertOptions) -> Span:
     if start is not None and stop is not None and start >= stop:
         raise UsageError("the cut is empty: start is not before end")
     return Span(start, stop, beginning if start is None else max(start, beginning))
-
-
-def _refusals(routes: Iterable[OpenRoute], serialization: str) -> dict[str, list[str]]:
-    """Return warnings about consumers that would refuse the written scans, each with its topics."""
-    topics: dict[str, dict[str, None]] = {}
-    for output in (output for route in routes for output in route.outputs):
-        spec = output.report.spec
-        if spec is None or spec.made_type != LASERSCAN or not output.sample:
-            continue
-        chosen = next((preset_of(origin) for origin in spec.origins.values() if from_preset(origin)), "")
-        if text := refusal(output.sample, serialization, chosen):
-            topics.setdefault(text, {})[output.report.target or ""] = None
-    return {text: list(names) for text, names in topics.items()}
 
 
 def _size_on_disk(path: Path) -> int:

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from .combine.joint import Arrived, MadeScan
     from .levelling import LevelFrames
     from .options import ConvertOptions
-    from .report import TopicReport
     from .routes import OpenRoute, Output
+    from .topic_report import TopicReport
 
 __all__ = ["Progress", "Span", "stream"]
 

@@ -16,9 +16,10 @@ from pc2scan.pipeline.beforehand import Unconnected
 from pc2scan.pipeline.options import ConvertOptions
 from pc2scan.pipeline.plan import make_plan
 from pc2scan.pipeline.prepare import prepared
-from pc2scan.pipeline.report import Report, TopicReport
+from pc2scan.pipeline.report import Report
 from pc2scan.pipeline.routes import joint_of
 from pc2scan.pipeline.run import span_of
+from pc2scan.pipeline.topic_report import TopicReport
 
 from . import packages
 from .stream import Read, Source, Stream

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable
 
     from pc2scan.pipeline.conversion import Converted
-    from pc2scan.pipeline.report import TopicReport
+    from pc2scan.pipeline.topic_report import TopicReport
     from pc2scan.threads import Threads
 
     from .conversion import CombineToScan, Prepared

@@ -1,0 +1,154 @@
+"""What happened to one topic of a conversion, counted while it runs."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, fields
+from typing import TYPE_CHECKING, Any
+
+from pc2scan.core.counts import PointCounts
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from .combine.matching import SourceCounts
+    from .combine.rebinned import Rebinned
+    from .scan_spec import ScanSpec
+
+__all__ = ["TopicReport"]
+
+#: Attributes of a topic's entry that JSON has in another form, or does not have.
+_NOT_AS_THEY_ARE = {"points", "motions", "tilts", "spec", "joined", "rebinned"}
+
+
+@dataclass(slots=True)
+class TopicReport:
+    """What happened to one topic of the source.
+
+    Attributes
+    ----------
+    topic, msgtype
+        In the source.
+    target
+        The topic in the destination: the scan's if converted, the same if it passed through, None if it was skipped.
+    action
+        ``converted``, ``joined`` (its messages are in the scans of another topic), ``passed``, ``re-encoded``,
+        ``skipped``, or ``added`` (transforms given by the user).
+    note
+        Why it was skipped, or another note; empty otherwise.
+    messages_in, messages_out, skipped
+        Messages in the source (within ``start`` and ``end``), messages written, and messages that are missing in
+        the destination. Messages of a topic that the user dropped are not missing.
+    points
+        Points of all converted clouds: how many are used, and how many are rejected for which reason.
+    empty_scans
+        Scans without a single return.
+    motions
+        One for each deskewed cloud: the largest distance of the sensor from its pose at the scan's time, metres and
+        radians, and the longest time between interpolated transforms, seconds.
+    tilts
+        One for each level scan: the angle between the z axis of the target frame and up, radians.
+    joined
+        Counts of a topic whose messages become scans together with others; None for all other topics.
+    removed_beams
+        Beams of filtered scans: how many had ``returns`` before, and how many each filter removed.
+    rebinned
+        Counts of beams, for scans that are made of scans; None for all others.
+    clouds_kept
+        Whether the converted clouds were written, too.
+    lost
+        Whether the topic should have been written but cannot be; ``note`` has the reason.
+    advice
+        Options with heights that suit the clouds, in a level frame; empty if none are needed.
+    spec
+        The request that the output was made by; None if the topic is not converted.
+    """
+
+    topic: str
+    msgtype: str
+    target: str | None
+    action: str
+    note: str = ""
+    messages_in: int = 0
+    messages_out: int = 0
+    skipped: int = 0
+    points: PointCounts = field(default_factory=PointCounts)
+    empty_scans: int = 0
+    motions: list[tuple[float, float, float]] = field(default_factory=list)
+    tilts: list[float] = field(default_factory=list)
+    joined: SourceCounts | None = None
+    removed_beams: dict[str, int] = field(default_factory=dict)
+    rebinned: Rebinned | None = None
+    clouds_kept: bool = False
+    lost: bool = False
+    advice: str = ""
+    spec: ScanSpec | None = field(default=None, compare=False, repr=False)
+
+    @property
+    def motion(self) -> dict[str, float] | None:
+        """The largest and the median of the motions, and the longest gap; None if nothing was deskewed."""
+        if not self.motions:
+            return None
+        from statistics import median_low  # noqa: PLC0415  # only with deskewing
+
+        metres, radians, gaps = zip(*self.motions, strict=True)
+        return {
+            "largest_m": max(metres),
+            "median_m": median_low(metres),
+            "largest_deg": math.degrees(max(radians)),
+            "median_deg": math.degrees(median_low(radians)),
+            "longest_gap_s": max(gaps),
+        }
+
+    @property
+    def tilt(self) -> dict[str, float] | None:
+        """The largest and the median of the tilts, degrees; None if nothing was made level."""
+        if not self.tilts:
+            return None
+        from statistics import median_low  # noqa: PLC0415  # only where scans are level
+
+        return {
+            "largest_deg": math.degrees(max(self.tilts)),
+            "median_deg": math.degrees(median_low(self.tilts)),
+        }
+
+    def count_rebinned(self, found: Rebinned) -> None:
+        """Add the beams of one more scan."""
+        known = self.rebinned or (0, 0, 0)
+        self.rebinned = type(found)(*(one + other for one, other in zip(known, found, strict=True)))
+
+    def count_removed(self, found: Mapping[str, int]) -> None:
+        """Add the beams that were removed from one more scan."""
+        for name, number in found.items():
+            self.removed_beams[name] = self.removed_beams.get(name, 0) + number
+
+    def add(self, other: TopicReport) -> None:
+        """Add what happened to the topic in another piece of the recording."""
+        self.messages_in += other.messages_in
+        self.messages_out += other.messages_out
+        self.skipped += other.skipped
+        self.points += other.points
+        self.empty_scans += other.empty_scans
+        self.motions += other.motions
+        self.tilts += other.tilts
+        self.count_removed(other.removed_beams)
+        if other.rebinned is not None:
+            self.count_rebinned(other.rebinned)
+
+    def skip(self, count: int) -> None:
+        """Count messages of a topic that is not written; they are missing unless the user dropped the topic."""
+        self.messages_in += count
+        if self.lost:
+            self.skipped += count
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it as JSON's types; the keys are documented in docs/report.md."""
+        return {
+            **{f.name: getattr(self, f.name) for f in fields(self) if f.name not in _NOT_AS_THEY_ARE},
+            "scan": self.spec.name if self.spec else "",
+            "motion": self.motion,
+            "tilt": self.tilt,
+            "joined": None if self.joined is None else self.joined.as_dict(),
+            "rebinned": None if self.rebinned is None else self.rebinned._asdict(),
+            "points": self.points.as_dict(),
+        }
