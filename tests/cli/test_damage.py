@@ -76,6 +76,6 @@ def test_what_was_recovered(capsys: pytest.CaptureFixture[str]) -> None:
     )
     show_recovery(report(Damage("x", PATH), declared=1200))
     assert told(capsys)[-1] == (
-        "recovered: 1,200 messages; no bytes are known to be lost; it is not known when messages are missing"
+        "recovered: 1,200 messages; no bytes are known to be lost; it is unknown at which times messages are missing"
     )
     assert report(*places).exit_status == 3

@@ -39,7 +39,7 @@ def said(*arguments: str) -> str:
         ),
         (
             ["convert", HALL, "-o", "a.bag", "--output=b.bag"],
-            "-o is given twice, and there is one destination",
+            "-o is given twice, but there is only one destination",
             "type only one of them",
         ),
         (["convert", HALL, "--start"], "--start requires an argument", "pc2scan convert --help shows what it takes"),

@@ -67,7 +67,7 @@ def test_from_the_first_case_to_a_reviewed_change(folder: Path) -> None:
     assert "in expected" in done.stdout
     assert "in actual" in done.stdout
     assert "1 failed in" in done.stdout
-    assert "hint: if this is meant, --update" in done.stdout
+    assert "hint: if this is intended, --update" in done.stdout
     assert expected.read_bytes() == before
 
     assert outcomes(folder, "--update") == {"hall": "updated"}

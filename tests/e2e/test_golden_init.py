@@ -51,8 +51,8 @@ def counts(recording: Path) -> dict[str, int]:
         (("--init", "drvie.bag"), "did you mean drive.bag"),
         (("--init", "drive.bag", "--topic", "/pionts"), "did you mean /points"),
         (("--init", "drive.bag", "--params-file", "none.yaml"), "none.yaml"),
-        (("--init", "drive.bag", "--update"), "goes with none of"),
-        (("--start", "1"), "go with --init"),
+        (("--init", "drive.bag", "--update"), "cannot be combined with"),
+        (("--start", "1"), "need --init"),
     ],
 )
 def test_what_is_wrong_leaves_nothing(tmp_path: Path, words: tuple[str, ...], said: str) -> None:

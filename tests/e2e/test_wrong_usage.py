@@ -75,15 +75,15 @@ def test_one_is_not_several(tmp_path: Path) -> None:
     [
         (("convert", "drive.bag", "--min-hieght", "0"), "did you mean --min-height or --max-height"),
         (("convert", "drive.bag", "--min_height", "0"), "did you mean --min-height?"),
-        (("convert", "drive.bag", "--json"), "--report report.json writes what happened as JSON"),
+        (("convert", "drive.bag", "--json"), "--report report.json writes a report as JSON"),
         (("drive.bag",), "the command comes first: pc2scan info drive.bag"),
-        (("convert", "-drive.bag"), "for the file of this name write ./-drive.bag"),
+        (("convert", "-drive.bag"), "for the file of this name, type ./-drive.bag"),
         (("convert", "gone.bag"), "it is a link to nowhere.bag, which is not there"),
         (("convert", "-"), "recordings are not read from a pipe: save it as a file first"),
         (("convert", "drive.bag", "-o", "-"), "name a file: -o scans.mcap"),
         (("view", "drive.bag", "-o", "page.pdf"), "pages are HTML: page.html; pc2scan plot draws figures"),
         (("view", "drive.bag", "-o", "page.html", "--at", "99"), "--at 0 to --at 0.405 are in it"),
-        (("diff", "drive.bag", "-drive.bag", "--view", "page"), "for the file of this name write ./-drive.bag"),
+        (("diff", "drive.bag", "-drive.bag", "--view", "page"), "for the file of this name, type ./-drive.bag"),
         (("diff", "drive.bag", "./-drive.bag", "--view", "page"), "pages are HTML: page.html"),
         (("export", "drive.bag", "-o", "clouds.pcd"), "a file for each cloud, in a folder: -o clouds/, --format pcd"),
         (("batch",), "pc2scan batch --help shows what it takes"),
@@ -142,7 +142,7 @@ def test_what_may_not_be_read_or_written(tmp_path: Path) -> None:
     user = WITHOUT_RIGHTS if os.getuid() == 0 else ()
     try:
         for words, error in (
-            (("info", secret), f"error: {secret}: permission denied\nhint: ls -l shows whose it is"),
+            (("info", secret), f"error: {secret}: permission denied\nhint: ls -l shows who owns it"),
             (("convert", folder / "hall.bag"), f"error: {folder}/hall_scan.bag: its directory is not writable\nhint: "),
         ):
             command = [*user, sys.executable, "-m", "pc2scan", *map(str, words)]

@@ -60,7 +60,7 @@ def test_the_units_are_upstreams() -> None:
 
 
 def test_the_help_of_min_height_warns_of_its_default() -> None:
-    assert "drops every point at z <= 0" in PARAMETERS["min_height"].help
+    assert "rejects z <= 0" in PARAMETERS["min_height"].help
 
 
 def test_the_reverse_node_has_three_parameters() -> None:

@@ -1,4 +1,4 @@
-"""The command line: each command is a module that parses, calls one function of the library, and shows the result."""
+"""The command line. The module of each command parses, calls one function of the library, and shows the result."""
 
 from __future__ import annotations
 
@@ -18,17 +18,19 @@ def _run() -> None:
     import os
     import sys
 
-    # Loading modules makes many objects and no garbage: looking for some now and then takes a twentieth of start-up.
+    # No garbage collection while modules are loaded: they make many objects and no garbage, and looking for garbage
+    # takes a twentieth of start-up.
     gc.set_threshold(100_000)
 
-    # NumPy's linear algebra would start threads, which takes longer than many a conversion, and nothing here uses them.
+    # No threads for NumPy's linear algebra: nothing here uses them, and to start them takes longer than to convert a
+    # small recording.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from .app import application
     from .memory import keep_freed_memory
     from .screen import Screen, StdoutError
 
     keep_freed_memory()
-    # Either is None where the process was started without it.
+    # A stream is None if the process was started without it.
     if sys.stdout is not None:
         sys.stdout = Screen(sys.stdout, guarded=True)
     if sys.stderr is not None:
@@ -40,5 +42,5 @@ def _run() -> None:
 
         sys.exit(end_without_output(err.args[0], sys.argv[1:]))
     finally:
-        # Before it ends, the interpreter would look for garbage in all that was loaded: a fifth of a short run.
+        # Skip the interpreter's last garbage collection: it takes a fifth of a short run.
         gc.freeze()

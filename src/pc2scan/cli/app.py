@@ -1,4 +1,4 @@
-"""The application: its commands, and the conversion of errors to messages and exit statuses."""
+"""The application: its commands, and how errors become messages and exit statuses."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ _INTERRUPTED = 128 + signal.SIGINT
 
 
 class _Command(TyperCommand):
-    """Shows help in sections as plain text; Typer's own sections need rich, whose import is slow."""
+    """A command whose help is plain text in sections; Typer's own sections need rich, whose import is slow."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Complete ``--dask`` without an address, which Typer's options cannot do without."""
+        """Make ``--dask`` without an address ``--dask=local``, because Typer has no options with optional values."""
         if self.name == "batch" and args:
             following = [*args[1:], ""]
             args = [
@@ -52,11 +52,11 @@ class _Command(TyperCommand):
         return super().parse_args(ctx, args)
 
     def _refuse_second_output(self, ctx: Any, args: list[str]) -> None:
-        """Raise if there are two destinations: Typer would take the last one."""
+        """Raise if there are two destinations; Typer would silently take the last one."""
         given = self.make_parser(ctx).parse_args(args=list(args))[2]
         outputs = [each for each in given if "--output" in each.opts]
         if len(outputs) > 1:
-            raise UsageError("-o is given twice, and there is one destination", hint="type only one of them")
+            raise UsageError("-o is given twice, but there is only one destination", hint="type only one of them")
 
     def format_help_text(self, ctx: Any, formatter: Any) -> None:
         """Write the examples, then the description."""
@@ -86,16 +86,16 @@ class _Command(TyperCommand):
 
 
 class _Group(TyperGroup):
-    """Handles errors inside the group, so that a test's CliRunner sees the same as a user."""
+    """The group of all commands; it handles errors itself, so that a test's CliRunner sees what a user sees."""
 
     def make_context(self, info_name: Any, args: list[str], *rest: Any, **extra: Any) -> Any:
-        """Read the options before the command."""
+        """Parse the options that precede the command."""
         with _usage_errors(args):
             return super().make_context(info_name, args, *rest, **extra)
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command; user errors become a message and an exit status, bugs keep their traceback."""
-        # A termination must unwind the stack, so that no partial output stays.
+        # SIGTERM raises an exception, so that partial output is removed while the stack unwinds.
         previous = _handle_termination()
         words = [*ctx._protected_args, *ctx.args]  # noqa: SLF001  # as the base class reads them
         try:
@@ -116,7 +116,7 @@ class _Group(TyperGroup):
 @contextmanager
 def _usage_errors(typed: Sequence[str]) -> Iterator[None]:
     """Show Typer's errors like all others."""
-    # Copied, because Typer removes arguments from its list as it reads them.
+    # A copy, because Typer removes arguments from its list as it reads them.
     typed = tuple(typed)
     try:
         yield
@@ -129,7 +129,7 @@ def _usage_errors(typed: Sequence[str]) -> Iterator[None]:
 
 
 def _what_was_written() -> str:
-    """What an interrupted command leaves behind: complete files, or nothing."""
+    """Return the end of the message of an interrupted command: which files it has written completely."""
     from pc2scan.files.staging import written
 
     names = [str(path) for path in written()]
@@ -144,7 +144,7 @@ def _handle_termination() -> Any:
     try:
         return signal.signal(signal.SIGTERM, terminate)
     except ValueError:
-        # Only the main thread may set handlers; in another thread, the embedding program handles signals.
+        # Only the main thread may set handlers. In another thread, the program around this handles signals.
         return None
 
 
@@ -153,7 +153,7 @@ def _show_version(value: bool) -> None:
         from pc2scan.core.kernel import COMPILED
         from pc2scan.version import __version__
 
-        slower = "" if COMPILED else " (slower than it could be: installed without a C compiler)"
+        slower = "" if COMPILED else " (slower than usual: installed without a C compiler)"
         typer.echo(f"pc2scan {__version__}{slower}")
         raise typer.Exit
 
@@ -168,9 +168,9 @@ def root(
 
 
 def application(command: str | None = None) -> typer.Typer:
-    """Make the application, with only one of `COMMANDS` if that one is going to run, else with all of them.
+    """Make the application, with all `COMMANDS` or only with the one that is going to run.
 
-    Loading a command and building its options takes some milliseconds.
+    To load a command and build its options takes some milliseconds.
     """
     app = typer.Typer(
         cls=_Group,

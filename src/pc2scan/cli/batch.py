@@ -39,7 +39,7 @@ class BatchGroup(Group):
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Options that differ between recordings, by patterns, as YAML. Options typed here override it.",
+            help="A YAML file with options for the recordings that match a pattern. Options typed here override it.",
             rich_help_panel=_BATCH,
         ),
     ] = None
@@ -50,7 +50,7 @@ class BatchGroup(Group):
             "-j",
             min=0,
             metavar="N",
-            help="Recordings at a time, each in a process of its own; what is written does not depend on it.  "
+            help="Number of recordings at a time, each in its own process; the output does not depend on it.  "
             "[default: number of cores, as memory allows]",
             show_default=False,
             rich_help_panel=_BATCH,
@@ -61,7 +61,7 @@ class BatchGroup(Group):
         typer.Option(
             min=0,
             metavar="N",
-            help="How often a recording is tried again whose process died, for instance of too little memory.",
+            help="How often a recording is tried again if its process was killed, for instance for lack of memory.",
             rich_help_panel=_BATCH,
         ),
     ] = 1
@@ -69,25 +69,25 @@ class BatchGroup(Group):
         str,
         typer.Option(
             metavar="[ADDRESS]",
-            help="Convert on the Dask cluster of this scheduler, such as tcp://scheduler:8786; without an address, on "
-            "one that is started on this machine. Needs pc2scan[dask].",
+            help="Convert on the Dask cluster of this scheduler, such as tcp://scheduler:8786. Without an address, a "
+            "cluster is started on this machine. Needs pc2scan[dask].",
             show_default=False,
             rich_help_panel=_BATCH,
         ),
     ] = ""
     force: Annotated[
-        bool, typer.Option("--force", help="Convert also what earlier runs have converted.", rich_help_panel=_BATCH)
+        bool, typer.Option("--force", help="Convert again what earlier runs have converted.", rich_help_panel=_BATCH)
     ] = False
     checksum: Annotated[
         bool,
         typer.Option(
             "--checksum",
-            help="Recognise unchanged recordings by SHA-256, not by their time of modification. Reads every byte.",
+            help="Recognise unchanged recordings by SHA-256 instead of their modification time. Reads every byte.",
             rich_help_panel=_BATCH,
         ),
     ] = False
     fail_fast: Annotated[
-        bool, typer.Option("--fail-fast", help="End at the first recording that fails.", rich_help_panel=_BATCH)
+        bool, typer.Option("--fail-fast", help="Stop at the first recording that fails.", rich_help_panel=_BATCH)
     ] = False
     report: Annotated[
         Path | None,
@@ -117,7 +117,7 @@ class ExportGroup(Group):
     export: Annotated[
         Literal["npz", "csv", "tum", "carmen", "flaser", "pcd", "kitti"] | None,
         typer.Option(
-            help="Instead of recordings, write what pc2scan export writes, into a folder for each recording.",
+            help="Write the files of pc2scan export instead of recordings, in a folder for each recording.",
             rich_help_panel=_EXPORT,
         ),
     ] = None
@@ -132,7 +132,12 @@ class ExportGroup(Group):
     ] = ""
     base_frame: Annotated[
         str,
-        typer.Option(metavar="FRAME", help="With --export: whose pose.", show_default=False, rich_help_panel=_EXPORT),
+        typer.Option(
+            metavar="FRAME",
+            help="With --export: the robot's frame, whose pose is written.",
+            show_default=False,
+            rich_help_panel=_EXPORT,
+        ),
     ] = ""
     odom_topic: Annotated[
         str,
@@ -146,14 +151,14 @@ class ExportGroup(Group):
 
 
 class _Without(Group):
-    """A group without some of its options: those keep their defaults."""
+    """A group without some of its options, which keep their defaults."""
 
     whole: type[Group]
     left_out: Mapping[str, Any]
 
     @classmethod
     def parameters(cls) -> Iterable[Parameter]:
-        """Return the options that are left."""
+        """Return the remaining options."""
         return [each for each in cls.whole.parameters() if each.name not in cls.left_out]
 
     @classmethod
@@ -163,14 +168,14 @@ class _Without(Group):
 
 
 class _Conversion(_Without):
-    """The options of a conversion, but for the number of its threads."""
+    """The options of a conversion, except the number of its threads."""
 
     whole = ConversionGroup
     left_out = {"jobs": 0}  # noqa: RUF012
 
 
 class _Output(_Without):
-    """The options of the destination; each recording is converted by itself anyway."""
+    """The options of the destination, except ``--each``: batch converts each recording on its own anyway."""
 
     whole = OutputGroup
     left_out = {"each": False}  # noqa: RUF012
@@ -181,7 +186,8 @@ def batch(
         list[str],
         typer.Argument(
             metavar="SRC...",
-            help="Folders, which are searched; recordings; globs in quotes; text files with a path a line; URLs.",
+            help="Folders, which are searched for recordings; recordings; globs in quotes; text files with one path "
+            "per line; URLs.",
         ),
     ],
     destination: Annotated[
@@ -190,7 +196,7 @@ def batch(
             "--output",
             "-o",
             metavar="OUT",
-            help="Folder for the results, in the tree of the sources, and for manifest.jsonl. May be a URL.",
+            help="Folder for the results, with the subfolders of the sources, and for manifest.jsonl. May be a URL.",
         ),
     ],
     *,
@@ -200,10 +206,10 @@ def batch(
     output: _Output,
     scratch: ScratchGroup,
 ) -> None:
-    """Convert every recording of a dataset, each by itself, in several processes.
+    """Convert every recording of a dataset, each on its own, in several processes.
 
-    A recording that fails does not keep the others from being converted. A second run does only what is missing,
-    changed or failed; OUT/manifest.jsonl says what became of each recording. After an interruption, run it again.
+    If a recording fails, the others are still converted. A second run converts only what is missing, has changed or
+    failed. OUT/manifest.jsonl has the result of each recording. After an interruption, run the same command again.
     """
     from pc2scan.batch.run import BatchOptions, Watch, run_batch
     from pc2scan.pipeline.run import scratch_bytes
@@ -242,7 +248,7 @@ def batch(
 
 
 def _show_plan(plan: "Plan", *, quiet: bool) -> None:
-    """Say what is going to be done, in a line."""
+    """Show what will be done, in one line."""
     if quiet:
         return
     convert, keep, skip = plan.of("convert"), plan.of("keep"), plan.of("skip")
@@ -256,13 +262,13 @@ def _show_plan(plan: "Plan", *, quiet: bool) -> None:
         f"{len(convert):,} to convert ({size(sum(step.found.identity.size_bytes for step in convert))}"
         + (f"; {told})" if told else ")"),
         *([f"{len(keep):,} unchanged"] if keep else []),
-        *([f"{len(skip):,} left out by the dataset file"] if skip else []),
+        *([f"{len(skip):,} skipped by the dataset file"] if skip else []),
     ]
     typer.echo(printable(": ".join((parts[0], ", ".join(parts[1:])))), err=True)
 
 
 def _show_record(record: "Record", *, quiet: bool, dry_run: bool) -> None:
-    """A line for a recording that is done."""
+    """Show a line for a recording that is finished."""
     if record.error is not None:
         hint = f" (hint: {record.error['hint']})" if record.error.get("hint") else ""
         typer.echo(message(f"{record.outcome}: {record.key}: {record.error['message']}{hint}"), err=True)
@@ -273,7 +279,7 @@ def _show_record(record: "Record", *, quiet: bool, dry_run: bool) -> None:
 
     facts = Facts.of(record.report or {})
     told = [
-        # Messages of a recording without its index are not counted beforehand.
+        # A recording without an index does not say how many messages it has, so a dry run cannot count its scans.
         counted(facts.scans, "scan") if facts.scans or not dry_run else "scans not counted",
         *([f"{facts.empty_scans:,} empty"] if facts.empty_scans else []),
         *([f"{facts.skipped:,} skipped"] if facts.skipped else []),
@@ -286,7 +292,7 @@ def _show_record(record: "Record", *, quiet: bool, dry_run: bool) -> None:
 
 
 def _show_text(text: str) -> None:
-    """The tables of a conversion."""
+    """Print the tables of a conversion."""
     for line in text.splitlines():
         typer.echo(message(line), err=True)
 

@@ -28,7 +28,7 @@ class Consumer(TextEnum):
     mrpt = "mrpt"
 
 
-#: How many frames of a topic are named.
+#: Maximum number of a topic's frames that are shown.
 _SHOWN = 5
 
 
@@ -43,7 +43,7 @@ def check(
             "--for",
             metavar="CONSUMER",
             help=f"Consumer that decides the exit status: {', '.join(Consumer)}. Repeatable. "
-            "Default: all, and general defects count too.",
+            "Default: all of them, and defects for all consumers too.",
         ),
     ] = [],  # noqa: B006 - typer reads the default and never hands it out
     topics: Annotated[
@@ -60,7 +60,7 @@ def check(
         str,
         typer.Option(
             metavar="FRAME",
-            help="The odometry's frame; scans must be connected with it.",
+            help="The odometry's frame; the scans' frames must be connected to it.",
             autocompletion=completion.frames,
         ),
     ] = "odom",
@@ -80,12 +80,12 @@ def check(
 ) -> None:
     """Check whether SLAM and navigation accept a recording's scans.
 
-    For each LaserScan topic and consumer: accepted; shifted (accepted, but turned by up to one beam); misplaced
-    (accepted, but with beams or ranges in wrong places); ignored; or aborts (the consumer ends). With the rule, the
-    numbers and a remedy. Then problems for all consumers, as defects or notices: frames and transforms, stamps, rates,
-    lengths, ranges.
+    The verdict for each LaserScan topic and consumer is: accepted; shifted (accepted, but rotated by up to one beam);
+    misplaced (accepted, but with beams or ranges in wrong places); ignored; or aborts (the consumer crashes). Each
+    comes with the rule, the numbers and a remedy. Problems for all consumers follow, as defects or notices: frames and
+    transforms, stamps, rates, lengths, ranges.
 
-    Exit status: 0 all accepted (without --for: or shifted, and no defect), 1 not, 2 wrong usage.
+    Exit status: 0 all accepted (without --for: or shifted, and no defect), 1 not all, 2 wrong usage.
     """
     from pc2scan.inspect.check import check as look
 

@@ -1,4 +1,4 @@
-"""Requests as they would be typed: the other direction than `pc2scan.cli.options`."""
+"""Converts options of the library to the command line: the inverse of `pc2scan.cli.options`."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["convert_words"]
 def convert_words(sources: Sequence[Path], options: ConvertOptions, destination: str) -> list[str]:
     """Return the words of a command that converts the same points of the same topics in the same frames.
 
-    The parameters of the projection are left to the caller, and so are filters that the command line does not have.
+    Parameters of the projection are not included; the caller adds them. Filters without an option are not included.
     """
     words = ["pc2scan", "convert", *map(str, sources), "-o", destination, *_option_words(options)]
     for chosen in options.scan.filters:

@@ -1,9 +1,9 @@
-"""What the shell offers: presets and choices, and the topics and frames of the recording that was typed.
+"""Shell completion of presets and choices, and of the topics and frames of the recording that was typed.
 
-A shell waits for it at each Tab: it takes at most a second, and whatever goes wrong, it offers nothing.
+A shell waits for it at each Tab. So it takes at most a second, and offers nothing if anything goes wrong.
 
-No ``from __future__ import annotations`` here: at every start Typer reads the annotations of each of these functions,
-and would compile text.
+No ``from __future__ import annotations`` here: Typer reads the annotations of these functions at every start, and would
+have to compile text.
 """
 
 import itertools
@@ -16,15 +16,15 @@ from typing import Any
 
 __all__ = ["choices", "frames", "presets", "topics"]
 
-#: Seconds until what was found by then is offered.
+#: Time limit in seconds; what was found by then is offered.
 _PATIENCE = 1.0
 
-#: Options whose files are not recordings.
+#: Options that take files other than recordings.
 _OTHER_FILES = frozenset({"-o", "--output", "--params-file", "--static-tf-file", "--report", "--junit"})
 
 
 class _TooLateError(Exception):
-    """Time is up."""
+    """The time limit is reached."""
 
 
 def choices(words: Iterable[str]) -> Callable[[str], list[str]]:
@@ -41,7 +41,7 @@ def presets(incomplete: str) -> list[str]:
 
 
 def topics(*endings: str) -> Callable[[str], list[str]]:
-    """Offer the topics of the recordings that were typed, of types with these endings; of any type without."""
+    """Offer the topics of the typed recordings whose type ends with one of these; without any, all topics."""
 
     def offered(incomplete: str) -> list[str]:
         found: set[str] = set()
@@ -60,19 +60,22 @@ def frames(incomplete: str) -> list[str]:
     with _patiently():
         from pc2scan.inspect.naming import frames_in
 
-        # One by one, so that what was found counts when time is up.
+        # Added one by one, so that those found within the time limit are offered.
         for name in frames_in(_typed()):
             found.add(name)
     return _fitting(found, incomplete)
 
 
 def _fitting(found: set[str], incomplete: str) -> list[str]:
-    # The shell gets names as they are: those with control characters would be orders to the terminal.
+    # Names with control characters are not offered: the shell would send them to the terminal unescaped.
     return sorted(name for name in found if name.startswith(incomplete) and name.isprintable())
 
 
 def _typed() -> list[Path]:
-    """The recordings on the command line. While an option lacks its value, Typer's parser knows of no arguments."""
+    """Return the recordings on the command line.
+
+    They are read from the words of the shell, because Typer's parser has no arguments while an option has no value yet.
+    """
     import shlex
 
     line = os.environ.get("_TYPER_COMPLETE_ARGS") or os.environ.get("COMP_WORDS") or ""
@@ -90,17 +93,17 @@ def _typed() -> list[Path]:
 
 @contextmanager
 def _patiently() -> Iterator[None]:
-    """End the body when time is up, and with any error; what it found by then counts."""
+    """End the body at the time limit or at any error, and ignore the error."""
 
     def stop(*_: Any) -> None:
         raise _TooLateError
 
-    # Windows has no such timer: there, completion waits.
+    # Windows has no such timer, so there is no time limit there.
     timed = hasattr(signal, "setitimer")
     if timed:
         previous = signal.signal(signal.SIGALRM, stop)
         signal.setitimer(signal.ITIMER_REAL, _PATIENCE)
-    # Whatever is wrong with a recording, it is not said here.
+    # Errors of a recording are not shown during completion.
     with suppress(Exception):
         yield
     if timed:

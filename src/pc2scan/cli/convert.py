@@ -54,7 +54,7 @@ def convert(
     also_read = conversion.read_files()
     try:
         options = conversion.options(ros_distro=output.ros_distro)
-        # Now those are known, too, that a launch file names.
+        # Only after `options`, because a launch file may name further files.
         also_read = conversion.read_files()
         if output.each:
             raise _convert_each(sources, named, options, form, reporting, also_read)
@@ -92,12 +92,12 @@ def _convert_each(
     reporting: ReportGroup,
     also_read: Mapping[str, Path],
 ) -> typer.Exit:
-    """Convert each recording by itself; return the end of the command, to be raised."""
+    """Convert each recording on its own; return the exception that ends the command."""
     from pc2scan.pipeline.each import run_each
 
     if named is not None:
         raise DestinationError(
-            "`each` needs a folder to write into", path=named, hint=f"did you mean `destination={named}/`?"
+            "`each` needs a folder as destination", path=named, hint=f"did you mean `destination={named}/`?"
         )
     with progress_bar(enabled=not reporting.quiet) as progress:
         results = run_each(

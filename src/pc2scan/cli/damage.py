@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = ["DAMAGED", "SHOWN", "show_damage", "show_recovery"]
 
-#: The exit status of a command that wrote what it could of a damaged source.
+#: The exit status of a command that wrote what is recoverable of a damaged source.
 DAMAGED = 3
 
 #: Damaged places, and reasons for skipping, that are shown without --verbose.
@@ -31,7 +31,7 @@ def show_damage(damage: Sequence[Damage], *, limit: int = SHOWN) -> None:
     for place in damage[:limit]:
         typer.echo(printable(f"damaged: {place}"), err=True)
     if len(damage) > limit:
-        typer.echo(f"damaged: {len(damage) - limit:,} more places (--report or --json tells them)", err=True)
+        typer.echo(f"damaged: {len(damage) - limit:,} more places (--report or --json lists them)", err=True)
 
 
 def show_recovery(report: Report, *, limit: int = SHOWN) -> None:
@@ -51,13 +51,13 @@ def show_recovery(report: Report, *, limit: int = SHOWN) -> None:
 
 
 def _spanned(damage: Sequence[Damage]) -> str:
-    """Return the times between which messages may be missing, of all places together."""
+    """Return the times between which messages may be missing, for all damaged places together."""
     firsts = [place.first_ns for place in damage]
     lasts = [place.last_ns for place in damage]
     first = min((time for time in firsts if time is not None), default=None)
     last = None if None in lasts else max((time for time in lasts if time is not None), default=None)
     if first is None:
-        return "it is not known when messages are missing"
+        return "it is unknown at which times messages are missing"
     return f"messages may be missing from log time {stamp_text(first)} " + (
         "on" if last is None else f"to {stamp_text(last)}"
     )

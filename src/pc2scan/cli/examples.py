@@ -1,4 +1,4 @@
-"""The examples with which the help of each command begins."""
+"""The examples at the beginning of each command's help."""
 
 from __future__ import annotations
 
@@ -8,38 +8,41 @@ __all__ = ["EXAMPLES"]
 EXAMPLES: dict[str, tuple[tuple[str, str], ...]] = {
     "convert": (
         ("pc2scan convert drive.bag --min-height 0.1 --max-height 1.5", "writes drive_scan.bag"),
-        ("pc2scan convert drive.bag -o drive.mcap --params-file params.yaml", "the file that ran the robot"),
+        ("pc2scan convert drive.bag -o drive.mcap --params-file params.yaml", "with the parameter file of the robot"),
         ("pc2scan convert drive.bag --preset slam_toolbox --target-frame base_link", "scans that SLAM takes"),
     ),
     "batch": (
-        ("pc2scan batch recordings/ -o scans/ --preset slam_toolbox", "every recording, in processes"),
-        ("pc2scan batch recordings/ -o scans/ --dataset dataset.yaml", "robots that differ"),
-        ("pc2scan batch recordings/ -o scans/ --dry-run", "what would be done, and why"),
+        ("pc2scan batch recordings/ -o scans/ --preset slam_toolbox", "every recording, several at a time"),
+        ("pc2scan batch recordings/ -o scans/ --dataset dataset.yaml", "other options for some recordings"),
+        ("pc2scan batch recordings/ -o scans/ --dry-run", "show what would be done, and why"),
     ),
     "export": (
         ("pc2scan export scans.mcap -o scans.npz --pose-frame odom", "scans with the robot's pose, as NumPy arrays"),
-        ("pc2scan export drive.bag -o scans.csv --min-height -0.3", "scans made of its clouds, a row for each"),
-        ("pc2scan export drive.bag -o clouds --format pcd", "a file for each cloud"),
+        ("pc2scan export drive.bag -o scans.csv --min-height -0.3", "convert its clouds; one row per scan"),
+        ("pc2scan export drive.bag -o clouds --format pcd", "one file per cloud"),
     ),
     "view": (
         ("pc2scan view drive.bag", "a page that shows its clouds and scans"),
-        ("pc2scan view drive.bag --min-height 0.1 --max-height 1.5", "with the scans that these heights make"),
+        ("pc2scan view drive.bag --min-height 0.1 --max-height 1.5", "with scans of these heights"),
     ),
     "plot": (
-        ("pc2scan plot drive.bag -o figure.png --min-height -0.3 --max-height 1", "a cloud, the band, the scan"),
+        (
+            "pc2scan plot drive.bag -o figure.png --min-height -0.3 --max-height 1",
+            "a cloud, the height band, and the scan",
+        ),
         ("pc2scan plot drive.bag -o figure.pdf --frames 3", "three moments side by side"),
     ),
     "map": (
-        ("pc2scan map scans.mcap --png map.png", "its scans, where the odometry places them"),
-        ("pc2scan map drive.bag -o map.yaml --min-height 0.1 --max-height 1.5", "a map for map_server, of clouds"),
+        ("pc2scan map scans.mcap --png map.png", "its scans, placed by the odometry"),
+        ("pc2scan map drive.bag -o map.yaml --min-height 0.1 --max-height 1.5", "a map for map_server, made of clouds"),
     ),
     "check": (
-        ("pc2scan check scans.mcap", "would SLAM and navigation take its scans?"),
+        ("pc2scan check scans.mcap", "do SLAM and navigation accept its scans?"),
         ("pc2scan check scans.mcap --for slam_toolbox --for nav2", "only these decide"),
     ),
     "info": (
-        ("pc2scan info drive.bag", "what is in it, and at which heights its points are"),
-        ("pc2scan info drive.bag --json", "the same for programs"),
+        ("pc2scan info drive.bag", "its topics, and the heights of its points"),
+        ("pc2scan info drive.bag --json", "the same as JSON, for programs"),
     ),
     "tf": (
         ("pc2scan tf drive.bag", "its frames"),
@@ -55,8 +58,11 @@ EXAMPLES: dict[str, tuple[tuple[str, str], ...]] = {
         ("pc2scan diff drive.bag --topic /scan:=/scan2", "two topics of one recording"),
     ),
     "golden": (
-        ("pc2scan golden golden/", "do conversions still make what they once made?"),
-        ("pc2scan golden golden/turn --init drive.bag --start 12 --end 14", "make a case of two seconds of a drive"),
-        ("pc2scan golden golden/ -k drive --update", "make what they make now the expected output"),
+        ("pc2scan golden golden/", "do conversions still give the expected output?"),
+        (
+            "pc2scan golden golden/turn --init drive.bag --start 12 --end 14",
+            "make a new case of two seconds of a drive",
+        ),
+        ("pc2scan golden golden/ -k drive --update", "expect the present output from now on"),
     ),
 }

@@ -31,7 +31,7 @@ def export(
             "--output",
             "-o",
             metavar="OUT",
-            help="The file; DIR/: a folder, which is made, with a file for each topic. Of clouds: the folder.",
+            help="The file to write. DIR/: a new folder with a file for each topic. For clouds: always a folder.",
             show_default=False,
             click_type=TyperPath(path_type=str),
         ),
@@ -41,8 +41,8 @@ def export(
         typer.Option(
             "--format",
             "-f",
-            help="Scans: npz (NumPy arrays), csv (a row for each), carmen (ROBOTLASER1, .log), flaser (FLASER, .clf). "
-            "tum: the trajectory alone. Clouds, in a folder: pcd, kitti.  [default: OUT's suffix]",
+            help="For scans: npz (NumPy arrays), csv (one row per scan), carmen (ROBOTLASER1, .log), flaser (FLASER, "
+            ".clf). For the trajectory only: tum. For clouds, in a folder: pcd, kitti.  [default: by OUT's suffix]",
             show_default=False,
         ),
     ] = None,
@@ -51,7 +51,8 @@ def export(
         typer.Option(
             metavar="FRAME",
             autocompletion=completion.frames,
-            help="Write the robot's pose in this frame (odom, map) at each message's own stamp, from its transforms.",
+            help="Write the robot's pose in this frame (odom, map) at each message's stamp, from the recorded "
+            "transforms.",
             show_default=False,
         ),
     ] = "",
@@ -60,7 +61,8 @@ def export(
         typer.Option(
             metavar="FRAME",
             autocompletion=completion.frames,
-            help="Whose pose.  [default: base_link, base_footprint, or what carries the sensor]",
+            help="The robot's frame, whose pose is written.  [default: base_link, base_footprint, or the frame that "
+            "the sensor is mounted on]",
             show_default=False,
         ),
     ] = "",
@@ -69,22 +71,22 @@ def export(
         typer.Option(
             metavar="TOPIC",
             autocompletion=completion.topics("/Odometry"),
-            help="Take the poses from this nav_msgs/Odometry topic instead.",
+            help="Take the poses from this nav_msgs/Odometry topic instead of the transforms.",
             show_default=False,
         ),
     ] = "",
     overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace OUT: a file, or a folder with nothing but an export.")
+        bool, typer.Option("--overwrite", help="Replace OUT: a file, or a folder with an export and nothing else.")
     ] = False,
     as_json: Json = False,
     *,
     conversion: ConversionGroup,
 ) -> None:
-    """Write scans with poses, the trajectory alone, or clouds, for learning and evaluation.
+    """Write scans with poses, the trajectory, or clouds as files for learning and evaluation.
 
-    The scans are those of the LaserScan topics; with any parameter of the projection they are made of the clouds on the
-    way, as `pc2scan convert` makes them. Poses are interpolated as tf2 does it, and never extrapolated: messages
-    without a pose at their stamp are skipped and counted, and the exit status is 3.
+    The scans are those of the LaserScan topics. With any parameter of the projection, the clouds are converted first,
+    like with `pc2scan convert`. Poses are interpolated like in tf2, and never extrapolated: messages without a pose at
+    their stamp are skipped and counted, and the exit status is 3.
     """
     from pc2scan.export.poses import PoseOptions
     from pc2scan.export.run import ExportOptions, run

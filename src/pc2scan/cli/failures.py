@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 
 __all__ = ["VERDICTS", "end_without_output", "show_failure"]
 
-#: Commands whose status 1 is a verdict; if they cannot judge, it is 2.
+#: Commands whose exit status 1 is a verdict; their status for errors is 2.
 VERDICTS = frozenset({"check", "diff", "golden"})
 
-#: Commands that write their output before they print anything.
+#: Commands that have written their output when they begin to print.
 _WRITING = frozenset({"batch", "convert", "export", "map", "repair", "view"})
 
 
@@ -33,14 +33,14 @@ def show_failure(err: Pc2ScanError, words: Sequence[str]) -> int:
     Parameters
     ----------
     words
-        What was typed behind ``pc2scan``.
+        What was typed after ``pc2scan``.
     """
     command = words[0] if words else ""
     status = err.exit_status
     if command in VERDICTS:
         status = max(status, 2)
         if isinstance(err, DamageError):
-            err.hint = "pc2scan repair makes a sound recording of what is left of it"
+            err.hint = "pc2scan repair makes a sound recording of what is readable"
     typer.echo(error_text(err), err=True)
     if "--json" in (words[: words.index("--")] if "--" in words else words):
         from .render import print_json
@@ -61,16 +61,16 @@ def _as_dict(err: Pc2ScanError) -> dict[str, Any]:
 
 
 def end_without_output(err: OSError, words: Sequence[str]) -> int:
-    """Return the exit status where standard output cannot be written.
+    """Return the exit status if standard output cannot be written.
 
-    Whoever closed a pipe (``| head``) has read enough: then there is no message, and the status is that of a process
-    that SIGPIPE ended, as with other tools.
+    If the reader of a pipe closed it (``| head``), there is no message, and the exit status is that of a process that
+    SIGPIPE ended, like with other tools.
     """
-    # What is still in the buffer would fail again when the interpreter ends.
+    # Discard the buffer: otherwise the interpreter writes it when it ends, and fails again.
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 1)
     os.close(nowhere)
-    # Windows has no SIGPIPE, and calls a pipe that was closed an invalid argument.
+    # Windows has no SIGPIPE, and reports EINVAL for a closed pipe.
     if err.errno == errno.EPIPE or (os.name == "nt" and err.errno == errno.EINVAL):
         return 128 + getattr(signal, "SIGPIPE", 13)
     command = "" if {"-h", "--help"} & set(words) else "".join(words[:1])

@@ -1,4 +1,4 @@
-"""Tables that fit a width: empty columns go first, then text is wrapped, then columns on the right go."""
+"""Fits tables into a width: drops empty columns, then wraps text, then drops columns on the right."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ if TYPE_CHECKING:
 
 __all__ = ["table_lines"]
 
-#: Between columns; and where that is too wide.
+#: The space between columns, and the smaller one for tables that do not fit otherwise.
 _GAP, _NARROW_GAP = 3, 2
 
-#: Text is wrapped to no less than its longest word, or than this where words are longer.
+#: The smallest width of a column of wrapped text is that of its longest word, but at most this.
 _NARROWEST, _LONGEST_WORD = 12, 24
 
 _NOTHING = frozenset({"", "-"})
@@ -26,9 +26,9 @@ def table_lines(cells: Sequence[Sequence[str]], left: Collection[str], width: in
     cells
         The headings, then the rows.
     left
-        Headings of columns of text, aligned to the left; the others are numbers.
+        Headings of the columns of text, which are aligned to the left; the others are numbers.
     width
-        Columns of the screen; None for any number.
+        Columns of the screen; None for no limit.
     """
     headings, *rows = cells
     kept = list(range(len(headings)))
@@ -45,7 +45,7 @@ def table_lines(cells: Sequence[Sequence[str]], left: Collection[str], width: in
         texts = [i for i in kept if headings[i] in left]
         least = {i: max(_NARROWEST, *(_longest_word(line[i]) for line in cells)) for i in texts}
         while needed() > width and (wide := [i for i in texts if widths[i] > least[i]]):
-            # One by one, so that all of them share the room.
+            # Narrow the widest column by one at a time, so that all columns share the space.
             widths[max(wide, key=widths.__getitem__)] -= 1
         while needed() > width and len(kept) > 1:
             numbers = [i for i in kept[1:] if headings[i] not in left] or kept[1:]
@@ -67,7 +67,7 @@ def _row(
     gap: int,
     left: Collection[str],
 ) -> Iterator[str]:
-    """The lines of a row: text that is too wide goes on below."""
+    """Yield the lines of a row; text that is too wide continues on the next line."""
     pieces = [[line[i]] if len(line[i]) <= widths[i] else _broken(line[i], widths[i]) for i in kept]
     for number in range(max(map(len, pieces))):
         aligned = []
@@ -83,9 +83,9 @@ def _longest_word(text: str) -> int:
 
 
 def _broken(text: str, width: int) -> list[str]:
-    from textwrap import wrap  # few tables are too wide
+    from textwrap import wrap  # imported here because few tables are too wide
 
-    # Names of topics and types break behind their slashes.
+    # Names of topics and types may be broken after a slash.
     spaced = text if " " in text else text.replace("/", "/ ")
     lines = wrap(spaced, width, break_on_hyphens=False) or [""]
     return lines if " " in text else [part.replace(" ", "") for part in lines]

@@ -1,7 +1,8 @@
-"""Where matplotlib notes which fonts there are, while the command runs.
+"""Keeps matplotlib's list of fonts out of the user's home.
 
-By itself it writes that into the user's home. The command has it written into a folder that is gone at the end, which
-takes a tenth of a second or more. The library leaves matplotlib as it finds it: its process may be somebody else's.
+By default matplotlib writes this list into the home folder. The command makes matplotlib write it into a temporary
+folder, which costs a tenth of a second or more. The library changes no setting of matplotlib, because it may run in
+another program's process.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ _WHERE = "MPLCONFIGDIR"
 
 @contextmanager
 def fonts_noted_elsewhere() -> Iterator[None]:
-    """Keep matplotlib out of the user's home, unless the user says where its files are."""
+    """Make matplotlib use a temporary folder, unless the user has set MPLCONFIGDIR."""
     if os.environ.get(_WHERE):
         yield
         return

@@ -27,17 +27,22 @@ def golden(
     pattern: Annotated[
         str,
         typer.Option(
-            "-k", metavar="PATTERN", help="Run only cases with this in their name; may be a glob.", show_default=False
+            "-k",
+            metavar="PATTERN",
+            help="Run only cases whose name contains this or matches this glob.",
+            show_default=False,
         ),
     ] = "",
     *,
     update: Annotated[
         bool,
-        typer.Option("--update", help="Write the expected output of cases that differ or have none; review the diff."),
+        typer.Option(
+            "--update", help="Write the expected output of cases that differ or have none; review the changes."
+        ),
     ] = False,
     init: Annotated[
         Path | None,
-        typer.Option("--init", metavar="SRC", help="Make a new case, DIR, of this recording.", rich_help_panel=_INIT),
+        typer.Option("--init", metavar="SRC", help="Make a new case of this recording, in DIR.", rich_help_panel=_INIT),
     ] = None,
     start: Annotated[
         str | None,
@@ -65,21 +70,21 @@ def golden(
     as_json: Json = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Do not show cases that passed.")] = False,
 ) -> None:
-    """Check conversions against what they are expected to make.
+    """Check conversions against their expected output.
 
-    A case is a folder: input.bag (or input.mcap, input.db3, input/), params.yaml, and what the conversion is expected
-    to make, expected.txt (or expected.bag, expected.mcap, expected/). A case.yaml may name other inputs, further
+    A case is a folder with input.bag (or input.mcap, input.db3, input/), params.yaml, and the expected output of the
+    conversion, expected.txt (or expected.bag, expected.mcap, expected/). A case.yaml may name other inputs, further
     arguments of convert, and tolerances.
 
     Exit status: 0 all as expected, 1 some differ, 2 some could not be checked.
     """
     if init is not None:
         if update or pattern or junit.junit is not None or as_json:
-            raise UsageError("--init makes one case, and goes with none of -k, --update, --junit and --json")
+            raise UsageError("--init makes one case, and cannot be combined with -k, --update, --junit or --json")
         _init(folder, init, start, end, topics, params_file, quiet=quiet)
         return
     if start or end or topics or params_file is not None:
-        raise UsageError("--start, --end, --topic and --params-file go with --init", hint="a case has its own")
+        raise UsageError("--start, --end, --topic and --params-file need --init", hint="a case has its own")
     from pc2scan.golden.case import case_folders
     from pc2scan.golden.check import check_case, refuse_output_over_cases
     from pc2scan.golden.result import GoldenReport
@@ -112,7 +117,7 @@ def _init(
     *,
     quiet: bool,
 ) -> None:
-    """Make a case, and say what it has."""
+    """Make a case, and list its files."""
     from pc2scan.golden.init import make_case
 
     from .in_process import run_command
@@ -138,7 +143,7 @@ def _conclude(report: GoldenReport, *, as_json: bool) -> None:
     counted = [f"{number} {outcome.value}" for outcome, number in report.counts.items() if number]
     typer.echo(f"{', '.join(counted)} in {report.seconds:.1f} s")
     if report.exit_status == 1:
-        typer.echo("hint: if this is meant, --update makes it the expected output")
+        typer.echo("hint: if this is intended, --update makes it the expected output")
 
 
 def _show(result: CaseResult, *, quiet: bool) -> None:

@@ -1,4 +1,4 @@
-"""Options in groups: a command takes a few groups, typer gets one parameter for each option.
+"""Groups of options: a command takes a few groups, and Typer gets one parameter for each option.
 
 The attributes of a group are options (``Annotated[type, typer.Option(...)]``) or other groups. A command takes it as
 one parameter: ``def convert(..., *, output: Output)``. `flat` makes the function that typer reads.
@@ -20,11 +20,11 @@ __all__ = ["Group", "flat"]
 
 
 class Group(SimpleNamespace):
-    """The base of all groups; the values of the class are the defaults, and a list needs none to be empty.
+    """The base of all groups. The values of the class are the defaults; the default of a list is the empty list.
 
-    The annotations must be objects, not text: the module of a group does without ``from __future__ import
-    annotations``. Reading text would take longer than all else that is done with an option, and making dataclasses
-    longer still.
+    The annotations must be objects, not text, so the module of a group has no ``from __future__ import annotations``.
+    To read text would take longer than everything else that is done with an option, and to make dataclasses even
+    longer.
     """
 
     @classmethod
@@ -50,7 +50,7 @@ def _is_group(kind: object) -> TypeGuard[type[Group]]:
 
 def flat(command: Callable[..., None]) -> Callable[..., None]:
     """Return a function with one parameter for each option, which calls ``command`` with its groups."""
-    # Not typing.get_type_hints: up to Python 3.10, that makes what has None as its default optional.
+    # Not typing.get_type_hints: up to Python 3.10 it makes parameters optional whose default is None.
     taken = signature(command, eval_str=True).parameters
     parameters: list[Parameter] = []
     for parameter in taken.values():
@@ -67,6 +67,6 @@ def flat(command: Callable[..., None]) -> Callable[..., None]:
         )
 
     run.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
-    # All that typer reads is in the signature.
+    # Typer reads only the signature.
     run.__annotations__ = {}
     return run

@@ -28,14 +28,14 @@ _FORM = ("storage", "compression", "profile", "metadata_version", "ros_distro")
 
 
 def run_command(arguments: Sequence[str], chosen: Sequence[str] = ()) -> Ended:
-    """Run ``pc2scan`` with arguments; what it prints is returned instead. See `pc2scan.golden.check.Command`.
+    """Run ``pc2scan`` with arguments, and return what it prints. See `pc2scan.golden.check.Command`.
 
     Raises
     ------
     UsageError
         If ``chosen`` has more than options that decide what is converted.
     KeyboardInterrupt, SystemExit
-        If it was interrupted or terminated: that was meant for the whole process.
+        If it was interrupted or terminated; the signal was meant for the whole process.
     """
     from .app import application
 
@@ -45,7 +45,7 @@ def run_command(arguments: Sequence[str], chosen: Sequence[str] = ()) -> Ended:
     status = 0
     with redirect_stdout(StringIO()), redirect_stderr(said):
         try:
-            # Not the application itself: called, it sets the hook for exceptions of the process.
+            # Not the application itself: a call would set the process's hook for exceptions.
             get_command(application(*arguments[:1])).main([*arguments, *chosen], prog_name="pc2scan")
         except SystemExit as err:
             status = err.code if isinstance(err.code, int) else 1
@@ -58,7 +58,7 @@ def run_command(arguments: Sequence[str], chosen: Sequence[str] = ()) -> Ended:
 
 
 def _refuse_others(name: str, chosen: Sequence[str]) -> None:
-    """Raise if any of these, read by the command's own parser, does not decide what is converted."""
+    """Raise if any of these options decides something else than what is converted."""
     from .app import application
     from .options import ConversionGroup
 
@@ -72,13 +72,13 @@ def _refuse_others(name: str, chosen: Sequence[str]) -> None:
         raise in_our_words(err, [name, *chosen]) from err
     arguments = {str(parameter.name) for parameter in given if parameter.param_type_name == "argument"}
     allowed = {*_FORM, *arguments, *(parameter.name for parameter in ConversionGroup.parameters())}
-    # The spellings of --help come in any order.
+    # Named by the longest spelling, because those of --help come in any order.
     others = dict.fromkeys(max(parameter.opts, key=len) for parameter in given if parameter.name not in allowed)
     if others:
         raise UsageError(
             f"{', '.join(others)} may not be in a case",
-            hint="a case decides what is converted, but not where anything is written, nor what is shown",
+            hint="a case decides what is converted, but not where the output is written or what is shown",
         )
     unnamed = [*chain.from_iterable(values[argument] or () for argument in arguments), *rest]
     if unnamed:
-        raise UsageError(f"{unnamed[0]!r} is not an option", hint="a case names its recordings in 'input'")
+        raise UsageError(f"{unnamed[0]!r} is not an option", hint="a case names its recordings under 'input'")

@@ -27,12 +27,12 @@ def info(
         typer.Argument(metavar="SRC...", help="Recordings; several are merged in time order."),
     ],
     samples: Annotated[
-        int, typer.Option(min=1, help="Clouds and scans of each topic to read, spread over the recording.")
+        int, typer.Option(min=1, help="Number of clouds and scans to read of each topic, spread over the recording.")
     ] = 10,
     target_frame: Annotated[
         str,
         typer.Option(
-            metavar="FRAME", help="Show heights in this frame, as convert --target-frame uses it.", show_default=False
+            metavar="FRAME", help="Show heights in this frame, like convert --target-frame.", show_default=False
         ),
     ] = "",
     static_tf: StaticTf = [],  # noqa: B006 - typer reads the default and never hands it out
@@ -46,10 +46,10 @@ def info(
 ) -> None:
     """Describe a recording, its clouds and its scans.
 
-    For each PointCloud2 topic: fields, points, frame, NaN, the spread of x, y, z and range, and a histogram
-    of heights, which conversions often need to limit. For each LaserScan topic: beams, sector and increment,
-    limits, the share of returns, and the consumers that accept them. Then the heights of floor and ceiling, whether the
-    clouds are tilted, upside down or in a camera's optical frame, and a convert command for them.
+    For each PointCloud2 topic, it shows fields, points, frame, NaN, the spread of x, y, z and range, and a histogram of
+    heights, which helps to choose --min-height and --max-height. For each LaserScan topic: beams, sector and
+    increment, limits, the share of returns, and the consumers that accept them. Then the heights of floor and ceiling,
+    whether the clouds are tilted, upside down or in a camera's optical frame, and a convert command for them.
     """
     from pc2scan.inspect.info import info as look
     from pc2scan.tf.options import FrameOptions, StaticTransform
@@ -81,7 +81,7 @@ def info(
 
 
 def _show_findings(result: Info, given: Sequence[str]) -> None:
-    """Say where floor and ceiling are, and with which command each topic is converted."""
+    """Show the heights of floor and ceiling, and a command that converts each topic."""
     from pc2scan.inspect.info import ground_text
 
     found = [(cloud.topic, cloud.mounting) for cloud in result.clouds if cloud.mounting is not None]
@@ -97,9 +97,9 @@ def _show_findings(result: Info, given: Sequence[str]) -> None:
 
 
 def _command(result: Info, topic: str, mounting: Mounting, given: Sequence[str]) -> list[str]:
-    """The conversion of a topic's clouds: heights that suit it, in a frame that is level."""
+    """Return a command that converts a topic's clouds, with heights that suit it, in a level frame."""
     heights = mounting.heights
-    assert heights is not None  # asked for only where they are known
+    assert heights is not None  # called only if they are known
     target = mounting.target_frame or (mounting.judged_in if mounting.judged_in != mounting.frame else "")
     names = {other.topic for other in result.topics}
     single = len(result.clouds) == 1
@@ -109,5 +109,5 @@ def _command(result: Info, topic: str, mounting: Mounting, given: Sequence[str])
     words += given
     words += ["--static-tf", mounting.static_tf] if mounting.static_tf else []
     words += ["--target-frame", target] if target else []
-    # A word that begins with a minus needs no sign of equality: no option has a digit behind it.
+    # Negative numbers need no "=" between option and value, because no option begins with a digit.
     return [*words, "--min-height", f"{heights.low:g}", "--max-height", f"{heights.high:g}"]

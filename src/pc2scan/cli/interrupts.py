@@ -6,7 +6,7 @@ import os
 import signal
 from contextlib import contextmanager
 
-# As typing has it, which takes longer to load than an interruption should be possible before.
+# Instead of typing.TYPE_CHECKING: to load typing takes too long before interruptions are handled.
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -21,9 +21,9 @@ def _end(number: int, _frame: FrameType | None) -> None:
 
 @contextmanager
 def quiet_interrupts() -> Iterator[None]:
-    """End the process without a word if it is interrupted, but for what is `interruptible`.
+    """End the process without a message if it is interrupted, except in `interruptible`.
 
-    An exception raised while a module is loaded would be a traceback, or be taken for a library that is missing.
+    An exception raised while a module is loaded would show a traceback, or look like a missing library.
     """
     ours = signal.getsignal(signal.SIGINT) is signal.default_int_handler
     if ours:
@@ -32,7 +32,7 @@ def quiet_interrupts() -> Iterator[None]:
         yield
     finally:
         if ours:
-            # What was asked for is done, and its exit status is known.
+            # The command is done and its exit status is known, so interruptions no longer matter.
             signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 

@@ -1,4 +1,4 @@
-"""What golden, check and diff have found, as the test cases of JUnit XML."""
+"""Converts the results of golden, check and diff to test cases of JUnit XML."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 __all__ = ["of_check", "of_diff", "of_golden"]
 
 
-#: Updated cases pass.
+#: Outcomes of golden cases, and those of JUnit XML; updated cases pass.
 _OUTCOMES: dict[str, Outcome] = {"passed": "passed", "updated": "passed", "failed": "failure", "error": "error"}
 
 

@@ -15,7 +15,7 @@ from .render import message, print_json, printable, warn
 
 __all__ = ["map"]
 
-#: Reasons for skipping that are shown.
+#: Maximum number of reasons for skipping that are shown.
 _SHOWN = 5
 
 
@@ -24,7 +24,7 @@ def map(  # noqa: A001  # the function of a command has its name
         list[Path],
         typer.Argument(
             metavar="SRC...",
-            help="Recordings with scans, or with clouds, which become scans as by `pc2scan convert`; several are "
+            help="Recordings with scans, or with clouds, which are converted like with `pc2scan convert`; several are "
             "merged in time order.",
         ),
     ],
@@ -34,16 +34,19 @@ def map(  # noqa: A001  # the function of a command has its name
             "--output",
             "-o",
             metavar="NAME.yaml",
-            help="The map as map_server reads it: NAME.yaml and NAME.pgm, and the picture NAME.png.",
+            help="The map for map_server, NAME.yaml and NAME.pgm, and the picture NAME.png.",
         ),
     ] = None,
-    png: Annotated[Path | None, typer.Option(metavar="FILE", help="The picture; without -o nothing else.")] = None,
+    png: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="The picture. Without -o, only this is written.")
+    ] = None,
     resolution: Annotated[str, typer.Option(metavar="M", help="Side of a cell: 0.05, or 5cm.")] = "0.05",
     max_range: Annotated[
         str | None,
         typer.Option(
             metavar="M",
-            help="Returns beyond it only clear the way so far.  [default: all returns count]",
+            help="Returns beyond this range mark no cell as occupied; the cells up to it are cleared.  [default: no "
+            "limit]",
             show_default=False,
         ),
     ] = None,
@@ -51,14 +54,15 @@ def map(  # noqa: A001  # the function of a command has its name
         str,
         typer.Option(
             metavar="M",
-            help="How far beams without a return clear. 0: they say nothing, as in gmapping and slam_toolbox.",
+            help="Up to which range beams without a return clear cells. 0: not at all, like in gmapping and "
+            "slam_toolbox.",
         ),
     ] = "0",
     odom_frame: Annotated[
         str,
         typer.Option(
             metavar="FRAME",
-            help="The frame in which the robot moves; that of the map.",
+            help="The frame of the map, in which the robot moves.",
             autocompletion=completion.frames,
         ),
     ] = "odom",
@@ -67,7 +71,7 @@ def map(  # noqa: A001  # the function of a command has its name
         typer.Option(
             metavar="FRAME",
             autocompletion=completion.frames,
-            help="The robot's frame, whose way is drawn.  [default: base_link, or base_footprint]",
+            help="The robot's frame, whose path is drawn.  [default: base_link, or base_footprint]",
             show_default=False,
         ),
     ] = "",
@@ -76,11 +80,11 @@ def map(  # noqa: A001  # the function of a command has its name
     *,
     conversion: ConversionGroup,
 ) -> None:
-    """Draw the scans of a recording into a map, where the recorded odometry places them: a preview, no SLAM.
+    """Draw the scans of a recording into a map, placed by the recorded odometry: a preview, not SLAM.
 
-    Nothing is matched or corrected: doubled walls show that mounts, stamps or odometry do not fit together. Scans are
-    drawn at their stamp, beams at their own time if time_increment says it. Clouds are drawn if there are no scans, if
-    --topic names them, or if any option asks for something that makes scans of clouds.
+    Nothing is matched or corrected: doubled walls show that mounts, stamps or odometry do not fit together. A scan is
+    placed at its stamp; if it has a time_increment, each beam is placed at its own time. Clouds are converted and drawn
+    if there are no scans, if --topic names them, or with any option that is about their conversion.
 
     Exit status: 0 done, 1 failed, 2 wrong usage, 3 written, but with scans skipped or from a damaged source.
     """
@@ -109,6 +113,6 @@ def map(  # noqa: A001  # the function of a command has its name
     for skipped in made.skipped[:_SHOWN]:
         typer.echo(printable(f"skipped: {skipped}"), err=True)
     if len(made.skipped) > _SHOWN:
-        typer.echo(f"skipped: for {len(made.skipped) - _SHOWN:,} more reasons (--json tells them)", err=True)
+        typer.echo(f"skipped: for {len(made.skipped) - _SHOWN:,} more reasons (--json lists them)", err=True)
     show_damage(made.damage)
     raise typer.Exit(made.exit_status)

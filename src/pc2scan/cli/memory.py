@@ -1,7 +1,7 @@
-"""Memory that is kept for the next cloud instead of being given back to the system.
+"""Makes the allocator keep freed memory for the next cloud instead of returning it to the system.
 
-This changes the allocator of the whole process. So only the command does it, and the library never: its process may be
-somebody else's.
+This changes the allocator of the whole process. So only the command does it, and never the library, which may run in
+another program's process.
 """
 
 from __future__ import annotations
@@ -15,17 +15,18 @@ _M_TRIM_THRESHOLD = -1
 _M_TOP_PAD = -2
 _M_MMAP_THRESHOLD = -3
 
-#: More than most clouds and chunks need. Freed larger buffers would fragment the memory.
+#: Freed buffers up to this size are kept: most clouds and chunks are smaller. To keep larger ones would fragment the
+#: memory.
 _MMAP_FROM_BYTES = 20 << 20
 _KEPT_BYTES = 64 << 20
 _GROWN_BY_BYTES = 16 << 20
 
 
 def keep_freed_memory() -> bool:
-    """Tell glibc's malloc to keep what is freed.
+    """Make glibc's malloc keep freed memory.
 
-    By itself it returns a buffer of a chunk's size to the system as soon as it is freed, and the system has to
-    provide and clear every page of the next one.
+    By default it returns a buffer of a chunk's size to the system when it is freed, and the system has to provide and
+    clear every page of the next one.
 
     Returns
     -------
@@ -34,7 +35,7 @@ def keep_freed_memory() -> bool:
     """
     try:
         library = ctypes.CDLL(None)
-        # Other libraries have parameters of other meanings.
+        # In other C libraries, the same parameters mean something else.
         _, mallopt = library.gnu_get_libc_version, library.mallopt
     except (OSError, TypeError, AttributeError):
         return False

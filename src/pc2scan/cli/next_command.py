@@ -1,4 +1,4 @@
-"""What most users run next, after a recording was written."""
+"""The command that most users run after a recording was written."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ def next_command(report: Report) -> str:
         return f"ros2 bag play {destination} --clock"
     if report.ros_version == 2 and len(report.files) < 2:
         return f"ros2 bag play -s mcap {destination} --clock"
-    # No player of ROS 1 reads MCAP, and that of ROS 2 reads one file.
+    # For the rest there is no player: none of ROS 1 reads MCAP, and that of ROS 2 reads only one file.
     return f"pc2scan check {destination}"
 
 
 def _destination(report: Report) -> str:
-    """The recording, or all of its files."""
+    """Return the destination quoted for the shell: the recording, or a pattern for all its files."""
     if not report.files or report.container == "rosbag2":
         return _quoted(report.destination)
     if len(report.files) <= _NAMED:

@@ -62,23 +62,23 @@ _SLAM = "Beyond pointcloud_to_laserscan (ready for SLAM)"
 _POINTS = "Which points"
 _FRAMES = "Frames"
 _MOVING = "Robots that move"
-_REVERSE = "The way back"
+_REVERSE = "LaserScan to PointCloud2"
 _RUN = "Run"
 _OUTPUT = "Output"
 _REPORT = "Report"
 
-#: The functions that read the numbers of parameters.
+#: The functions that read a parameter's number, by its kind.
 _NUMBERS: Mapping[str, Callable[[str], float]] = {"int": int, "float": float}
 
-#: DST as typed: with a slash at its end it is a folder.
+#: DST as typed, because a slash at its end makes it a folder.
 Destination = Annotated[
     str | None,
     typer.Option(
         "--output",
         "-o",
         metavar="DST",
-        help="*.bag: ROS 1 bag; *.mcap: MCAP file; DIR/: into that folder, named after SRC; any other name: rosbag2 "
-        "directory.  [default: next to SRC, in its format, with _scan (repair: _repaired) in its name]",
+        help="*.bag: ROS 1 bag; *.mcap: MCAP file; DIR/: a file in this folder, named after SRC; any other name: "
+        "rosbag2 directory.  [default: next to SRC, in SRC's format, with _scan (repair: _repaired) in its name]",
         show_default=False,
         click_type=TyperPath(path_type=str),
     ),
@@ -98,7 +98,7 @@ StaticTf = Annotated[
         "--static-tf",
         metavar="TRANSFORM",
         help="Add a transform: 'parent child x y z qx qy qz qw' or 'parent child x y z roll pitch yaw' "
-        "(m, rad; or 20cm, 90deg). Repeatable; replaces the recording's.",
+        "(m, rad; or 20cm, 90deg). Replaces the recording's transform to this child. Repeatable.",
         rich_help_panel=_FRAMES,
     ),
 ]
@@ -125,7 +125,7 @@ class TopicsGroup(Group):
             metavar="IN[:=OUT]",
             autocompletion=completion.topics("/PointCloud2", "/LaserScan"),
             help="PointCloud2 topic to convert, and the topic of its scans. Repeatable. "
-            "Default: every PointCloud2 topic; one becomes /scan, several <topic>/scan.",
+            "Default: every PointCloud2 topic; the scans of a single topic are on /scan, of several on <topic>/scan.",
             rich_help_panel=_TOPICS,
         ),
     ]
@@ -135,7 +135,7 @@ class TopicsGroup(Group):
             "--keep",
             metavar="TOPIC",
             autocompletion=completion.topics(),
-            help="Of all topics that are not converted, write only these (names or globs). Repeatable.",
+            help="Copy only these of the topics that are not converted (names or globs). Repeatable.",
             rich_help_panel=_TOPICS,
         ),
     ]
@@ -160,13 +160,13 @@ class TopicsGroup(Group):
         typer.Option(
             metavar="TIME",
             help="Start time: seconds from the beginning, @seconds since 1970, or a date and time (ISO 8601). "
-            "Earlier latched and static-transform messages are kept.",
+            "Earlier latched messages and static transforms are kept.",
             rich_help_panel=_TOPICS,
         ),
     ] = None
     end: Annotated[
         str | None,
-        typer.Option(metavar="TIME", help="End time (exclusive), in the form of --start.", rich_help_panel=_TOPICS),
+        typer.Option(metavar="TIME", help="End time (exclusive), written like --start.", rich_help_panel=_TOPICS),
     ] = None
 
 
@@ -187,7 +187,7 @@ class ParameterOptions(Group):
         for name, parameter in PARAMETERS.items():
             boolean = parameter.kind == "bool"
             default = default_in_words(parameter)
-            # For these, 0 means that another parameter is used.
+            # No default is shown where 0 means that another parameter is used.
             shown = default and name not in {"beams", "kth"}
             metavar = {"float": parameter.unit.upper(), "int": "N", "str": "NAME"}.get(parameter.kind)
             if name == "target_frame":
@@ -203,7 +203,7 @@ class ParameterOptions(Group):
                 autocompletion=_completion(parameter),
                 rich_help_panel=_PARAMS if parameter.upstreams else _SLAM,
             )
-            # Numbers are read below, so that wrong ones are reported like those in a file.
+            # Typer gets numbers as text. They are read below, so that wrong ones are reported like those in a file.
             yield Parameter(name, Parameter.KEYWORD_ONLY, default=option, annotation=bool if boolean else str)
 
     @classmethod
@@ -220,14 +220,14 @@ class ParameterOptions(Group):
 
 
 def _completion(parameter: TableRow) -> Callable[..., list[str]] | None:
-    """What the shell offers for a parameter."""
+    """Return the function that completes a parameter's value in the shell."""
     if parameter.name == "target_frame":
         return completion.frames
     return completion.choices(parameter.words) if parameter.words else None
 
 
 def _read_number(number: Callable[[str], float], text: str) -> object:
-    """Read a number like Python, or else like a parameter file."""
+    """Read a number in Python's notation, otherwise in that of a parameter file."""
     try:
         return number(text)
     except ValueError:
@@ -255,8 +255,8 @@ class ProjectionGroup(Group):
         typer.Option(
             "--scans",
             metavar="FILE",
-            help="A YAML file with several outputs, each with sources, parameters and choices of its own. Parameters "
-            "on the command line beat those of all outputs.",
+            help="A YAML file with several outputs, each with its own sources, parameters and filters. Parameters on "
+            "the command line override those of all outputs.",
             rich_help_panel=_TOPICS,
         ),
     ] = None
@@ -264,8 +264,8 @@ class ProjectionGroup(Group):
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="The file that ran the robot: a ROS 2 parameter file, a ROS 1 YAML, or an XML launch file of either, "
-            "with its remappings.",
+            help="The file that the robot was run with: a ROS 2 parameter file, a ROS 1 YAML file, or an XML launch "
+            "file of either, whose remappings are used too.",
             rich_help_panel=_PARAMS,
         ),
     ] = None
@@ -282,7 +282,7 @@ class ProjectionGroup(Group):
         str | None,
         typer.Option(
             metavar="NAME",
-            help="Whose section of the parameter file, or which node of the launch file, if there are several.",
+            help="The node whose parameters are read, if the parameter file or launch file has several nodes.",
             rich_help_panel=_PARAMS,
         ),
     ] = None
@@ -292,7 +292,7 @@ class ProjectionGroup(Group):
             "--param",
             "-p",
             metavar="NAME:=VALUE",
-            help="A parameter in ROS's notation. Repeatable; overrides the file, and the options below override it.",
+            help="A parameter in ROS's notation. Overrides the file; the options below override it. Repeatable.",
             rich_help_panel=_PARAMS,
         ),
     ]
@@ -302,7 +302,8 @@ class ProjectionGroup(Group):
             "--remap",
             "-r",
             metavar="FROM:=TO",
-            help="ROS's remapping: cloud_in:=/points and scan:=/scan are --topic /points:=/scan. Repeatable.",
+            help="A remapping in ROS's notation: cloud_in:=/points with scan:=/scan is the same as "
+            "--topic /points:=/scan. Repeatable.",
             rich_help_panel=_TOPICS,
         ),
     ]
@@ -323,20 +324,20 @@ class ProjectionGroup(Group):
 
     @property
     def is_given(self) -> bool:
-        """Whether any parameter of the projection is, in whatever way."""
+        """Whether any parameter of the projection is given: as an option, by a preset or in a file."""
         return bool(self.given.settings or self.param or self.preset or self.params_file)
 
 
 class PointsGroup(Group):
-    """Which points of the clouds are used; in the order of what they return."""
+    """Options that select points of the clouds."""
 
     keep_used: Annotated[
         str,
         typer.Option(
             "--keep-used",
             metavar="TOPIC",
-            help="Write the points that the scan's beams read to this topic too: PointCloud2 with all their fields, "
-            "and the beam's number.",
+            help="Also write the points that give the scan its ranges, to this topic: PointCloud2 with all their "
+            "fields and the beam's number.",
             show_default=False,
             rich_help_panel=_POINTS,
         ),
@@ -346,8 +347,8 @@ class PointsGroup(Group):
         typer.Option(
             "--remove",
             metavar="BEAMS",
-            help="Remove beams by the rules of laser_filters: shadows (between an edge and what is behind it) or "
-            "speckles. With its parameters: 'shadows min_angle=5 neighbors=10', 'speckles filter_window=3'. "
+            help="Remove beams by the rules of laser_filters: shadows (returns between an edge and the surface behind "
+            "it) or speckles. Its parameters follow: 'shadows min_angle=5 neighbors=10', 'speckles filter_window=3'. "
             "Repeatable.",
             rich_help_panel=_POINTS,
         ),
@@ -357,8 +358,8 @@ class PointsGroup(Group):
         typer.Option(
             "--where",
             metavar="CONDITION",
-            help="Use only points whose fields fulfil this: 'ring in (3, 4, 5) and intensity > 10'. Fields, numbers, "
-            "< <= > >= == != in, and or not, + - * / %, abs(). Repeatable: all must hold.",
+            help="Use only points whose fields fulfil this condition: 'ring in (3, 4, 5) and intensity > 10'. Fields, "
+            "numbers, < <= > >= == != in, and or not, + - * / %, abs(). Repeatable: all must be fulfilled.",
             rich_help_panel=_POINTS,
         ),
     ]
@@ -376,8 +377,8 @@ class PointsGroup(Group):
         typer.Option(
             "--exclude-polygon",
             metavar="POLYGON",
-            help="Reject points above, below and in this polygon, such as a footprint: 'frame x0 y0 x1 y1 x2 y2 ...' "
-            "(m). Repeatable.",
+            help="Reject points in this polygon, at any height, such as the robot's footprint: "
+            "'frame x0 y0 x1 y1 x2 y2 ...' (m). Repeatable.",
             rich_help_panel=_POINTS,
         ),
     ]
@@ -385,8 +386,8 @@ class PointsGroup(Group):
         float | None,
         typer.Option(
             metavar="M/M",
-            help="Reject points below min_height + this * range: a limit that grows with range, for ramps and rough "
-            "ground. 0.05 is about 3 degrees.",
+            help="Reject points below min_height + this * range, a limit that rises with the range, for ramps and "
+            "rough ground. 0.05 is about 3 degrees.",
             rich_help_panel=_POINTS,
         ),
     ] = None
@@ -396,8 +397,8 @@ class PointsGroup(Group):
         typer.Option(
             "--ground",
             metavar="keep|remove",
-            help="Reject points on the ground (remove): level, sloped up to 15 degrees, or with kerbs, found in each "
-            "cloud. Needs a frame of the robot whose z axis points up.",
+            help="remove: reject points on the ground, which is found in each cloud; it may slope by up to 15 degrees "
+            "and have kerbs. Needs a frame of the robot whose z axis points up.",
             rich_help_panel=_POINTS,
         ),
     ] = "keep"
@@ -410,7 +411,7 @@ class JUnitGroup(Group):
         Path | None, typer.Option(metavar="FILE", help="Write the results as JUnit XML, for CI systems.")
     ] = None
     overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace the file of --junit, whatever its content.")
+        bool, typer.Option("--overwrite", help="Replace the file of --junit, whatever it contains.")
     ] = False
 
     def writing(
@@ -432,7 +433,7 @@ class TfSources(Group):
         typer.Option(
             "--tf-from",
             metavar="FILE",
-            help="Read transforms from this recording too. Repeatable.",
+            help="Read the transforms of this recording too. Repeatable.",
             rich_help_panel=_FRAMES,
         ),
     ]
@@ -451,7 +452,9 @@ class FramesGroup(Group):
     static_tf: StaticTf
     static_tf_file: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="A YAML list of such transforms.", rich_help_panel=_FRAMES),
+        typer.Option(
+            metavar="FILE", help="A YAML list of transforms like those of --static-tf.", rich_help_panel=_FRAMES
+        ),
     ] = None
     write_static_tf: Annotated[
         bool,
@@ -467,7 +470,7 @@ class FramesGroup(Group):
         typer.Option(
             metavar="FRAME",
             autocompletion=completion.frames,
-            help="Frame of the messages to convert, if their own frame_id is wrong or empty.",
+            help="Frame of the messages to convert, if their frame_id is wrong or empty.",
             show_default=False,
             rich_help_panel=_FRAMES,
         ),
@@ -475,14 +478,14 @@ class FramesGroup(Group):
 
 
 class MovingGroup(Group):
-    """Points and beams where they were at their own times."""
+    """Options that use the robot's motion: points and beams are placed at their own times."""
 
     deskew: Annotated[
         bool,
         typer.Option(
             "--deskew",
-            help="Transform each point of a cloud by the pose at its own time, through --fixed-frame. With --reverse "
-            "each beam of a scan; that needs a --target-frame such as odom.",
+            help="Transform each point of a cloud with the pose at its own time, through --fixed-frame. With "
+            "--reverse, each beam of a scan; that needs a --target-frame such as odom.",
             rich_help_panel=_MOVING,
         ),
     ] = False
@@ -490,8 +493,8 @@ class MovingGroup(Group):
         str,
         typer.Option(
             metavar="FRAME",
-            help="A frame that does not move, such as odom: what the robot moved meanwhile is accounted for. For "
-            "--level its z is up.",
+            help="A frame that does not move, such as odom; the robot's motion in it is corrected. For --level, its z "
+            "axis points up.",
             show_default=False,
             rich_help_panel=_MOVING,
         ),
@@ -500,9 +503,9 @@ class MovingGroup(Group):
         str,
         typer.Option(
             metavar="FIELD[:UNIT]",
-            help="Field with the times of points, from the stamp on or absolute; unit: s, ms, us, ns. Without any: "
-            "azimuth, which measures how the lidar turns, or azimuth:0.1, the time of a turn, and :cw or :ccw, :start "
-            "or :end (of the turn, the stamp's time).  "
+            help="Field with the points' times, relative to the stamp or absolute; unit: s, ms, us, ns. For clouds "
+            "without such a field: azimuth, which measures how the lidar turns; or azimuth:0.1 with the time of a "
+            "turn (s), then :cw or :ccw, and :start or :end if the stamp is that of the turn's start or end.  "
             "[default: t, time, timestamp, time_stamp or offset_time]",
             show_default=False,
             rich_help_panel=_MOVING,
@@ -519,8 +522,9 @@ class MovingGroup(Group):
         bool,
         typer.Option(
             "--level",
-            help="Make scans in a frame without the roll and pitch of the target frame, by --fixed-frame or --imu. "
-            "It is named like that with _stabilized behind; its transforms are written to /tf.",
+            help="Make scans in a frame without the roll and pitch of the target frame, which come from --fixed-frame "
+            "or --imu. This frame has the target frame's name with _stabilized appended; its transforms are written "
+            "to /tf.",
             rich_help_panel=_MOVING,
         ),
     ] = False
@@ -529,7 +533,7 @@ class MovingGroup(Group):
         typer.Option(
             metavar="TOPIC[:FRAME]",
             autocompletion=completion.topics("/Imu"),
-            help="sensor_msgs/Imu topic by which --level knows which way is up; and the IMU's frame, if its frame_id "
+            help="sensor_msgs/Imu topic from which --level takes roll and pitch; and the IMU's frame, if its frame_id "
             "is wrong or empty.",
             show_default=False,
             rich_help_panel=_MOVING,
@@ -538,14 +542,14 @@ class MovingGroup(Group):
 
 
 class CombiningGroup(Group):
-    """Scans of several messages, and of scans."""
+    """Options that make a scan of several messages, or of other scans."""
 
     lead: Annotated[
         str,
         typer.Option(
             metavar="TOPIC",
-            help="Of topics that become one scan (--topic /a:=/scan --topic /b:=/scan), the one whose stamps it has.  "
-            "[default: the first]",
+            help="If several topics become one scan (--topic /a:=/scan --topic /b:=/scan), the topic whose stamps the "
+            "scans get.  [default: the first]",
             show_default=False,
             rich_help_panel=_MOVING,
         ),
@@ -554,7 +558,8 @@ class CombiningGroup(Group):
         str | None,
         typer.Option(
             metavar="S",
-            help="Stamps of the others may be so far from it.  [default: half the median period]",
+            help="How far the stamps of the other topics may be from those of --lead.  [default: half the median "
+            "period]",
             rich_help_panel=_MOVING,
         ),
     ] = None
@@ -562,7 +567,7 @@ class CombiningGroup(Group):
         str | None,
         typer.Option(
             metavar="S|Nclouds",
-            help="Put all points of the last S seconds (1, 500ms), or of the last N clouds (10clouds), into each scan.",
+            help="Make each scan of all points of the last S seconds (1, 500ms), or of the last N clouds (10clouds).",
             rich_help_panel=_MOVING,
         ),
     ] = None
@@ -570,7 +575,7 @@ class CombiningGroup(Group):
         str | None,
         typer.Option(
             metavar="S",
-            help="One scan for each S seconds, instead of one for each cloud.",
+            help="Make one scan every S seconds, instead of one for each cloud.",
             rich_help_panel=_MOVING,
         ),
     ] = None
@@ -578,7 +583,7 @@ class CombiningGroup(Group):
         bool,
         typer.Option(
             "--rebin",
-            help="Convert LaserScan to LaserScan: other beams, other frames, several in one.",
+            help="Convert LaserScan to LaserScan: with other beams, in another frame, or several into one.",
             rich_help_panel=_MOVING,
         ),
     ] = False
@@ -608,7 +613,7 @@ class ReverseGroup(Group):
         typer.Option(
             "--channel",
             metavar="NAME",
-            help="Further fields of the cloud: distances, stamps, viewpoint. Repeatable.",
+            help="Add these fields to the cloud: distances, stamps, viewpoint. Repeatable.",
             rich_help_panel=_REVERSE,
         ),
     ]
@@ -616,7 +621,7 @@ class ReverseGroup(Group):
         str | None,
         typer.Option(
             metavar="M",
-            help="Keep only returns nearer than this.  [default: the scan's range_max]",
+            help="Use only returns closer than this.  [default: the scan's range_max]",
             rich_help_panel=_REVERSE,
         ),
     ] = None
@@ -628,15 +633,15 @@ class RunGroup(Group):
     on_error: Annotated[
         Literal["skip", "fail"],
         typer.Option(
-            help="For messages that cannot be converted: skip counts and lists them, fail ends the run.",
+            help="What to do with messages that cannot be converted. skip: count and list them; fail: end the run.",
             rich_help_panel=_RUN,
         ),
     ] = "skip"
     fail_on: Annotated[
         Literal["empty", "warning"] | None,
         typer.Option(
-            help="Fail, and write nothing, if a scan has no return (empty), or if there is any warning, skipped "
-            "message or damage (warning).",
+            help="Fail and write nothing. empty: if a scan has no return; warning: if there is any warning, skipped "
+            "message or damage.",
             rich_help_panel=_RUN,
         ),
     ] = None
@@ -644,7 +649,7 @@ class RunGroup(Group):
         str | None,
         typer.Option(
             metavar="SHARE",
-            help="Fail, and write nothing, if less than this share of a topic's points is in its scans: 0.05 or 5%.",
+            help="Fail and write nothing if less than this share of a topic's points is used in its scans: 0.05 or 5%.",
             rich_help_panel=_RUN,
         ),
     ] = None
@@ -664,7 +669,7 @@ class RunGroup(Group):
         bool,
         typer.Option(
             "--no-verify",
-            help="Do not compare the CRCs of an MCAP source: faster, but damage may not be detected.",
+            help="Do not check the CRCs of an MCAP source. This is faster, but damage may not be detected.",
             rich_help_panel=_RUN,
         ),
     ] = False
@@ -690,7 +695,7 @@ def share(text: str | None) -> float:
 
 
 def ros_arguments(words: Iterable[Path]) -> tuple[list[Path], list[str], list[str]]:
-    """Part what stands where recordings stand into these, remappings and parameters, as ``rosrun`` takes them.
+    """Split the positional arguments into recordings, remappings and parameters, as ``rosrun`` reads them.
 
     >>> ros_arguments(map(Path, ["a.bag", "cloud_in:=/points", "_min_height:=0.1", "__name:=front"]))
     ([PosixPath('a.bag')], ['cloud_in:=/points'], ['_min_height:=0.1'])
@@ -719,7 +724,7 @@ class ConversionGroup(Group):
     reverse: ReverseGroup
     running: RunGroup
 
-    #: The files that were read for the options, by option, once these are known.
+    #: The files that `options` read, by option.
     files = MappingProxyType[str, Path]({})
 
     def options(self, *, ros_distro: str = "") -> "ConvertOptions":
@@ -732,27 +737,27 @@ class ConversionGroup(Group):
         return found.options
 
     def first_output(self, verb: str) -> "ConvertOptions":
-        """Return the library's options with one output, and warn that only this is ``verb``."""
+        """Return the library's options with the first output only; ``verb`` says in the warning what it is used for."""
         options = self.options()
         if options.scans[1:]:
             warn(f"only the first of {len(options.scans)} outputs is {verb}: {options.scan.name}")
         return options.with_scan()
 
     def read_files(self) -> dict[str, Path]:
-        """Return the files that are read for the options, by option, without recordings."""
+        """Return the files other than recordings that the options name, by option."""
         named = {"`params_file`": self.projection.params_file, "`static_tf_file`": self.frames.static_tf_file}
         named["`scans`"] = self.projection.scans
         return {option: path for option, path in named.items() if path is not None} | dict(self.files)
 
 
-#: Options whose words differ from their names in the groups.
+#: Attributes of the groups whose keyword in the library has another name.
 _NAMES = {"tf_topic": "tf_topics"}
 
 
 def typed_words(*groups: Group) -> tuple[dict[str, Any], dict[str, str]]:
-    """Return the options that have another value than their default, by word, and what was typed for parameters.
+    """Return the options that differ from their defaults, as keywords, and where each parameter was typed.
 
-    They are words of `pc2scan.requests.conversion_of`.
+    The keywords are those of `pc2scan.requests.conversion_of`.
     """
     words: dict[str, Any] = {}
     origins: dict[str, str] = {}
@@ -791,13 +796,13 @@ def _word(name: str, value: Any) -> Any:
 
 
 class ScratchGroup(Group):
-    """Options about local copies of what is at URLs."""
+    """Options about local copies of files at URLs."""
 
     scratch: Annotated[
         Path | None,
         typer.Option(
             metavar="DIR",
-            help="Folder for local copies of what is at URLs.  [default: the system's for temporary files]",
+            help="Folder for local copies of files at URLs.  [default: the system's folder for temporary files]",
             show_default=False,
             rich_help_panel=_OUTPUT,
         ),
@@ -806,14 +811,14 @@ class ScratchGroup(Group):
         str | None,
         typer.Option(
             metavar="SIZE",
-            help="Local copies may take so much there (20GB).  [default: the free room]",
+            help="Maximum size of the local copies (20GB).  [default: the free space]",
             show_default=False,
             rich_help_panel=_OUTPUT,
         ),
     ] = None
 
     def on(self, output: "OutputOptions") -> "OutputOptions":
-        """Return the output's options with these."""
+        """Return the output's options with the options of this group."""
         from pc2scan.pipeline.run import scratch_bytes
 
         return output._replace(scratch=self.scratch, scratch_size=scratch_bytes(self.scratch_size))
@@ -827,7 +832,7 @@ class OutputGroup(Group):
         typer.Option(
             "--dry-run",
             "-n",
-            help="Write nothing; show what would be written, and from what.",
+            help="Write nothing; show what would be read and written.",
             rich_help_panel=_OUTPUT,
         ),
     ] = False
@@ -835,7 +840,7 @@ class OutputGroup(Group):
         bool,
         typer.Option(
             "--each",
-            help="Convert each SRC, and each recording in a folder, by itself.",
+            help="Convert each SRC, and each recording in a folder, on its own.",
             rich_help_panel=_OUTPUT,
         ),
     ] = False
@@ -855,7 +860,7 @@ class OutputGroup(Group):
         Compression | None,
         typer.Option(
             help="Bags: lz4 (default), none, bz2. MCAP: zstd (default), none, lz4. sqlite3: none (default), zstd. "
-            "By default, chunks that are copied as a whole keep theirs.",
+            "Without this option, chunks that are copied whole keep their compression.",
             show_default=False,
             rich_help_panel=_OUTPUT,
         ),
@@ -870,7 +875,7 @@ class OutputGroup(Group):
             min=8,
             max=9,
             metavar="8|9",
-            help="Version of a rosbag2 directory's metadata.yaml; older readers refuse 9.",
+            help="Version of a rosbag2 directory's metadata.yaml; older readers do not accept 9.",
             rich_help_panel=_OUTPUT,
         ),
     ] = 8
@@ -878,7 +883,8 @@ class OutputGroup(Group):
         str,
         typer.Option(
             metavar="NAME",
-            help="ROS distribution with the message definitions that a recording lacks.  [default: noetic, jazzy]",
+            help="ROS distribution whose message definitions are written if the recording has none.  "
+            "[default: noetic, jazzy]",
             show_default=False,
             rich_help_panel=_OUTPUT,
         ),
@@ -887,8 +893,8 @@ class OutputGroup(Group):
         str | None,
         typer.Option(
             metavar="TIME|SIZE",
-            help="Write several files, DST_0, DST_1 and so on, each of so much log time (60s, 10min, 1h) or of so many "
-            "bytes of messages before compression (500MB, 1GiB).",
+            help="Write several files, DST_0, DST_1 and so on. Each covers this much log time (60s, 10min, 1h) or has "
+            "this many bytes of messages before compression (500MB, 1GiB).",
             rich_help_panel=_OUTPUT,
         ),
     ] = None
@@ -937,7 +943,7 @@ class ReportGroup(Group):
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Write a report as JSON; it replaces an older report, but no other file.",
+            help="Write a report as JSON. An older report is replaced, any other file is not.",
             rich_help_panel=_REPORT,
         ),
     ] = None
@@ -946,5 +952,7 @@ class ReportGroup(Group):
     ] = False
     verbose: Annotated[
         bool,
-        typer.Option("--verbose", "-v", help="Show every parameter and its origin.", rich_help_panel=_REPORT),
+        typer.Option(
+            "--verbose", "-v", help="Show every parameter and where its value comes from.", rich_help_panel=_REPORT
+        ),
     ] = False

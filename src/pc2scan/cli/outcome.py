@@ -23,10 +23,10 @@ if TYPE_CHECKING:
 __all__ = ["conclude", "show", "show_each", "show_next", "show_outcome"]
 
 
-#: The frame of scans without a target frame.
+#: The text for the frame of scans without a target frame.
 _OWN = "each message's own"
 
-#: What users call containers.
+#: The names of containers for the user.
 _CONTAINERS = {"rosbag1": "ROS 1 bag", "rosbag2": "rosbag2 directory", "mcap": "MCAP file"}
 
 
@@ -56,7 +56,7 @@ def show(report: Report, *, verbose: bool = False) -> None:
     else:
         typer.echo(printable(f"{report.written_to}: {written} from {read} in {duration(report.seconds)}"))
     if report.container == "mcap":
-        # Its name does not say.
+        # Shown because the file's name does not say which ROS version it is for.
         converts = any(topic.action == "converted" for topic in report.topics)
         hint = ": --profile ros2 for ros2 tools" if converts and report.ros_version == 1 else ""
         typer.echo(f"MCAP, ROS {report.ros_version} profile{hint}")
@@ -83,12 +83,12 @@ def _show_skipped(report: Report, limit: int) -> None:
         several = f" and {len(entries) - 1} more" if len(entries) > 1 else ""
         to = f" (for {', '.join(first.targets)})" if report.scans[1:] and first.targets else ""
         typer.echo(message(f"skipped: {topic}, stamp {when}{several}{to}: {reason}"), err=True)
-        # The counts of topics are those of what is missing.
+        # A message counts once for each output that lacks it, like in the counts of the topics.
         shown += sum(max(1, len(entry.targets)) for entry in entries)
-    # Topics that are skipped as a whole have their own warning.
+    # Topics that are skipped completely are not counted here: they have their own warning.
     single = sum(topic.skipped for topic in report.topics if topic.action != "skipped")
     if single > shown:
-        typer.echo(f"skipped: {single - shown:,} more (--verbose or --report tell them)", err=True)
+        typer.echo(f"skipped: {single - shown:,} more (--verbose or --report lists them)", err=True)
     hints = [entry.hint for entry in report.skipped if entry.hint]
     if hints:
         typer.echo(message(f"hint: {hints[0]}"), err=True)
@@ -120,7 +120,7 @@ def show_outcome(outcome: Outcome, *, verbose: bool = False) -> None:
 
 
 def show_each(each: Each) -> None:
-    """Print the results of several recordings, a line for each."""
+    """Print the results of several recordings, one line for each."""
     rows = []
     for outcome in each.outcomes:
         report = outcome.report

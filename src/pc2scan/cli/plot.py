@@ -18,14 +18,17 @@ __all__ = ["plot"]
 def plot(
     sources: Annotated[
         list[Path],
-        typer.Argument(metavar="SRC...", help="Recordings with clouds; several are one, merged in time order."),
+        typer.Argument(metavar="SRC...", help="Recordings with clouds; several are merged in time order."),
     ],
     destination: Annotated[
-        Path, typer.Option("--output", "-o", metavar="FIGURE", help="*.png, *.svg or *.pdf.", show_default=False)
+        Path,
+        typer.Option("--output", "-o", metavar="FIGURE", help="The figure: *.png, *.svg or *.pdf.", show_default=False),
     ],
     frames: Annotated[
         int,
-        typer.Option(metavar="N", min=1, help="Moments of each topic, side by side, spread over the recording."),
+        typer.Option(
+            metavar="N", min=1, help="Number of clouds of each topic, side by side, spread over the recording."
+        ),
     ] = 1,
     at: Moments = [],  # noqa: B006 - typer reads the default and never hands it out
     overwrite: Annotated[bool, typer.Option(help="Replace a file of that name.")] = False,
@@ -34,7 +37,7 @@ def plot(
 ) -> None:
     """Draw clouds from above and from the side, with the height band and the scan, for reports.
 
-    Needs matplotlib: pip install 'pc2scan[plot]'. To tune parameters, `pc2scan view` makes a page.
+    Needs matplotlib: pip install 'pc2scan[plot]'. To tune parameters, use `pc2scan view`.
     """
     options = conversion.first_output("shown")
 

@@ -14,9 +14,9 @@ __all__ = ["progress_bar"]
 
 @contextmanager
 def progress_bar(*, enabled: bool) -> Iterator[Callable[[int, int, int], None] | None]:
-    """Show bytes, messages, rate and the time left; yields the function to report to, or None.
+    """Show bytes, messages, rate and the remaining time; yields the function that updates the bar, or None.
 
-    The function takes the bytes read so far, the bytes in all, and the messages read so far.
+    The function takes the bytes read so far, the total bytes, and the messages read so far.
     """
     if not enabled or not sys.stderr.isatty():
         yield None

@@ -33,15 +33,13 @@ __all__ = [
 ]
 
 
-#: Characters of a text, and of a cell of a table. ROS's own names have at most 255.
+#: Maximum number of characters of a text, and of a cell of a table. Names in ROS have at most 255.
 _MAX_TEXT = 4_000
 _MAX_CELL = 255
 
 
 def printable(text: str) -> str:
-    r"""Escape what a terminal would act upon; names come from recordings, which are untrusted.
-
-    What no line of a screen could show is cut.
+    r"""Escape control characters, because names come from untrusted recordings; very long text is cut.
 
     >>> printable("/scan\x1b[2J"), printable("a" * 5000)[-20:]
     ('/scan\\x1b[2J', 'aaaa... (5000 chars)')
@@ -56,7 +54,7 @@ def printable(text: str) -> str:
 
 
 def message(text: str) -> str:
-    """Return a message of the library for the terminal, with options as they are typed."""
+    """Return a message of the library for the terminal, with options as they are typed there."""
     return printable(as_typed(text))
 
 
@@ -97,9 +95,9 @@ def print_json(document: object) -> None:
 
 
 def table(columns: Sequence[str], rows: Sequence[Sequence[str]], *, left: Sequence[str] = ()) -> None:
-    """Print a table on standard output, as wide as that allows.
+    """Print a table on standard output, fitted to its width.
 
-    Not with rich: importing it takes a third of the time that converting a small recording takes.
+    Rich is not used, because to import it takes a third of the time in which a small recording is converted.
 
     Parameters
     ----------

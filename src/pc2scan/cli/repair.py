@@ -29,17 +29,19 @@ def repair(
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Replace DST, and the file of --report, if they exist.")
     ] = False,
-    no_verify: Annotated[bool, typer.Option("--no-verify", help="Do not compare the CRCs of an MCAP source.")] = False,
+    no_verify: Annotated[bool, typer.Option("--no-verify", help="Do not check the CRCs of an MCAP source.")] = False,
     report: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Write a report as JSON; it replaces an older report, but no other file."),
+        typer.Option(
+            metavar="FILE", help="Write a report as JSON. An older report is replaced, any other file is not."
+        ),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Show damage, warnings and errors only.")] = False,
 ) -> None:
-    """Make a sound recording of a damaged one: everything that can be recovered, of any type, byte for byte.
+    """Write everything that can be recovered of a damaged recording, of any type, byte for byte.
 
-    Exit status 0 if nothing was damaged (DST is then a sound copy), 3 if something was. SRC is never changed.
+    The exit status is 0 if nothing was damaged (DST is then a complete copy), 3 if something was. SRC is never changed.
     """
     from pc2scan.pipeline.options import ConvertOptions, destination_and_folder
     from pc2scan.pipeline.run import OutputOptions, run

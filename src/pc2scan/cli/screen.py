@@ -1,7 +1,7 @@
-"""Standard output and error as a screen shows them: lines that fit its width, and colours where it has them.
+"""Fits standard output and error to the terminal: wraps lines at its width, and colours them if it shows colours.
 
-Both work on lines as they are written, so that no command has to know. Pipes and files get every line as it is, also
-where COLUMNS is set: shells and Python's readline pass it on to programs that read what is printed.
+Both work on lines as they are written, so that no command has to deal with it. Pipes and files get every line
+unchanged, even if COLUMNS is set: shells and Python's readline also set it for programs whose output is read by others.
 """
 
 from __future__ import annotations
@@ -12,12 +12,13 @@ from typing import Any, TextIO
 
 __all__ = ["Screen", "StdoutError", "width_of"]
 
-#: Narrower than this no table fits.
+#: The smallest width that is used, because no table fits into less.
 _NARROWEST = 40
 
 _RED, _YELLOW, _GREEN, _BOLD, _PLAIN = "\x1b[31m", "\x1b[33m", "\x1b[32m", "\x1b[1m", "\x1b[0m"
 
-#: What lines begin with, and the colours of that. Compiled when they are first used: most output is not coloured.
+#: Patterns of the beginnings of lines, and their colours. They are compiled at their first use, because most output is
+#: not coloured.
 _COLOURS = (
     (r"\s*(?:error|defect|aborts|different|not ok|failed|FAILED)\b:?", _BOLD + _RED),
     (r"\s*(?:warning|notice|skipped|damaged|misplaced|ignored|empty):", _BOLD + _YELLOW),
@@ -25,7 +26,7 @@ _COLOURS = (
     (r"(?:hint|next|note|recovered):", _BOLD),
 )
 
-#: Verdicts of ``check``, behind the name of a consumer.
+#: Verdicts of ``check``, which follow the name of a consumer.
 _VERDICT = r"  \w+ +(accepted|misplaced|ignored|aborts)\b"
 _VERDICTS = {"accepted": _GREEN, "misplaced": _YELLOW, "ignored": _RED, "aborts": _RED}
 
@@ -35,7 +36,7 @@ class StdoutError(Exception):
 
 
 def width_of(stream: Any) -> int | None:
-    """Columns that lines on a stream may have; None for any number."""
+    """Return the maximum width of lines on a stream in columns; None for no limit."""
     try:
         if not stream.isatty():
             return None
@@ -56,12 +57,12 @@ def _has_colours(stream: Any) -> bool:
 
 
 class Screen:
-    """A text stream whose lines fit.
+    """A text stream that fits lines to the terminal.
 
     Parameters
     ----------
     stream
-        What is written to.
+        The stream to write to.
     guarded
         Whether errors are raised as `StdoutError`, to distinguish them from those of other files.
     """
@@ -77,17 +78,17 @@ class Screen:
 
     @property
     def width(self) -> int | None:
-        """Columns that lines may have."""
+        """The maximum width of lines in columns; None for no limit."""
         return self._width
 
     def write(self, text: str) -> int:
-        """Write lines so that they fit. What moves the cursor (a progress bar) passes as it is."""
+        """Write text with its lines fitted. Text that moves the cursor (a progress bar) is written unchanged."""
         if (self._width or self._colours) and text.endswith("\n") and not ("\x1b" in text or "\r" in text):
             text = "".join(f"{self._shown(line)}\n" for line in text[:-1].split("\n"))
         return self.write_as_it_is(text)
 
     def write_as_it_is(self, text: str) -> int:
-        """Write text for programs, such as JSON."""
+        """Write text for programs, such as JSON, unchanged."""
         try:
             return self._stream.write(text)
         except OSError as err:
@@ -111,7 +112,7 @@ class Screen:
 
 
 def _wrapped(line: str, width: int) -> str:
-    """A line broken at spaces; what follows is indented. A command stays one for the shell, by backslashes."""
+    """Break a line at spaces and indent the rest. A command gets backslashes, so that the shell still reads it."""
     indent = len(line) - len(line.lstrip())
     is_command = line.startswith("next: ")
     hanging = " " * min(indent + 2, width // 2)

@@ -1,7 +1,7 @@
-"""Options as the command line spells them.
+"""Translates the names of options from Python to the command line.
 
-The library's messages name an option as Python does, in backticks: ```overwrite=True` replaces it``. What the command
-shows says ``--overwrite replaces it``.
+The library's messages name an option as in Python, in backticks: ```overwrite=True` replaces it``. The command shows
+``--overwrite replaces it``.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ __all__ = ["OPTIONS", "as_typed"]
 
 _NAMED = re.compile(r"`([a-z_]+)(?:=([^`]*))?`")
 
-#: Options in messages, as the library and as the command line names them.
+#: The options that messages name: their name in the library, and on the command line.
 OPTIONS = {
     **{name: parameter.option for name, parameter in PARAMETERS.items()},
     "accumulate": "--accumulate",
@@ -103,7 +103,7 @@ OPTIONS = {
 
 
 def as_typed(text: str) -> str:
-    """Spell the options in a text as they are typed; what is no option stays.
+    """Return a text with its options as they are typed; other text in backticks is unchanged.
 
     >>> as_typed("`overwrite=True` replaces it; `topics=/points:=/b` is free; see `min_height` and `ls`")
     '--overwrite replaces it; --topic /points:=/b is free; see --min-height and `ls`'

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 __all__ = ["tf"]
 
-#: Limit of the depth of the drawing: a chain may have a million frames.
+#: Maximum indentation of the drawing, because a chain may have a million frames.
 _MAX_DEPTH = 60
 _MAX_LINES = 500
 
@@ -41,8 +41,8 @@ def tf(
         str | None,
         typer.Option(
             metavar="TIME",
-            help="With --lookup: the stamp, as seconds since 1970 (or nanoseconds), or a date and time.",
-            show_default="the latest that all frames on the way have",
+            help="With --lookup: the stamp, in seconds (or nanoseconds) since 1970, or as a date and time.",
+            show_default="the latest time common to all frames between",
         ),
     ] = None,
     tf_topic: TfTopics = [],  # noqa: B006 - typer reads the default and never hands it out
@@ -51,14 +51,14 @@ def tf(
 ) -> None:
     """Show the frames of a recording.
 
-    The tree, and for each frame its rate, first and last times, and largest gap; unconnected parts are shown
+    It shows the tree, and the rate, first and last times, and largest gap of each frame. Unconnected parts are shown
     separately.
     """
     from pc2scan.inspect.tf import frame_tree
     from pc2scan.tf.options import FrameOptions, StaticTransform
 
     if at is not None and frames is None:
-        raise UsageError("--at goes with --lookup", hint="--lookup base_link lidar --at 1604515190.25")
+        raise UsageError("--at needs --lookup", hint="--lookup base_link lidar --at 1604515190.25")
     options = FrameOptions(tf_topics=tuple(tf_topic), static=tuple(StaticTransform.parse(text) for text in static_tf))
     tree = frame_tree(sources, options)
     show_damage(tree.damage)
@@ -67,7 +67,7 @@ def tf(
         try:
             rigid = tree.buffer.lookup(frames[0], frames[1], stamp_ns)
         except TransformError as err:
-            # 0 asks for the latest time, and is no stamp to show.
+            # 0 stands for the latest time, so it is not shown as a stamp.
             err.stamp_ns = err.stamp_ns or None
             raise
         _show_transform(frames[0], frames[1], stamp_ns, rigid, as_json=as_json)
@@ -81,7 +81,7 @@ def _stamp(text: str) -> int:
     from pc2scan.pipeline.options import TimeBound
 
     bound = TimeBound.parse(text)
-    # A stamp has no beginning to count from: simulated time begins at 0, and so do its stamps.
+    # Seconds are always absolute here, never from the recording's beginning: simulated time begins at 0.
     return bound.nanoseconds
 
 
@@ -147,7 +147,7 @@ def _show(tree: FrameTree) -> None:
 
 
 def _drawn(roots: tuple[str, ...], children: dict[str, list[FrameInfo]]) -> list[str]:
-    """Yield the tree as indented lines; uses a stack, because a hostile tree may be very deep, and stops at loops."""
+    """Return the tree as indented lines. It uses a stack, because a hostile tree may be very deep, and ends loops."""
     lines: list[str] = []
     seen: set[str] = set()
     stack = [(root, 0, "") for root in reversed(roots)]

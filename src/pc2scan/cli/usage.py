@@ -7,7 +7,7 @@ import re
 import shlex
 from typing import TYPE_CHECKING
 
-# Typer has these in no public place; it is held to versions in which they are here.
+# Typer has no public place for these; pyproject.toml allows only versions in which they are here.
 from typer._click.exceptions import BadOptionUsage, BadParameter, MissingParameter, NoArgsIsHelpError, NoSuchOption
 from typer._click.exceptions import UsageError as TyperUsageError
 
@@ -27,13 +27,13 @@ _KINDS = {
     "a valid float range": "a number",
 }
 
-#: Options of which less is the same are not what was meant.
+#: How similar an option must be to what was typed to be suggested, from 0 to 1.
 _ALIKE = 0.6
 
 
 def in_our_words(err: TyperUsageError, typed: Sequence[str]) -> UsageError:
-    """Turn an error of Typer into one of ours; ``typed`` are the arguments, including the command's name."""
-    # If the parser itself fails, Typer's error does not have the command.
+    """Convert an error of Typer to one of ours; ``typed`` are the arguments, including the command's name."""
+    # The command is taken from the arguments, because Typer's error lacks it if the parser itself fails.
     command = err.ctx.command_path if err.ctx else " ".join(("pc2scan", *typed[:1]))
     hint = f"{command} --help shows what it takes"
     if isinstance(err, NoSuchOption):
@@ -41,9 +41,9 @@ def in_our_words(err: TyperUsageError, typed: Sequence[str]) -> UsageError:
         if near_options:
             hint = f"did you mean {' or '.join(near_options)}?"
         elif err.option_name == "--json":
-            hint = "--report report.json writes what happened as JSON"
+            hint = "--report report.json writes a report as JSON"
         elif file := next((word for word in typed if word.startswith("-") and os.path.lexists(word)), None):
-            hint = f"for the file of this name write ./{file}"
+            hint = f"for the file of this name, type ./{file}"
         return UsageError(f"there is no option {err.option_name}", hint=hint)
     if isinstance(err, MissingParameter) and err.param is not None:
         is_option = err.param.param_type_name == "option"
@@ -51,7 +51,7 @@ def in_our_words(err: TyperUsageError, typed: Sequence[str]) -> UsageError:
         return UsageError(f"{name} is missing", hint=hint)
     text = err.message.rstrip(".")
     if unreadable := re.search(r"(?:Path|File|Directory) '(.*)' is not readable$", text):
-        return UsageError("permission denied", path=unreadable[1], hint="ls -l shows whose it is, and who may read it")
+        return UsageError("permission denied", path=unreadable[1], hint="ls -l shows who owns it and who may read it")
     if isinstance(err, BadParameter) and err.param is not None:
         value, is_not, kind = text.rpartition(" is not ")
         near = did_you_mean(value.strip("'"), re.findall(r"'([^']*)'", kind)) if kind.startswith("one of") else ""
@@ -67,7 +67,7 @@ def in_our_words(err: TyperUsageError, typed: Sequence[str]) -> UsageError:
 
 
 def _nearest_first(typed: str, options: Sequence[str]) -> list[str]:
-    """Return options like the one that was typed; that alone which differs in underscores only."""
+    """Return the options similar to the typed one; if one differs only in its underscores, only that one."""
     from difflib import SequenceMatcher
 
     plain = typed.replace("_", "-").lower()
@@ -78,7 +78,7 @@ def _nearest_first(typed: str, options: Sequence[str]) -> list[str]:
 
 
 def _spelling(spellings: Sequence[str], typed: Sequence[str]) -> str:
-    """Return the last spelling of an option, which is the one that counts: ``-j``, ``-j4``, ``--jobs=4``."""
+    """Return how an option was typed last, which is what counts: ``-j``, ``-j4``, ``--jobs=4``."""
     for word in reversed(typed):
         for spelling in spellings:
             joined = spelling + "=" if spelling.startswith("--") else spelling

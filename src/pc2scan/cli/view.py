@@ -28,12 +28,14 @@ def view(
             "--output",
             "-o",
             metavar="PAGE",
-            help="The page, an HTML file. Default: next to SRC, with _view.html in its name.",
+            help="The page, an HTML file. Default: next to SRC, named after it, with _view.html at the end.",
         ),
     ] = None,
     clouds: Annotated[
         int,
-        typer.Option(metavar="N", min=1, help="Moments of each topic on the page, evenly spread over the recording."),
+        typer.Option(
+            metavar="N", min=1, help="Number of clouds of each topic on the page, evenly spread over the recording."
+        ),
     ] = 10,
     at: Moments = [],  # noqa: B006 - typer reads the default and never hands it out
     open_page: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
@@ -43,11 +45,11 @@ def view(
     *,
     conversion: ConversionGroup,
 ) -> None:
-    """Write a page that shows clouds and the scan that comes of them, to tune its parameters by eye.
+    """Write a page that shows clouds and the scans made of them, to tune the parameters by eye.
 
-    One HTML file that opens anywhere, without a network. Heights, ranges, sector, mount and all else can be changed in
-    the page, which projects as `pc2scan convert` does, to the bit, and hands back the command line and parameter files.
-    A recording without clouds is shown by its scans.
+    The page is one HTML file that needs no network. In it you change heights, ranges, sector, mount and all other
+    parameters. It computes the same scans as `pc2scan convert`, to the bit, and shows the command line and parameter
+    files for them. Of a recording without clouds, it shows the scans.
     """
     options = conversion.first_output("shown")
 
@@ -79,13 +81,13 @@ def view(
 def _beside(sources: Sequence[Path]) -> Path:
     """Return the path of the page, next to the first source."""
     first = sources[0]
-    # What ".." and "." are called decides the name of the page.
+    # "." and ".." are resolved, because the page has the name of the folder.
     named = first if first.name and first.name != ".." else first.resolve()
     return named.with_name(f"{named.stem if named.is_file() else named.name}_view.html")
 
 
 def _open(path: Path) -> None:
-    """Open a file in the browser, if there is one."""
+    """Open a file in the browser; warn if there is none."""
     import webbrowser
 
     if not webbrowser.open(path.resolve().as_uri()):

@@ -1,7 +1,7 @@
-"""The table of the projection's parameters, and which of several settings of one wins.
+"""The table of the projection's parameters, and the choice between several settings of one parameter.
 
 Every source (command line, ``--param name:=value``, parameter file) yields `Setting` values, which say where
-they were written. `resolve` lets the stronger setting win, checks names, types and values, and builds
+they were written. `resolve` takes the setting with the highest precedence, checks names, types and values, and builds
 `ProjectionParams`. An error names the parameter, the value and its origin.
 """
 
@@ -140,51 +140,69 @@ _SHARED: frozenset[str] = frozenset({"target_frame", "transform_tolerance", "que
 _HELP: dict[str, tuple[str, str]] = {
     "target_frame": (
         "",
-        "Frame that the cloud is transformed into first; the scan is in it. Empty: the cloud's own frame.",
+        "Frame that the clouds are transformed into; the scans are in this frame. Empty: the cloud's own frame.",
     ),
-    "transform_tolerance": ("s", "How far a stamp may be outside of the recorded transforms."),
+    "transform_tolerance": ("s", "How far a stamp may be before the first or after the last recorded transform."),
     "min_height": (
         "m",
         (
-            "Lowest z that counts, in the target frame, inclusive. "
-            "The default, the smallest positive number, drops every point at z <= 0."
+            "Lowest z of the points used, in the target frame, inclusive. "
+            "The default, the smallest positive number, rejects z <= 0."
         ),
     ),
-    "max_height": ("m", "Highest z that counts, in the target frame, inclusive."),
-    "angle_min": ("rad", "Where the scan begins; 0 is straight ahead, positive is to the left."),
-    "angle_max": ("rad", "Where the scan ends; see angle_min."),
+    "max_height": ("m", "Highest z of the points used, in the target frame, inclusive."),
+    "angle_min": ("rad", "Angle at which the scan begins; 0 is straight ahead, positive is to the left."),
+    "angle_max": ("rad", "Angle at which the scan ends."),
     "angle_increment": ("rad", "Angle from one beam to the next."),
     "scan_time": ("s", "Time between scans, copied into the scan. auto: the median interval of the recorded stamps."),
-    "range_min": ("m", "Shortest horizontal distance that counts, inclusive."),
-    "range_max": ("m", "Longest horizontal distance that counts, inclusive."),
-    "use_inf": ("", "Whether a beam without a return reads inf; otherwise range_max + inf_epsilon."),
-    "inf_epsilon": ("m", "Added to range_max for a beam without a return, when use_inf is off."),
+    "range_min": ("m", "Shortest horizontal distance of the points used, inclusive."),
+    "range_max": ("m", "Longest horizontal distance of the points used, inclusive."),
+    "use_inf": ("", "Whether beams without a return have the range inf; otherwise it is range_max + inf_epsilon."),
+    "inf_epsilon": ("m", "Added to range_max for beams without a return, if use_inf is off."),
     "queue_size": (
         "",
-        "Most chunks of messages in work at one time; 0: as many as memory allows. Nothing is dropped.",
+        ("Maximum number of chunks of messages processed at a time; 0: as many as memory allows. Nothing is dropped."),
     ),
     "geometry": (
         "",
-        "What beam i takes: upstream: what begins there; centered: what is around it; half-open, symmetric: the same.",
+        (
+            "Angles of beam i. upstream: from angle i to angle i + 1; centered: around angle i; half-open, symmetric: "
+            "also centered, for gmapping and MRPT."
+        ),
     ),
-    "beams": ("", "How many beams the sector has, instead of angle_increment. auto: as finely as the lidar measures."),
-    "no_return": ("", "What a beam without a return reads. Default: as use_inf says."),
+    "beams": ("", "Number of beams in the sector, instead of angle_increment. auto: the lidar's own resolution."),
+    "no_return": ("", "Range of beams without a return. Default: as use_inf says."),
     "reduce": (
         "",
-        "Which of its returns a beam reads: the closest, farthest, mean, median, kth closest, or closest surface.",
+        (
+            "What a beam's range is made of: its closest or farthest return, their mean or median, the kth closest, or "
+            "the closest surface."
+        ),
     ),
-    "kth": ("", "Which one `reduce=kth` takes: 1 is the closest. A beam with fewer returns has none."),
-    "surface_depth": ("m", "How far behind the closest return `reduce=surface` takes returns for the same surface."),
-    "surface_slope": ("", "What `reduce=surface` adds to that: a number of beam widths at the closest return."),
-    "min_points": ("", "A beam with fewer returns than this has none."),
-    "intensity_field": ("", "Field of the cloud whose values, at the returns shown, become the scan's intensities."),
+    "kth": (
+        "",
+        "Which return `reduce=kth` takes; 1 is the closest. Beams with fewer returns count as beams without a return.",
+    ),
+    "surface_depth": (
+        "m",
+        "For `reduce=surface`: returns at most this far behind the closest one are on the same surface.",
+    ),
+    "surface_slope": ("", "Added to `surface_depth`, as a multiple of the beam's width at the closest return."),
+    "min_points": ("", "Beams with fewer returns than this count as beams without a return."),
+    "intensity_field": (
+        "",
+        "Field of the cloud that becomes the scan's intensities, from the points that give the ranges.",
+    ),
     "time_increment": (
         "s",
         "Time from beam to beam. auto: from the points' own times; the scan's stamp is then the first beam's.",
     ),
     "angle_rounding": (
         "",
-        "Whose atan2f: correct as in glibc 2.41 and later, or that of glibc 2.31 to 2.40 (Ubuntu 20.04 to 24.04).",
+        (
+            "Which atan2f is reproduced: the correct one of glibc 2.41 and later, or that of 2.31 to 2.40 "
+            "(Ubuntu 20.04 to 24.04)."
+        ),
     ),
 }
 
