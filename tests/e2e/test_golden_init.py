@@ -66,7 +66,7 @@ def test_what_is_wrong_leaves_nothing(tmp_path: Path, words: tuple[str, ...], sa
 def test_from_python(tmp_path: Path) -> None:
     report = pc2scan.golden(tmp_path / "case", init=ROOT / "fixtures" / "hall.bag", topics="/points", end=0.2)
     assert [case.outcome for case in report.cases] == ["passed"]
-    with pytest.raises(pc2scan.Pc2ScanError, match="new case"):
+    with pytest.raises(pc2scan.Pc2ScanError, match="have no effect without init"):
         pc2scan.golden(tmp_path / "case", start=1)
 
 
