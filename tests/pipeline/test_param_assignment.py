@@ -79,12 +79,12 @@ def test_not_a_number_is_read_and_refused_by_the_projection() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("range_min", "--param 'range_min' has no ':='"),
-        ("range_min=5", "--param 'range_min=5' has no ':='"),
-        ("", "--param '' has no ':='"),
-        (":=5", "--param ':=5' has no name before ':='"),
-        (" :=5", "--param ' :=5' has no name before ':='"),
-        ("node::=5", "--param 'node::=5' has no name before ':='"),
+        ("range_min", "`param` 'range_min' has no ':='"),
+        ("range_min=5", "`param` 'range_min=5' has no ':='"),
+        ("", "`param` '' has no ':='"),
+        (":=5", "`param` ':=5' has no name before ':='"),
+        (" :=5", "`param` ' :=5' has no name before ':='"),
+        ("node::=5", "`param` 'node::=5' has no name before ':='"),
         ("range_min:=[1, 2]", "range_min: expected a number, got a list (from --param range_min:=[1, 2])"),
         ("use_inf:={a: 1}", "use_inf: expected true or false, got a mapping (from --param use_inf:={a: 1})"),
         ("other:=[1]", "other: expected a value, got a list (from --param other:=[1])"),

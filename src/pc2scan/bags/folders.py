@@ -108,7 +108,7 @@ def several_recordings(folder: Path, held: Sequence[Path], why: str = "") -> Usa
     return UsageError(
         f"holds {len(held)} recordings, not one: {', '.join(names[:_MAX_NAMED])}{more}{f' ({why})' if why else ''}",
         path=folder,
-        hint=f"name one of them: {one}; pc2scan convert --each {all_of_them} -o DIR/ converts each by itself",
+        hint=f"name one of them: {one}; pc2scan convert `each=True` {all_of_them} -o DIR/ converts each by itself",
     )
 
 

@@ -6,8 +6,10 @@ from typing import TYPE_CHECKING
 
 from pc2scan.files.junit import JUnitCase
 
+from .spelling import as_typed
+
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
 
     from pc2scan.compare.result import Difference
     from pc2scan.files.junit import Outcome
@@ -24,7 +26,7 @@ _OUTCOMES: dict[str, Outcome] = {"passed": "passed", "updated": "passed", "faile
 def of_golden(report: GoldenReport) -> Iterator[JUnitCase]:
     """Yield a test case for each golden case."""
     for case in report.cases:
-        yield JUnitCase(case.name, _OUTCOMES[case.outcome.value], case.lines, case.seconds)
+        yield JUnitCase(case.name, _OUTCOMES[case.outcome.value], _typed(case.lines), case.seconds)
 
 
 def of_diff(difference: Difference) -> Iterator[JUnitCase]:
@@ -32,7 +34,7 @@ def of_diff(difference: Difference) -> Iterator[JUnitCase]:
     from pc2scan.compare.summary import summary
 
     for topic in difference.topics:
-        yield JUnitCase(topic.name, "passed" if topic.same else "failure", tuple(summary([topic], 0)))
+        yield JUnitCase(topic.name, "passed" if topic.same else "failure", _typed(summary([topic], 0)))
 
 
 def of_check(check: Check) -> Iterator[JUnitCase]:
@@ -42,11 +44,16 @@ def of_check(check: Check) -> Iterator[JUnitCase]:
         for name in check.counting:
             taken = check.takes(topic, name)
             said = found[name].lines(topic.scans) if name in found else ["there are no scans"]
-            lines = [" ".join(line.split()) for line in said]
+            lines = _typed(" ".join(line.split()) for line in said)
             yield JUnitCase(f"{topic.topic} for {name}", "passed" if taken else "failure", () if taken else lines)
         defects = [finding for finding in topic.findings if check.counts(finding)]
-        lines = [line for finding in defects for line in (finding.text, finding.hint) if line]
+        lines = _typed(line for finding in defects for line in (finding.text, finding.hint) if line)
         yield JUnitCase(f"{topic.topic}: defects", "failure" if defects else "passed", lines)
     if check.damage:
         places = [str(place) for place in check.damage]
         yield JUnitCase("the recording is sound", "passed" if check.asked else "failure", places)
+
+
+def _typed(lines: Iterable[str]) -> tuple[str, ...]:
+    """Return the library's lines with options as they are typed."""
+    return tuple(as_typed(line) for line in lines)

@@ -88,6 +88,7 @@ OPTIONS = {
     "tf_topics": "--tf-topic",
     "to": "--to",
     "topics": "--topic",
+    "update": "--update",
     "where": "--where",
     "checksum": "--checksum",
     "dask": "--dask",

@@ -251,7 +251,7 @@ def open_scan_text(path: Path) -> ScanText:
         raise RecordingError(
             f"line {reading.number} has been changed: {str(err) or type(err).__name__}",
             path=path,
-            hint="restore it from version control, or write it again: pc2scan golden --update",
+            hint="restore it from version control, or write it again: pc2scan golden `update=True`",
         ) from err
     return result
 

@@ -162,7 +162,7 @@ def _advice(topics: Sequence[TopicDifference], names: tuple[str, str]) -> Iterat
     if any(topic.messages_a and topic.messages_b and not topic.matched for topic in topics):
         yield "hint: no stamp is on both sides; are these of one drive?"
     if any(topic.libm is not None and topic.libm.explained > topic.libm.beams / 2 for topic in topics):
-        yield "hint: scans with the angles of glibc 2.31 to 2.40: pc2scan convert --angle-rounding glibc-2.40"
+        yield "hint: scans with the angles of glibc 2.31 to 2.40: pc2scan convert `angle_rounding=glibc-2.40`"
     if only_changes and kinds and kinds <= {"log_time", "seq"}:
         ignored = " ".join(f"`ignore={name}`" for name in sorted(kinds))
         yield f"hint: nothing else differs between {names[0]} and {names[1]}: {ignored}"

@@ -332,7 +332,7 @@ def _unplaced(consumer: str, placed: ScanTransforms, *, started: bool) -> Verdic
             "it does not start unless the sensor is level: abs(abs(z) - 1) <= 0.001 for the point 1 m above it",
             f"z {placed.up:.6g} in the scan's frame {placed.frame_id!r}",
             "0.999 to 1.001, or -1.001 to -0.999",
-            "make level scans: pc2scan convert --target-frame base_link",
+            "make level scans: pc2scan convert `target_frame=base_link`",
             unplaced=True,
         )
     return None
@@ -360,7 +360,7 @@ def _slam_toolbox(scan: Scan, first: Scan, placed: ScanTransforms) -> Verdict:
             "len(ranges) must be round((angle_max - angle_min) / angle_increment) + 1, or + 0 for a full circle",
             f"{scan.beams} ranges",
             f"{expected} ranges" if expected is not None and expected > 0 else "angles that make a number of beams",
-            f"{_advertise(first)}: pc2scan convert --preset slam_toolbox, or --geometry centered",
+            f"{_advertise(first)}: pc2scan convert `preset=slam_toolbox`, or `geometry=centered`",
         )
     if first.range_max <= _KARTO_RANGE and scan.full > _MISSES * scan.beams:
         return Verdict(
@@ -369,7 +369,7 @@ def _slam_toolbox(scan: Scan, first: Scan, placed: ScanTransforms) -> Verdict:
             "a finite range up to range_max is a return if range_max is at most max_laser_range (default 25 m)",
             f"{scan.full} ranges of range_max {scan.range_max:.9g} or 0.1 mm less, taken for returns",
             "inf for no return, or a range_max above max_laser_range",
-            "`no_return=inf`, or `range_max=100.0`: pc2scan convert --preset slam_toolbox",
+            "`no_return=inf`, or `range_max=100.0`: pc2scan convert `preset=slam_toolbox`",
         )
     kept = _kept_angles("slam_toolbox", scan, first)
     if kept.outcome != "accepted" or placed.up is None or placed.up > 0 or not scan.beams:
@@ -382,7 +382,7 @@ def _slam_toolbox(scan: Scan, first: Scan, placed: ScanTransforms) -> Verdict:
         "ranges of a sensor that is upside down are taken in reverse order, at the same angles",
         f"angle_min {first.angle_min:.9g}, the last beam at {last_beam(first):.9g}",
         "a sector around 0",
-        "pc2scan convert --target-frame base_link, or --geometry symmetric",
+        "pc2scan convert `target_frame=base_link`, or `geometry=symmetric`",
     )
 
 
@@ -408,7 +408,7 @@ def _cartographer(scan: Scan, _first: Scan, placed: ScanTransforms) -> Verdict:
             f"for angle_increment {scan.angle_increment:.9g}",
             f"angle_min {scan.angle_min:.9g}, angle_max {scan.angle_max:.9g}",
             "angle_max > angle_min" if forward else "angle_min > angle_max",
-            "advertise angles in the order of the beams: pc2scan convert --preset cartographer",
+            "advertise angles in the order of the beams: pc2scan convert `preset=cartographer`",
         )
     hits = scan.returns + (scan.infinite if scan.range_max == math.inf else 0)
     # Cartographer checks this when it copies a range within the limits.
@@ -425,7 +425,7 @@ def _cartographer(scan: Scan, _first: Scan, placed: ScanTransforms) -> Verdict:
             "CHECK that the frame_id has no leading slash",
             f"frame_id {placed.frame_id!r}",
             repr(placed.frame_id.removeprefix("/")),
-            "for scans made from clouds: pc2scan convert --source-frame",
+            "for scans made from clouds: pc2scan convert `source_frame`",
         )
     if hits > 1 and scan.time_increment < 0:
         return Verdict(
@@ -434,7 +434,7 @@ def _cartographer(scan: Scan, _first: Scan, placed: ScanTransforms) -> Verdict:
             "points are taken in the order of time: those that are earlier than the first are placed at its pose",
             f"time_increment {scan.time_increment:.6g} s",
             ">= 0",
-            "`time_increment=0.0`: pc2scan convert --preset cartographer",
+            "`time_increment=0.0`: pc2scan convert `preset=cartographer`",
         )
     if scan.infinite and scan.range_max == math.inf:
         return _infinite_hits("cartographer", scan)
@@ -469,7 +469,7 @@ def _gmapping(scan: Scan, first: Scan, placed: ScanTransforms) -> Verdict:
             "the map grows until it contains every range up to range_max; ranges below range_min become range_max",
             f"{scan.infinite} infinite ranges, {scan.short} below range_min, range_max {first.range_max:.9g}",
             "a finite range_max",
-            "give a finite `range_max`: pc2scan convert --preset gmapping",
+            "give a finite `range_max`: pc2scan convert `preset=gmapping`",
         )
     kept = _kept_angles("gmapping", scan, first)
     return kept if kept.outcome != "accepted" else _half_open(scan, placed)
@@ -505,7 +505,7 @@ def _half_open(scan: Scan, placed: ScanTransforms) -> Verdict:
         "beam i is placed at (i - len(ranges) / 2) * angle_increment from the middle between angle_min and angle_max",
         f"angle_max {scan.angle_max:.9g}",
         f"angle_max {wanted:.9g}",
-        f"advertise angle_max = angle_min + {steps} * angle_increment: pc2scan convert --preset gmapping",
+        f"advertise angle_max = angle_min + {steps} * angle_increment: pc2scan convert `preset=gmapping`",
     )
 
 
@@ -517,7 +517,7 @@ def _amcl(scan: Scan, _first: Scan, _placed: ScanTransforms) -> Verdict:
             "range_max must be above 0",
             f"range_max {scan.range_max:.9g}",
             "> 0",
-            "give a positive `range_max`: pc2scan convert --preset amcl",
+            "give a positive `range_max`: pc2scan convert `preset=amcl`",
         )
     return Verdict("amcl")
 
@@ -546,7 +546,7 @@ def _mrpt(scan: Scan, _first: Scan, _placed: ScanTransforms) -> Verdict:
         "each beam takes the range at its index, truncated",
         f"angle_min {scan.angle_min:.9g}, angle_max {scan.angle_max:.9g}",
         f"a sector around 0: {-half:.6g} to {half:.6g}",
-        "pc2scan convert --preset mrpt, or --geometry symmetric",
+        "pc2scan convert `preset=mrpt`, or `geometry=symmetric`",
     )
 
 
@@ -592,7 +592,7 @@ def _infinite_hits(consumer: str, scan: Scan) -> Verdict:
         "a range within range_max is a return, and inf <= inf",
         f"{scan.infinite} infinite ranges, range_max {scan.range_max:.9g}",
         "a finite range_max",
-        f"give a finite `range_max`: pc2scan convert --preset {consumer}",
+        f"give a finite `range_max`: pc2scan convert `preset={consumer}`",
     )
 
 

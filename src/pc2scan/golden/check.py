@@ -113,7 +113,7 @@ def _compared(case: Case, actual: Path, *, update: bool) -> tuple[Difference | N
     """Compare with the expected output; returns no lines if there is no difference."""
     if case.expected is None:
         name = case.new_expected().name
-        return None, [f"new: {name}" if update else f"there is no expected output: --update writes {name}"]
+        return None, [f"new: {name}" if update else f"there is no expected output: `update=True` writes {name}"]
     try:
         difference = diff(case.expected, actual, all_topics=case.all_topics, rules=case.rules)
     except RecordingError as err:

@@ -155,14 +155,14 @@ class ScanFrames:
                     "notice",
                     f"{counted(self._tilted.count, 'scan', 'are')} tilted against {self._base}, "
                     f"by up to {self._tilt:.1f} deg: 2D SLAM takes them for level",
-                    "for scans made from clouds: pc2scan convert --target-frame",
+                    "for scans made from clouds: pc2scan convert `target_frame`",
                     self._tilted,
                 )
             )
         return found
 
     def _optical_findings(self) -> list[Finding]:
-        hint = "for scans made from clouds: pc2scan convert --target-frame base_link; a scan lies in the x-y plane"
+        hint = "for scans made from clouds: pc2scan convert `target_frame=base_link`; a scan lies in the x-y plane"
         # A tilting lidar points sideways for a moment.
         if 2 * self._sideways.count > self._looked:
             text = (

@@ -251,7 +251,7 @@ class ScanTopic:
                     "no-frame",
                     "defect",
                     f"{self._of(self._no_frame, 'have')} an empty frame_id",
-                    "pc2scan convert --source-frame names it for scans made from clouds",
+                    "pc2scan convert `source_frame` names it for scans made from clouds",
                     self._no_frame,
                 )
             )
@@ -372,7 +372,7 @@ class ScanTopic:
                     "scan-time",
                     "notice",
                     f"scan_time is {scan_time / 1e9:.4g} s, but scans come every {median / 1e9:.4g} s",
-                    f"pc2scan convert --scan-time {median / 1e9:.3g}",
+                    f"pc2scan convert `scan_time={median / 1e9:.3g}`",
                 )
             )
         return found

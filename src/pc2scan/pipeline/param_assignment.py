@@ -34,9 +34,9 @@ def parse_param(text: str) -> Setting:
     rule, assigned, written = text.partition(":=")
     name = rule.rpartition(":")[2].strip().lstrip("_~")
     if not assigned:
-        raise ParameterError(f"--param {text!r} has no ':='", hint="write --param range_min:=0.5")
+        raise ParameterError(f"`param` {text!r} has no ':='", hint="write `param=range_min:=0.5`")
     if not name:
-        raise ParameterError(f"--param {text!r} has no name before ':='", hint="write --param range_min:=0.5")
+        raise ParameterError(f"`param` {text!r} has no name before ':='", hint="write `param=range_min:=0.5`")
     origin = f"--param {text}"
     if not written.strip():
         return Setting(name, "", origin, "param")

@@ -61,7 +61,7 @@ def schema() -> dict[str, Any]:
     }
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
-        "title": "Several scans of one recording (pc2scan convert --scans)",
+        "title": "Scans file of pc2scan convert: several scans of one recording",
         "type": "object",
         "properties": {
             "defaults": {"description": "Values of all outputs that do not have their own.", **output},
