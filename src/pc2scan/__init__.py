@@ -179,8 +179,15 @@ def __getattr__(name: str) -> Any:
     # Where it is to be imported from, as help and representations show it.
     if home != name and value.__module__ == module.__name__:
         value.__module__ = __name__
+    if name == "ProjectionParams":
+        module.ProjectionParams.reader = staticmethod(_params_from_file)
     globals()[name] = value
     return value
+
+
+def _params_from_file(*arguments: Any) -> Any:
+    """Read a parameter file for `ProjectionParams.from_file`."""
+    return import_module(".requests", __name__).params_from_file(*arguments)
 
 
 def __dir__() -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import importlib.util
 import subprocess
 import sys
 from typing import TYPE_CHECKING
@@ -17,7 +18,8 @@ if TYPE_CHECKING:
 
 PACKAGE = ROOT / "src" / "pc2scan"
 
-#: Every layer may import these; they import nothing of pc2scan but each other.
+#: Every layer may import these; they import nothing of pc2scan but each other. (`callable_package` finds `api` by its
+#: name when it is called.)
 GROUND = {
     "arguments",
     "callable_package",
@@ -33,17 +35,7 @@ GROUND = {
 
 #: What else each layer may import of pc2scan, for type checkers too; its own modules always.
 ALLOWED = {
-    "arguments": set[str](),
-    "shown": set[str](),
-    # `api`, which is found by its name when it is called.
-    "callable_package": set[str](),
-    "errors": set[str](),
-    "json_types": set[str](),
-    "version": set[str](),
-    "model": set[str](),
-    "names": set[str](),
-    "text_enum": set[str](),
-    "threads": set[str](),
+    **{name: set[str]() for name in GROUND},
     "files": set[str](),
     "remote": {"files"},
     "core": set[str](),
@@ -76,16 +68,7 @@ ALLOWED = {
 
 #: What layers may import from elsewhere, beside the standard library.
 THIRD_PARTY = {
-    "arguments": set[str](),
-    "shown": set[str](),
-    "callable_package": set[str](),
-    "errors": set[str](),
-    "json_types": set[str](),
-    "version": set[str](),
-    "model": set[str](),
-    "names": set[str](),
-    "text_enum": set[str](),
-    "threads": set[str](),
+    **{name: set[str]() for name in GROUND},
     "files": {"isal", "lz4", "zstandard", "ruamel"},
     "remote": {"fsspec", "aiohttp"},
     "core": {"numpy"},
@@ -145,6 +128,10 @@ def imports_in(text: str, package: str, *, types: bool) -> set[str]:
             start = ".".join(parents[: len(parents) - node.level + 1]) if node.level else ""
             module = ".".join(filter(None, (start, node.module)))
             found.update(imported(module, alias.name) for alias in node.names)
+        # By name. Where that is a variable, it is a module of a table.
+        elif isinstance(node, ast.Call) and ast.unparse(node.func) == "import_module":
+            names = [name.value for name in node.args[:1] if isinstance(name, ast.Constant)]
+            found.update(importlib.util.resolve_name(str(name), package) for name in names)
         for child in ast.iter_child_nodes(node):
             visit(child)
 
@@ -171,8 +158,11 @@ if TYPE_CHECKING:
 def late():
     from pc2scan.tf.buffer import TransformBuffer
     import numpy as np
+    read = import_module("pc2scan.requests").params_from_file
+    read = import_module(".params_file", __package__)
 """
     always = {"pc2scan.errors", "pc2scan.api", "pc2scan.pipeline.routes", "pc2scan.pipeline.plan", "pc2scan.tf.buffer"}
+    always |= {"pc2scan.requests", "pc2scan.pipeline.params_file"}
     elsewhere = {"__future__", "typing", "numpy"}
     assert imports_in(text, "pc2scan.pipeline", types=False) == always | elsewhere
     types = {"pc2scan.model", "pc2scan.bags"}

@@ -6,8 +6,7 @@ import math
 import numbers
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
-from importlib import import_module
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from pc2scan.arguments import refuse_unknown
 from pc2scan.errors import ParameterError
@@ -26,6 +25,7 @@ from .layout import (
 from .presets import PRESETS
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
     from os import PathLike
 
     from typing_extensions import Self
@@ -171,6 +171,10 @@ class ProjectionParams:
     time_increment: float | Literal["auto"] = 0.0
     angle_rounding: str = "correct"
 
+    #: Reads the parameters of a file. The package gives it to `pc2scan.ProjectionParams`, because no module in this
+    #: folder reads files.
+    reader: ClassVar[Callable[[str | PathLike[str], str | None, Mapping[str, object]], ProjectionParams]]
+
     @classmethod
     def preset(cls, consumer: str, **changes: Any) -> ProjectionParams:
         """Return the parameters that suit a consumer of the scans.
@@ -217,10 +221,7 @@ class ProjectionParams:
         --------
         >>> ProjectionParams.from_file("params.yaml", min_height=-0.5)  # doctest: +SKIP
         """
-        # The module that reads files is in a higher layer, which imports this one.
-        read = import_module("pc2scan.requests").params_from_file
-        params: ProjectionParams = read(path, node, changes)
-        return params
+        return cls.reader(path, node, changes)
 
     def __new__(cls, **values: object) -> Self:
         """Raise for names that are no parameters; the error suggests the right one."""
