@@ -16,7 +16,7 @@ import pytest
 
 import pc2scan
 from pc2scan.errors import DestinationError, MissingError, Pc2ScanError, RecordingError, UsageError
-from pc2scan.remote.store import Place
+from pc2scan.remote.store import RemotePath
 from support import ROOT
 
 if TYPE_CHECKING:
@@ -110,7 +110,7 @@ def test_a_source_is_never_the_destination() -> None:
 
 @pytest.mark.usefixtures("bucket")
 def test_too_little_scratch_is_refused_before_anything_is_read(scratch: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Place, "download", lambda *_: pytest.fail("downloaded"))
+    monkeypatch.setattr(RemotePath, "download", lambda *_: pytest.fail("downloaded"))
     with pytest.raises(UsageError, match="local copies of the sources take"):
         pc2scan.convert("memory://bucket/hall.bag", "memory://out/x.bag", scratch_size="1kB", **HEIGHTS)
     assert list(scratch.iterdir()) == []
@@ -160,14 +160,14 @@ def test_only_ranges_are_read(monkeypatch: pytest.MonkeyPatch) -> None:
     if not recording.exists():
         pytest.skip("no real recordings here")
     read: list[int] = []
-    bytes_at = Place.bytes_at
+    bytes_at = RemotePath.bytes_at
 
-    def counted(self: Place, start: int, stop: int) -> bytes:
+    def counted(self: RemotePath, start: int, stop: int) -> bytes:
         read.append(stop - start)
         return bytes_at(self, start, stop)
 
-    monkeypatch.setattr(Place, "bytes_at", counted)
-    monkeypatch.setattr(Place, "download", lambda *_: pytest.fail("downloaded"))
+    monkeypatch.setattr(RemotePath, "bytes_at", counted)
+    monkeypatch.setattr(RemotePath, "download", lambda *_: pytest.fail("downloaded"))
     found = pc2scan.info(f"file://{recording}", samples=1)
     assert found.as_dict()["topics"] == pc2scan.info(recording, samples=1).as_dict()["topics"]
     assert sum(read) < recording.stat().st_size * 0.8

@@ -82,9 +82,9 @@ def _identity(path: Path) -> Identity:
     """Return the identity of a recording that transforms are taken from."""
     if not is_url(path):
         return identity_of([path])
-    from pc2scan.remote.store import Place  # noqa: PLC0415  # loads fsspec
+    from pc2scan.remote.store import RemotePath  # noqa: PLC0415  # loads fsspec
 
-    place = Place(path)
+    place = RemotePath(path)
     files = place.files()
     return Identity(
         tuple((name, *each.stated()) for name, each in ({place.name: place} if files is None else files).items())

@@ -30,7 +30,7 @@ from .workers import Ended, Queue
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from pc2scan.remote.store import Object, Place
+    from pc2scan.remote.store import Object, RemotePath
 
     from .work import Job
     from .workers import Event
@@ -190,13 +190,13 @@ class _StagedQueue(Queue):
 
     def _needed(self, job: Job) -> tuple[int, int]:
         """Return the bytes of the copies of a job, and the bytes that are reserved for its result."""
-        from pc2scan.remote.store import Place  # noqa: PLC0415  # loads fsspec
+        from pc2scan.remote.store import RemotePath  # noqa: PLC0415  # loads fsspec
 
         needed = job.size_bytes if any(is_url(Path(path)) for path in job.sources) else 0
         for path in job.request.options.frames.tf_from:
             if is_url(path) and path not in self._sizes:
-                files = Place(path).files()
-                places = [Place(path)] if files is None else list(files.values())
+                files = RemotePath(path).files()
+                places = [RemotePath(path)] if files is None else list(files.values())
                 self._sizes[path] = sum(place.stated().size for place in places)
             needed += self._sizes.get(path, 0)
         return needed, job.size_bytes + _BESIDE if is_url(Path(job.destination)) else 0
@@ -234,7 +234,7 @@ class _StagedQueue(Queue):
             self._post(None)
 
     def _copied(self, copy: _Copy) -> Job:
-        from pc2scan.remote.store import Place  # noqa: PLC0415  # loads fsspec
+        from pc2scan.remote.store import RemotePath  # noqa: PLC0415  # loads fsspec
 
         job, number = copy.job, 0
 
@@ -242,7 +242,7 @@ class _StagedQueue(Queue):
             nonlocal number
             if not is_url(Path(text)):
                 return Path(text)
-            place = Place(Path(text))
+            place = RemotePath(Path(text))
             folder = copy.folder / "in" / str(number)
             number += 1
             folder.mkdir(parents=True)
@@ -263,7 +263,7 @@ class _StagedQueue(Queue):
         copy.identity = identity_of(sources)
         destination, most = job.destination, None
         if is_url(Path(destination)):
-            place = Place(Path(destination))
+            place = RemotePath(Path(destination))
             # Where the worker writes the result, which is uploaded from there.
             (copy.folder / "out").mkdir(parents=True)
             copy.names.add(copy.folder / "out", place.parent)
@@ -292,10 +292,10 @@ class _StagedQueue(Queue):
 
     def _uploaded(self, copy: _Copy) -> Identity:
         """Upload the result, complete or not at all; return its identity."""
-        from pc2scan.remote.store import Place  # noqa: PLC0415  # loads fsspec
+        from pc2scan.remote.store import RemotePath  # noqa: PLC0415  # loads fsspec
 
-        target = Place(Path(copy.job.destination))
-        folder = Place(Path(copy.job.destination.rstrip("/").rpartition("/")[0]))
+        target = RemotePath(Path(copy.job.destination))
+        folder = RemotePath(Path(copy.job.destination.rstrip("/").rpartition("/")[0]))
         # From the last part to the first: if the first part exists, all parts exist.
         made = [copy.folder / "out" / name for name in in_order(p.name for p in (copy.folder / "out").iterdir())][::-1]
         output = target.name
@@ -327,7 +327,7 @@ class _StagedQueue(Queue):
             raise
         return identity_in(objects, output)
 
-    def _remove_parts(self, folder: Place, output: str, made: Sequence[Path], *, replaces: bool) -> None:
+    def _remove_parts(self, folder: RemotePath, output: str, made: Sequence[Path], *, replaces: bool) -> None:
         """Remove the parts of an earlier result that have no new part of the same name."""
         there = parts_among((name for name in folder.below() if "/" not in name), output)
         if there and not replaces:

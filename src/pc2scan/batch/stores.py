@@ -30,7 +30,7 @@ from .results import is_numbered, parts_among
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from pc2scan.remote.store import Object, Place
+    from pc2scan.remote.store import Object, RemotePath
 
 __all__ = ["Output", "Stores"]
 
@@ -141,9 +141,9 @@ class Stores:
 
     def output(self, url: str) -> Output:
         """Return the folder of the results at a URL."""
-        from pc2scan.remote.store import Place  # noqa: PLC0415  # loads fsspec
+        from pc2scan.remote.store import RemotePath  # noqa: PLC0415  # loads fsspec
 
-        place = Place(Path(url))
+        place = RemotePath(Path(url))
         if place.is_read_only:
             raise DestinationError(f"{place.scheme}:// can only be read", path=place.shown)
         self._out = self._path_of(place, url)
@@ -158,7 +158,7 @@ class Stores:
             self._tree = self._stack.enter_context(scratch_folder(self._scratch)) / "tree"
         return self._tree.parent
 
-    def _path_of(self, place: Place, url: str) -> Path:
+    def _path_of(self, place: RemotePath, url: str) -> Path:
         """Return the path in the tree for a URL, and note the URL."""
         parts = urlsplit(place.shown)
         root = self.folder() / "tree" / parts.scheme / (parts.netloc or "_")
@@ -169,13 +169,13 @@ class Stores:
 
     def _listed(self, url: str) -> str:
         """Make stand-ins of everything that a source may refer to."""
-        from pc2scan.remote.store import Place  # noqa: PLC0415  # loads fsspec
+        from pc2scan.remote.store import RemotePath  # noqa: PLC0415  # loads fsspec
 
         base, pattern = url, ""
         if not url.startswith("http") and _GLOB & set(url):
             cut = url.rindex("/", 0, min(url.index(sign) for sign in _GLOB if sign in url))
             base, pattern = url[:cut], url[cut:]
-        place = Place(Path(base))
+        place = RemotePath(Path(base))
         path = self._path_of(place, base)
         if path == self._out or (self._out is not None and path.is_relative_to(self._out)):
             # `find` refuses it.
@@ -191,7 +191,7 @@ class Stores:
             self._stand_in(place, path, place.stated())
         return str(path) + pattern
 
-    def _stand_in(self, place: Place, path: Path, found: Object) -> None:
+    def _stand_in(self, place: RemotePath, path: Path, found: Object) -> None:
         from pc2scan.remote.ranges import stand_in  # noqa: PLC0415  # loads fsspec
 
         if path in on_demand or (self._out is not None and path.is_relative_to(self._out)):
@@ -223,7 +223,7 @@ class Output:
         The local folder with these files.
     """
 
-    def __init__(self, place: Place, folder: Path) -> None:
+    def __init__(self, place: RemotePath, folder: Path) -> None:
         self._place = place
         self.folder = folder
         self._objects: dict[str, Object] | None = None
@@ -313,7 +313,7 @@ class Output:
                 with suppress(Pc2ScanError):
                     lock.delete()
 
-    def _take(self, lock: Place, sign: dict[str, object]) -> None:
+    def _take(self, lock: RemotePath, sign: dict[str, object]) -> None:
         deadline = time.monotonic() + _DEAD_SECONDS
         data, seen = json.dumps(sign).encode(), None
         while not lock.write(data, is_new=True):

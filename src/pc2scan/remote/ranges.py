@@ -18,7 +18,7 @@ from pc2scan.files.compression import ZSTD_MAGIC
 from pc2scan.files.source import on_demand, opened_bytes
 
 from .names import Names
-from .store import Place
+from .store import RemotePath
 from .urls import is_url
 
 if TYPE_CHECKING:
@@ -68,12 +68,12 @@ def nearby(paths: Sequence[Path]) -> Iterator[Nearby]:
     found = Nearby()
     with ExitStack() as stack:
         folder = Path(stack.enter_context(TemporaryDirectory(prefix="pc2scan-"))).resolve()
-        read: list[tuple[Place, Object]] = []
+        read: list[tuple[RemotePath, Object]] = []
         for number, path in enumerate(paths):
             if not is_url(path):
                 found.paths.append(path)
                 continue
-            place = Place(path)
+            place = RemotePath(path)
             here = folder / str(number)
             here.mkdir()
             found.names.add(here, place.parent)
@@ -98,7 +98,7 @@ def nearby(paths: Sequence[Path]) -> Iterator[Nearby]:
                 raise place.changed()
 
 
-def stand_in(place: Place, target: Path, size: int) -> None:
+def stand_in(place: RemotePath, target: Path, size: int) -> None:
     """Create a stand-in of this size at a path; its bytes are fetched when they are first read (see `on_demand`).
 
     Raises
@@ -122,7 +122,7 @@ def complete(path: Path) -> None:
             fetch(0, file.stat().st_size)
 
 
-def _stand_in(place: Place, target: Path, stack: ExitStack) -> None:
+def _stand_in(place: RemotePath, target: Path, stack: ExitStack) -> None:
     size = place.stated().size
     head = place.bytes_at(0, min(size, _BLOCK)) if size else b""
     if size <= _SMALL or head.startswith(_WHOLE):
@@ -137,7 +137,7 @@ def _stand_in(place: Place, target: Path, stack: ExitStack) -> None:
 class _Fetched:
     """A stand-in that is filled as it is read."""
 
-    def __init__(self, place: Place, path: Path, size: int) -> None:
+    def __init__(self, place: RemotePath, path: Path, size: int) -> None:
         self._place = place
         self._path = path
         self._size = size

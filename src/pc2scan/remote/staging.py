@@ -9,7 +9,7 @@ from pc2scan.errors import DestinationError, Pc2ScanError
 
 from .names import Names
 from .scratch import Limit, Room, scratch_folder
-from .store import Place
+from .store import RemotePath
 from .urls import is_url
 
 if TYPE_CHECKING:
@@ -59,10 +59,10 @@ class Staged:
         self._asked = asked
         self._scratch = scratch
         self.names = Names()
-        self._read: list[Place] = []
-        self._out: Place | None = None
+        self._read: list[RemotePath] = []
+        self._out: RemotePath | None = None
         self._out_folder: Path | None = None
-        self._downloads: list[tuple[Place, Path]] = []
+        self._downloads: list[tuple[RemotePath, Path]] = []
         self._number = 0
         self.sources = [self._here(path) for path in asked.sources]
         self.tf_from = [self._here(path) for path in asked.tf_from]
@@ -77,7 +77,7 @@ class Staged:
     def _here(self, path: Path) -> Path:
         if not is_url(path):
             return path
-        place = Place(path)
+        place = RemotePath(path)
         folder = self._scratch / str(self._number)
         self._number += 1
         folder.mkdir()
@@ -103,19 +103,19 @@ class Staged:
             named = first if is_url(first) else None
         if named is None:
             return
-        place = Place(named)
+        place = RemotePath(named)
         if place.is_read_only:
             hint = "give a destination: `destination=scans.mcap`"
             raise DestinationError(f"{place.scheme}:// can only be read", path=place.shown, hint=hint)
         if named is asked.destination:
             if any(place.key == read.key and place.scheme == read.scheme for read in self._read):
                 raise DestinationError("is a source", path=place.shown)
-            Place(named.parent).refuse_existing(place.name, overwrite=asked.overwrite)
+            RemotePath(named.parent).refuse_existing(place.name, overwrite=asked.overwrite)
         if named is asked.folder:
             self._out = place
             url = place.shown
         else:
-            self._out, url = Place(named.parent), place.parent
+            self._out, url = RemotePath(named.parent), place.parent
         if named is first:
             self._out_folder = self.sources[0].parent
             return

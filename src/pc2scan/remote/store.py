@@ -15,7 +15,7 @@ from .urls import LIBRARIES, shown_url, url_of
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-__all__ = ["Object", "Place"]
+__all__ = ["Object", "RemotePath"]
 
 #: Attributes that distinguish versions of an object, the best first. Stores differ in which of these they have.
 _VERSION = (
@@ -53,7 +53,7 @@ class Object(NamedTuple):
     version: str
 
 
-class Place:
+class RemotePath:
     """A file or a directory at a URL.
 
     Parameters
@@ -151,7 +151,7 @@ class Place:
             self._fs.invalidate_cache()
             return not self._fs.isfile(self.key)
 
-    def child(self, below: str) -> Place:
+    def child(self, below: str) -> RemotePath:
         """Return the place at a path relative to this folder."""
         return self._at(f"{self.key.rstrip('/')}/{below}", f"{self.shown.rstrip('/')}/{below}")
 
@@ -195,7 +195,7 @@ class Place:
             found: dict[str, Any] = self._fs.info(key)
         return found
 
-    def files(self) -> dict[str, Place] | None:
+    def files(self) -> dict[str, RemotePath] | None:
         """Return the files of a directory by name; None for a file."""
         if self._info(self.key).get("type") != "directory":
             return None
@@ -207,11 +207,11 @@ class Place:
         found.pop("", None)
         return found
 
-    def _sibling(self, key: str) -> Place:
+    def _sibling(self, key: str) -> RemotePath:
         return self._at(key, f"{self.shown.rstrip('/')}/{key.rpartition('/')[2]}")
 
-    def _at(self, key: str, shown: str) -> Place:
-        other: Place = object.__new__(Place)
+    def _at(self, key: str, shown: str) -> RemotePath:
+        other: RemotePath = object.__new__(RemotePath)
         other.__dict__.update(self.__dict__, key=key, shown=shown)
         return other
 
