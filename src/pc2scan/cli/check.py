@@ -11,7 +11,7 @@ from pc2scan.text_enum import TextEnum
 
 from . import completion
 from .damage import show_damage
-from .options import Json, JUnitGroup, TfSources
+from .options import Json, JUnitGroup, TfSources, frame_option
 from .render import message, print_json, warn
 
 __all__ = ["check"]
@@ -58,20 +58,11 @@ def check(
     ] = [],  # noqa: B006
     odom_frame: Annotated[
         str,
-        typer.Option(
-            metavar="FRAME",
-            help="The odometry's frame; the scans' frames must be connected to it.",
-            autocompletion=completion.frames,
-        ),
+        frame_option("The odometry's frame; the scans' frames must be connected to it.", show_default=True),
     ] = "odom",
     base_frame: Annotated[
         str,
-        typer.Option(
-            metavar="FRAME",
-            autocompletion=completion.frames,
-            help="The robot's frame.  [default: base_link, or base_footprint]",
-            show_default=False,
-        ),
+        frame_option("The robot's frame.  [default: base_link, or base_footprint]"),
     ] = "",
     *,
     transforms: TfSources,

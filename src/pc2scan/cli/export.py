@@ -10,7 +10,7 @@ from typer.models import TyperPath
 
 from . import completion
 from .damage import show_damage
-from .options import ConversionGroup, Json
+from .options import ConversionGroup, Json, frame_option
 from .progress import progress_bar
 from .render import message, print_json, show_parts, warn
 
@@ -48,22 +48,15 @@ def export(
     ] = None,
     pose_frame: Annotated[
         str,
-        typer.Option(
-            metavar="FRAME",
-            autocompletion=completion.frames,
-            help="Write the robot's pose in this frame (odom, map) at each message's stamp, from the recorded "
-            "transforms.",
-            show_default=False,
+        frame_option(
+            "Write the robot's pose in this frame (odom, map) at each message's stamp, from the recorded transforms."
         ),
     ] = "",
     base_frame: Annotated[
         str,
-        typer.Option(
-            metavar="FRAME",
-            autocompletion=completion.frames,
-            help="The robot's frame, whose pose is written.  [default: base_link, base_footprint, or the frame that "
-            "the sensor is mounted on]",
-            show_default=False,
+        frame_option(
+            "The robot's frame, whose pose is written.  [default: base_link, base_footprint, or the frame that "
+            "the sensor is mounted on]"
         ),
     ] = "",
     odom_topic: Annotated[

@@ -7,9 +7,8 @@ from typing import Annotated
 
 import typer
 
-from . import completion
 from .damage import show_damage
-from .options import ConversionGroup, Json, length
+from .options import ConversionGroup, Json, frame_option, length
 from .progress import progress_bar
 from .render import message, print_json, printable, warn
 
@@ -60,20 +59,11 @@ def map(  # noqa: A001  # the function of a command has its name
     ] = "0",
     odom_frame: Annotated[
         str,
-        typer.Option(
-            metavar="FRAME",
-            help="The frame of the map, in which the robot moves.",
-            autocompletion=completion.frames,
-        ),
+        frame_option("The frame of the map, in which the robot moves.", show_default=True),
     ] = "odom",
     base_frame: Annotated[
         str,
-        typer.Option(
-            metavar="FRAME",
-            autocompletion=completion.frames,
-            help="The robot's frame, whose path is drawn.  [default: base_link, or base_footprint]",
-            show_default=False,
-        ),
+        frame_option("The robot's frame, whose path is drawn.  [default: base_link, or base_footprint]"),
     ] = "",
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace files of these names.")] = False,
     as_json: Json = False,

@@ -83,6 +83,15 @@ Destination = Annotated[
         click_type=TyperPath(path_type=str),
     ),
 ]
+
+
+def frame_option(text: str, *, show_default: bool = False, panel: str | None = None) -> Any:
+    """Return an option that takes a frame of the recordings, which the shell offers."""
+    return typer.Option(
+        metavar="FRAME", help=text, autocompletion=completion.frames, show_default=show_default, rich_help_panel=panel
+    )
+
+
 Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 Moments = Annotated[
     list[str],
@@ -467,13 +476,7 @@ class FramesGroup(Group):
     transforms: TfSources
     source_frame: Annotated[
         str,
-        typer.Option(
-            metavar="FRAME",
-            autocompletion=completion.frames,
-            help="Frame of the messages to convert, if their frame_id is wrong or empty.",
-            show_default=False,
-            rich_help_panel=_FRAMES,
-        ),
+        frame_option("Frame of the messages to convert, if their frame_id is wrong or empty.", panel=_FRAMES),
     ] = ""
 
 

@@ -4,20 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from dataclasses import fields as dataclass_fields
-from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pc2scan.errors import MessageError, stamp_text
+from pc2scan.errors import stamp_text
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.messages.pointcloud2 import DATATYPES, POINTCLOUD2, CloudDecoder, PointCloud2
-from pc2scan.pipeline.options import ConvertOptions
-from pc2scan.pipeline.run import span_of
 
 from . import packages
-from .stream import Read, Source, Stream
-from .times import datetime64
+from .stream import Source, Stream
+from .times import Stamped
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -32,7 +29,7 @@ __all__ = ["Cloud", "Clouds"]
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
-class Cloud:
+class Cloud(Stamped):
     """A PointCloud2 message. ``cloud["intensity"]`` is a field of all points.
 
     Attributes
@@ -51,16 +48,6 @@ class Cloud:
     def stamp_ns(self) -> int:
         """``header.stamp``, nanoseconds since 1970."""
         return self._message.stamp_ns
-
-    @property
-    def stamp(self) -> np.datetime64:
-        """``header.stamp`` as ``numpy.datetime64`` in nanoseconds."""
-        return datetime64(self.stamp_ns)
-
-    @property
-    def log_time(self) -> np.datetime64:
-        """The time of recording as ``numpy.datetime64`` in nanoseconds; ``NaT`` if that cannot represent it."""
-        return datetime64(self.log_time_ns)
 
     @property
     def frame(self) -> str:
@@ -229,21 +216,14 @@ class Clouds(Stream[Cloud]):
     """
 
     def _source(self, stack: ExitStack, reader: Reader) -> Source:
-        asked = self._selection
-        chosen = asked.chosen(reader, (POINTCLOUD2,), _scans_instead)
-        span = span_of(reader, ConvertOptions(start=asked.start, end=asked.end))
-        connections = list(chain.from_iterable(chosen.values()))
-        decoders = {connection.id: CloudDecoder(connection.serialization) for connection in connections}
+        known = [connection for connection in reader.connections if connection.ros_version is not None]
+        decoders = {connection.id: CloudDecoder(connection.serialization) for connection in known}
 
-        def read(message: RawMessage) -> Read:
-            connection, log_time_ns = message.connection, message.log_time_ns
-            try:
-                decoded = decoders[connection.id](_kept(message.data))
-            except MessageError as err:
-                return Read(connection, log_time_ns, 0, error=err)
-            return Read(connection, log_time_ns, message.size, (Cloud(connection.topic, log_time_ns, decoded),))
+        def cloud(message: RawMessage) -> Cloud:
+            connection = message.connection
+            return Cloud(connection.topic, message.log_time_ns, decoders[connection.id](_kept(message.data)))
 
-        return Source(stack, [reader], tuple(chosen), connections, span.start_ns, span.stop_ns, read)
+        return self._as_recorded(stack, reader, POINTCLOUD2, _scans_instead, cloud)
 
     def to_dataframe(self) -> Any:
         """Return a ``pandas.DataFrame`` with a row for each point of each cloud. Reads all clouds into memory.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import chain
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -13,7 +12,6 @@ from pc2scan.errors import MessageError, UsageError, stamp_text
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN, decode_laserscan
 from pc2scan.pipeline.beforehand import Unconnected
-from pc2scan.pipeline.options import ConvertOptions
 from pc2scan.pipeline.plan import make_plan
 from pc2scan.pipeline.prepare import prepared
 from pc2scan.pipeline.report import Report
@@ -23,7 +21,7 @@ from pc2scan.pipeline.topic_report import TopicReport
 
 from . import packages
 from .stream import Read, Source, Stream
-from .times import datetime64
+from .times import Stamped
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -35,6 +33,7 @@ if TYPE_CHECKING:
     from pc2scan.model import Buffer, RawMessage
     from pc2scan.pipeline.combine.joint import Arrived, Joint, MadeScan
     from pc2scan.pipeline.conversion import Converted
+    from pc2scan.pipeline.options import ConvertOptions
     from pc2scan.pipeline.plan import Combination, Route
 
     from .stream import Selection
@@ -47,7 +46,7 @@ _LIMITS = ("range_min", "range_max", "time_increment", "scan_time")
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
-class Scan:
+class Scan(Stamped):
     """A LaserScan message.
 
     Attributes
@@ -88,16 +87,6 @@ class Scan:
     range_max: float
     ranges: NDArray[np.float32]
     intensities: NDArray[np.float32]
-
-    @property
-    def stamp(self) -> np.datetime64:
-        """``header.stamp`` as ``numpy.datetime64`` in nanoseconds."""
-        return datetime64(self.stamp_ns)
-
-    @property
-    def log_time(self) -> np.datetime64:
-        """The time of recording as ``numpy.datetime64`` in nanoseconds; ``NaT`` if that cannot represent it."""
-        return datetime64(self.log_time_ns)
 
     @property
     def angles(self) -> NDArray[np.float64]:
@@ -205,13 +194,9 @@ class Scans(Stream[Scan]):
         super().__init__(selection)
 
     def _source(self, stack: ExitStack, reader: Reader) -> Source:
-        asked = self._selection
         if self._conversion is not None:
             return self._converting(stack, reader, self._conversion)
-        chosen = asked.chosen(reader, (LASERSCAN,), _clouds_instead)
-        span = span_of(reader, ConvertOptions(start=asked.start, end=asked.end))
-        connections = list(chain.from_iterable(chosen.values()))
-        return Source(stack, [reader], tuple(chosen), connections, span.start_ns, span.stop_ns, _read)
+        return self._as_recorded(stack, reader, LASERSCAN, _clouds_instead, _recorded)
 
     def _converting(self, stack: ExitStack, reader: Reader, options: ConvertOptions) -> Source:
         """Convert clouds as `pc2scan.convert` does."""
@@ -360,13 +345,9 @@ def _scan(topic: str, log_time_ns: int, data: Buffer, serialization: str) -> Sca
     )
 
 
-def _read(message: RawMessage) -> Read:
-    connection, log_time_ns = message.connection, message.log_time_ns
-    try:
-        scan = _scan(connection.topic, log_time_ns, message.data, connection.serialization)
-    except MessageError as err:
-        return Read(connection, log_time_ns, 0, error=err)
-    return Read(connection, log_time_ns, message.size, (scan,))
+def _recorded(message: RawMessage) -> Scan:
+    connection = message.connection
+    return _scan(connection.topic, message.log_time_ns, message.data, connection.serialization)
 
 
 class _Task(NamedTuple):

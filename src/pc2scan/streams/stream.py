@@ -6,6 +6,7 @@ import warnings
 from abc import ABC, abstractmethod
 from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass
+from itertools import chain
 from typing import TYPE_CHECKING, Generic, NamedTuple, Protocol, TypeVar
 from weakref import WeakSet, finalize
 
@@ -14,7 +15,9 @@ from pc2scan.bags.topics import find_topics, short_types
 from pc2scan.bags.units import in_time_order
 from pc2scan.errors import MessageError, RecordingWarning, TopicError, UsageError, name_list
 from pc2scan.pipeline.beforehand import refuse_no_messages
+from pc2scan.pipeline.options import ConvertOptions
 from pc2scan.pipeline.report import MAX_LISTED, Skipped
+from pc2scan.pipeline.run import span_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Generator, Sequence
@@ -34,9 +37,6 @@ if TYPE_CHECKING:
 __all__ = ["Account", "Read", "Selection", "Source", "Stream"]
 
 Item = TypeVar("Item")
-
-#: Messages between two calls of the progress function.
-_PROGRESS_EVERY = 16
 
 #: How many topics ``repr`` names.
 _SHOWN = 3
@@ -261,6 +261,30 @@ class Stream(ABC, Generic[Item]):
     @abstractmethod
     def _source(self, stack: ExitStack, reader: Reader) -> Source:
         """Return what is read from an open recording."""
+
+    def _as_recorded(
+        self,
+        stack: ExitStack,
+        reader: Reader,
+        msgtype: str,
+        hint: Callable[[Reader], str | None],
+        item_of: Callable[[RawMessage], Item],
+    ) -> Source:
+        """Return the messages of a type, each of which becomes one item; see `Selection.chosen`."""
+        asked = self._selection
+        chosen = asked.chosen(reader, (msgtype,), hint)
+        span = span_of(reader, ConvertOptions(start=asked.start, end=asked.end))
+        connections = list(chain.from_iterable(chosen.values()))
+
+        def read(message: RawMessage) -> Read:
+            connection, log_time_ns = message.connection, message.log_time_ns
+            try:
+                item = item_of(message)
+            except MessageError as err:
+                return Read(connection, log_time_ns, 0, error=err)
+            return Read(connection, log_time_ns, message.size, (item,))
+
+        return Source(stack, [reader], tuple(chosen), connections, span.start_ns, span.stop_ns, read)
 
     def _open(self) -> Source:
         asked = self._selection
