@@ -104,7 +104,7 @@ def test_a_parameter_is_checked_alike_wherever_it_is_given(arguments: list[str],
         (["--range-cutoff", "3"], "error: --channel and --range-cutoff go with --reverse\n"),
         (["--reverse", "--deskew"], "such as --target-frame odom\n"),
         (["--write-static-tf"], "hint: give one with --static-tf\n"),
-        (["-o", HALL], "what is read is never changed"),
+        (["-o", HALL], "sources are never changed"),
         (["-o", "scan.bag", "--storage", "mcap"], "--storage is for rosbag2 directories"),
         (
             ["-o", "scan.bag", "--compression", "zstd"],

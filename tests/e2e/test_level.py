@@ -138,8 +138,8 @@ def test_level_by_an_imu_that_is_mounted_upside_down(tmp_path: Path, world: Path
     made = converted(tmp_path, world, imu, "--level", "--imu", "/imu", *MOUNTED)
     off = made.off(TILTING)
     assert off.max() < 0.02, (np.percentile(off, 99), off.max())
-    how = "by the orientations of" if orientation else "estimated by gyroscope and accelerometer of"
-    assert any(f"/imu: up is {'known ' if orientation else ''}{how}" in note for note in made.report["notes"])
+    how = "from the orientations of" if orientation else "estimated from gyroscope and accelerometer of"
+    assert any(f"/imu: up is {'computed ' if orientation else ''}{how}" in note for note in made.report["notes"])
 
 
 def test_the_imu_levels_and_odometry_deskews(tmp_path: Path, world: Path) -> None:
@@ -275,12 +275,12 @@ def test_an_imu_with_a_gap_and_one_of_another_clock(tmp_path: Path, world: Path)
     assert made.done.status == 3
     (entry,) = (topic for topic in made.report["topics"] if topic["action"] == "converted")
     assert entry["skipped"] == pytest.approx(50, abs=2)
-    assert "which way is up is not known at" in made.report["skipped"][0]["reason"]
+    assert "the direction of up is not known at" in made.report["skipped"][0]["reason"]
     assert made.off(TILTING).max() < 0.05
     imu = write_imu(tmp_path / "other.mcap", TILTING, clock_ns=-BEGIN_NS + 10_000_000_000)
     done = converted(tmp_path, world, imu, "--level", "--imu", "/imu", *MOUNTED).done
     assert done.status == 1
-    assert "of another clock" in done.stderr
+    assert "from another clock" in done.stderr
 
 
 def test_odometry_that_knows_no_tilt_and_a_frame_of_the_same_name(tmp_path: Path) -> None:
@@ -309,7 +309,7 @@ def test_info_says_which_imus_make_scans_level(tmp_path: Path, world: Path) -> N
     imu = write_imu(tmp_path / "imu.mcap", TILTING)
     done = run("info", world, imu)
     assert "/imu: --imu /imu makes scans level\n  frame   'imu_link'\n" in done.stdout
-    assert "up      up is estimated by gyroscope and accelerometer of 1,000 messages" in done.stdout
+    assert "up      up is estimated from gyroscope and accelerometer of 1,000 messages" in done.stdout
     (entry,) = json.loads(run("info", world, imu, "--json").stdout)["imus"]
     assert (entry["topic"], entry["frame"], entry["usable"]) == ("/imu", "imu_link", True)
 

@@ -18,10 +18,7 @@ def test_what_there_is_instead(tmp_path: Path) -> None:
     for name in ("a.bag", "b.bag", "c.mcap", "d.mcap", "notes.txt"):
         (tmp_path / name).touch()
     hint = missing_hint(tmp_path / "recording", (".bag", ".mcap"))
-    assert (
-        hint
-        == f"in that place there is {', '.join(str(tmp_path / n) for n in ('a.bag', 'b.bag', 'c.mcap'))} and 1 more"
-    )
+    assert hint == f"the folder has {', '.join(str(tmp_path / n) for n in ('a.bag', 'b.bag', 'c.mcap'))} and 1 more"
 
 
 def test_a_directory_that_is_missing(tmp_path: Path) -> None:

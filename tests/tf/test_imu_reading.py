@@ -78,7 +78,7 @@ def test_valid_orientations_are_up(ros_version: int) -> None:
     assert (found.topic, found.frame) == ("/imu", "imu_link")
     assert found.stamps_ns.tolist() == (EPOCH + world.stamps_ns).tolist()
     np.testing.assert_allclose(found.ups, world.ups, atol=1e-12)
-    assert found.notes == ("/imu: up is known by the orientations of 200 messages",)
+    assert found.notes == ("/imu: up is computed from the orientations of 200 messages",)
     assert not found.warnings
 
 
@@ -94,7 +94,7 @@ def test_without_them_gyroscope_and_accelerometer_are(further: dict[str, Any], w
     world = simulated(20)
     found = read(Recording(*of(world, **further)))
     assert errors(found.ups, world.ups).max() < 0.8
-    assert found.notes == (f"/imu: up is estimated by gyroscope and accelerometer of 2,000 messages: {why}",)
+    assert found.notes == (f"/imu: up is estimated from gyroscope and accelerometer of 2,000 messages: {why}",)
 
 
 def test_accelerations_in_g() -> None:
@@ -139,9 +139,9 @@ def test_an_orientation_in_a_world_whose_z_is_down_is_reported() -> None:
 @pytest.mark.parametrize(
     ("messages", "message"),
     [
-        (of(simulated(2), acceleration=(0.0, 0.0, 0.0)), "shows 0 m/s\\^2 in the median, where gravity is 9.807"),
-        (of(simulated(2), acceleration=(0.0, 0.3, 0.4)), "shows 0.5 m/s"),
-        (of(simulated(2), acceleration=(0.0, 0.0, 9806.0)), "shows 9.81e\\+03 m/s"),
+        (of(simulated(2), acceleration=(0.0, 0.0, 0.0)), "is 0 m/s\\^2, gravity is 9.807"),
+        (of(simulated(2), acceleration=(0.0, 0.3, 0.4)), "is 0.5 m/s"),
+        (of(simulated(2), acceleration=(0.0, 0.0, 9806.0)), "is 9.81e\\+03 m/s"),
         (of(simulated(2), turning=(0.0, 0.0, 0.0)), "the gyroscope always shows 0"),
         (of(simulated(2), first=(-1.0, -1.0, 0.0)), "none has both an angular velocity and an acceleration"),
     ],
@@ -193,9 +193,9 @@ def test_frames() -> None:
     messages = of(simulated(1))
     with pytest.raises(UsageError, match="have no frame_id") as refused:
         read(Recording(*(each | {"frame_id": ""} for each in messages)))
-    assert refused.value.hint == "name it: `imu=/imu:imu_link`"
+    assert refused.value.hint == "give it: `imu=/imu:imu_link`"
     assert read(Recording(*(each | {"frame_id": ""} for each in messages)), "/imu:body").frame == "body"
-    with pytest.raises(UsageError, match="of several frames: a, imu_link"):
+    with pytest.raises(UsageError, match="have several frames: a, imu_link"):
         read(Recording(messages[0] | {"frame_id": "a"}, *messages[1:]))
 
 

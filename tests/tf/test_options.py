@@ -22,7 +22,7 @@ def test_both_notations_of_a_static_transform() -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("base lidar 1 2 3", "5 words"),
+        ("base lidar 1 2 3", "5 values"),
         ("base lidar 1 2 x 0 0 0", "'x' is not a number"),
         ("base base 1 2 3 0 0 0", "two frames"),
         ("base /base 1 2 3 0 0 0", "two frames"),
@@ -47,8 +47,8 @@ def test_units_of_a_static_transform() -> None:
     [
         ("b l 0 0 1 0 45 0", "pitch is 45 rad", "`static_tf='b l 0 0 1 0 45deg 0'`, which is 0 0.785398 0 rad"),
         ("b l 0 0 1 0 3 2 0", "length 3.606", "`static_tf='b l 0 0 1 0 0.83205 0.5547 0'`"),
-        ("1 2 3 0.1 0.2 0.3 b l 100", "behind the numbers", "`static_tf='b l 1 2 3 0.3 0.2 0.1'` (roll pitch yaw)"),
-        ("1 2 3 0 0 0 1 b l", "behind the numbers", "`static_tf='b l 1 2 3 0 0 0 1'`"),
+        ("1 2 3 0.1 0.2 0.3 b l 100", "after the numbers", "`static_tf='b l 1 2 3 0.3 0.2 0.1'` (roll pitch yaw)"),
+        ("1 2 3 0 0 0 1 b l", "after the numbers", "`static_tf='b l 1 2 3 0 0 0 1'`"),
     ],
 )
 def test_what_is_asked_about(text: str, words: str, cure: str) -> None:

@@ -41,7 +41,7 @@ def test_a_file_of_static_transforms(tmp_path: Path) -> None:
         ("- {parent: a, child: b, rpy: [1, 2, true]}", "rpy"),
         ("- {parent: a, child: b, rpy: [0, 0, 90]}", "yaw is 90 rad"),
         ("- {parent: a, child: b, rpy: [0, 0, 90m]}", "rpy"),
-        ("- {parent: a, child: b, rotation: [0, 0, 0, 2]}", "length 2, and must have 1"),
+        ("- {parent: a, child: b, rotation: [0, 0, 0, 2]}", "length 2, it must be 1"),
         ("- [", "not YAML"),
         ("- !!python/object/apply:os.getcwd []", "YAML"),
     ],

@@ -1,1 +1,1 @@
-"""Files: where bytes come from and go to."""
+"""Reads and writes files: sources, destinations, compression, temporary copies."""

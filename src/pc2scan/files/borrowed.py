@@ -1,4 +1,4 @@
-"""Buffers that are reused for reading, and memory that is kept for a while instead of being copied."""
+"""Buffers that are reused for reading, and memory that is kept for some time instead of being copied."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ __all__ = ["Borrowed", "Buffers", "Kept", "Memory", "keep"]
 #: Buffers have multiples of this size, so that one serves chunks of different sizes.
 _ROUNDED_TO = 1 << 20
 
-#: Bytes that may be kept at one time: beyond, callers copy what they need, which is less.
+#: Bytes that may be kept at a time. Above this limit, callers copy the part that they need.
 _MAX_KEPT = 64 << 20
 
 
 class Memory(bytearray):
-    """A buffer, and what borrows it."""
+    """A buffer, and the object that borrows it."""
 
     __slots__ = ("borrower",)
 
@@ -24,11 +24,11 @@ class Memory(bytearray):
 
 
 class Buffers(list[Memory]):
-    """The free buffers. All open files share them, so that each thread that reads needs one."""
+    """The free buffers. All open files share them, so one for each reading thread is enough."""
 
     def take(self, length: int) -> Memory:
-        """Return a buffer of at least this size; the caller appends it again."""
-        # Not checked first: another thread may take the buffer in between.
+        """Return a buffer of at least this size. The caller must append it to this list again."""
+        # Not `if self`: another thread may take the buffer between the check and the call.
         with suppress(IndexError):
             buffer = self.pop()
             if len(buffer) >= length:
@@ -42,9 +42,9 @@ class Borrowed:
     Parameters
     ----------
     buffers
-        Where it is taken from, and where it goes again.
+        The list from which the buffer is taken, and to which it is returned.
     length
-        Its size, or less.
+        Its minimum size.
     """
 
     __slots__ = ("__weakref__", "_buffers", "buffer")
@@ -60,11 +60,11 @@ class Borrowed:
 
 
 class Kept:
-    """Memory that is neither overwritten nor freed while somebody refers to this object."""
+    """Memory that is neither overwritten nor freed while this object exists."""
 
     __slots__ = ("_owner", "size")
 
-    #: Bytes that are kept. The lock may be taken again: the collector of cycles runs anywhere.
+    #: Bytes that are kept. The lock is reentrant, because garbage collection may run `__del__` while it is held.
     _bytes = 0
     _lock = RLock()
 
@@ -80,23 +80,23 @@ class Kept:
 
     @classmethod
     def has_room(cls, size: int) -> bool:
-        """Whether so many more bytes may be kept."""
+        """Return whether this many more bytes may be kept."""
         return cls._bytes + size <= _MAX_KEPT
 
 
 def keep(memory: bytes | Memory) -> Kept | None:
-    """Keep the memory that data are a view of.
+    """Keep the memory of which data are a view.
 
     Parameters
     ----------
     memory
-        All of it.
+        The whole memory, of which the data may be a part.
 
     Returns
     -------
     Kept | None
-        What has to be referred to for as long as the data are used; None if they have to be copied: others may
-        overwrite them, or too much is kept already.
+        An object to refer to as long as the data are used; None if the data must be copied, because they may be
+        overwritten or too much is kept already.
     """
     if not Kept.has_room(len(memory)):
         return None

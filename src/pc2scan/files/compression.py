@@ -47,7 +47,7 @@ class Decompressed(NamedTuple):
     data
         At most one byte more than expected; the additional byte shows that there is more.
     complete
-        Whether this is all, and the compressed data end where they should.
+        Whether ``data`` is the whole result, and the compressed data end where they should.
     """
 
     data: Buffer

@@ -1,6 +1,6 @@
 """Computes CRC-32 as zlib and MCAP define it, with the fastest available library.
 
-zlib needs as long for it as for reading an uncompressed recording, and a fifth of the time of decompressing zstd.
+With zlib, it takes as long as reading an uncompressed recording, and a fifth of the time of decompressing zstd.
 """
 
 from __future__ import annotations
@@ -60,6 +60,6 @@ def _multiplied(one: int, other: int) -> int:
 def _fastest() -> Callable[[Buffer, int], int]:
     try:
         from isal import isal_zlib  # noqa: PLC0415  # only large chunks need it
-    except ImportError:  # there is none for this processor
+    except ImportError:  # the library has no build for this processor
         return zlib.crc32
     return isal_zlib.crc32

@@ -1,4 +1,4 @@
-"""JUnit XML, which CI systems show with the results of other tests."""
+"""Writes JUnit XML, which CI systems show with the results of other tests."""
 
 from __future__ import annotations
 
@@ -46,18 +46,18 @@ def junit_file(
     path
         The file; None: no file is written.
     command
-        The command that tests.
+        The command that has made the results.
     inputs
-        What it reads: never written over.
+        The files that it reads. They are never overwritten.
     overwrite
         Whether a file that is not JUnit XML of pc2scan may be replaced.
     option
-        Which option names it, for errors.
+        The option that names the file, for errors.
 
     Raises
     ------
     DestinationError, OutputError
-        If it may not or cannot be written; by the function too.
+        If it may not or cannot be written. The function raises these, too.
     """
     if path is None:
         yield lambda _: None

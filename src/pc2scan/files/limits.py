@@ -1,4 +1,4 @@
-"""Limits for the sizes and counts that an untrusted recording declares; more would only take memory."""
+"""Limits of sizes and counts that untrusted recordings declare. They bound the memory that a recording can take."""
 
 from __future__ import annotations
 

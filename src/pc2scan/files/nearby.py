@@ -1,4 +1,4 @@
-"""What a path that leads nowhere was probably meant to be."""
+"""Suggests what the user probably meant by a path that does not exist."""
 
 from __future__ import annotations
 
@@ -14,31 +14,31 @@ if TYPE_CHECKING:
 
 __all__ = ["missing_hint"]
 
-#: Entries of a directory that are looked at.
+#: Maximum number of a directory's entries that are compared.
 _MOST = 2_000
 
 
 def missing_hint(path: Path, suffixes: Iterable[str] = ()) -> str | None:
-    """Say what may have been meant by a path that is not there.
+    """Return a hint for a path that does not exist.
 
     Parameters
     ----------
     path
-        Nothing has this name.
+        The path.
     suffixes
-        Of the files that are listed where no name is similar.
+        Suffixes of the files that are listed if no name is similar.
 
     Returns
     -------
     str or None
-        Where a link leads, the file beside it with a similar name, or what there is, or the directory that is
-        missing; None where nothing can be said.
+        The target of a broken link, a similar name in the directory, the files in it, or the directory that is missing;
+        None if there is no hint.
     """
     if str(path) == "-":
-        return "recordings are not read from a pipe: save it as a file first"
+        return "recordings cannot be read from a pipe; save it as a file first"
     # Not Path.is_symlink: the name may be too long.
     if os.path.islink(path):  # noqa: PTH114
-        return f"it is a link to {path.readlink()}, which is not there"
+        return f"it is a link to {path.readlink()}, which does not exist"
     above = path.parent
     while not above.is_dir():
         if above == above.parent:
@@ -57,4 +57,4 @@ def missing_hint(path: Path, suffixes: Iterable[str] = ()) -> str | None:
     if not there:
         return None
     more = f" and {len(there) - 3} more" if len(there) > 3 else ""
-    return f"in that place there is {', '.join(there[:3])}{more}"
+    return f"the folder has {', '.join(there[:3])}{more}"

@@ -119,7 +119,7 @@ def _refuse_input(output: OutputPath, read: _Inputs) -> None:
         raise DestinationError(
             f"{_subject(output)}{relation} {what}",
             path=output.path,
-            hint="what is read is never changed; choose another name",
+            hint="sources are never changed; choose another name",
         )
 
 

@@ -43,7 +43,7 @@ def working_names(dst: Path) -> tuple[Path, ...]:
 
 
 def check_place(dst: Path) -> None:
-    """Raise if nothing of this name can be written."""
+    """Raise if no file with this name can be written."""
     if dst.name in {"", ".."}:
         raise DestinationError("is not a name that a recording can have", path=dst)
     if reason := system.unusable_name(dst.name):
@@ -52,7 +52,7 @@ def check_place(dst: Path) -> None:
     try:
         exists = parent.exists()
     except OSError as err:
-        raise DestinationError(f"its directory cannot be there: {err.strerror}", path=dst) from err
+        raise DestinationError(f"its directory cannot exist: {err.strerror}", path=dst) from err
     if not exists:
         from shlex import quote  # noqa: PLC0415  # few destinations are wrong
 
@@ -61,20 +61,20 @@ def check_place(dst: Path) -> None:
     check_length(dst)
     if not parent.is_dir():
         raise DestinationError(f"{parent} is not a directory", path=dst)
-    # Even links there are not replaced: /dev/stdout is one.
+    # Links there are not replaced either: /dev/stdout is one.
     place = os.path.realpath(parent)
     if place == "/dev" or place.startswith(("/proc/", "/sys/")):
-        raise DestinationError(f"{parent} holds devices, not files", path=dst, hint="name a file in another directory")
+        raise DestinationError(f"{parent} holds devices, not files", path=dst, hint="give a path in another directory")
     if not os.access(parent, os.W_OK | os.X_OK):
         raise OutputError(
-            "its directory is not writable", path=dst, hint="write into another one, or change its rights"
+            "its directory is not writable", path=dst, hint="write to another one, or change its permissions"
         )
 
 
 def check_length(dst: Path) -> None:
     """Raise if the file system cannot hold the name, or one of its `working_names`."""
     limit = 255
-    # Not every system and file system can tell.
+    # Not every system and file system reports its limit.
     with suppress(OSError, ValueError, AttributeError):
         limit = os.pathconf(dst.parent, "PC_NAME_MAX")
     allowed = limit - len(LOCK)

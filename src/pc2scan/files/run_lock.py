@@ -23,7 +23,7 @@ __all__ = ["only_run"]
 def only_run(dst: Path) -> Iterator[int]:
     """Hold the lock of a running run; yields its descriptor.
 
-    The kernel releases it when the process ends, and the processes that have inherited the descriptor.
+    The kernel releases it when this process and all processes that have inherited the descriptor have ended.
     """
     lock = dst.with_name(dst.name + LOCK)
     try:
@@ -62,7 +62,7 @@ def _locked(lock: Path) -> int:
             except BlockingIOError:
                 raise
             except OSError:
-                # Some network file systems cannot lock files, but can be written.
+                # Some network file systems cannot lock files. Writing goes on without a lock.
                 return descriptor
             with suppress(FileNotFoundError):
                 if os.path.samestat(os.fstat(descriptor), lock.lstat()):
@@ -70,7 +70,7 @@ def _locked(lock: Path) -> int:
         except BaseException:
             os.close(descriptor)
             raise
-        # The run that held the lock ended, and removed it, between opening and locking it here.
+        # The run that held the lock has removed the file between opening and locking it here.
         os.close(descriptor)
 
 

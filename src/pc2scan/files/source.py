@@ -34,17 +34,17 @@ _BORROWED_BYTES = range(1 << 18, 1 << 24)
 #: Endings of the files that SQLite keeps beside a database while it is written.
 _LOGS = ("-wal", "-journal")
 
-#: Files whose bytes are put there when they are first read, and what does so: called with their place before each read.
+#: Functions that fetch the bytes of stand-ins, by path. They are called with the offset and length before each read.
 on_demand: dict[Path, Callable[[int, int], None]] = {}
 
-#: Bytes of such a file that are there when it is opened as a whole: its beginning says what it is.
+#: Bytes of a stand-in that are fetched when it is opened: the beginning tells its format.
 _HEAD_BYTES = 1 << 17
 
 
 def state_of(path: Path) -> tuple[tuple[str, int, int, int, int], ...]:
     """Return the name, inode, size and both times of change of each file of a recording, to detect changes.
 
-    ``cp -p``, ``rsync -t`` and ``touch -r`` set a file's modification time back, but not its ctime. The logs beside a
+    The ctime is included because ``cp -p``, ``rsync -t`` and ``touch -r`` set a modification time back. Logs beside a
     database are included: a recorder that is still running may write only to these.
     """
     try:
@@ -85,7 +85,7 @@ def opened_text(path: Path) -> TextIOWrapper:
 
 
 def _open_regular(path: str, flags: int) -> int:
-    # Checked before it is opened, because opening alone has an effect on some devices, and after: it may be another.
+    # Checked before, because merely opening some devices has an effect; and after, because the file may be replaced.
     _refuse_special(os.stat(path), path)  # noqa: PTH116  # an opener's paths are text
     descriptor = os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
     try:
@@ -112,7 +112,7 @@ class SourceFile:
     path
         The file.
     start
-        Where in the file the recording begins; places count from here.
+        Where in the file the recording begins; offsets count from here.
 
     Raises
     ------
@@ -143,7 +143,7 @@ class SourceFile:
     def expect(self, offset: int, length: int) -> None:
         """Tell the system to read these bytes ahead, if it can."""
         offset += self.start
-        # If the last byte is cached already, the call is saved: it would look for each page.
+        # If the last byte is cached already, the call is skipped: it would look up each page.
         with suppress(OSError, AttributeError):
             if os.preadv(self._descriptor, [bytearray(1)], offset + length - 1, os.RWF_NOWAIT):
                 return
@@ -158,15 +158,15 @@ class SourceFile:
             os.close(descriptor)
 
     def error(self, message: str, hint: str | None = None) -> RecordingError:
-        """Make an error that names this file."""
+        """Return an error that names this file."""
         return RecordingError(message, path=self.path, hint=hint)
 
     def located(self, message: str) -> str:
-        """Add to a message with places where in the file the recording begins."""
+        """Add to a message with offsets where in the file the recording begins."""
         return f"in the recording from byte {self.start} on, {message}" if self.start else message
 
     def damage(self, message: str) -> Exception:
-        """Make the error for missing or wrong bytes; formats override it."""
+        """Return the error for missing or wrong bytes; formats override it."""
         return self.error(message)
 
     def read(self, offset: int, length: int) -> bytes:
@@ -177,7 +177,7 @@ class SourceFile:
             self._fetch(offset, length)
         try:
             data = read_at(self._descriptor, length, offset)
-            # Many bytes take several calls.
+            # A call may return fewer bytes than requested.
             while len(data) < length and (more := read_at(self._descriptor, length - len(data), offset + len(data))):
                 data += more
         except OSError as err:
@@ -240,7 +240,7 @@ class SourceFile:
         )
 
 
-#: The buffers; they exist as long as any file is open.
+#: The buffers. They are freed when no file is open any more.
 _shared: WeakValueDictionary[str, Buffers] = WeakValueDictionary()
 
 
@@ -260,12 +260,12 @@ class NewFile:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        #: Where the next bytes are written.
+        #: The offset at which the next bytes are written.
         self.position = 0
         self._file = path.open("xb")
 
     def put(self, *parts: Buffer) -> int:
-        """Write at the end; returns where that was."""
+        """Write at the end, and return the offset."""
         start = self.position
         try:
             self._file.writelines(parts)
@@ -283,7 +283,7 @@ class NewFile:
             raise self._failed(err) from err
 
     def finish(self) -> None:
-        """Put everything on the disk."""
+        """Write everything to the disk."""
         try:
             self._file.flush()
             os.fsync(self._file.fileno())
@@ -292,8 +292,8 @@ class NewFile:
             raise self._failed(err) from err
 
     def abort(self) -> None:
-        """Release the file; what was written is left for the caller to remove."""
-        # Closing writes the buffered bytes and may fail for the same reason as the run.
+        """Close the file; the caller removes it."""
+        # Closing writes the buffered bytes, which may fail for the same reason as the run.
         with suppress(OSError):
             self._file.close()
 
@@ -302,7 +302,7 @@ class NewFile:
 
 
 class FreeIds:
-    """Gives ids to the declarations of a file: some are reserved, all others are counted from the first one on.
+    """Assigns ids to the declarations of a file: reserved ones on request, and others counted from the first one on.
 
     Parameters
     ----------

@@ -40,16 +40,16 @@ def check_parts(dst: Path, *, overwrite: bool) -> None:
 
 @contextmanager
 def staged_parts(dst: Path, *, overwrite: bool) -> Iterator[Path]:
-    """Yield a new directory to write the parts of a recording in, and move them beside each other at the end.
+    """Yield a new directory to write the parts of a recording in, and move them to the destination's folder at the end.
 
-    All of them appear, or none. The first one in the order of their numbers appears last: where it is, all are.
+    All of them appear, or none. The first one in the order of their numbers appears last: if it exists, all do.
 
     Parameters
     ----------
     dst
-        What the parts are named after: ``drive_0.bag`` and so on of ``drive.bag``.
+        The name from which those of the parts are made: ``drive_0.bag`` and so on from ``drive.bag``.
     overwrite
-        Whether existing parts of that name may be replaced: all of them, however many the new ones are.
+        Whether existing parts of that name may be replaced: all of them, also if the new ones are fewer.
 
     Yields
     ------
@@ -83,14 +83,14 @@ def staged_parts(dst: Path, *, overwrite: bool) -> Iterator[Path]:
 
 
 def _commit_parts(partial: Path, dst: Path, *, overwrite: bool) -> None:
-    """Move the parts to their places, the first one last; if that fails, everything is as it was."""
+    """Move the parts to their places, the first one last; if that fails, restore the old ones."""
     sync(partial)
     old = parts_beside(dst)
     if old and not overwrite:
         raise exists_already(old[0])
     aside, placed = [], []
     try:
-        # The first one last, and of the new ones too: what a killed run leaves says how far it came.
+        # Old and new parts are both moved with the first one last: what a killed run leaves shows how far it came.
         for path in reversed(_in_order(old)):
             path.rename(path.with_name(path.name + OLD))
             aside.append(path)
@@ -118,12 +118,12 @@ def _restore_parts(dst: Path) -> None:
     places = [path.with_name(path.name.removesuffix(OLD)) for path in aside]
     present = _in_order(parts_beside(dst))
     if present and present[0] == places[0]:
-        # The first new one appears last: they are complete.
+        # The first new part appears last, so all new ones are in place.
         for path in aside:
             remove(path)
         return
     if not present or _number(places[0]) < _number(present[0]):
-        # All old ones are aside, and what is in place is of the run that died.
+        # All old parts are set aside, so those in place were written by the run that died.
         for path in present:
             remove(path)
     for path, place in zip(aside, places, strict=True):

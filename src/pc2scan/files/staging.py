@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
-    #: Returns what a directory has in it beside a recording; empty for nothing.
+    #: Returns what a directory has besides a recording; empty for nothing.
     _Beside = Callable[[Path], str]
 
 __all__ = [
@@ -40,14 +40,14 @@ __all__ = [
 #: The beginning of the names of a run's internal files.
 _PRIVATE = ".pc2scan-"
 
-#: Destinations that were about to get their name, each with its device and inode. Bounded, for long-lived processes.
+#: Destinations that were about to be renamed, each with its device and inode. Bounded, for long-lived processes.
 _renamed: deque[tuple[Path, tuple[int, int] | None]] = deque(maxlen=1000)
 
 
 def written() -> list[Path]:
     """Return the destinations that this process wrote and that are still in place, in the order of writing.
 
-    An interruption may come between a renaming and anything that notes it, so the files themselves are asked.
+    An interruption may come between renaming and noting it, so device and inode of the existing files are compared.
     """
     named = [(dst, identity) for dst, identity in _renamed if not dst.name.startswith(_PRIVATE)]
     return list(dict.fromkeys(dst for dst, identity in named if identity and _identity(dst) == identity))
@@ -64,7 +64,7 @@ def note_written(dst: Path) -> None:
 
 
 def _identity(path: Path) -> tuple[int, int] | None:
-    """Device and inode, which a file keeps when it is renamed; None for a file that is not there."""
+    """Return device and inode, which a file keeps when it is renamed; None if it does not exist."""
     try:
         status = path.lstat()
     except OSError:
@@ -84,7 +84,7 @@ def staged(dst: Path, *, overwrite: bool, beside_recording: _Beside | None = Non
         Whether an existing file, or a directory with a rosbag2 recording and nothing else, may be replaced.
         It stays unchanged until the new one is complete.
     beside_recording
-        Returns what a directory has in it beside a recording, if anything. Without it no directory is replaced.
+        Returns what a directory has besides a recording, if anything. Without it no directory is replaced.
 
     Yields
     ------
@@ -122,7 +122,7 @@ def check_destination(
     dst, overwrite, beside_recording
         See `staged`.
     folder
-        The folder that `dst` is in, if it is made for it.
+        The folder of `dst`, if it will be made.
 
     Raises
     ------
@@ -134,7 +134,7 @@ def check_destination(
         return
     check_place(dst)
     if not overwrite and os.path.lexists(dst.with_name(dst.name + OLD)):
-        # An interrupted run has set it aside, and it would be restored first.
+        # An interrupted run has set the old output aside. It would be restored first, and then exist.
         raise exists_already(dst)
     check_existing(dst, overwrite=overwrite, beside_recording=beside_recording)
 
@@ -168,7 +168,7 @@ def prepared(
     check_place(dst)
     partial = dst.with_name(dst.name + PARTIAL)
     with only_run(dst):
-        # A partial file that exists now is of a run that died: a running one holds the lock.
+        # A partial file that exists now was left by a run that died, because a running one would hold the lock.
         with cleaning_up(dst):
             remove(partial)
         overwrite = check()
@@ -192,7 +192,7 @@ def _restore(dst: Path) -> None:
     """Undo or complete the replacement of a directory, if a run died between the two steps."""
     aside = dst.with_name(dst.name + OLD)
     if os.path.lexists(dst):
-        # The new one was renamed already; only the old one had to be removed.
+        # The new output is in place; only the old one was still to be removed.
         remove(aside)
     elif os.path.lexists(aside):
         aside.rename(dst)
@@ -213,11 +213,11 @@ def check_existing(dst: Path, *, overwrite: bool, beside_recording: _Beside | No
 
 
 def _refuse_other_directory(dst: Path, beside_recording: _Beside | None) -> None:
-    """Raise if a directory has anything but a recording in it."""
-    reason = beside_recording(dst) if beside_recording else "it is not looked into"
+    """Raise if a directory has anything besides a recording."""
+    reason = beside_recording(dst) if beside_recording else "its content is not checked"
     if reason:
         raise DestinationError(
-            f"is a directory with more than a rosbag2 recording in it ({reason}), and is not overwritten",
+            f"is a directory with more than a rosbag2 recording ({reason}), and is not overwritten",
             path=dst,
             hint="choose another name, or delete it yourself",
         )
@@ -229,9 +229,9 @@ def exists_already(dst: Path) -> DestinationError:
 
 
 def clean_up(dst: Path) -> None:
-    """Remove what a killed run left beside a destination, and put back what it had set aside.
+    """Remove the files that a killed run left beside a destination, and restore those that it had set aside.
 
-    A destination that another run is writing is left alone.
+    Nothing is done for a destination that another run is writing.
 
     Raises
     ------
@@ -271,7 +271,7 @@ def sync(path: Path) -> None:
 
 
 def rename_file(partial: Path, dst: Path) -> None:
-    """Rename, but never over a file that appeared meanwhile: unlike a rename, a link fails then."""
+    """Rename a file by a link, which unlike renaming fails if another file has appeared under the name meanwhile."""
     try:
         os.link(partial, dst)
     except FileExistsError as err:
@@ -298,7 +298,7 @@ def _rename_directory(partial: Path, dst: Path) -> None:
 
 
 def _replace(partial: Path, dst: Path, beside_recording: _Beside | None) -> None:
-    """Replace the old by the new one; if that fails, the old one is restored."""
+    """Replace the old output by the new one; if that fails, restore the old one."""
     if not partial.is_dir() and (dst.is_symlink() or not dst.is_dir()):
         partial.replace(dst)
         return
@@ -313,7 +313,7 @@ def _replace(partial: Path, dst: Path, beside_recording: _Beside | None) -> None
         if not os.path.lexists(dst):
             aside.rename(dst)
         raise
-    # The new one is on the disk before the old one is removed.
+    # The new output must be on the disk before the old one is removed.
     sync_directory(dst.parent)
     remove(aside)
 

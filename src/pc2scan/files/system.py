@@ -1,4 +1,4 @@
-"""What operating systems differ in: reading at a place, locks, names, and waiting for the disk."""
+"""Hides differences between operating systems: reading at an offset, locks, names, and waiting for the disk."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ __all__ = [
 #: Windows would translate line ends in files that are opened without it.
 BINARY = getattr(os, "O_BINARY", 0)
 
-#: With this, opening a symbolic link fails; 0 where the system cannot do so.
+#: With this flag, opening a symbolic link fails; 0 if the system does not have it.
 REFUSES_LINKS = getattr(os, "O_NOFOLLOW", 0)
 
-#: Linux returns at most 2 GiB a call; macOS refuses to return more.
+#: Maximum number of bytes per call: Linux returns at most 2 GiB, and macOS refuses to return more.
 _MOST_AT_ONCE = 1 << 30
 
-#: Names that Windows takes for devices, with any suffix.
+#: Names that are devices on Windows, with any suffix.
 #: Source: https://learn.microsoft.com/windows/win32/fileio/naming-a-file
 _DEVICES = {"con", "prn", "aux", "nul", *(f"{kind}{n}" for kind in ("com", "lpt") for n in range(1, 10))}
 
@@ -43,13 +43,13 @@ def _read_at(descriptor: int, length: int, offset: int) -> bytes:
 
 
 def sought_and_read(descriptor: int, length: int, offset: int) -> bytes:
-    """Do what `read_at` does without ``pread``: the descriptor has one position, which all threads share."""
+    """Do what `read_at` does without ``pread``, under a lock: all threads share the descriptor's position."""
     with _turn:
         os.lseek(descriptor, offset, os.SEEK_SET)
         return os.read(descriptor, min(length, _MOST_AT_ONCE))
 
 
-#: Reads at most so many bytes at a place of an open file, on any thread: ``read_at(descriptor, length, offset)``.
+#: Reads at most ``length`` bytes of an open file, on any thread: ``read_at(descriptor, length, offset)``.
 read_at: Callable[[int, int, int], bytes] = _read_at if hasattr(os, "pread") else sought_and_read
 
 

@@ -1,4 +1,4 @@
-"""Folders for temporary copies, and the errors if there is no room."""
+"""Folders for temporary copies, and the errors if there is not enough space."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 __all__ = ["making_copy", "private_folder", "sqlite_is_full"]
 
-_HINT = "make room there, or set the environment variable TMPDIR to another folder"
+_HINT = "free space there, or set the environment variable TMPDIR to another folder"
 
 
 def private_folder(path: Path) -> TemporaryDirectory[str]:
@@ -24,7 +24,7 @@ def private_folder(path: Path) -> TemporaryDirectory[str]:
     Raises
     ------
     RecordingError
-        If there is no place for temporary files.
+        If the system has no folder for temporary files.
     """
     import tempfile  # noqa: PLC0415  (it loads the compression modules)
 
@@ -36,7 +36,7 @@ def private_folder(path: Path) -> TemporaryDirectory[str]:
 
 @contextmanager
 def making_copy(path: Path, folder: Path) -> Iterator[None]:
-    """Wrap errors of copying ``path`` to a private folder, with the folder's place.
+    """Wrap errors of copying ``path`` to a private folder; they name the folder.
 
     Raises
     ------
@@ -55,7 +55,7 @@ def _no_copy(err: OSError, path: Path, folder: Path | None) -> RecordingError:
 
 
 def sqlite_is_full(path: Path) -> RecordingError:
-    """Make the error for SQLite's own temporary files, which are in another folder than Python's."""
+    """Return the error for SQLite's own temporary files, whose folder is not Python's."""
     named = (os.environ.get("SQLITE_TMPDIR"), os.environ.get("TMPDIR"), "/var/tmp", "/usr/tmp", "/tmp")  # noqa: S108
     usable = (place for place in named if place and Path(place).is_dir() and os.access(place, os.W_OK | os.X_OK))
     place = next(usable, ".")

@@ -1,4 +1,4 @@
-"""Writes a small file, such as a report, completely or not at all, and never over a file of the user's."""
+"""Writes a small file, such as a report, completely or not at all, and never over the user's own files."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def file_output(path: Path, *, beginning: bytes | None, overwrite: bool) -> Iter
     path
         The file to write, staged as by `pc2scan.files.staging.staged`.
     beginning
-        The first bytes of files of this kind: one that has them may be replaced, and an empty file. None: no others.
+        The first bytes of files of this kind. A file that has them, or is empty, may be replaced. None: no file may.
     overwrite
         Whether any other file may be replaced. A symbolic link itself is replaced, not the file that it leads to.
 
@@ -65,7 +65,7 @@ def file_output(path: Path, *, beginning: bytes | None, overwrite: bool) -> Iter
 def files_output(paths: Sequence[Path], *, overwrite: bool) -> Iterator[Callable[[Sequence[bytes]], None]]:
     """Check that several files can be written, and yield the function that writes them; see `file_output`.
 
-    None gets its name before all are complete on the disk. They get it in their order.
+    No file gets its final name before all are complete on the disk. Then they get their names in the given order.
     """
     with ExitStack() as stack:
         staged = [stack.enter_context(_staged_file(path, None, overwrite=overwrite)) for path in paths]
@@ -83,7 +83,7 @@ def files_output(paths: Sequence[Path], *, overwrite: bool) -> Iterator[Callable
 def _staged_file(
     path: Path, beginning: bytes | None, *, overwrite: bool
 ) -> Iterator[tuple[Callable[[bytes], None], Callable[[], None]]]:
-    """Yield the function that writes the whole file under another name, and the one that gives it its own."""
+    """Yield a function that writes the file under a temporary name, and one that renames it to its final name."""
 
     def check() -> bool:
         return _may_replace(path, beginning, overwrite=overwrite)
@@ -99,7 +99,7 @@ def _staged_file(
                 file.put(data)
                 file.finish()
             except OutputError as err:
-                # The user knows the final name.
+                # The error names the final path, which the user knows.
                 raise OutputError(err.message, path=path) from err
 
         try:
@@ -122,7 +122,7 @@ def _may_replace(path: Path, beginning: bytes | None, *, overwrite: bool) -> boo
     if path.exists() and not path.is_file() and not path.is_dir():
         raise DestinationError("cannot be written: it is not a file", path=path, hint="choose another name")
     if not overwrite and not _is_ours(path, beginning):
-        # Only texts say by their beginning that pc2scan wrote them.
+        # Only kinds of files with a known beginning can be recognised as written by pc2scan.
         raise DestinationError(
             "exists already" if beginning is None else "exists already, and was not written by pc2scan",
             path=path,
@@ -132,7 +132,7 @@ def _may_replace(path: Path, beginning: bytes | None, *, overwrite: bool) -> boo
 
 
 def _is_ours(path: Path, beginning: bytes | None) -> bool:
-    """Whether a file may be replaced: a text of the same kind, or an empty file."""
+    """Return whether a file may be replaced: it is of the same kind, or empty."""
     try:
         if not stat.S_ISREG(path.lstat().st_mode):
             return False

@@ -22,7 +22,7 @@ _BYTES_A_THREAD = 8 << 20
 class WriteAhead:
     """A queue between full chunks and the file.
 
-    Until `use` is called, the caller's thread does everything at once. The written bytes are the same.
+    Until `use` is called, everything is done at once on the caller's thread. The written bytes are the same.
     """
 
     def __init__(self) -> None:
@@ -74,6 +74,6 @@ class WriteAhead:
 
     @staticmethod
     def _make_room(queue: InOrder[Callable[[], None]], size: int) -> None:
-        """Write finished chunks, and wait for more until there is room for ``size`` bytes."""
+        """Write finished chunks, and wait for others until ``size`` more bytes may be queued."""
         while queue and (queue.is_ready() or not queue.has_room(size)):
             queue.take()()

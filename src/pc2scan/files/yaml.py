@@ -59,7 +59,7 @@ def _constructed(yaml: Any, node: Any) -> Any:
     try:
         return yaml.constructor.construct_document(node)
     except (ValueError, ArithmeticError, LookupError, TypeError, AttributeError) as err:
-        # The library's constructors do not expect, for instance, a mapping as a key or a tagged value of another kind.
+        # The library raises other errors for, say, a mapping as a key, or a tag on a value of another type.
         raise ValueError(f"is not valid YAML: {err}") from err
 
 

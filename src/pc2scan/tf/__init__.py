@@ -1,4 +1,4 @@
-"""The transforms of a whole recording."""
+"""Reads the transforms of whole recordings, and looks them up by tf2's rules."""
 
 from pc2scan.callable_package import make_callable
 

@@ -48,7 +48,7 @@ class TransformBuilder:
         self._pair_table = array("i")
 
     def __len__(self) -> int:
-        """How many transforms were added."""
+        """Return the number of transforms that were added."""
         return len(self._records) // self._RECORD.size
 
     def add(self, rows: Iterable[TransformRow], *, static: bool) -> None:
@@ -98,8 +98,8 @@ class TransformBuilder:
         if len(self._names) > MAX_FRAMES or len(self._pairs) > MAX_PAIRS:
             raise RecordingError(
                 f"the transforms have more than {MAX_FRAMES:,} frames or {MAX_PAIRS:,} pairs of frames, "
-                "which no robot has",
-                hint="`tf_topics` chooses the topics to read transforms from",
+                "more than any robot has",
+                hint="choose the topics to read transforms from by `tf_topics`",
             )
         self._pair_table.extend((*numbers, reason_of_names(parent, child)))
         return pair

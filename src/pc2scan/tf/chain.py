@@ -20,7 +20,7 @@ __all__ = ["Chain", "Side"]
 
 @dataclass(frozen=True, slots=True)
 class Side:
-    """The links from a frame up to the common ancestor; the static ones that come first are multiplied once.
+    """The links from a frame up to the common ancestor. Static links at the beginning are multiplied only once.
 
     Attributes
     ----------

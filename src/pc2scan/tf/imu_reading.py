@@ -116,7 +116,7 @@ def read_up(readers: Sequence[Reader], request: ImuRequest, most: int | None = N
     TopicError
         If there is no such topic, or it has no messages.
     UsageError
-        If its messages do not show which way is up.
+        If its messages do not show the direction of up.
     """
     topic = _topic(readers, request.topic)
     messages = _read(readers, topic, most)
@@ -179,12 +179,12 @@ def _only_frame(topic: str, frames: dict[str, None]) -> str:
     names = {name.removeprefix("/") for name in frames}
     if len(names) > 1:
         raise UsageError(
-            f"the messages on {topic} are of several frames: {name_list(sorted(names))}",
-            hint=f"name the one that counts: `imu={topic}:{min(names)}`",
+            f"the messages on {topic} have several frames: {name_list(sorted(names))}",
+            hint=f"choose one: `imu={topic}:{min(names)}`",
         )
     (name,) = names
     if not name:
-        raise UsageError(f"the messages on {topic} have no frame_id", hint=f"name it: `imu={topic}:imu_link`")
+        raise UsageError(f"the messages on {topic} have no frame_id", hint=f"give it: `imu={topic}:imu_link`")
     return name
 
 
@@ -207,10 +207,15 @@ def _ups(
         warnings = _disagreement(topic, ups[oriented & felt], acceleration[oriented & felt], fault)
         if lost := len(ups) - len(known):
             warnings.append(f"{topic}: {lost:,} of {counted(len(ups), 'message')} ignored: no valid orientation")
-        return known, ups[known], [f"{topic}: up is known by the orientations of {len(known):,} messages"], warnings
+        return (
+            known,
+            ups[known],
+            [f"{topic}: up is computed from the orientations of {len(known):,} messages"],
+            warnings,
+        )
     if fault:
         raise UsageError(
-            f"the messages on {topic} do not show which way is up: {_why_no_orientation(ups)}, and {fault}",
+            f"the messages on {topic} do not show the direction of up: {_why_no_orientation(ups)}, and {fault}",
             hint="give another topic to `imu`, or level by transforms: `fixed_frame=odom`",
         )
     known = np.flatnonzero(felt)
@@ -220,7 +225,7 @@ def _ups(
     found = up_by_gravity(stamps_ns[known], turning[known], acceleration[known], gravity)
     unit = " (in units of g)" if gravity < 2 else ""
     why = "its orientation never changes" if never_changes else _why_no_orientation(ups)
-    note = f"{topic}: up is estimated by gyroscope and accelerometer{unit} of {len(known):,} messages: {why}"
+    note = f"{topic}: up is estimated from gyroscope and accelerometer{unit} of {len(known):,} messages: {why}"
     return known, found, [note], warnings
 
 
@@ -236,7 +241,7 @@ def _gravity(acceleration: NDArray[np.float64]) -> tuple[float, str]:
     length = float(np.median(np.sqrt(np.square(acceleration).sum(axis=1))))
     if any(abs(length / expected - 1) < _NEAR for expected in (GRAVITY, 1.0)):
         return length, ""
-    return 0.0, f"the accelerometer shows {length:.3g} m/s^2 in the median, where gravity is {GRAVITY:.4g}"
+    return 0.0, f"the median of the accelerometer is {length:.3g} m/s^2, gravity is {GRAVITY:.4g} m/s^2"
 
 
 def _disagreement(topic: str, ups: NDArray[np.float64], acceleration: NDArray[np.float64], fault: str) -> list[str]:
@@ -250,6 +255,6 @@ def _disagreement(topic: str, ups: NDArray[np.float64], acceleration: NDArray[np
         return []
     text = (
         f"{topic}: up by its orientations is {angle:.0f} degrees from up by its accelerometer (median): "
-        "orientations have to be in a world whose z is up, and an accelerometer at rest has to show up"
+        "orientations must refer to a world whose z is up, and an accelerometer at rest must point up"
     )
     return [text]

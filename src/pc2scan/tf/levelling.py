@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 __all__ = ["UpByFrame", "UpByImu", "UpSource"]
 
-#: Stamps that differ by this much, seconds, are of different clocks.
+#: Stamps that differ by more seconds than this are assumed to come from different clocks.
 _ANOTHER_CLOCK = 3600
 
 
@@ -110,8 +110,8 @@ class UpByImu:
         begin_ns, end_ns = int(stamps[older]), int(stamps[newer])
         if end_ns - begin_ns > LONGEST_GAP_NS:
             raise TransformError(
-                f"which way is up is not known at {stamp_text(stamp_ns)}: {self.topic} has no messages between "
-                f"{stamp_text(begin_ns)} and {stamp_text(end_ns)}, {LONGEST_GAP_NS / 1e9:g} s without any are allowed",
+                f"the direction of up is not known at {stamp_text(stamp_ns)}: {self.topic} has no messages between "
+                f"{stamp_text(begin_ns)} and {stamp_text(end_ns)}, gaps up to {LONGEST_GAP_NS / 1e9:g} s are allowed",
                 stamp_ns=stamp_ns,
                 hint="`fixed_frame` levels by transforms instead",
             )
@@ -124,9 +124,9 @@ class UpByImu:
         first, last = (stamp_text(int(self.stamps_ns[place])) for place in (0, -1))
         hint = f"a transform_tolerance of at least {stamp_text(outside_ns)} s would use the nearest message"
         if outside_ns > _ANOTHER_CLOCK * 1_000_000_000:
-            hint = "the IMU's stamps are of another clock; `fixed_frame` levels by transforms instead"
+            hint = "the IMU's stamps are from another clock; `fixed_frame` levels by transforms instead"
         return TransformError(
-            f"which way is up is not known at {stamp_text(stamp_ns)}: {self.topic} has messages from {first} "
+            f"the direction of up is not known at {stamp_text(stamp_ns)}: {self.topic} has messages from {first} "
             f"to {last}, the tolerance is {stamp_text(self.tolerance_ns)} s",
             stamp_ns=stamp_ns,
             hint=hint,

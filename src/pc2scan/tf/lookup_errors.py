@@ -1,4 +1,4 @@
-"""Why there is no transform between two frames at a stamp, and what to do about it."""
+"""The errors for lookups without a transform: why there is none, and what to do about it."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ if TYPE_CHECKING:
 
 __all__ = ["empty_name", "extrapolation", "looping", "unconnected", "unknown_frame"]
 
-#: Frames that an error message names.
+#: Maximum number of frames that an error message names.
 MAX_NAMES = 20
 
-#: What the arguments of a lookup are called.
+#: Names of a lookup's arguments, as messages call them.
 _ROLES = {"target_frame": "target", "source_frame": "source"}
 
 _SEE_TF = "`pc2scan tf` shows the frames of a recording and their times"
 
 
 def empty_name(role: str, stamp_ns: int) -> TransformError:
-    """One of the names is empty."""
+    """Return the error for an empty frame name."""
     return UnconnectedError(
         f"the {_ROLES[role]} frame has no name",
         stamp_ns=stamp_ns,
@@ -39,7 +39,7 @@ def empty_name(role: str, stamp_ns: int) -> TransformError:
 def unknown_frame(
     name: str, role: str, stamp_ns: int, frames: Sequence[str], rejections: Sequence[RejectedTransforms]
 ) -> TransformError:
-    """No transform has this frame."""
+    """Return the error for a frame that no transform has."""
     there_are = (
         f"the {len(frames)} frames with transforms are {name_list(sorted(frames), MAX_NAMES)}"
         if frames
@@ -50,7 +50,7 @@ def unknown_frame(
         there_are += f"; [{rejected.child}] in [{rejected.parent}] was rejected: {rejected.reason}"
     near = did_you_mean(name, sorted(frames))
     advice = "`static_tf` or `tf_from` adds a transform, `source_frame` corrects a wrong frame_id"
-    # What is looked up may be a target frame, a fixed frame or a level one: users know which they named.
+    # A target of a lookup may be a target frame, a fixed frame or a level one, so the message does not call it one.
     kind = "source frame" if role == "source_frame" else "frame"
     return UnconnectedError(
         f"no transform has the {kind} {name!r}; {there_are}",
@@ -60,7 +60,7 @@ def unknown_frame(
 
 
 def extrapolation(query: Query, link: FrameHistory, frames: Sequence[str], time_ns: int | None) -> TransformError:
-    """A frame of the chain has no transform at the time; ``frames`` are the names of all."""
+    """Return the error for a frame of the chain without a transform at the time; ``frames`` are all names."""
     time_ns = time_ns or 0
     gap_ns = link.gap_ns(time_ns)
     gap, time, first, last = (stamp_text(ns) for ns in (abs(gap_ns), time_ns, link.first_ns, link.last_ns))
@@ -80,7 +80,7 @@ def extrapolation(query: Query, link: FrameHistory, frames: Sequence[str], time_
 def unconnected(
     query: Query, source_walk: Walk, target_walk: Walk, frames: Sequence[str], trees: Sequence[Tree]
 ) -> TransformError:
-    """The walks from both frames do not meet."""
+    """Return the error for two frames whose walks do not meet."""
     source_top, target_top = (frames[next(reversed(walk.links))] for walk in (source_walk, target_walk))
     source_tree, target_tree = (
         next(tree for tree in trees if name in tree.frames) for name in (query.source, query.target)
@@ -99,7 +99,7 @@ def unconnected(
 
 
 def looping(query: Query, walk: Walk, loop: int, frames: Sequence[str]) -> TransformError:
-    """A walk visits the frame ``loop`` twice."""
+    """Return the error for a walk that visits the frame ``loop`` twice."""
     met = list(walk.links)
     names = [f"[{frames[frame]}]" for frame in met[met.index(loop) :][:MAX_NAMES]]
     return TransformError(

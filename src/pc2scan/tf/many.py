@@ -27,7 +27,7 @@ _ALWAYS = np.empty(0, np.int64)
 
 
 def sample_times(chain: Chain, begin_ns: int, end_ns: int) -> Iterator[NDArray[np.int64]]:
-    """Yield each link's stamps of samples between two times: there the motion may change."""
+    """Yield the stamps of each link's samples between two times. The motion may change at these."""
     for link in chain.links:
         if not link.static:
             first, last = link.stamps_ns.searchsorted([begin_ns, end_ns + 1])
@@ -35,7 +35,7 @@ def sample_times(chain: Chain, begin_ns: int, end_ns: int) -> Iterator[NDArray[n
 
 
 def longest_gap_ns(chain: Chain, begin_ns: int, end_ns: int) -> int:
-    """Return the longest time between two samples of one frame of which a part is between two times, nanoseconds."""
+    """Return the longest time between two neighbouring samples of a frame that overlaps an interval, nanoseconds."""
     longest = 0
     for link in chain.links:
         if not link.static:

@@ -38,7 +38,7 @@ _NOTABLE_TILT = math.radians(10.0)
 
 _IDENTITY = Rigid.identity()
 
-#: Names that `static_tf` can have: its words are separated by blanks.
+#: Names that `static_tf` can have: without blanks and commas, which separate its parts.
 _WORD = re.compile(r"[^\s,]+")
 
 
@@ -99,7 +99,7 @@ class Mounting(NamedTuple):
 
     @property
     def warning(self) -> str:
-        """The observed and the expected mounting, and what to type; empty if nothing is wrong."""
+        """The observed and the expected mounting, and the options that correct it; empty if nothing is wrong."""
         if not self.fault:
             return ""
         return f"{self.topic}: frame {self.judged_in!r} is {self.fault}" + (f". {self.cure}" if self.cure else "")
@@ -194,7 +194,7 @@ def _by_transforms(seen: _Seen, buffer: TransformBuffer, stamp_ns: int) -> Mount
     samples = [turn.apply(points) for points in seen.samples]
     there = agreed([look_at(points) for points in samples])
     if there.off:
-        # The frame is level, but tilted by its transform, which is of no use.
+        # The frame itself is level and its transform tilts it, so the transform is wrong.
         return seen.corrected(name, body_from_frame, there, turn) if ground.off else None
     if there.kind == "unknown" and ground.kind in {"tilted", "upside-down"}:
         return None
@@ -263,7 +263,7 @@ def _lookup(buffer: TransformBuffer, target: str, source: str, stamp_ns: int) ->
 
 def _fault(ground: Ground) -> str:
     """Return what is wrong with a frame, by the ground in it: observed, and expected."""
-    seen = f"in {ground.clouds} of {ground.sampled} clouds looked at" if ground.sampled > 1 else "in one cloud"
+    seen = f"in {ground.clouds} of {ground.sampled} checked clouds" if ground.sampled > 1 else "in one cloud"
     if ground.kind == "optical":
         at = "" if ground.up is None else f", and up is {_direction(ground.up)}"
         return f"an optical frame: z points forward{at} {seen}; expected z up"

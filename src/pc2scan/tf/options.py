@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 __all__ = ["FrameOptions", "StaticTransform", "number_in"]
 
-#: How far a quaternion's length may be from 1: with two digits it is near (0.71 0 0 0.71: 1.004), others are mistakes.
+#: Maximum deviation of a quaternion's length from 1. Rounding to two digits (0.71 0 0 0.71: 1.004) stays below it.
 _QUATERNION_SLACK = 0.05
 
 
@@ -51,7 +51,7 @@ class StaticTransform:
         words = text.replace(",", " ").split()
         usage = "write 'parent child x y z qx qy qz qw' or 'parent child x y z roll pitch yaw' (metres, radians)"
         if len(words) not in (8, 9):
-            raise UsageError(f"{text!r} has {len(words)} words, a static transform has 8 or 9", hint=usage)
+            raise UsageError(f"{text!r} has {len(words)} values, a static transform has 8 or 9", hint=usage)
         _refuse_ros1_order(words)
         units = ("m",) * 3 + (("rad",) * 3 if len(words) == 8 else ("",) * 4)
         numbers = []
@@ -110,7 +110,7 @@ def _refuse_ros1_order(words: Sequence[str]) -> None:
     numbers, frames = words[:count], words[count : count + 2]
     turned = [*numbers[:3], *reversed(numbers[3:])] if count == 6 else numbers
     raise UsageError(
-        f"{' '.join(words)!r} has the frames behind the numbers, as ROS 1's static_transform_publisher",
+        f"{' '.join(words)!r} has the frames after the numbers, as for ROS 1's static_transform_publisher",
         hint=f"write `static_tf='{' '.join([*frames, *turned])}'`" + (" (roll pitch yaw)" if count == 6 else ""),
     )
 
@@ -137,7 +137,7 @@ def _refuse_degrees(parent: str, child: str, translation: Sequence[float], rotat
     length = math.hypot(*rotation)
     if length and abs(length - 1) > _QUATERNION_SLACK:
         raise UsageError(
-            f"{where}: the quaternion {_joined(rotation)} has the length {length:.4g}, and must have 1",
+            f"{where}: the quaternion {_joined(rotation)} has the length {length:.4g}, it must be 1",
             hint="for roll, pitch and yaw give three numbers, not four; a quaternion of unit length is "
             f"`static_tf='{parent} {child} {_joined(translation)} {_joined(number / length for number in rotation)}'`",
         )

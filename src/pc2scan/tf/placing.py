@@ -146,9 +146,9 @@ class Frames(NamedTuple):
         level = Level(frame, upright(up), tilt(up))
         if self.buffer is not None and self.buffer.history(level.name) is not None:
             raise UnconnectedError(
-                f"the recording has a frame {level.name!r} already, which `level` would make",
+                f"the recording already has a frame {level.name!r}, the name that `level` would use",
                 stamp_ns=stamp_ns,
-                hint=f"`target_frame={level.name}` without `level` uses that one",
+                hint=f"to use that frame, give `target_frame={level.name}` without `level`",
             )
         return level
 

@@ -34,7 +34,7 @@ __all__ = [
     "tf_connections",
 ]
 
-#: How long, and how many messages, of moving transforms are read to find the transforms between a robot's frames.
+#: Duration, and number of messages, of moving transforms that are read to find the transforms between a robot's frames.
 _SOME_NS = 1_000_000_000
 _SOME_MESSAGES = 1_000
 
@@ -82,7 +82,7 @@ def is_static(topic: str) -> bool:
 
 
 def read_transforms(readers: Iterable[Reader], options: FrameOptions) -> tuple[TransformBuffer, list[str]]:
-    """Read every transform of recordings, wherever it is in a file, and add the user's own.
+    """Read all transforms of recordings, anywhere in the files, and add the user's own.
 
     Parameters
     ----------
@@ -101,11 +101,11 @@ def read_transforms(readers: Iterable[Reader], options: FrameOptions) -> tuple[T
 
 
 def begun_with(options: FrameOptions) -> TransformBuilder:
-    """Return a builder that has the user's own transforms."""
+    """Return a builder with the user's own transforms."""
     from .builder import TransformBuilder  # noqa: PLC0415  # only with transforms
 
     builder = TransformBuilder()
-    # The user's transforms replace the recording's, because those are wrong or missing.
+    # Added first, so that they replace the recording's: users add transforms because those are wrong or missing.
     builder.add((static.row(0) for static in options.static), static=True)
     return builder
 
@@ -141,7 +141,7 @@ def collect_transforms(
 
 
 def built(builder: TransformBuilder, warnings: Mapping[str, int]) -> tuple[TransformBuffer, list[str]]:
-    """Return what `read_transforms` does."""
+    """Build the buffer and the warnings that `read_transforms` returns."""
     buffer = builder.build()
     texts = [f"{text} ({count} times)" if count > 1 else text for text, count in warnings.items()]
     texts += [

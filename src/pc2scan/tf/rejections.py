@@ -1,4 +1,4 @@
-"""Transforms that tf2 rejects, and why."""
+"""Finds transforms that tf2 rejects, and the reasons."""
 
 from __future__ import annotations
 

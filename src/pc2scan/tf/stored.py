@@ -1,4 +1,4 @@
-"""Transforms of a stretch of a recording in a file, for processes that share the reading of a recording."""
+"""Stores the transforms of a part of a recording in a file, for processes that share the reading of a recording."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def store_transforms(
     collect_transforms(reader, options, builder, warnings, start_ns, stop_ns)
     pairs, records = builder.dumped()
     head = json.dumps({"pairs": pairs, "warnings": warnings}).encode("ascii") + b"\n"
-    # A process that was taken for dead may write the same file.
+    # A unique name, because a process that was taken for dead may still write the same file.
     partial = path.with_name(f"{path.name}-{uuid4().hex}")
     try:
         partial.write_bytes(head + records)
@@ -50,7 +50,7 @@ def store_transforms(
 
 
 def stored_transforms(paths: Iterable[Path], options: FrameOptions) -> tuple[TransformBuffer, list[str]]:
-    """Return what `pc2scan.tf.reading.read_transforms` returns for a recording, of files that follow each other.
+    """Return what `pc2scan.tf.reading.read_transforms` returns, from stored files in the order of time.
 
     Raises
     ------

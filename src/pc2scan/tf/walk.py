@@ -1,4 +1,4 @@
-"""Walks up from frames, and where two of them meet."""
+"""Walks from frames up to their roots, and finds where two walks meet."""
 
 from __future__ import annotations
 
