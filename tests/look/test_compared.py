@@ -62,7 +62,7 @@ def test_without_scans_there_is_no_page(tmp_path: Path) -> None:
     hall = ROOT / "fixtures" / "hall.bag"
     done = run("diff", hall, hall, "--view", tmp_path / "page.html")
     assert done.status == 2
-    assert "there are no scans in both recordings" in done.stderr
+    assert "the recordings have no scans in common" in done.stderr
     assert list(tmp_path.iterdir()) == []
 
 

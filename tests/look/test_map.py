@@ -239,7 +239,7 @@ def test_nothing_to_draw_is_an_error(tmp_path: Path) -> None:
     "changes", [{"angle_min": math.nan}, {"angle_min": math.inf}, {"frame": ""}, {"frame": "nowhere"}]
 )
 def test_odd_scans_are_skipped(changes: dict[str, Any], tmp_path: Path) -> None:
-    with pytest.raises(ResultError, match="no scan has a place in odom"):
+    with pytest.raises(ResultError, match="no scan can be placed in odom"):
         pc2scan.map(with_scan(tmp_path, np.ones(91, np.float32), **changes))
 
 

@@ -1,1 +1,1 @@
-"""Pictures of recordings: pages to look at and to turn knobs on."""
+"""Pictures of recordings: interactive HTML pages, figures and maps."""

@@ -1,4 +1,4 @@
-"""A page of clouds: their points and fields, the frames at their stamps, and what the page can change."""
+"""Describes the page of clouds: points and fields, frames at their stamps, and the parameters that can be changed."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ if TYPE_CHECKING:
 
 __all__ = ["MOST_BYTES", "clouds_page"]
 
-#: Compressed bytes of all clouds of a page. As text in the page they take a third more.
+#: Maximum size of all compressed clouds of a page, in bytes. As text in the page they take a third more.
 MOST_BYTES = 10_500_000
 
-#: Frames that are shown.
+#: Maximum number of frames that are shown.
 _MOST_FRAMES = 60
 
-#: Parameters that decide nothing about which points a beam reads.
+#: Parameters that do not change the ranges, so the page does not have them.
 _NOT_SHOWN = {"target_frame", "transform_tolerance", "scan_time", "queue_size", "time_increment"}
 _SHOWN = tuple(spec.name for spec in fields(ProjectionParams) if spec.name not in _NOT_SHOWN)
 
@@ -45,13 +45,13 @@ def clouds_page(
     taken
         The clouds.
     buffer
-        The transforms; None where there are none.
+        The transforms; None if there are none.
     options
-        What to convert, as for a conversion.
+        The options of the conversion.
     preset
         The preset that the parameters come from; empty for none.
     command
-        The words of the command line in front of the options for parameters.
+        The words of the command line that precede the options for parameters.
 
     Returns
     -------
@@ -62,15 +62,16 @@ def clouds_page(
     step, blobs = _packed_to_fit(taken.shots)
     if step > 1:
         notes.append(
-            f"To keep this page small, 1 of {step} points is shown: counts and ranges are those of the thinned clouds. "
-            "Fewer clouds are shown whole."
+            f"To keep this page small, only 1 of {step} points is shown; counts and ranges are those of the thinned "
+            "clouds. A page of fewer clouds shows all points."
         )
     if options.scan.filters:
         notes.append(
-            "What filters reject was decided when this page was made: another mount or min_height does not change it."
+            "Filters were applied when this page was made: changing the mount or min_height does not change which "
+            "points they reject."
         )
     if options.scan.remove:
-        notes.append("Beams that `remove` takes away from scans are still shown here.")
+        notes.append("Beams that `remove` removes from the scans are still shown here.")
     topics: dict[str, list[dict[str, Any]]] = {}
     for number, shot in enumerate(taken.shots):
         columns = {name: column[::step] for name, column in shot.columns.items()}
@@ -98,7 +99,7 @@ def clouds_page(
 
 
 def _shown(params: ProjectionParams) -> dict[str, float | bool | str]:
-    """The parameters that the page has; JSON has no infinity, so that is text."""
+    """Return the parameters that the page has. Infinity is text, because JSON has no infinite numbers."""
     values = {name: getattr(params, name) for name in _SHOWN}
     if params.beams == "auto":
         values["beams"] = 0
@@ -126,7 +127,7 @@ def _mount(rigid: Rigid | None) -> dict[str, float]:
 
 
 def _origins(buffer: TransformBuffer, target: str, stamp_ns: int) -> Iterator[dict[str, Any]]:
-    """Where other frames are, as seen from the scan's frame."""
+    """Yield the positions of other frames in the scan's frame."""
     for name in buffer.frames[:_MOST_FRAMES]:
         if name.removeprefix("/") == target.removeprefix("/"):
             continue
@@ -139,7 +140,7 @@ def _origins(buffer: TransformBuffer, target: str, stamp_ns: int) -> Iterator[di
 
 
 def _packed_to_fit(shots: Sequence[Shot]) -> tuple[int, dict[str, bytes]]:
-    """Compress the clouds: every point, or every n-th where that is too much; return n and the bytes."""
+    """Compress the clouds: all points, or every n-th if they are too many. Return n and the bytes."""
     step = 1
     while True:
         blobs = {

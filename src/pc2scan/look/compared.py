@@ -1,4 +1,4 @@
-"""Scans of two recordings over each other, those first in which most beams differ."""
+"""Makes a page that overlays the scans of two recordings, beginning with those that differ in most beams."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 __all__ = ["compared_view"]
 
-#: Moments on a page.
+#: Maximum number of moments on a page.
 _MOST = 20
 
 
@@ -57,11 +57,11 @@ def compared_view(
     topics
         The topics to compare; empty for all.
     rules
-        What counts as the same.
+        Which differences are allowed.
     summary
-        What the comparison found, as text.
+        The result of the comparison, as text.
     overwrite
-        Whether something else than such a page may be replaced.
+        Whether any other file may be replaced, too.
 
     Raises
     ------
@@ -87,10 +87,10 @@ def _page(a: Path, b: Path, topics: Sequence[TopicPair], rules: Rules, summary: 
             (number, differing_beams(one, other, rules), one, other)
             for number, (one, other) in enumerate(_scan_pairs(paired_streams(left, right, topics)))
         )
-        # Of equally many the first ones.
+        # Among scans with equally many differing beams, the first ones are shown.
         worst = heapq.nlargest(_MOST, pairs, key=lambda pair: (len(pair[1]), -pair[0]))
     if not worst:
-        raise TopicError("there are no scans in both recordings to be shown", path=a)
+        raise TopicError("the recordings have no scans in common that can be shown", path=a)
     blobs: dict[str, bytes] = {}
     moments = [
         {
@@ -115,7 +115,7 @@ def _page(a: Path, b: Path, topics: Sequence[TopicPair], rules: Rules, summary: 
 
 
 def _scan_pairs(streams: Sequence[tuple[TopicStream, TopicStream]]) -> Iterator[tuple[LaserScan, LaserScan]]:
-    """The scans that belong together; those that only one side has, or that cannot be read, are not shown."""
+    """Yield the pairs of scans that match; scans that only one side has, or that cannot be read, are skipped."""
     for one, other in streams:
         if not any(c.ros_type == LASERSCAN for c in one.connections):
             continue
@@ -136,7 +136,7 @@ def _decoded(message: RawMessage) -> LaserScan | None:
 
 
 def differing_beams(one: LaserScan, other: LaserScan, rules: Rules) -> list[int]:
-    """The beams whose ranges differ beyond the tolerance, or that only one of two scans has."""
+    """Return the beams whose ranges differ beyond the tolerance, or that only one of the scans has."""
     both = min(len(one.ranges), len(other.ranges))
     differ = differing(one.ranges[:both], other.ranges[:both], rules.tolerance("ranges"))
     return [*np.flatnonzero(differ).tolist(), *range(both, max(len(one.ranges), len(other.ranges)))]

@@ -1,10 +1,10 @@
-"""One HTML file of the page's parts: its script, its style and what it shows, and nothing from anywhere else.
+"""Builds one HTML file from the page's script, its style and its data; it loads nothing else.
 
-A page that is opened from the disk may load no modules, so the modules of ``page/`` become one script: each is a
-function that returns what it exports, called once, in the order in which they need each other.
+A page that is opened from the disk cannot load modules. So the modules of ``page/`` become one script, in which each
+module is a function that returns its exports, called once, after the modules that it imports.
 
-A recording is untrusted, so nothing of it is ever part of the markup or of the script: it is JSON in which ``<`` is
-escaped, and base64. The page's policy allows the one script and the one style by their digests, and no request.
+A recording is untrusted. So its data are never part of the markup or the script, only JSON in which ``<`` is escaped,
+and base64. The page's content security policy allows this script and this style by their digests, and no requests.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 __all__ = ["BEGINNING", "check_page_name", "html", "script", "style"]
 
-#: What every page begins with: such a file may be replaced by another page.
+#: The first bytes of every page; a file that begins like this may be replaced by another page.
 BEGINNING = b"<!doctype html>\n<!-- pc2scan view -->\n"
 
 _IMPORT = re.compile(r'^import (?P<names>\{[^}]*\}) from "\./(?P<module>\w+)\.mjs";$', re.MULTILINE)
@@ -33,17 +33,17 @@ _EXPORT = re.compile(r"^export (?=(?:async )?(?:function|const|let|class) (?P<na
 
 
 def check_page_name(path: Path) -> None:
-    """Refuse to call a page something that browsers would not open as one.
+    """Raise if browsers would not open a file of this name as a page.
 
     Raises
     ------
     UsageError
-        If its suffix is not that of HTML.
+        If the suffix is not that of HTML.
     """
     if path.suffix.lower() not in (".html", ".htm"):
         figure = "; pc2scan plot draws figures" if path.suffix.lower() in (".png", ".pdf", ".svg") else ""
         page = path.with_suffix(".html").name if path.name else "page.html"
-        raise UsageError("is no name of a page", path=path, hint=f"pages are HTML: {page}{figure}")
+        raise UsageError("is not the name of a page", path=path, hint=f"pages are HTML: {page}{figure}")
 
 
 def html(description: Mapping[str, Any], blobs: Mapping[str, bytes]) -> str:
@@ -52,9 +52,9 @@ def html(description: Mapping[str, Any], blobs: Mapping[str, bytes]) -> str:
     Parameters
     ----------
     description
-        What `page/main.mjs` reads as JSON.
+        The data that `page/main.mjs` reads as JSON.
     blobs
-        Bytes by the ids that the description has for them.
+        Binary data by the ids that the description uses.
     """
     code, css = script(), style()
     policy = "; ".join(
@@ -90,7 +90,7 @@ def style() -> str:
 
 
 def _collect(name: str, modules: dict[str, str]) -> None:
-    """Add a module behind those that it imports."""
+    """Add a module after those that it imports."""
     if name in modules:
         return
     text = (_folder() / f"{name}.mjs").read_text("utf-8")

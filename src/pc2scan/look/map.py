@@ -56,7 +56,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Map", "MapOptions", "NotDrawn", "map_of", "write_map"]
 
-#: Smaller cells are finer than any lidar measures, larger ones are no map, metres.
+#: Limits of the side of a cell, metres: smaller cells are finer than any lidar measures, larger ones show nothing.
 _FINEST, _COARSEST = 0.001, 1.0
 
 #: A scan is tilted if the cosine between its z axis and the map's is below this: 5 degrees.
@@ -83,9 +83,9 @@ class MapOptions:
     resolution
         The side of a cell, metres.
     max_range
-        Returns beyond it only clear the way up to it, metres.
+        Returns beyond this range mark no cell as occupied; the cells up to it are cleared. Metres.
     clear_to
-        How far beams without a return clear, metres; 0: they are ignored.
+        The range up to which beams without a return clear cells, metres; 0: they are ignored.
 
     Raises
     ------
@@ -101,7 +101,7 @@ class MapOptions:
 
     def __post_init__(self) -> None:
         if not _FINEST <= self.resolution <= _COARSEST:
-            # 5 is nearly always meant in centimetres.
+            # A resolution of 5 nearly always means centimetres.
             meant = self.resolution / 100
             raise UsageError(
                 f"`resolution` is {self.resolution:g} m, it must be from {_FINEST:g} to {_COARSEST:g}",
@@ -110,7 +110,7 @@ class MapOptions:
                 else None,
             )
         if not self.max_range > 0:
-            raise UsageError(f"`max_range` is {self.max_range:g} m, it must be more than 0")
+            raise UsageError(f"`max_range` is {self.max_range:g} m, it must be greater than 0")
         if not 0 <= self.clear_to < math.inf:
             raise UsageError(f"`clear_to` is {self.clear_to:g} m, it must be 0 or more, and finite")
         if not self.odom_frame.removeprefix("/"):
@@ -292,10 +292,10 @@ def write_map(
     if picture is not None:
         if picture.suffix.lower() != ".png":
             png = picture.with_suffix(".png").name if picture.name else "map.png"
-            raise UsageError("is no name of a PNG file", path=picture, hint=f"`png={png}`")
+            raise UsageError("is not the name of a PNG file", path=picture, hint=f"`png={png}`")
         paths = [picture] if destination is None else [paths[0], picture, paths[2]]
     if not paths:
-        raise UsageError("nothing is to be written", hint="name the map, `destination=map.yaml`, or `png=map.png`")
+        raise UsageError("no file to write is given", hint="name the map, `destination=map.yaml`, or `png=map.png`")
     refuse_overlap(
         [*map(InputPath, sources), *(InputPath(file, "file of `tf_from`") for file in options.frames.tf_from)],
         [OutputPath(path) for path in paths],
@@ -309,37 +309,37 @@ def write_map(
 def map_of(
     sources: Sequence[Path], options: ConvertOptions, asked: MapOptions, *, progress: Progress | None = None
 ) -> Map:
-    """Draw the scans of a recording, or those that its clouds make, where its transforms place them.
+    """Draw the scans of a recording, or scans made of its clouds, where its transforms place them.
 
     Parameters
     ----------
     sources
-        Recordings; several are read as one, in the order of time.
+        Recordings; several are read as one, in time order.
     options
-        As for a conversion. Its topics decide whether scans or clouds are drawn; without topics it is the scans, or the
-        clouds if there are no scans, or if an option is given that makes scans of clouds.
+        The options of a conversion. Its topics decide whether scans or clouds are drawn. Without topics, clouds are
+        drawn if there are no scans, or if any option is about the conversion of clouds.
     asked
         The options of the map.
     progress
-        Called regularly with bytes read, bytes in all, and messages read.
+        Called regularly with bytes read, total bytes, and messages read.
 
     Raises
     ------
     UsageError
-        If the request contradicts itself or the recording, there is no such frame, or the map would be too large.
+        If the options contradict each other or the recording, a frame does not exist, or the map would be too large.
     RecordingError
         If a source cannot be read.
     ResultError
-        If no scan has a place, or none has a return.
+        If no scan can be placed, or none has a return.
     """
     if options.scan.reverse:
-        raise UsageError("`reverse` makes clouds, and a map is made of scans")
+        raise UsageError("`reverse` makes clouds, but a map is made of scans")
     with opened(sources, options) as recording:
         buffer, notes = read_transforms([recording.reader, *recording.others], options.frames)
         topics, converted = _topics(recording.reader, options)
         further = recording.damage
     if not converted and _converts(options):
-        notes.append("The recording has no clouds: what is asked for about clouds has no effect.")
+        notes.append("The recording has no clouds: options about clouds have no effect.")
     stream = _stream(sources, options, topics, converted=converted)
     drawn = _Drawn(OccupancyGrid(asked.resolution, MAX_MAP_CELLS), buffer, asked, options)
     stream.listener = notes.append
@@ -359,7 +359,7 @@ def map_of(
 
 
 def _converts(options: ConvertOptions) -> bool:
-    """Whether an option is given that makes scans of clouds."""
+    """Whether any option is about the conversion of clouds."""
     scan = options.scan
     return scan.params != ProjectionParams() or bool(scan.filters) or scan.deskew or scan.level or scan.may_combine
 
@@ -379,7 +379,7 @@ def _topics(reader: Reader, options: ConvertOptions) -> tuple[tuple[TopicRequest
     if names:
         converted = any(matches(topic, names) for topic in clouds)
         if converted and any(matches(topic, names) for topic in scans):
-            raise UsageError(f"`topics` has scans and clouds: {name_list(names)}", hint="a map is of one or the other")
+            raise UsageError(f"`topics` has scans and clouds: {name_list(names)}", hint="a map is drawn of either")
     else:
         converted = bool(clouds) and (_converts(options) or not scans)
     if converted:
@@ -479,7 +479,7 @@ class _Drawn:
         return None
 
     def _directions(self, scan: Scan) -> NDArray[np.float64]:
-        """Return cosines and sines of the beams; mostly those of the scan before."""
+        """Return cosines and sines of the beams; those of the previous scan if it has the same beams."""
         key = (len(scan.ranges), scan.angle_min, scan.angle_increment)
         found = self.directions.get(key)
         if found is None:
@@ -511,7 +511,7 @@ class _Drawn:
         self.way.append((scan.stamp_ns, x, y))
 
     def _explain(self, error: MessageError, scan: Scan) -> None:
-        """Raise an error that says what to type, if the frame of the map does not exist."""
+        """Raise an error with a hint what to type, if the frame of the map does not exist."""
         odom = self.asked.odom_frame.removeprefix("/")
         if not isinstance(error, TransformError) or odom in self.buffer.frames:
             return
@@ -539,7 +539,7 @@ class _Drawn:
         if not self.scans:
             why = f": {self.first_error.message}" if self.first_error else ", there are none"
             raise ResultError(
-                f"no scan has a place in {self.asked.odom_frame}{why}",
+                f"no scan can be placed in {self.asked.odom_frame}{why}",
                 topic=None if self.first_error is None else self.first_error.topic,
                 hint=None if self.first_error is None else self.first_error.hint,
             )
@@ -554,7 +554,7 @@ class _Drawn:
                 f"{_scans_are(self.tilted)} tilted by more than 5 deg against {self.asked.odom_frame}; "
                 "the map is a view from above"
             )
-        # The last scan of a recording mostly ends after the last transform.
+        # One such scan is no warning: the last scan of a recording usually ends after the last transform.
         if self.beams_at_once > max(1, 0.01 * self.scans.total()):
             further.append(
                 f"{_scans_are(self.beams_at_once)} placed at the stamp only: "

@@ -39,11 +39,11 @@ def map_paths(path: Path) -> list[Path]:
     """
     if path.suffix != ".yaml":
         stem = path.stem if path.suffix in (".yml", ".pgm", ".png") else path.name
-        raise UsageError("is no name of a map", path=path, hint=f"maps are NAME.yaml: `destination={stem}.yaml`")
+        raise UsageError("is not the name of a map", path=path, hint=f"maps are NAME.yaml: `destination={stem}.yaml`")
     try:
         path.name.encode("utf-8")
     except UnicodeEncodeError as err:
-        raise UsageError("has a name that is not UTF-8, as the names in maps are", path=path) from err
+        raise UsageError("has a name that is not UTF-8, but names in maps are", path=path) from err
     return [path.with_suffix(".pgm"), path.with_suffix(".png"), path]
 
 
@@ -59,7 +59,7 @@ def image_of(cells: NDArray[np.int8], resolution: float) -> bytes:
 
 def yaml_of(image: str, resolution: float, origin: tuple[float, float, float]) -> bytes:
     """Return the YAML file of a map."""
-    # A name that YAML would take for something else is quoted as JSON, which YAML reads.
+    # A name that YAML would not read as text is quoted like in JSON, which YAML can read.
     name = image if re.fullmatch(r"[A-Za-z_][\w.-]*", image, re.ASCII) else json.dumps(image, ensure_ascii=False)
     numbers = ", ".join(repr(round(number, 6) + 0.0) for number in origin)
     text = f"""\

@@ -1,4 +1,4 @@
-"""The picture of a map: its cells, the robot's way, a scale, and the axes of its frame."""
+"""Draws the picture of a map: its cells, the robot's path, a scale, and the axes of its frame."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ _INK, _WAY, _LINES, _WHITE = "#17222e", "#d1495b", "#0b6e99", "#ffffff"
 #: The axes of a frame, as RViz colours them.
 _X_AXIS, _Y_AXIS = "#d62728", "#2ca02c"
 
-#: Pixels: how long the longer side of a map is at least, if cells need not be larger than the second number for it, and
-#: at most.
+#: The longer side of a picture has at least the first number of pixels, unless a cell would have to be larger than the
+#: second number for this, and at most the third.
 _SMALL, _LARGEST_CELL, _LARGE = 1100, 12, 2200
 
 #: Pixels around the map, and below it for the scale.
 _MARGIN, _FOOT = 24, 58
 
-#: Points of the robot's way that are drawn.
+#: Maximum number of points of the robot's path that are drawn.
 _MOST_POINTS = 4_000
 
 
@@ -55,7 +55,7 @@ def picture_of(occupancy: Occupancy, way: NDArray[np.float64]) -> bytes:
     numbers = np.where(cells == OCCUPIED, 2, np.where(cells == FREE, 1, 0))[::-1]
     picture = np.full((height + 2 * _MARGIN + _FOOT, max(width, 200) + 2 * _MARGIN, 3), _UNKNOWN_COLOUR, np.uint8)
     if enlarged == 1:
-        # One pixel alone is hardly seen.
+        # Thicker, because a single pixel is hardly visible.
         occupied = numbers == 2
         for there, here in ((np.s_[1:], np.s_[:-1]), (np.s_[:, 1:], np.s_[:, :-1])):
             occupied[there] |= occupied[here].copy()
@@ -83,7 +83,7 @@ def picture_of(occupancy: Occupancy, way: NDArray[np.float64]) -> bytes:
 
 
 def _fitted(cells: NDArray[np.int8]) -> tuple[NDArray[np.int8], int, int]:
-    """The cells as they are drawn, how many pixels one is, and how many cells became one."""
+    """Return the cells as they are drawn, the pixels per cell, and how many cells were merged into one."""
     longer = max(cells.shape)
     shrunk = math.ceil(longer / _LARGE)
     if shrunk == 1:
@@ -91,12 +91,12 @@ def _fitted(cells: NDArray[np.int8]) -> tuple[NDArray[np.int8], int, int]:
     height, width = (math.ceil(side / shrunk) for side in cells.shape)
     padded = np.full((height * shrunk, width * shrunk), -1, np.int8)
     padded[: cells.shape[0], : cells.shape[1]] = cells
-    # Of several cells the largest value is drawn: walls are thin.
+    # The largest value of merged cells is drawn, so that thin walls stay visible.
     return padded.reshape(height, shrunk, width, shrunk).max(axis=(1, 3)), 1, shrunk
 
 
 def _round_length(metres: float) -> float:
-    """The longest of 1, 2, 5, 10, ... that is not longer."""
+    """Return the largest of 1, 2, 5, 10, ... that is not above a length."""
     power = 10.0 ** math.floor(math.log10(metres))
     return max(factor * power for factor in (1, 2, 5) if factor * power <= metres * (1 + 1e-9))
 
@@ -132,7 +132,7 @@ def _draw_axes(picture: NDArray[np.uint8], origin: NDArray[np.float64]) -> None:
 
 
 def _draw_way(picture: NDArray[np.uint8], way: NDArray[np.float64]) -> None:
-    """Draw where the robot drove: a ring where it began, a dot where it ended."""
+    """Draw the robot's path: a ring at its beginning, a dot at its end."""
     if not len(way):
         return
     shape = picture.shape[:2]
@@ -145,7 +145,7 @@ def _draw_way(picture: NDArray[np.uint8], way: NDArray[np.float64]) -> None:
     (x, y), (last_x, last_y) = way[0], way[-1]
     for colour, radius in ((_WHITE, 11.5), (_WAY, 10.0), (_WHITE, 7.5)):
         blend(picture, disc(shape, x, y, radius), colour)
-    # Both are seen where the robot came back.
+    # The dot fits into the ring, so that both are visible if the robot came back.
     for colour, radius in ((_WHITE, 7.0), (_WAY, 5.5)):
         blend(picture, disc(shape, last_x, last_y, radius), colour)
 

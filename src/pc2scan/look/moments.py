@@ -1,4 +1,4 @@
-"""Points in time: for people, and which of them a page shows."""
+"""Moments of a recording: as text for users, and the choice of those that a page shows."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ if TYPE_CHECKING:
 
 __all__ = ["moment", "spread"]
 
-#: Stamps of simulations begin at 0; a date would say nothing.
+#: Earlier stamps are shown in seconds, not as a date: stamps of simulations begin at 0.
 _FIRST_DATE_NS = 100_000_000 * 1_000_000_000
 
 
 def moment(stamp_ns: int) -> str:
-    """Return a stamp as a date and time in UTC, to the millisecond, or in seconds where it is no date."""
+    """Return a stamp as a date and time in UTC, to the millisecond; stamps of simulations in seconds."""
     if stamp_ns < _FIRST_DATE_NS:
         return f"{stamp_ns / 1e9:.3f} s"
     seconds, rest = divmod(stamp_ns, 1_000_000_000)
@@ -31,7 +31,7 @@ def moment(stamp_ns: int) -> str:
 def spread(
     reader: Reader, topics: Mapping[str, Sequence[Connection]], options: ConvertOptions, count: int
 ) -> Iterator[RawMessage]:
-    """Take messages of each topic, evenly spread over the recording or over the cut; see `sampled`."""
+    """Yield messages of each topic, evenly spread over the recording or over the cut; see `sampled`."""
     summary = reader.summary
     beginning = start_ns = summary.start_ns or 0
     stop_ns = max(start_ns, summary.end_ns or 0) + 1
@@ -42,6 +42,6 @@ def spread(
     if start_ns >= stop_ns:
         return
     for message in sampled(reader, topics, count, start_ns, stop_ns - 1):
-        # The first message behind the last moment may lie behind the cut.
+        # The first message after the last moment may be outside of the cut.
         if message.log_time_ns < stop_ns:
             yield message

@@ -1,4 +1,4 @@
-"""Recordings as pictures need them: opened as one, with all their transforms."""
+"""Opens recordings for pictures: as one recording, with all transforms."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ __all__ = ["Opened", "opened", "title_of"]
 
 
 class Opened(NamedTuple):
-    """A recording, others that were read for their transforms, and the transforms (None where there are none)."""
+    """A recording, others that were read for their transforms, and the transforms (None if there are none)."""
 
     reader: Reader
     others: list[Reader]
@@ -30,7 +30,7 @@ class Opened(NamedTuple):
 
     @property
     def damage(self) -> tuple[Damage, ...]:
-        """Damaged places, as far as they were read."""
+        """The damage in the parts of the recordings that were read."""
         return tuple(damage for each in (self.reader, *self.others) for damage in each.damage)
 
     def log_times(self, at: Sequence[TimeBound]) -> list[int]:
@@ -39,7 +39,7 @@ class Opened(NamedTuple):
         Raises
         ------
         UsageError
-            If one is behind the end of the recording.
+            If one is after the end of the recording.
         """
         first_ns, last_ns = self.reader.summary.start_ns or 0, self.reader.summary.end_ns
         times = [bound.resolve(first_ns) for bound in at]
@@ -59,7 +59,7 @@ def opened(sources: Sequence[Path], options: ConvertOptions) -> Iterator[Opened]
     Raises
     ------
     UsageError
-        If transforms are needed, and it is not clear which transforms count.
+        If transforms are needed, and it is not clear which to use.
     RecordingError
         If one cannot be read.
     """
@@ -71,12 +71,12 @@ def opened(sources: Sequence[Path], options: ConvertOptions) -> Iterator[Opened]
 
 
 def title_of(sources: Sequence[Path]) -> str:
-    """Return what a picture of recordings is called."""
+    """Return the title of a picture of recordings."""
     return ", ".join(source.name or str(source) for source in sources)
 
 
 def _transforms(readers: Sequence[Reader], options: ConvertOptions) -> TransformBuffer | None:
-    """All transforms; None if it is not clear which ones to use, and none are requested."""
+    """Return all transforms; None if it is not clear which to use and none are requested."""
     try:
         buffer, _ = read_transforms(readers, options.frames)
     except UsageError:

@@ -1,4 +1,4 @@
-"""Arrays as the page reads them: by field, the values' bytes sorted by their place, compressed."""
+"""Compresses arrays for the page: by field, and in each field the first bytes of all values, then the second, ..."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ if TYPE_CHECKING:
 
 __all__ = ["described", "packed"]
 
-#: Deeper compression takes longer and gains nearly nothing with measured values.
+#: The level of compression; higher ones take longer and gain almost nothing for measured values.
 _LEVEL = 6
 
 
 def packed(columns: Mapping[str, NDArray[Any]]) -> bytes:
-    """Compress arrays of one length; `described` says what is in them.
+    """Compress arrays of one length; `described` describes the result.
 
-    The first bytes of all values of a field come first, then their second bytes, and so on: exponents and leading
-    digits resemble each other, so that measured floats compress a quarter better.
+    The first bytes of all values of a field come first, then their second bytes, and so on. Exponents and leading
+    digits are similar, so measured floats compress a quarter better like this.
     """
     planes = b"".join(_planes(column) for column in columns.values())
     compressor = zlib.compressobj(_LEVEL, zlib.DEFLATED, -zlib.MAX_WBITS)
@@ -30,7 +30,7 @@ def packed(columns: Mapping[str, NDArray[Any]]) -> bytes:
 
 
 def described(name: str, columns: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
-    """Describe packed arrays to the page, under the name that their bytes have there."""
+    """Return the page's description of compressed arrays; ``name`` is the id of their bytes."""
     length = len(next(iter(columns.values())))
     fields = [{"name": field, "type": column.dtype.str[1:]} for field, column in columns.items()]
     return {"id": name, "length": length, "fields": fields}

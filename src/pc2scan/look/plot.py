@@ -1,4 +1,4 @@
-"""Figures for reports: clouds from above and from the side, with the height band and the scan that comes of them."""
+"""Figures for reports: clouds from above and from the side, with the height band and the scan made of them."""
 
 from __future__ import annotations
 
@@ -34,30 +34,30 @@ if TYPE_CHECKING:
 
 __all__ = ["FORMATS", "Plotted", "plot"]
 
-#: What figures are saved as, by the suffix of the file.
+#: The formats of figures, by the suffix of the file.
 FORMATS = ("png", "svg", "pdf")
 
-#: Columns of a figure: more are too small to be read.
+#: Maximum number of columns of a figure; more are too small to read.
 _MOST_FRAMES = 24
 
-#: Okabe and Ito's colours, which the colour-blind can tell apart; the same as on pages.
+#: Okabe and Ito's colours, which colour-blind people can distinguish; the same as on pages.
 _COLOURS = {"used": "#0072b2", "height": "#e69f00", "other": "#9aa7b3"}
 _SCAN, _BAND = "#d1495b", "#0b6e99"
 
-#: Inches: the width of a view, and the least and the largest height of one.
+#: The width of a view, and its smallest and largest height, in inches.
 _WIDTH, _LOWEST, _HIGHEST = 4.2, 0.8, 6.0
-#: Inches for numbers and names beside a view, and for what is above and below all of them.
+#: Space for numbers and names beside a view, and above and below all views, in inches.
 _BESIDE, _AROUND = 0.7, 2.0
 
-#: More points than this are thinned: they could not be distinguished, and a vector graphic would store them all.
+#: Maximum number of points of a view. More could not be distinguished, and a vector graphic would store them all.
 _MOST_POINTS = 40_000
 
-#: Share of the points at either end that may lie outside of the picture.
+#: Share of the points at either end of an axis that may be outside of the picture.
 _OUTLIERS = 0.01
 
 
 class Plotted(NamedTuple):
-    """What was worth saying about a figure, and damaged places of the recording."""
+    """Notes about a figure, and the damage of the recording."""
 
     notes: list[str]
     damage: tuple[Damage, ...]
@@ -77,17 +77,17 @@ def plot(
     Parameters
     ----------
     sources
-        Recordings; several are one, merged in time order.
+        Recordings; several are merged in time order.
     destination
-        The figure; its suffix, one of `FORMATS`, decides what it is.
+        The figure; its suffix, one of `FORMATS`, decides its format.
     options
-        As for a conversion: topics, parameters, frames, filters, ``start`` and ``end``.
+        The options of a conversion: topics, parameters, frames, filters, ``start`` and ``end``.
     frames
         How many moments of each topic are shown, evenly spread.
     at
         Moments to show instead.
     overwrite
-        Whether a file of that name may be replaced.
+        Whether an existing file may be replaced.
 
     Raises
     ------
@@ -123,16 +123,16 @@ def plot(
 
 
 def _figure(taken: Shots, title: str, kind: str) -> bytes:
-    """Draw clouds, one a column, and return the file."""
+    """Draw clouds, one in each column, and return the bytes of the file."""
     try:
         import matplotlib as mpl  # noqa: PLC0415  # an extra, and heavy
         from matplotlib.figure import Figure  # noqa: PLC0415
     except ImportError as err:
         raise UsageError("figures need matplotlib, which is not installed", hint="pip install 'pc2scan[plot]'") from err
     columns = len(taken.shots)
-    # The same bytes for the same input: no date, no version, no random ids.
+    # No date, no version and no random ids, so that the same input gives the same bytes.
     with warnings.catch_warnings(), mpl.rc_context({"svg.hashsalt": "pc2scan", "text.parse_math": False}):
-        # A name in letters that the font lacks is no reason to warn.
+        # No warnings about letters that the font lacks.
         warnings.simplefilter("ignore", UserWarning)
         placed = [_placed(shot) for shot in taken.shots]
         limits = [_limits(values) for values in zip(*placed, strict=True)]
@@ -217,7 +217,7 @@ def _draw(
 
 
 def _limits(values: Sequence[NDArray[Any]]) -> tuple[float, float]:
-    """What is shown of an axis in all columns: the sensor, and all but the farthest points."""
+    """Return the limits of an axis in all columns, which show the sensor and all but the farthest points."""
     low = high = 0.0
     for column in values:
         known = column[np.isfinite(column)].astype(np.float64)
@@ -229,7 +229,7 @@ def _limits(values: Sequence[NDArray[Any]]) -> tuple[float, float]:
 
 
 def _placed(shot: Shot) -> Sequence[NDArray[np.float32]]:
-    """The coordinates in the scan's frame, in float32 as the projection has them."""
+    """Return the coordinates in the scan's frame, in float32 like in the projection."""
     x, y, z = (shot.columns[axis] for axis in "xyz")
     rigid = shot.place.target_from_source
     if rigid is None:
@@ -245,7 +245,7 @@ def _outcomes(
     filtered: NDArray[np.uint8] | None,
     params: ProjectionParams,
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Which points are used, and which are rejected by their height."""
+    """Return masks of the points that are used, and of those that are rejected by their height."""
     rule = rule_of(params)
     bins, ranges = np.empty(x.size, np.int32), np.empty(x.size, np.float32)
     numbers = np.empty(x.size, np.int64)

@@ -1,4 +1,4 @@
-"""Pictures of pixels without a library: lines, numbers, and PNG files."""
+"""Draws lines and numbers into arrays of pixels, and writes PNG files, without a graphics library."""
 
 from __future__ import annotations
 
@@ -70,14 +70,14 @@ _GAP = 1.6
 
 
 def text_width(text: str, size: float) -> float:
-    """Return how wide a text is, pixels; ``size`` is the height of its numbers."""
+    """Return the width of a text in pixels; ``size`` is the height of its numbers."""
     return (sum(_GLYPHS[letter][0] for letter in text) + _GAP * (len(text) - 1)) * size / 6
 
 
 def strokes(text: str, x: float, y: float, size: float) -> list[NDArray[np.float64]]:
     """Return the lines of a text, each (N, 2), pixels: from ``x`` to the right, on the line ``y`` (downwards).
 
-    It may have numbers, spaces, a point, and the letters k, m, x and y.
+    The text may have numbers, spaces, a point, and the letters k, m, x and y.
     """
     lines = []
     for letter in text:
@@ -97,7 +97,7 @@ def coverage(shape: tuple[int, int], lines: Iterable[NDArray[np.float64]], width
     lines
         Each (N, 2): x (to the right) and y (downwards), pixels; pixel 0 is from 0 to 1. One point is a dot.
     width
-        Of the lines, pixels; their ends are round.
+        The width of the lines in pixels; their ends are round.
     """
     covered = np.zeros(shape, np.float32)
     for line in lines:
@@ -132,7 +132,7 @@ def disc(shape: tuple[int, int], x: float, y: float, radius: float) -> NDArray[n
 
 
 def blend(picture: NDArray[np.uint8], covered: NDArray[np.float32], colour: str, opacity: float = 1.0) -> None:
-    """Paint a colour, ``#rrggbb``, over a picture (H, W, 3) as far as pixels are covered."""
+    """Paint a colour, ``#rrggbb``, over a picture (H, W, 3), in proportion to how much of each pixel is covered."""
     rows, columns = np.nonzero(covered)
     share = (covered[rows, columns] * opacity)[:, np.newaxis]
     below = picture[rows, columns].astype(np.float64)
@@ -143,7 +143,7 @@ def blend(picture: NDArray[np.uint8], covered: NDArray[np.float32], colour: str,
 def png(picture: NDArray[np.uint8]) -> bytes:
     """Return a picture (H, W, 3) as a PNG file."""
     height, width, _ = picture.shape
-    # Each row begins with the number of its filter: none.
+    # Each row begins with the number of its filter; 0 means none.
     rows = np.zeros((height, 1 + 3 * width), np.uint8)
     rows[:, 1:] = picture.reshape(height, 3 * width)
     parts = (

@@ -1,4 +1,4 @@
-"""Scans of a recording as the page shows them, and two recordings' over each other."""
+"""Describes the page of scans, for the scans of one recording and for those of two that are compared."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ _HERE = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0]
 
 
 def scan_connections(reader: Reader, asked: Sequence[str]) -> dict[str, list[Connection]]:
-    """The connections of each LaserScan topic, of all or of those that were asked for.
+    """Return the connections of each LaserScan topic: of all topics, or of the requested ones.
 
     Raises
     ------
     TopicError
-        If there are none, or one that was asked for is missing or of another type.
+        If there are none, or a requested topic is missing or has another type.
     """
     types: dict[str, set[str]] = {}
     for connection in reader.connections:
@@ -58,9 +58,9 @@ def scans_page(
     count: int,
     at_ns: Sequence[int],
 ) -> tuple[dict[str, Any], dict[str, bytes]]:
-    """Describe a page of scans: the moments of the first topic, and beside them the next scans of the others.
+    """Describe a page of scans: the moments of the first topic, each with the next scan of every other topic.
 
-    All are seen from the target frame or, without one, from the first topic's frame, as far as transforms connect them.
+    Scans are shown in the target frame or, without one, in the first topic's frame, as far as transforms connect them.
 
     Parameters
     ----------
@@ -69,23 +69,23 @@ def scans_page(
     topics
         The connections of each topic.
     buffer
-        The transforms; None where there are none.
+        The transforms; None if there are none.
     options
-        As for a conversion: the target frame, ``start`` and ``end`` count.
+        The options of a conversion, of which the target frame, ``start`` and ``end`` are used.
     count
-        Moments, evenly spread over the recording.
+        The number of moments, evenly spread over the recording.
     at_ns
-        Log times: of each topic the first scan at or after each is taken. Empty: ``count`` decides.
+        Log times: the first scan of each topic at or after each of them is shown. Empty: ``count`` decides.
 
     Returns
     -------
     description, blobs
-        As `pc2scan.look.html.html` takes them; the findings are left to the caller.
+        For `pc2scan.look.html.html`; the caller adds the findings.
 
     Raises
     ------
     RecordingError
-        If not a single scan can be shown.
+        If no scan can be shown.
     """
     messages = _messages(reader, topics, options, count, at_ns)
     blobs: dict[str, bytes] = {}
@@ -125,7 +125,7 @@ def _messages(
     count: int,
     at_ns: Sequence[int],
 ) -> list[dict[str, RawMessage]]:
-    """The scans of each moment, by topic."""
+    """Return the scans of each moment, by topic."""
     if at_ns:
         return [
             {
@@ -143,7 +143,10 @@ def _messages(
 
 
 def _pose(buffer: TransformBuffer | None, target: str, source: str, stamp_ns: int) -> list[float] | None:
-    """Two rows of three: what takes x, y and 1 in the scan's frame to x and y in another; None if that is unknown."""
+    """Return the 2 x 3 matrix that maps x, y and 1 in the scan's frame to x and y in another frame, row by row.
+
+    None if there is no transform.
+    """
     if target.removeprefix("/") == source.removeprefix("/"):
         return _HERE
     if buffer is None:
@@ -186,7 +189,7 @@ def layer(
 
 
 def findings(check: Check) -> list[dict[str, Any]]:
-    """What `pc2scan check` says of each topic."""
+    """Return the results of `pc2scan check` for each topic."""
     found = []
     for topic in check.topics:
         lines = [
@@ -201,7 +204,7 @@ def findings(check: Check) -> list[dict[str, Any]]:
 
 
 def _finite(value: float, largest: float = 0.0) -> float:
-    """A number that JSON has: the largest float64 for infinity."""
+    """Replace infinity, which JSON does not have, by the largest float64."""
     if math.isfinite(value):
         return float(value)
     return math.copysign(1.7976931348623157e308, value) if largest and not math.isnan(value) else 0.0

@@ -1,4 +1,4 @@
-"""Clouds of a recording for pictures: some moments, their points, and where they go."""
+"""Takes clouds of a recording for pictures, at some moments, with the transforms to the scans' frame."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Shot", "Shots", "take_shots"]
 
-#: Fields that are taken besides x, y and z.
+#: Fields that a picture can show besides x, y and z.
 _MOST_FIELDS = 8
 
 #: A field that no cloud has: the number of each point.
@@ -49,24 +49,24 @@ _NUMBER = "\0number"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shot:
-    """A cloud.
+    """A cloud for a picture.
 
     Attributes
     ----------
     topic
-        Where it was recorded.
+        Its topic.
     moment
-        Its stamp, or its log time where it has none, for people.
+        Its stamp as text for users; its log time if it has no stamp.
     stamp_ns
-        Of its header.
+        The stamp of its header.
     frame
         The frame of its coordinates.
     place
-        Where the scan is, and the transform to it.
+        The scan's frame, and the transform into it.
     columns
         Copies of its fields by name, each (points,): ``x``, ``y``, ``z`` in metres as float32, others as recorded.
     filtered
-        (points,) uint8: 1 for what the filters reject. None without filters.
+        (points,) uint8: 1 for points that the filters reject. None without filters.
     """
 
     topic: str
@@ -79,7 +79,7 @@ class Shot:
 
 
 class Shots(NamedTuple):
-    """Clouds, the parameters with all that was measured, and what is worth saying."""
+    """Clouds, the parameters with all measured values, and notes for the user."""
 
     shots: list[Shot]
     params: ProjectionParams
@@ -95,7 +95,7 @@ def take_shots(
     at_ns: Sequence[int],
     others: Sequence[Reader] | None = None,
 ) -> Shots:
-    """Take clouds of each topic that a conversion converts.
+    """Take some clouds of each topic that a conversion converts.
 
     Parameters
     ----------
@@ -104,18 +104,18 @@ def take_shots(
     buffer
         The transforms; None where there are none.
     options
-        What to convert, as for a conversion.
+        The options of the conversion.
     count
-        Clouds of each topic, evenly spread over the recording.
+        The number of clouds of each topic, evenly spread over the recording.
     at_ns
-        Log times: of each topic the first cloud at or after each is taken. Empty: ``count`` decides.
+        Log times: the first cloud of each topic at or after each of them is taken. Empty: ``count`` decides.
     others
-        Recordings that transforms were taken from, if scans are to be level where the options say so.
+        Recordings that the transforms were read from, which level scans need.
 
     Raises
     ------
     RecordingError
-        If not a single cloud can be shown.
+        If no cloud can be shown.
     """
     topics: dict[str, list[Connection]] = {}
     for route in make_plan(reader.connections, options).routes:
@@ -149,7 +149,7 @@ def take_shots(
 
 
 def _frames(buffer: TransformBuffer | None, options: ConvertOptions, levelled: Sequence[Reader] | None) -> Frames:
-    """Where clouds go; into level frames only if there is where to learn which way is up."""
+    """Return the frames of the scans; level ones only if ``levelled`` has recordings to take roll and pitch from."""
     spec, asked = options.scan, options.frames
     params = spec.params
     if buffer is None or not spec.needs_transforms:
@@ -164,7 +164,7 @@ def _frames(buffer: TransformBuffer | None, options: ConvertOptions, levelled: S
 def _at_measured_resolution(
     reader: Reader, topics: Mapping[str, Sequence[Connection]], options: ConvertOptions, frames: Frames
 ) -> tuple[ProjectionParams, str]:
-    """The parameters with as many beams as the first topic's lidar has, and what is said about it."""
+    """Return the parameters with the number of beams of the first topic's lidar, and a note about it."""
     first, connections = next(iter(topics.items()))
     only_beams = replace(options.scan.params, scan_time=0.0, time_increment=0.0, intensity_field="")
     measured, _ = measure(reader, connections, ScanSpec(params=only_beams), frames)
@@ -196,7 +196,7 @@ def _messages(
 def _deskew(
     reader: Reader, topics: Mapping[str, Sequence[Connection]], options: ConvertOptions, frames: Frames
 ) -> Deskew | None:
-    """What deskews clouds into the target frame, or without one into their own."""
+    """Return the stage that deskews clouds into the target frame or, without one, into their own frame."""
     if not options.scan.deskew:
         return None
     asked = options.scan
@@ -229,7 +229,7 @@ def _shot(message: RawMessage, options: ConvertOptions, frames: Frames, deskew: 
 def _filtered(
     points: Points, place: Placement, options: ConvertOptions, frames: Frames, deskew: Deskew | None
 ) -> NDArray[np.uint8] | None:
-    """Which points the filters reject, and of deskewed clouds those that have no place."""
+    """Return a mask of the points that the filters reject, and of those that cannot be deskewed."""
     if not options.scan.filters:
         return None
     moving = None if deskew is None else deskew(points)
@@ -244,11 +244,11 @@ def _filtered(
 
 
 def _columns(points: Points, xyz: Sequence[NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """The coordinates as float32, as the projection reads them, and other fields as they are recorded: copies."""
+    """Return copies of the coordinates as float32, like the projection reads them, and of other fields as recorded."""
     with np.errstate(over="ignore", invalid="ignore"):
         columns = {name: axis.reshape(-1).astype("<f4") for name, axis in zip("xyz", xyz, strict=True)}
     for name in islice((name for name in points.fields if name not in columns), _MOST_FIELDS):
-        # A field that cannot be read is not shown; the projection does not need it.
+        # Skip fields that cannot be read; the projection does not need them.
         with suppress(DecodeError):
             values = points.field(name).reshape(-1)
             columns[name] = values.astype(values.dtype.newbyteorder("<"))

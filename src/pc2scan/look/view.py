@@ -1,4 +1,4 @@
-"""``pc2scan.view``: a recording as one page that opens anywhere."""
+"""``pc2scan.view``: shows a recording as one HTML page that needs no network."""
 
 from __future__ import annotations
 
@@ -33,16 +33,16 @@ __all__ = ["Page", "page_of", "view"]
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Page:
-    """A page, and what is worth saying about it. Notebooks show it in their cell.
+    """A page. Notebooks show it in their cell.
 
     Attributes
     ----------
     html
-        The whole file.
+        The whole HTML file.
     notes
-        What the page itself says above the pictures.
+        The notes that the page shows above the pictures.
     damage
-        Damaged places of the recording, as far as they were read.
+        The damage in the parts of the recording that were read.
     """
 
     html: str
@@ -53,21 +53,21 @@ class Page:
         return f"<pc2scan.Page of {len(self.html):,} characters>"
 
     def _repr_html_(self) -> str:
-        """Return the page in a frame of its own, with its own policy; nothing of it reaches the notebook."""
+        """Return the page in a sandboxed frame with its own policy, so that it cannot access the notebook."""
         from html import escape  # noqa: PLC0415  # only notebooks need it
 
         frame = 'sandbox="allow-scripts" style="width: 100%; height: 860px; border: 0"'
         return f'<iframe {frame} srcdoc="{escape(self.html)}"></iframe>'
 
     def save(self, destination: str | Path, *, overwrite: bool = False) -> Path:
-        """Write the page; an older page of that name is replaced, anything else only with ``overwrite``.
+        """Write the page; an older page of this name is replaced, any other file only with ``overwrite``.
 
         Raises
         ------
         UsageError
-            If its name is not that of a page.
+            If the name is not that of a page.
         DestinationError
-            If something else is there.
+            If another file exists.
         OutputError
             If it cannot be written.
         """
@@ -94,9 +94,9 @@ def view(
     Raises
     ------
     UsageError
-        If its name is not that of a page.
+        If the name is not that of a page.
     DestinationError
-        If something else than such a page is there.
+        If a file other than a page exists.
     OutputError
         If the page cannot be written.
     """
@@ -120,14 +120,14 @@ def page_of(
     preset: str = "",
     command: Sequence[str] = (),
 ) -> Page:
-    """Make a page of a recording: of its clouds and their projection, or of its scans where it has no clouds.
+    """Make a page of a recording: of its clouds and their projection, or of its scans if it has no clouds.
 
     Parameters
     ----------
     sources
-        Recordings; several are one, merged in time order.
+        Recordings; several are merged in time order.
     options
-        As for a conversion: topics, parameters, frames, ``start`` and ``end``.
+        The options of a conversion: topics, parameters, frames, ``start`` and ``end``.
     clouds
         How many moments of each topic are shown, evenly spread.
     at
@@ -142,7 +142,7 @@ def page_of(
     UsageError
         If there is nothing to show.
     RecordingError
-        If nothing of it can be read.
+        If no message can be read.
     """
     if clouds < 1:
         raise UsageError(f"clouds is {clouds}, it must be 1 or more")

@@ -1,14 +1,14 @@
 // The float32 angle of a point, as pc2scan computes it: `correct`, or as an older glibc does.
 //
-// ECMAScript does not say how exact `Math.atan2` is, so it is only trusted to fifteen digits. Where those leave open
-// which float32 is meant (for two points in a hundred million), whole numbers decide.
+// ECMAScript does not specify how exact `Math.atan2` is, so only fifteen of its digits are used. If these do not decide
+// which float32 is closest (for two points in a hundred million), the angle is computed with whole numbers.
 
 import { nextUp32, nextUp64 } from "./float32.mjs";
 
-/** More than what `Math.atan2` may be wrong by, as a share of the angle. */
+/** An upper limit of the relative error of `Math.atan2`. */
 const TRUSTED = 1e-15;
 
-/** Binary digits behind the point of the fixed-point numbers below; angles may be as small as 2 ** -278. */
+/** Binary digits after the point of the fixed-point numbers below; angles may be as small as 2 ** -278. */
 const DIGITS = 512n;
 
 /**
@@ -25,7 +25,7 @@ export function correctAngle(y, x) {
 }
 
 /**
- * The same, decided in whole numbers.
+ * The same, computed with whole numbers.
  * @param {number} y a float32 value, not NaN
  * @param {number} x a float32 value, not NaN
  * @param {number} near the size of the angle, by `Math.atan2`
@@ -38,7 +38,8 @@ export function exactAngle(y, x, near) {
   const middle = (below + above) / 2;
   const step = nextUp64(middle) - middle;
   const size = Math.abs(y);
-  // Within half a step of float64 beside the middle, float64 lands on it, and rounding takes the even neighbour.
+  // Within half a step of float64 from the middle, float64 gives the middle itself, and rounding takes the even
+  // neighbour.
   let found = Math.fround(middle);
   if (isBeyond(size, x, middle, step)) found = above;
   else if (!isBeyond(size, x, middle, -step)) found = below;
@@ -84,7 +85,7 @@ function fixed(value) {
 
 const { fround } = Math;
 
-/** From these quotients on another row of the reduction applies: a, b, c, d, high, low. */
+/** The rows of the reduction, each with the smallest quotient that it applies to: a, b, c, d, high, low. */
 const REDUCTION = [
   { from: 0, a: 1, b: 0, c: 0, d: 1, high: 0, low: 0 },
   { from: 7 / 16, a: 2, b: -1, c: 1, d: 2, high: fround(4.6364760399e-1), low: fround(5.012158244e-9) },

@@ -1,4 +1,4 @@
-// The page of clouds: parameters change, the projection runs, the views follow.
+// The page of clouds. When a parameter changes, it projects the cloud again and updates the views.
 
 import { commandLine, commandWords, parameterFile, staticText } from "./commands.mjs";
 import { Controls } from "./controls.mjs";
@@ -25,9 +25,9 @@ import { Unrolled } from "./unrolled.mjs";
  * @typedef {object} CloudEntry
  * @property {string} moment for people
  * @property {string} frame
- * @property {string} targetFrame what the scan is in
+ * @property {string} targetFrame the scan's frame
  * @property {{quaternion: number[], translation: number[]} | null} transform
- * @property {Mount} mount the same, for people
+ * @property {Mount} mount the same as x, y, z, roll, pitch and yaw
  * @property {{name: string, x: number, y: number, z: number}[]} frames
  * @property {number} total points in the recording
  * @property {import("./data.mjs").ArrayData} data
@@ -41,12 +41,12 @@ import { Unrolled } from "./unrolled.mjs";
  * @property {string[]} notes
  * @property {Values} params
  * @property {Values} defaults
- * @property {Values} base what the parameters are with the preset
+ * @property {Values} base the parameters of the preset
  * @property {Record<string, Record<string, number | string>>} presets
  * @property {string} preset
  * @property {Record<string, {help: string, choices: string[]}>} parameters
  * @property {string[]} command
- * @property {string} targetFrame as it was asked for
+ * @property {string} targetFrame the requested target frame
  * @property {{topic: string, clouds: CloudEntry[]}[]} topics
  */
 
@@ -56,11 +56,11 @@ const OUTCOME_NAMES = {
   height: "outside the heights",
   range: "outside the ranges",
   angle: "outside the sector",
-  past_end: "behind the last beam",
+  past_end: "after the last beam",
   filtered: "rejected by filters",
 };
 
-/** Pixels around the edge of the band that grab it. */
+/** How close to an edge of the band the pointer must be to drag it, pixels. */
 const GRAB = 7;
 
 /** @param {CloudRecording} recording */
@@ -74,7 +74,7 @@ export function showClouds(recording) {
   let preset = recording.preset;
   let topic = recording.topics[0];
   let entry = topic.clouds[0];
-  /** @type {Mount | null} what the user set; null: what is recorded */
+  /** @type {Mount | null} the user's mount; null: the recorded one */
   let mount = null;
   /** @type {Map<string, import("./data.mjs").Column>} */
   let fields = new Map();
@@ -151,14 +151,14 @@ export function showClouds(recording) {
     entry = wanted;
     const found = await columns(wanted.data);
     const rejected = wanted.filtered && (await columns(wanted.filtered)).get("filtered");
-    // A later click may have been quicker.
+    // Another cloud may have been chosen while this one was decompressed.
     if (entry !== wanted) return;
     fields = found;
     filtered = rejected ?? null;
     place();
   }
 
-  /** Take the cloud to the scan's frame, and project it. */
+  /** Transform the cloud into the scan's frame, and project it. */
   function place() {
     const own = /** @type {Cloud} */ (Object.fromEntries(["x", "y", "z"].map((axis) => [axis, fields.get(axis)])));
     const matrix = mount
@@ -176,7 +176,7 @@ export function showClouds(recording) {
     update();
   }
 
-  /** Project with the parameters as they are, and show everything. */
+  /** Project with the present parameters, and show everything. */
   function update() {
     problem = problemOf(params);
     controls.blame(problem);
@@ -197,7 +197,7 @@ export function showClouds(recording) {
     return Number.isFinite(range) && !Object.is(range, emptyRange(params));
   }
 
-  /** Decide the colour of each point, and what is in front. */
+  /** Choose the colour of each point, and which points are drawn in front. */
   function paint() {
     const by = colourBy.value;
     const { outcomes } = scan;
@@ -295,7 +295,7 @@ export function showClouds(recording) {
     };
   }
 
-  /** Show the whole cloud, but for a few points far away. */
+  /** Show the whole cloud except for a few points far away. */
   function fit() {
     fitted = true;
     const [x0, x1] = usualRange(cloud.x);
@@ -319,7 +319,7 @@ export function showClouds(recording) {
   function setParam(name, value) {
     /** @type {Record<string, number | string>} */
     const changes = { [name]: value };
-    // A number of beams decides the increment, and an increment the number of beams.
+    // The number of beams sets the increment, and the increment the number of beams, so only one of them is kept.
     if (name === "angle_increment") changes.beams = 0;
     if (name === "reduce") changes.kth = value === "kth" ? Math.max(1, params.kth) : 0;
     params = { ...params, ...changes };
@@ -340,7 +340,7 @@ export function showClouds(recording) {
   /** @param {string} chosen */
   function setPreset(chosen) {
     preset = chosen;
-    // What the user has set stays set.
+    // Values that the user has set are kept.
     const own = Object.entries(params).filter(([name, value]) => base[name] !== value);
     base = { ...defaults, ...(recording.presets[chosen] ?? {}) };
     params = /** @type {Params} */ ({ ...pickParams(base), ...Object.fromEntries(own) });
@@ -360,7 +360,7 @@ export function showClouds(recording) {
     place();
   }
 
-  /** What the page shows, as the user takes it away. */
+  /** The present choices, from which the command line and the files to copy are made. */
   function choice() {
     const parent = entry.targetFrame === entry.frame || !entry.targetFrame ? "base_link" : entry.targetFrame;
     return {
@@ -433,7 +433,7 @@ export function showClouds(recording) {
 
   Object.assign(window, {
     pc2scan: {
-      /** For tests: what the page computes with parameters of theirs. */
+      /** For tests: computes a scan with other parameters. */
       scan: () => ({ ranges: [...scan.ranges].map(String), counts: scan.counts, milliseconds }),
       params: () => params,
       set: (/** @type {Partial<Params>} */ changes) => {
@@ -451,7 +451,7 @@ export function showClouds(recording) {
 }
 
 /**
- * JSON has no infinity: numbers that are written as text become numbers again.
+ * Convert infinite numbers, which JSON only has as text, back to numbers.
  * @param {Values} values
  * @returns {Values}
  */
@@ -486,7 +486,7 @@ function resultsIn(panel, choice) {
   const table = document.createElement("table");
   const summary = document.createElement("p");
   const take = document.createElement("h2");
-  take.textContent = "Take it away";
+  take.textContent = "Copy these parameters";
   const buttons = document.createElement("div");
   buttons.className = "buttons";
   const command = document.createElement("pre");

@@ -1,4 +1,4 @@
-// What the user takes away: the command line, parameter files and static transforms that mean the same as the page.
+// What the user can copy: the command line, parameter files and static transforms that make the scans of the page.
 
 import { MOUNT_KEYS } from "./transform.mjs";
 
@@ -8,15 +8,15 @@ import { MOUNT_KEYS } from "./transform.mjs";
 /**
  * @typedef {object} Choice
  * @property {Params} params
- * @property {Record<string, number | string | boolean>} base what the parameters are without options
+ * @property {Record<string, number | string | boolean>} base the parameters without any option
  * @property {string} preset
- * @property {string[]} command the words in front of the parameters' options
- * @property {{parent: string, child: string, mount: Mount} | null} staticTf what the user set
+ * @property {string[]} command the words that precede the parameters' options
+ * @property {{parent: string, child: string, mount: Mount} | null} staticTf the user's mount
  * @property {string} targetFrame
  */
 
 /**
- * A number as Python reads it back to the bit.
+ * Write a number so that Python reads the same bits.
  * @param {number} value
  */
 function number(value) {
@@ -29,7 +29,7 @@ function number(value) {
 const written = (value) => (typeof value === "number" ? number(value) : String(value));
 
 /**
- * A word for a POSIX shell.
+ * Quote a word for a POSIX shell.
  * @param {string} text
  */
 export function quoted(text) {
@@ -37,7 +37,8 @@ export function quoted(text) {
 }
 
 /**
- * The parameters that count: two that say the same, or that go with another choice, would be refused.
+ * The parameters that have an effect. pc2scan rejects the others: those that describe the same thing as another one, or
+ * that belong to another choice.
  * @param {Params} params
  */
 function counting(params) {
@@ -51,7 +52,7 @@ function counting(params) {
 }
 
 /**
- * The parameters that differ from what they are without options.
+ * The parameters that differ from those without any option.
  * @param {Choice} choice
  */
 function changed({ params, base }) {
@@ -74,7 +75,7 @@ export function commandLine(choice) {
 }
 
 /**
- * Its words, as a shell reads them.
+ * The words of the command line, before quoting.
  * @param {Choice} choice
  */
 export function commandWords(choice) {

@@ -76,7 +76,7 @@ const GROUPS = [
     ],
   },
   {
-    title: "What a beam reads",
+    title: "Ranges",
     rows: [
       "reduce",
       { name: "kth", label: "kth", unit: "", min: 1, max: 20, step: 1 },
@@ -216,7 +216,7 @@ export class Controls {
     this.rows = new Map();
     const heading = document.createElement("h2");
     heading.textContent = "Parameters";
-    this.presets = new ChoiceRow("preset", ["", ...given.presets], "What suits a consumer of the scans.", on.preset);
+    this.presets = new ChoiceRow("preset", ["", ...given.presets], "Parameters that suit a consumer of the scans.", on.preset);
     panel.append(heading, this.presets.element);
     for (const { title, rows } of GROUPS) {
       const group = fieldset(title);
@@ -236,7 +236,7 @@ export class Controls {
     }
     const mount = fieldset("Mount: the sensor in the target frame");
     for (const key of MOUNT_KEYS) {
-      const made = new NumberRow(MOUNT_SPECS[key], "Where the sensor is; see --static-tf.", (value) =>
+      const made = new NumberRow(MOUNT_SPECS[key], "Pose of the sensor in the target frame; see --static-tf.", (value) =>
         on.mount(key, value),
       );
       made.number.id = `mount-${key}`;

@@ -1,4 +1,4 @@
-// What Python put into the page: a description as JSON, and compressed arrays as text.
+// Reads the data that Python put into the page: a description as JSON, and compressed arrays as text.
 
 /**
  * @typedef {object} FieldData
@@ -66,7 +66,8 @@ async function inflated(bytes) {
 }
 
 /**
- * Put values together whose first bytes come first, then their second bytes, and so on: they compress better so.
+ * Join the bytes of values that are stored with the first bytes of all values first, then their second bytes, and so
+ * on, which compresses better.
  * @param {Uint8Array} planes
  * @param {Column} column overwritten
  */

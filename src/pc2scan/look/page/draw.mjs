@@ -1,21 +1,21 @@
-// What is drawn over the points: beams, sector, rings, the height band, frames.
+// Draws over the points: beams, sector, rings, the height band, frames.
 
 /** @typedef {import("./flat.mjs").Flat} Flat */
 /** @typedef {import("./orbit.mjs").Orbit} Orbit */
 /** @typedef {import("./layout.mjs").Layout} Layout */
 
 /**
- * A scan as it is drawn.
+ * The parts of a scan that are drawn.
  * @typedef {object} Beams
  * @property {Pick<Layout, "angleMin" | "increment">} layout
  * @property {Float32Array} ranges metres
  */
 
-/** Lines from the sensor to more returns than this would be a blot. */
+/** Maximum number of returns with a line from the sensor; more lines would hide everything else. */
 const MOST_LINES = 1500;
 
 /**
- * Where beams end, as x and y by turns; NaN for beams without a return.
+ * The ends of the beams: x and y of each, alternating; NaN for beams without a return.
  * @param {Beams} scan
  * @param {(range: number) => boolean} isReturn
  */
@@ -36,7 +36,7 @@ export function endsOf({ layout, ranges }, isReturn) {
  * @param {Float64Array} ends
  * @param {string} colour
  * @param {readonly number[]} origin where the sensor is, metres
- * @param {boolean} lines whether to draw the way from the sensor, too
+ * @param {boolean} lines whether to draw lines from the sensor, too
  */
 export function beamsFromAbove(pen, view, ends, colour, origin, lines) {
   pen.strokeStyle = pen.fillStyle = colour;
@@ -108,7 +108,7 @@ export function sector(pen, view, params, style) {
 }
 
 /**
- * The heights that count, as a band with two edges.
+ * The heights of the points used, as a band with two edges.
  * @param {CanvasRenderingContext2D} pen
  * @param {Flat} view
  * @param {[number, number]} edges pixels, upper and lower; within the view
@@ -164,7 +164,7 @@ export function frameMarks(pen, place, frames, length, style) {
     pen.globalAlpha = 0.75;
     const end = px + 6 + pen.measureText(name).width;
     let line = py - 7;
-    // A name that would lie over another one goes above it.
+    // A name that would overlap another one is drawn above it.
     while (named.some(([from, to, at]) => px + 6 < to && end > from && Math.abs(at - line) < 12)) line -= 13;
     named.push([px + 6, end, line]);
     pen.lineWidth = 3;

@@ -3,7 +3,7 @@
 import { Stage, niceStep, tick, ticks } from "./stage.mjs";
 
 /**
- * What a view shows of the world: shared by views that are linked.
+ * The part of the world that a view shows; linked views share it.
  * @typedef {object} Window
  * @property {number} x metres, in the middle
  * @property {number} y
@@ -11,7 +11,7 @@ import { Stage, niceStep, tick, ticks } from "./stage.mjs";
  * @property {number} scale pixels a metre
  */
 
-/** Room for the numbers of the axes, pixels. */
+/** Space for the numbers of the axes, pixels. */
 const MARGIN = { left: 40, bottom: 20 };
 
 export class Flat {
@@ -104,7 +104,7 @@ export class Flat {
    * Draw points.
    * @param {{x: Float32Array, y: Float32Array, z: Float32Array}} cloud
    * @param {Uint32Array} colours
-   * @param {Float32Array | null} front what is in front; null: what is nearer to the eye
+   * @param {Float32Array | null} front points with larger values are drawn in front; null: those closer to the eye
    * @param {number} size pixels of CSS
    */
   points(cloud, colours, front, size) {
@@ -126,7 +126,7 @@ export class Flat {
   }
 
   /**
-   * Draw the grid and the axes' numbers, and return the pen for what comes above them.
+   * Draw the grid and the axes' numbers, and return the pen for what is drawn above them.
    * @param {CSSStyleDeclaration} style
    */
   axes(style) {

@@ -3,7 +3,7 @@
 
 const bytes = new DataView(new ArrayBuffer(8));
 
-/** A float64's largest number: upstream's default for `max_height` and `range_max`. */
+/** The largest float64: upstream's default for `max_height` and `range_max`. */
 export const LARGEST = Number.MAX_VALUE;
 
 /**

@@ -1,4 +1,4 @@
-// Where the beams of a scan look: the rules of core/layout.py.
+// The directions of a scan's beams, by the rules of core/layout.py.
 
 import { nextUp32 } from "./float32.mjs";
 
@@ -84,7 +84,7 @@ export function centeredLayout(angleMin, angleMax, increment, beams) {
 }
 
 /**
- * The beams of `centeredLayout`, with `angleMax` one increment behind the last beam's middle.
+ * The beams of `centeredLayout`, with `angleMax` one increment after the last beam's middle.
  * @param {number} angleMin
  * @param {number} angleMax
  * @param {number} increment
@@ -97,7 +97,7 @@ export function halfOpenLayout(angleMin, angleMax, increment, beams) {
 }
 
 /**
- * The beams of `centeredLayout`, moved so that their middle is 0.
+ * The beams of `centeredLayout`, shifted so that their middle is 0.
  * @param {number} angleMin
  * @param {number} angleMax
  * @param {number} increment

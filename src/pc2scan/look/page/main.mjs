@@ -1,4 +1,4 @@
-// The page begins here.
+// The entry point of the page.
 
 import { showClouds } from "./clouds.mjs";
 import { description } from "./data.mjs";

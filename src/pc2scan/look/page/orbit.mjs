@@ -1,4 +1,4 @@
-// A view in 3D, to be turned: an orthographic camera around a point, drawn in software.
+// A view in 3D that can be turned: an orthographic camera around a point, drawn in software.
 
 import { Stage } from "./stage.mjs";
 
@@ -54,7 +54,7 @@ export class Orbit {
     this.centre = this.centre.map((value, axis) => value - (right[axis] * dx - up[axis] * dy) / this.scale);
   }
 
-  /** What points right, up, and to the eye, as unit vectors. */
+  /** The unit vectors that point right, up, and to the eye. */
   directions() {
     const [s, c] = [Math.sin(this.turn), Math.cos(this.turn)];
     const [st, ct] = [Math.sin(this.tilt), Math.cos(this.tilt)];

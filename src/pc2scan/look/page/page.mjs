@@ -1,4 +1,4 @@
-// What all kinds of pages share: the theme, the time slider, the readout, drawing once a frame.
+// The parts that all kinds of pages share: the theme, the time slider, the readout, drawing once per frame.
 
 /**
  * An element of the page.
@@ -35,7 +35,7 @@ export function setUpTheme(changed) {
 }
 
 /**
- * Call a function once before the next frame, however often it is asked for.
+ * Call a function once before the next frame, however often it is requested.
  * @param {() => void} draw
  */
 export function oncePerFrame(draw) {
@@ -106,7 +106,7 @@ async function copy(text) {
     await navigator.clipboard.writeText(text);
     return true;
   } catch {
-    // Browsers refuse the clipboard to pages that they do not trust; the old way still works in most of them.
+    // Browsers may deny the clipboard to pages from the disk; `execCommand` still works in most of them.
     const area = document.createElement("textarea");
     area.value = text;
     document.body.append(area);

@@ -1,18 +1,18 @@
 // Colours, as CSS text and as the 32-bit words of a canvas.
 
-/** Okabe and Ito's colours, which the colour-blind can tell apart; in the order of `OUTCOMES`. */
+/** Okabe and Ito's colours, which colour-blind people can distinguish; in the order of `OUTCOMES`. */
 const OUTCOME_COLOURS = {
   light: ["#0072b2", "#000000", "#e69f00", "#cc79a7", "#94a3b1", "#d55e00", "#009e73"],
   dark: ["#56b4e9", "#f5f5f5", "#e69f00", "#cc79a7", "#5d6b78", "#ff7f3f", "#2fd3a4"],
 };
 
-/** From low to high, dark to bright: evenly stepped for the eye, and in print. */
+/** Colours of values from low to high: dark to bright in steps that look even, also in print. */
 const STOPS = {
   light: ["#30206b", "#2f4f9e", "#1f7f9f", "#23a385", "#6fbf4a", "#d8b021"],
   dark: ["#5a49b8", "#4a7fe0", "#2fb3c4", "#48cf97", "#a8dc5e", "#fde25a"],
 };
 
-/** Topics, and the sides of a comparison. */
+/** Colours of topics, and of the two sides of a comparison. */
 const LAYER_COLOURS = {
   light: ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#8a6d00", "#56b4e9"],
   dark: ["#56b4e9", "#ff8c4b", "#2fd3a4", "#e59bc6", "#f0e442", "#9ad1f5"],

@@ -3,7 +3,7 @@
 import { layoutOf } from "./rule.mjs";
 
 /**
- * The parameters that decide what a cloud is projected to; names, units and defaults are those of pc2scan.
+ * The parameters of the projection that change the ranges; names, units and defaults are those of pc2scan.
  * @typedef {object} Params
  * @property {number} min_height metres
  * @property {number} max_height metres
@@ -30,7 +30,7 @@ const MAX_BEAMS = 4_000_000;
 const { fround } = Math;
 
 /**
- * What is wrong with parameters.
+ * The first problem of the parameters; null if there is none.
  * @param {Params} params
  * @returns {{name: string, message: string} | null} the parameter to blame; null where they are fine
  */
@@ -52,7 +52,7 @@ export function problemOf(params) {
   if (!(layout.count > 0 && layout.count <= MAX_BEAMS))
     return { name: "angle_increment", message: `makes ${layout.count.toLocaleString("en")} beams of this sector` };
   if (!(layout.angleMin < layout.angleMax))
-    return { name: "angle_increment", message: "leaves the sector a single direction" };
+    return { name: "angle_increment", message: "is so large that the sector has only one beam" };
   if (params.geometry === "symmetric" && !layout.fullCircle) {
     if (Math.abs(angle_min + angle_max) > layout.increment / 2)
       return { name: "angle_min", message: "and angle_max must be symmetric around 0, or a full circle" };

@@ -1,4 +1,4 @@
-// Points to ranges: the projection of core/project.py, to the bit, and what became of each point.
+// The projection of core/project.py, to the bit: ranges from points, and the outcome of each point.
 
 import { correctAngle, olderGlibcAngle } from "./angles.mjs";
 import { emptyRange } from "./params.mjs";
@@ -22,16 +22,16 @@ const [USED, IS_NAN, HEIGHT, RANGE, ANGLE, PAST_END, FILTERED] = OUTCOMES.keys()
 /**
  * @typedef {object} Scan
  * @property {Layout} layout
- * @property {Float32Array} ranges metres, `emptyRange` where there is no return
+ * @property {Float32Array} ranges metres, `emptyRange` for beams without a return
  * @property {Float32Array | null} intensities
  * @property {number[]} counts points, in the order of `OUTCOMES`
- * @property {Uint8Array} outcomes what became of each point
- * @property {Int32Array} bins which beam each used point fell into
+ * @property {Uint8Array} outcomes the outcome of each point, an index of `OUTCOMES`
+ * @property {Int32Array} bins the beam of each used point
  * @property {number} returns beams that have one
  */
 
 /**
- * Take points to another frame, in float32: every product and every sum is rounded, from left to right.
+ * Transform points into another frame, in float32: every product and every sum is rounded, from left to right.
  * @param {Cloud} cloud
  * @param {Float32Array} transform (12,): the rows of the rotation, then the translation
  * @param {Cloud} into of the same length

@@ -1,4 +1,4 @@
-// Points as pixels: coloured, the nearest in front, and which point each pixel shows.
+// Draws points as coloured pixels, the nearest in front, and finds the point that a pixel shows.
 
 export class Raster {
   /** @param {HTMLCanvasElement} canvas */
@@ -63,7 +63,7 @@ export class Raster {
   }
 
   /**
-   * The point that is shown at a place or nearest to it; -1 for none.
+   * The point that is shown at a place or closest to it; -1 for none.
    * @param {number} x pixels
    * @param {number} y pixels
    * @param {number} reach pixels

@@ -1,9 +1,9 @@
-// From the returns of each beam to the one that the scan reads: the rules of core/reduce.py.
+// Chooses the return of each beam that becomes its range, by the rules of core/reduce.py.
 
 /** @typedef {import("./params.mjs").Params} Params */
 
 /**
- * Which point each beam reads. Of equal ranges the first in the cloud wins.
+ * The point that gives each beam its range; of points with the same range, the first in the cloud.
  * @param {Int32Array} readers -1 on entry; the winners on return
  * @param {Params} params
  * @param {Uint8Array} outcomes 0 for the points that count
@@ -65,7 +65,7 @@ function closest(readers, outcomes, bins, squares) {
     const bin = bins[point];
     // Different squares may have the same float32 root.
     const range = Math.fround(Math.sqrt(squares[point]));
-    // An infinite range is a return too, the last choice of all.
+    // An infinite range is a return, too; it is chosen last.
     if (range < smallest[bin] || readers[bin] < 0) {
       smallest[bin] = range;
       readers[bin] = point;

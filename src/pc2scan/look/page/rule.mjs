@@ -22,12 +22,12 @@ const LAYOUTS = {
  * @property {number} most
  * @property {number} first limits of the angle, inclusive
  * @property {number} last
- * @property {number} offset an angle plus this is how far it is turned from the first edge
- * @property {number} turn what is turned so far is taken back by as much
- * @property {number} end what is turned beyond it is outside
+ * @property {number} offset added to an angle; the sum is the angle from the first edge, called turned
+ * @property {number} turn subtracted from turned if that is at least this much
+ * @property {number} end points with a larger turned are outside
  * @property {number} skew the bin is the truncated quotient (turned + skew) / increment
  * @property {number} increment
- * @property {boolean} closed whether the last bin takes what is behind it
+ * @property {boolean} closed whether points after the last bin are put into the last bin
  */
 
 /**
@@ -88,7 +88,7 @@ function centeredBeams({ count, angleMin, increment, fullCircle }) {
 }
 
 /**
- * The smallest float64, from 0 on, whose root is not below a limit once it is rounded to float32.
+ * The smallest non-negative float64 whose root, rounded to float32, is not below a limit.
  * @param {number} limit a float32 value
  */
 function firstSquare(limit) {

@@ -1,4 +1,4 @@
-// The page of scans: those of several topics, or of two recordings that are compared, over each other.
+// The page of scans: overlays those of several topics, or of two recordings that are compared.
 
 import { columns } from "./data.mjs";
 import { beamsFromAbove, endsOf, frameMarks, rings } from "./draw.mjs";
@@ -14,7 +14,7 @@ import { Unrolled } from "./unrolled.mjs";
  * @property {number} colour
  * @property {number} angleMin radians
  * @property {number} increment radians
- * @property {[number, number, number, number, number, number]} pose takes x, y and 1 to what is shown, row by row
+ * @property {[number, number, number, number, number, number]} pose the matrix from x, y and 1 to the view, row by row
  * @property {number} rangeMin metres
  * @property {number} rangeMax metres
  * @property {number[]} differing beams that differ from the other side's
@@ -153,7 +153,7 @@ export function showScans(recording) {
   }
 
   /**
-   * Describe the beams that look at a place.
+   * Describe the beams in the direction of a place.
    * @param {(layer: Loaded) => [number, number]} placeIn its angle, radians, and distance, metres, in a scan's frame
    */
   function point(placeIn) {
@@ -194,7 +194,7 @@ function returnsOf(layer) {
 }
 
 /**
- * A place as a scan's frame has it: angle, radians, and distance, metres.
+ * A place in a scan's frame: angle, radians, and distance, metres.
  * @param {Layer} layer
  * @param {[number, number]} place
  * @returns {[number, number]}

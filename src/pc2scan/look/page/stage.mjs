@@ -1,4 +1,4 @@
-// A drawing area: a canvas for points and one above it for lines and text, the size of its element.
+// A drawing area, as large as its element: a canvas for points, and one above it for lines and text.
 
 import { Raster } from "./raster.mjs";
 
@@ -50,7 +50,7 @@ export class Stage {
   }
 
   /**
-   * Where an event is, in the units of CSS.
+   * The position of an event, in CSS pixels.
    * @param {MouseEvent} event
    * @returns {[number, number]}
    */
@@ -60,7 +60,7 @@ export class Stage {
   }
 
   /**
-   * Call back with each step of dragging, in the units of CSS.
+   * Call a function with each step of dragging, in CSS pixels.
    * @param {(start: [number, number], event: PointerEvent) => ((dx: number, dy: number, at: [number, number]) => void) | null} begin
    */
   onDrag(begin) {
@@ -88,7 +88,7 @@ export class Stage {
   }
 
   /**
-   * Call back with zooming: the factor, and the place that stays.
+   * Call a function on zooming, with the factor and the place that stays fixed.
    * @param {(factor: number, at: [number, number]) => void} zoom
    */
   onZoom(zoom) {
@@ -121,7 +121,7 @@ export function niceStep(span, count) {
 }
 
 /**
- * A number as short as its step allows.
+ * A number with as few digits as its step needs.
  * @param {number} value
  * @param {number} step
  */
@@ -130,7 +130,7 @@ export function tick(value, step) {
 }
 
 /**
- * The multiples of a step between two limits; none where there would be too many to be read.
+ * The multiples of a step between two limits; none if there would be too many to read.
  * @param {number} low
  * @param {number} high
  * @param {number} step

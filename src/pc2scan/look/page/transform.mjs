@@ -1,4 +1,4 @@
-// The mount of a sensor: x, y, z, roll, pitch and yaw to the float32 matrix that points are multiplied with.
+// Converts the mount of a sensor (x, y, z, roll, pitch and yaw) to the float32 matrix that points are multiplied with.
 
 /**
  * @typedef {object} Mount

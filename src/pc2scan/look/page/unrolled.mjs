@@ -1,4 +1,4 @@
-// Ranges over the angle: a scan as a consumer reads it, beam after beam.
+// The view of ranges over the angle: the scan beam by beam, like a consumer reads it.
 
 import { Stage, niceStep, tick, ticks } from "./stage.mjs";
 
