@@ -14,8 +14,7 @@ EIGHT_INLINED Py_ssize_t load_eight(Scan *scan, const char *from, Py_ssize_t ste
     int64_t nans = 0, kept = 0;
     for (; taken + 8 < count; taken += 8, from += 8 * step) {
         __m256 x, y, z;
-        prefetch_points(from, step);
-        load_points(from, step, &x, &y, &z);
+        load_eight_points(from, step, &x, &y, &z);
         if (transform) {
             const __m256 sx = x, sy = y, sz = z;
             x = turn_eight(sx, sy, sz, transform, transform + 9);

@@ -13,13 +13,24 @@
 
 #ifdef EIGHT
 uint64_t together[256];
-int eight_at_once;
+int eight_at_once, sixteen_at_once;
 
-void prepare_eight(void) {
-    for (int set = 0; set < 256; set++)
+int prepare_lanes(int most) {
+    for (int set = 0; set < 256; set++) {
+        together[set] = 0;
         for (int lane = 0, to = 0; lane < 8; lane++)
             if (set >> lane & 1) together[set] |= (uint64_t)lane << 8 * to++;
-    eight_at_once = __builtin_cpu_supports("avx2") && __builtin_cpu_supports("popcnt");
+    }
+    eight_at_once = most >= 8 && __builtin_cpu_supports("avx2") && __builtin_cpu_supports("popcnt");
+    sixteen_at_once = most >= 16 && eight_at_once && __builtin_cpu_supports("avx512f") &&
+                      __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512vl") &&
+                      __builtin_cpu_supports("avx512bw");
+    return sixteen_at_once ? 16 : eight_at_once ? 8 : 1;
+}
+#else
+static int prepare_lanes(int most) {
+    (void)most;
+    return 1;
 }
 #endif
 
@@ -204,6 +215,12 @@ static PyObject *deskew(PyObject *self, PyObject *args) {
     return result;
 }
 
+static PyObject *lanes(PyObject *self, PyObject *args) {
+    (void)self;
+    int most;
+    return PyArg_ParseTuple(args, "i", &most) ? PyLong_FromLong(prepare_lanes(most)) : NULL;
+}
+
 static PyMethodDef methods[] = {
     {"project", project, METH_VARARGS,
      "project(x, y, z, rule, transform, ranges, limit, empty) -> (nan, height, range, angle, past_end); see plain.py"},
@@ -215,14 +232,14 @@ static PyMethodDef methods[] = {
     {"follow", follow, METH_VARARGS, "follow(times, stamps, poses, rows): one frame's poses; see plain.py"},
     {"trace", trace, METH_VARARGS, "trace(cells, width, mark, rays, hits): rays into a grid; see plain.py"},
     {"angles", angles, METH_VARARGS, "angles(x, y, out, glibc=False): atan2(y, x) of contiguous float32; see plain.py"},
+    {"lanes", lanes, METH_VARARGS,
+     "lanes(most) -> how many points the loops do at once from now on: 16, 8 or 1; no result depends on it"},
     {NULL, NULL, 0, NULL},
 };
 
 static int prepare(PyObject *self) {
     (void)self;
-#ifdef EIGHT
-    prepare_eight();
-#endif
+    prepare_lanes(16);
     return 0;
 }
 

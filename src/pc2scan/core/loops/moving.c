@@ -120,66 +120,52 @@ static int move_run(const Part *part, Moved *block, int from, int end) {
     return i;
 }
 
+/* Points of a row between two decisions whether many of them are too high or too low. */
+enum { STRETCH = 8 * BLOCK };
+
 #ifdef EIGHT
-/* A row of twelve numbers times points. */
-EIGHT_INLINED __m256d row_four(const double *row, const double *offset, __m256d x, __m256d y, __m256d z) {
-    __m256d sum = _mm256_mul_pd(_mm256_broadcast_sd(row), x);
-    sum = _mm256_add_pd(sum, _mm256_mul_pd(_mm256_broadcast_sd(row + 1), y));
-    sum = _mm256_add_pd(sum, _mm256_mul_pd(_mm256_broadcast_sd(row + 2), z));
-    return _mm256_add_pd(sum, _mm256_broadcast_sd(offset));
+static void move_chosen(Scan *scan, Motion *motion, Moved *block, const char *times);
+
+/* Append the points of a set of lanes to those that were chosen; `number` is that of the first lane's point. */
+EIGHT_INLINED void keep_eight(Moved *block, __m256 x, __m256 y, __m256 z, int32_t number, unsigned keep) {
+    const int filled = block->filled;
+    const __m256i to = lanes_of((int)keep), lanes = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
+    const __m256i numbers = _mm256_add_epi32(lanes, _mm256_set1_epi32(number));
+    _mm256_storeu_ps(block->x + filled, _mm256_permutevar8x32_ps(x, to));
+    _mm256_storeu_ps(block->y + filled, _mm256_permutevar8x32_ps(y, to));
+    _mm256_storeu_ps(block->z + filled, _mm256_permutevar8x32_ps(z, to));
+    _mm256_storeu_si256((__m256i *)(block->number + filled), _mm256_permutevar8x32_epi32(numbers, to));
+    block->filled += __builtin_popcount(keep);
 }
 
-EIGHT_INLINED __m128 upper(__m256 eight) { return _mm256_extractf128_ps(eight, 1); }
-EIGHT_INLINED __m128 lower(__m256 eight) { return _mm256_castps256_ps128(eight); }
-
-/* The same as move_one. */
-EIGHT_INLINED __m256 move_eight(const Part *part, int axis, __m256 x, __m256 y, __m256 z, __m256 s, const __m256d wide[6]) {
-    const __m256 along = turn_eight(x, y, z, part->rate + 3 * axis, part->rate + 9 + axis);
-    const __m256 aside = turn_eight(x, y, z, part->bend + 3 * axis, part->bend + 9 + axis);
-    const __m256 away = _mm256_mul_ps(s, _mm256_add_ps(along, _mm256_mul_ps(s, aside)));
-    const double *row = part->start + 3 * axis, *offset = part->start + 9 + axis;
-    const __m256d low = row_four(row, offset, wide[0], wide[1], wide[2]);
-    const __m256d high = row_four(row, offset, wide[3], wide[4], wide[5]);
-    return _mm256_set_m128(_mm256_cvtpd_ps(_mm256_add_pd(high, _mm256_cvtps_pd(upper(away)))),
-                           _mm256_cvtpd_ps(_mm256_add_pd(low, _mm256_cvtps_pd(lower(away)))));
+SIXTEEN_INLINED void keep_sixteen(Moved *block, __m512 x, __m512 y, __m512 z, int32_t number, unsigned keep) {
+    const int filled = block->filled;
+    const __mmask16 set = (__mmask16)keep;
+    const __m512i lanes = _mm512_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
+    const __m512i numbers = _mm512_add_epi32(lanes, _mm512_set1_epi32(number));
+    _mm512_storeu_ps(block->x + filled, _mm512_maskz_compress_ps(set, x));
+    _mm512_storeu_ps(block->y + filled, _mm512_maskz_compress_ps(set, y));
+    _mm512_storeu_ps(block->z + filled, _mm512_maskz_compress_ps(set, z));
+    _mm512_storeu_si512(block->number + filled, _mm512_maskz_compress_epi32(set, numbers));
+    block->filled += __builtin_popcount(keep);
 }
 
-/* The same as move_run, eight at a time: what is written behind the last one is overwritten later. Where all eight are
-   too high or too low, their x and y are not needed; 0 stands for them, unless they may be NaN, which counts first. */
-EIGHT_WIDE static int move_run_eight(const Part *part, Moved *block, int from, int end, float lowest, float highest) {
-    const __m256d begin = _mm256_set1_pd(part->begin), scale = _mm256_set1_pd(part->scale);
-    const __m256d close = _mm256_set1_pd(part->end);
-    const __m256 least = _mm256_set1_ps(lowest), most = _mm256_set1_ps(highest), tame = _mm256_set1_ps(TAME);
-    const __m256 absolute = _mm256_castsi256_ps(_mm256_set1_epi32(0x7fffffff));
-    for (int i = from; i < end; i += 8) {
-        const __m256d first = _mm256_loadu_pd(block->times + i), second = _mm256_loadu_pd(block->times + i + 4);
-        const __m256d own_first = _mm256_and_pd(_mm256_cmp_pd(first, begin, _CMP_GT_OQ), _mm256_cmp_pd(first, close, _CMP_LE_OQ));
-        const __m256d own_second = _mm256_and_pd(_mm256_cmp_pd(second, begin, _CMP_GT_OQ), _mm256_cmp_pd(second, close, _CMP_LE_OQ));
-        /* Of the very first point the part is known. */
-        const int own = _mm256_movemask_pd(own_first) | _mm256_movemask_pd(own_second) << 4 | (i == from);
-        const __m256 s = _mm256_set_m128(_mm256_cvtpd_ps(_mm256_mul_pd(_mm256_sub_pd(second, begin), scale)),
-                                         _mm256_cvtpd_ps(_mm256_mul_pd(_mm256_sub_pd(first, begin), scale)));
-        const __m256 x = _mm256_loadu_ps(block->x + i), y = _mm256_loadu_ps(block->y + i);
-        const __m256 z = _mm256_loadu_ps(block->z + i);
-        const __m256d wide[6] = {_mm256_cvtps_pd(lower(x)), _mm256_cvtps_pd(lower(y)), _mm256_cvtps_pd(lower(z)),
-                                 _mm256_cvtps_pd(upper(x)), _mm256_cvtps_pd(upper(y)), _mm256_cvtps_pd(upper(z))};
-        const __m256 to_z = move_eight(part, 2, x, y, z, s, wide);
-        _mm256_storeu_ps(block->to_z + i, to_z);
-        const __m256 away = _mm256_or_ps(_mm256_cmp_ps(to_z, least, _CMP_LT_OQ), _mm256_cmp_ps(to_z, most, _CMP_GT_OQ));
-        const __m256 sum = _mm256_add_ps(_mm256_and_ps(x, absolute), _mm256_add_ps(_mm256_and_ps(y, absolute), _mm256_and_ps(z, absolute)));
-        const __m256 finite = _mm256_cmp_ps(sum, tame, _CMP_LE_OQ);
-        if (part->tame && _mm256_movemask_ps(_mm256_and_ps(away, finite)) == 255) {
-            _mm256_storeu_ps(block->to_x + i, _mm256_setzero_ps());
-            _mm256_storeu_ps(block->to_y + i, _mm256_setzero_ps());
-        } else {
-            _mm256_storeu_ps(block->to_x + i, move_eight(part, 0, x, y, z, s, wide));
-            _mm256_storeu_ps(block->to_y + i, move_eight(part, 1, x, y, z, s, wide));
-        }
-        if (own != 255) return i + __builtin_ctz(~(unsigned)own) < end ? i + __builtin_ctz(~(unsigned)own) : end;
-    }
-    return end;
-}
+#define LANES 8
+#include "moving_lanes.h"
+#define LANES 16
+#include "moving_lanes.h"
 #endif
+
+/* The same as move_run, with as many lanes as the processor has. */
+static int move_run_at_once(const Motion *motion, const Part *part, Moved *block, int from, int end) {
+#ifdef EIGHT
+    if (sixteen_at_once) return move_run_sixteen(part, block, from, end, motion->lowest, motion->highest);
+    if (eight_at_once) return move_run_eight(part, block, from, end, motion->lowest, motion->highest);
+#else
+    (void)motion;
+#endif
+    return move_run(part, block, from, end);
+}
 
 static void move_block(Motion *motion, Moved *block, const int count) {
     for (int i = 0; i < count;) {
@@ -188,13 +174,7 @@ static void move_block(Motion *motion, Moved *block, const int count) {
         if (number >= 0 && motion->parts[number].known) {
             const Part *part = &motion->parts[number];
             motion->part = number;
-#ifdef EIGHT
-            if (eight_at_once) {
-                i = move_run_eight(part, block, i, count, motion->lowest, motion->highest);
-                continue;
-            }
-#endif
-            i = move_run(part, block, i, count);
+            i = move_run_at_once(motion, part, block, i, count);
             continue;
         }
         if (block->x[i] == block->x[i] && block->y[i] == block->y[i] && block->z[i] == block->z[i]) {
@@ -212,8 +192,7 @@ EIGHT_WIDE static int read_eight(const char *from, Py_ssize_t step, int count, f
     int taken = 0;
     for (; taken + 8 < count; taken += 8, from += 8 * step) {
         __m256 px, py, pz;
-        prefetch_points(from, step);
-        load_points(from, step, &px, &py, &pz);
+        load_eight_points(from, step, &px, &py, &pz);
         _mm256_storeu_ps(x + taken, px);
         _mm256_storeu_ps(y + taken, py);
         _mm256_storeu_ps(z + taken, pz);
@@ -231,7 +210,8 @@ EIGHT_WIDE static int read_eight_values(const Axis *axis, const char *from, int 
     if (axis->size != 4 || axis->swapped || (step != 4 && step < 12)) return 0;
     for (; taken + 8 < count; taken += 8, from += 8 * step) {
         const __m256 eight = eight_singles(from, step);
-        __m256d low = _mm256_cvtps_pd(lower(eight)), high = _mm256_cvtps_pd(upper(eight));
+        __m256d low = _mm256_cvtps_pd(_mm256_castps256_ps128(eight));
+        __m256d high = _mm256_cvtps_pd(_mm256_extractf128_ps(eight, 1));
         if (axis->kind != 'f') {
             const __m256i whole = _mm256_xor_si256(_mm256_castps_si256(eight), turn);
             low = _mm256_add_pd(_mm256_cvtepi32_pd(_mm256_castsi256_si128(whole)), more);
@@ -296,8 +276,8 @@ WIDEST static void to_seconds(double *times, int count, double offset, double un
 /* Move points that have been read with their times. */
 static void move_filled(Motion *motion, Moved *block, int count) {
     to_seconds(block->times, count, motion->offset, motion->unit);
-    /* Moved as well, up to eight at a time. */
-    for (int i = count; i < count + 8; i++) block->x[i] = block->y[i] = block->z[i] = 0, block->times[i] = 0;
+    /* Moved as well, up to sixteen at a time. */
+    for (int i = count; i < count + 16; i++) block->x[i] = block->y[i] = block->z[i] = 0, block->times[i] = 0;
     move_block(motion, block, count);
 }
 
@@ -327,9 +307,6 @@ static void move_points(Motion *motion, const Axis axis[3], const int common, Py
     move_filled(motion, block, count);
 }
 
-/* Points of a row between two decisions whether many of them are too high or too low. */
-enum { STRETCH = 8 * BLOCK };
-
 #ifdef EIGHT
 /* Move the points that were chosen of a row whose times begin here, and project them. */
 static void move_chosen(Scan *scan, Motion *motion, Moved *block, const char *times) {
@@ -349,49 +326,6 @@ static void move_chosen(Scan *scan, Motion *motion, Moved *block, const char *ti
     block->filled = 0;
 }
 
-/* Project points of one row, eight at a time: a stretch of it, and as long as what is read of them stays in front of the
-   last one; returns how many. Those that are too high or too low wherever the sensor was are not moved. */
-EIGHT_WIDE static Py_ssize_t load_moving_eight(Scan *scan, Motion *motion, const char *from, Py_ssize_t step,
-                                               const char *times, Py_ssize_t count, Moved *block) {
-    const __m256 lowest = _mm256_set1_ps((float)scan->rule.lowest), highest = _mm256_set1_ps((float)scan->rule.highest);
-    const __m256 absolute = _mm256_castsi256_ps(_mm256_set1_epi32(0x7fffffff)), tame = _mm256_set1_ps(TAME);
-    const __m256 slope = _mm256_set1_ps(motion->slope), level = _mm256_set1_ps(motion->level);
-    const __m256i lanes = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
-    Py_ssize_t taken = 0;
-    int64_t nans = 0, levels = 0;
-    block->filled = 0;
-    for (; taken + 8 < count && taken < STRETCH; taken += 8, from += 8 * step) {
-        __m256 x, y, z;
-        prefetch_points(from, step);
-        load_points(from, step, &x, &y, &z);
-        const __m256 nan = _mm256_or_ps(_mm256_cmp_ps(x, y, _CMP_UNORD_Q), _mm256_cmp_ps(z, z, _CMP_UNORD_Q));
-        const __m256 size = _mm256_add_ps(_mm256_and_ps(x, absolute), _mm256_add_ps(_mm256_and_ps(y, absolute), _mm256_and_ps(z, absolute)));
-        const __m256 about = turn_eight(x, y, z, motion->row, motion->row + 3);
-        const __m256 error = _mm256_add_ps(_mm256_mul_ps(size, slope), level);
-        const __m256 above = _mm256_cmp_ps(_mm256_sub_ps(about, error), highest, _CMP_GT_OQ);
-        const __m256 below = _mm256_cmp_ps(_mm256_add_ps(about, error), lowest, _CMP_LT_OQ);
-        const __m256 away = _mm256_and_ps(_mm256_or_ps(above, below), _mm256_cmp_ps(size, tame, _CMP_LE_OQ));
-        const int gone = _mm256_movemask_ps(_mm256_or_ps(nan, away)), keep = gone ^ 255;
-        if (gone) {
-            const int unknown = __builtin_popcount((unsigned)_mm256_movemask_ps(nan));
-            nans += unknown;
-            levels += __builtin_popcount((unsigned)gone) - unknown;
-            if (!keep) continue;
-        }
-        if (block->filled > BLOCK - 8) move_chosen(scan, motion, block, times);
-        const int filled = block->filled;
-        const __m256i to = lanes_of(keep), number = _mm256_add_epi32(lanes, _mm256_set1_epi32((int32_t)taken));
-        _mm256_storeu_ps(block->x + filled, _mm256_permutevar8x32_ps(x, to));
-        _mm256_storeu_ps(block->y + filled, _mm256_permutevar8x32_ps(y, to));
-        _mm256_storeu_ps(block->z + filled, _mm256_permutevar8x32_ps(z, to));
-        _mm256_storeu_si256((__m256i *)(block->number + filled), _mm256_permutevar8x32_epi32(number, to));
-        block->filled += __builtin_popcount((unsigned)keep);
-    }
-    if (block->filled) move_chosen(scan, motion, block, times);
-    scan->nan += nans;
-    scan->height += levels;
-    return taken;
-}
 #endif
 
 /* Whether points that are too high or too low can be told before they are moved: 1, else 0. */
@@ -425,7 +359,7 @@ void load_moving(Scan *scan, const Cloud *cloud, Motion *motion) {
             if (choosing > 0) {
                 const char *from = axis[0].data + row * axis[0].row_step + column * axis[0].step;
                 const char *times = field->data + row * field->row_step + column * field->step;
-                taken = load_moving_eight(scan, motion, from, axis[0].step, times, left, &block);
+                taken = (sixteen_at_once ? load_moving_sixteen : load_moving_eight)(scan, motion, from, axis[0].step, times, left, &block);
             }
 #endif
             for (; taken < left && taken < STRETCH;) {

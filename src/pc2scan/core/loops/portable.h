@@ -32,8 +32,8 @@
 #define INLINED static inline
 #endif
 
-/* Points at a time: few enough for the first-level cache. Some loops write up to eight points behind the last one. */
-enum { BLOCK = 256, PADDED = BLOCK + 8 };
+/* Points at a time: few enough for the first-level cache. Some loops write up to sixteen points behind the last one. */
+enum { BLOCK = 256, PADDED = BLOCK + 16 };
 
 #if defined(__GNUC__)
 /* A cloud is larger than the caches near a core, and their own prefetching ends at each page. */
@@ -50,12 +50,16 @@ enum { BLOCK = 256, PADDED = BLOCK + 8 };
 #define EIGHT_WIDE __attribute__((target("avx2,popcnt")))
 #define EIGHT_INLINED __attribute__((target("avx2,popcnt"), always_inline)) static inline
 
+/* The same for sixteen points at a time, for processors that have sixteen_at_once. */
+#define SIXTEEN_WIDE __attribute__((target("avx512f,avx512dq,avx512vl,avx512bw,avx2,popcnt")))
+#define SIXTEEN_INLINED __attribute__((target("avx512f,avx512dq,avx512vl,avx512bw,avx2,popcnt"), always_inline)) static inline
+
 /* For each set of eight lanes: where its members go when they move together. */
 HIDDEN extern uint64_t together[256];
-HIDDEN extern int eight_at_once;
+HIDDEN extern int eight_at_once, sixteen_at_once;
 
-/* Before any of these loops. */
-HIDDEN void prepare_eight(void);
+/* Prepare these loops, and use at most so many lanes. Returns how many are used. */
+HIDDEN int prepare_lanes(int most);
 
 /* The lanes of a set, moved together. */
 EIGHT_INLINED __m256i lanes_of(int set) {
@@ -70,13 +74,27 @@ EIGHT_INLINED __m256 turn_eight(__m256 x, __m256 y, __m256 z, const float *row, 
     return _mm256_add_ps(sum, _mm256_broadcast_ss(offset));
 }
 
+SIXTEEN_INLINED __m512 turn_sixteen(__m512 x, __m512 y, __m512 z, const float *row, const float *offset) {
+    __m512 sum = _mm512_mul_ps(x, _mm512_set1_ps(row[0]));
+    sum = _mm512_add_ps(sum, _mm512_mul_ps(y, _mm512_set1_ps(row[1])));
+    sum = _mm512_add_ps(sum, _mm512_mul_ps(z, _mm512_set1_ps(row[2])));
+    return _mm512_add_ps(sum, _mm512_set1_ps(*offset));
+}
+
+/* Of the points that are read next. Points of 32 bytes share a processor's lines of 64. */
+EIGHT_INLINED void prefetch_points(const char *from, Py_ssize_t step) {
+    const Py_ssize_t lines = step < 64 ? 64 : step;
+    for (Py_ssize_t line = 0; line < 8 * step; line += lines) PREFETCH(from + line);
+}
+
 EIGHT_INLINED __m256 load_two(const char *one, const char *other) {
     return _mm256_insertf128_ps(_mm256_castps128_ps256(_mm_loadu_ps((const float *)one)),
                                 _mm_loadu_ps((const float *)other), 1);
 }
 
 /* x, y and z of eight points, which follow each other in each. Four bytes behind each are read, too. */
-EIGHT_INLINED void load_points(const char *from, Py_ssize_t step, __m256 *x, __m256 *y, __m256 *z) {
+EIGHT_INLINED void load_eight_points(const char *from, Py_ssize_t step, __m256 *x, __m256 *y, __m256 *z) {
+    prefetch_points(from, step);
     __m256 pair[4];
     for (int i = 0; i < 4; i++) pair[i] = load_two(from + i * step, from + (i + 4) * step);
     const __m256 xy = _mm256_unpacklo_ps(pair[0], pair[1]), yx = _mm256_unpacklo_ps(pair[2], pair[3]);
@@ -84,6 +102,15 @@ EIGHT_INLINED void load_points(const char *from, Py_ssize_t step, __m256 *x, __m
     *x = _mm256_shuffle_ps(xy, yx, 0x44);
     *y = _mm256_shuffle_ps(xy, yx, 0xee);
     *z = _mm256_shuffle_ps(zs, sz, 0x44);
+}
+
+SIXTEEN_INLINED void load_sixteen_points(const char *from, Py_ssize_t step, __m512 *x, __m512 *y, __m512 *z) {
+    __m256 low[3], high[3];
+    load_eight_points(from, step, &low[0], &low[1], &low[2]);
+    load_eight_points(from + 8 * step, step, &high[0], &high[1], &high[2]);
+    *x = _mm512_insertf32x8(_mm512_castps256_ps512(low[0]), high[0], 1);
+    *y = _mm512_insertf32x8(_mm512_castps256_ps512(low[1]), high[1], 1);
+    *z = _mm512_insertf32x8(_mm512_castps256_ps512(low[2]), high[2], 1);
 }
 
 /* Eight numbers of four bytes. With gaps between them, twelve bytes behind each are read, too. */
@@ -99,12 +126,6 @@ EIGHT_INLINED __m256d four_doubles(const char *from, Py_ssize_t step) {
     double number[4];
     for (int i = 0; i < 4; i++) memcpy(number + i, from + i * step, sizeof *number);
     return _mm256_set_pd(number[3], number[2], number[1], number[0]);
-}
-
-/* Of the points that are read next. Points of 32 bytes share a processor's lines of 64. */
-EIGHT_INLINED void prefetch_points(const char *from, Py_ssize_t step) {
-    const Py_ssize_t lines = step < 64 ? 64 : step;
-    for (Py_ssize_t line = 0; line < 8 * step; line += lines) PREFETCH(from + line);
 }
 #endif
 
