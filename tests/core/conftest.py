@@ -15,7 +15,7 @@ def loops(request: pytest.FixtureRequest) -> Iterator[None]:
     """What is tested holds for the compiled loops over points and for those in NumPy."""
     with pytest.MonkeyPatch.context() as patch:
         if request.param == "plain":
-            for name in ("angles", "deskew", "follow", "gather", "project", "span"):
+            for name in ("angles", "apart", "deskew", "follow", "gather", "nodes", "project", "span"):
                 patch.setattr(kernel, name, getattr(plain, name))
         elif not kernel.COMPILED:
             pytest.skip("there was no C compiler: this installation has no compiled loops")

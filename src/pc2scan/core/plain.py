@@ -19,7 +19,19 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["angles", "bins_of", "deskew", "follow", "gather", "project", "span", "trace", "transformed"]
+__all__ = [
+    "angles",
+    "apart",
+    "bins_of",
+    "deskew",
+    "follow",
+    "gather",
+    "nodes",
+    "project",
+    "span",
+    "trace",
+    "transformed",
+]
 
 #: How many points are processed at a time: few enough for the cache, and enough that calls of NumPy take little time.
 BLOCK = 16384
@@ -364,6 +376,63 @@ def _slerp(first: NDArray[np.float64], last: NDArray[np.float64], ratio: NDArray
     sign = np.where(product < 0, -1.0, 1.0)
     mixed = (np.sin((1 - ratio) * angle) * first + np.sin(ratio * angle) * sign * last) / np.sin(angle)
     return np.where(angle == 0, first, mixed)
+
+
+def nodes(stamps: tuple[NDArray[np.int64], ...], begin_ns: int, end_ns: int, step_ns: int, /) -> tuple[bytes, int]:
+    """Return the times at which transforms are looked up so that they can be interpolated between these.
+
+    Parameters
+    ----------
+    stamps
+        (S,) nanoseconds, increasing: the samples of each frame.
+    begin_ns, end_ns
+        The first and the last time; the second is later.
+    step_ns
+        How far times may be apart.
+
+    Returns
+    -------
+    times : bytes
+        (2 N - 1,) int64, increasing: both ends, the times of all samples between them and evenly spaced ones; and the
+        middle between each and the next one.
+    gap_ns : int
+        The longest time between two samples of one frame of which a part is between the ends.
+    """
+    gap_ns, found = 0, []
+    for samples in stamps:
+        found.append(samples[samples.searchsorted(begin_ns) : samples.searchsorted(end_ns, "right")])
+        first, last = samples.searchsorted(begin_ns, "right"), samples.searchsorted(end_ns, "left")
+        gaps = np.diff(samples[max(int(first) - 1, 0) : int(last) + 1])
+        gap_ns = max(gap_ns, int(gaps.max(initial=0)))
+    count = -(-(end_ns - begin_ns) // step_ns)
+    times = np.unique(np.concatenate([begin_ns + np.arange(count + 1) * (end_ns - begin_ns) // count, *found]))
+    both = np.empty(2 * times.size - 1, np.int64)
+    both[::2], both[1::2] = times, times[:-1] + np.diff(times) // 2
+    return both.tobytes(), gap_ns
+
+
+def apart(rows: NDArray[np.float64], row: NDArray[np.float64] | None, /) -> tuple[float, float]:
+    """Return how far transforms are apart at most: the sums of the squared differences of rotations and translations.
+
+    Parameters
+    ----------
+    rows
+        (N, 12), contiguous: the rows of the rotation, then the translation. Rows with a NaN are ignored.
+    row
+        (12,) What all rows are compared with; None: each second row is compared with the next but one.
+
+    Returns
+    -------
+    (float, float)
+        NaN if there is nothing to compare.
+    """
+    differences = rows[2::2] - rows[:-2:2] if row is None else rows - row
+    turned, moved = (
+        # One after the other, as the compiled function adds them.
+        float(np.fmax.reduce(sum((column * column for column in part), np.zeros(len(differences))), initial=np.nan))
+        for part in (differences.T[:9], differences.T[9:])
+    )
+    return turned, moved
 
 
 def trace(

@@ -171,7 +171,7 @@ class TransformBuffer:
             Maximum distance between two times, nanoseconds.
         needed_ns
             Returns the maximum distance that the motion needs, given the times that were looked up with ``step_ns`` and
-            their rows. If it is less than ``step_ns``, more times are looked up.
+            the rows that are returned for them. If it is less than ``step_ns``, more times are looked up.
 
         Returns
         -------
@@ -188,26 +188,24 @@ class TransformBuffer:
         TransformError
             If a frame is unknown, or the two are not connected.
         """
-        from .many import longest_gap_ns, rows_of, sample_times  # noqa: PLC0415  # only deskewing needs it
+        from .many import node_times, rows_of  # noqa: PLC0415  # only deskewing needs it
 
         query = self._query(target, source, begin_ns, 0)
-        ends = np.array([begin_ns, end_ns])
         if query is None:
             identity = np.array([1.0, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0])
-            return ends, np.broadcast_to(identity, (3, 12)).copy(), 0
+            return np.array([begin_ns, end_ns]), np.broadcast_to(identity, (3, 12)).copy(), 0
         key = query.target_number, query.source_number
         if key not in self._chains:
             self._chains[key] = self._timeless_chain(*key)
         # If frames change parents, the chain at the beginning is used.
         chain = self._chains[key] or self._timed_chain(query, begin_ns)
-        samples = np.concatenate([ends, *sample_times(chain, begin_ns, end_ns)])
-        stamps_ns = _filled(samples, step_ns)
-        found = rows_of(chain, _with_middles(stamps_ns))
-        needed = needed_ns(stamps_ns, found[::2])
+        times, gap_ns = node_times(chain, begin_ns, end_ns, step_ns)
+        found = rows_of(chain, times)
+        needed = needed_ns(times[::2], found)
         if needed < step_ns:
-            stamps_ns = _filled(samples, needed)
-            found = rows_of(chain, _with_middles(stamps_ns))
-        return stamps_ns, found, longest_gap_ns(chain, begin_ns, end_ns)
+            times, gap_ns = node_times(chain, begin_ns, end_ns, needed)
+            found = rows_of(chain, times)
+        return times[::2], found, gap_ns
 
     def latest_common_ns(self, target: str, source: str) -> int:
         """Return the time that `lookup` uses for a stamp of 0; tf2 writes it into its result.
@@ -349,24 +347,3 @@ class TransformBuffer:
         link = self._history(child)
         assert link is not None  # children are the frames with samples
         return frame_info(link, int(self._received[child]), self.frames)
-
-
-def _filled(stamps_ns: NDArray[np.int64], step_ns: int) -> NDArray[np.int64]:
-    """Return sorted times, with evenly spaced ones added so that none is more than ``step_ns`` from the next."""
-    begin_ns, end_ns = stamps_ns[:2].tolist()
-    count = -(-(end_ns - begin_ns) // step_ns)
-    found = np.concatenate([stamps_ns, begin_ns + np.arange(1, count) * (end_ns - begin_ns) // count])
-    found.sort()
-    # Twice as fast as np.unique.
-    kept = np.empty(found.size, np.bool_)
-    kept[0] = True
-    np.not_equal(found[1:], found[:-1], out=kept[1:])
-    return found[kept]
-
-
-def _with_middles(stamps_ns: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return times with the middle between each and the next one added."""
-    found = np.empty(2 * stamps_ns.size - 1, np.int64)
-    found[::2] = stamps_ns
-    found[1::2] = stamps_ns[:-1] + (stamps_ns[1:] - stamps_ns[:-1]) // 2
-    return found

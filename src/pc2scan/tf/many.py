@@ -12,38 +12,28 @@ import numpy as np
 from pc2scan.core import kernel
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable
 
     from numpy.typing import NDArray
 
     from .chain import Chain
     from .history import FrameHistory
 
-__all__ = ["longest_gap_ns", "rows_of", "sample_times"]
+__all__ = ["node_times", "rows_of"]
 
 
 #: The stamps of a static link.
 _ALWAYS = np.empty(0, np.int64)
 
 
-def sample_times(chain: Chain, begin_ns: int, end_ns: int) -> Iterator[NDArray[np.int64]]:
-    """Yield the stamps of each link's samples between two times. The motion may change at these."""
-    for link in chain.links:
-        if not link.static:
-            first, last = link.stamps_ns.searchsorted([begin_ns, end_ns + 1])
-            yield link.stamps_ns[first:last]
+def node_times(chain: Chain, begin_ns: int, end_ns: int, step_ns: int) -> tuple[NDArray[np.int64], int]:
+    """Return the times at which a chain is looked up, nanoseconds, and its longest gap; see `kernel.nodes`.
 
-
-def longest_gap_ns(chain: Chain, begin_ns: int, end_ns: int) -> int:
-    """Return the longest time between two neighbouring samples of a frame that overlaps an interval, nanoseconds."""
-    longest = 0
-    for link in chain.links:
-        if not link.static:
-            first = int(link.stamps_ns.searchsorted(begin_ns, "right"))
-            last = int(link.stamps_ns.searchsorted(end_ns, "left"))
-            around = link.stamps_ns[max(first - 1, 0) : last + 1]
-            longest = max(longest, int((around[1:] - around[:-1]).max(initial=0)))
-    return longest
+    Samples of each link are among them: there the motion may change.
+    """
+    samples = tuple([link.stamps_ns for link in chain.links if not link.static])
+    times, gap_ns = kernel.nodes(samples, begin_ns, end_ns, step_ns)
+    return np.frombuffer(times, np.int64), gap_ns
 
 
 def rows_of(chain: Chain, stamps_ns: NDArray[np.int64]) -> NDArray[np.float64]:

@@ -1,4 +1,4 @@
-/* The transforms of one frame over time. */
+/* The transforms of frames over time: when they are looked up, what they are, and how far they are apart. */
 
 #include "arrays.h"
 #include "functions.h"
@@ -114,4 +114,108 @@ release_stamps:
 release_times:
     PyBuffer_Release(&times);
     return result;
+}
+
+/* The number of stamps below a time; with `same`, also those at it. */
+static Py_ssize_t stamps_before(const int64_t *stamps, Py_ssize_t count, int64_t time, int same) {
+    Py_ssize_t low = 0, high = count;
+    while (low < high) {
+        const Py_ssize_t middle = (low + high) / 2;
+        if (stamps[middle] < time || (same && stamps[middle] == time)) low = middle + 1;
+        else high = middle;
+    }
+    return low;
+}
+
+/* Merge increasing times into other increasing times, which have room for them. Returns how many there are then. */
+static Py_ssize_t merge(int64_t *times, Py_ssize_t count, const int64_t *others, Py_ssize_t more) {
+    const Py_ssize_t sum = count + more;
+    for (Py_ssize_t to = sum; more;) times[--to] = count && times[count - 1] > others[more - 1] ? times[--count] : others[--more];
+    return sum;
+}
+
+/* Keep each time once, and write the middle between each and the next one behind it. Returns how many there are then. */
+static Py_ssize_t with_middles(int64_t *times, Py_ssize_t count) {
+    Py_ssize_t kept = 1;
+    for (Py_ssize_t i = 1; i < count; i++)
+        if (times[i] != times[kept - 1]) times[kept++] = times[i];
+    for (Py_ssize_t i = kept - 1; i > 0; i--) {
+        times[2 * i] = times[i];
+        times[2 * i - 1] = times[i - 1] + (times[i] - times[i - 1]) / 2;
+    }
+    return 2 * kept - 1;
+}
+
+PyObject *nodes(PyObject *self, PyObject *args) {
+    (void)self;
+    PyObject *all, *result = NULL;
+    long long begin, end, step;
+    if (!PyArg_ParseTuple(args, "O!LLL", &PyTuple_Type, &all, &begin, &end, &step)) return NULL;
+    const int64_t most = INT64_MAX / 4, length = begin > -most && end < most ? end - begin : 0;
+    const int64_t parts = length > 0 && step > 0 ? (length - 1) / step + 1 : 0;
+    if (!parts || length > most / parts) {
+        PyErr_SetString(PyExc_ValueError, "the end is not behind the beginning, or the step is too small");
+        return NULL;
+    }
+    int64_t longest = 0;
+    Py_ssize_t count = (Py_ssize_t)parts + 1, room = 2 * count;
+    int64_t *times = PyMem_Malloc((size_t)room * sizeof *times);
+    if (!times) return PyErr_NoMemory();
+    for (int64_t i = 0; i <= parts; i++) times[i] = begin + i * length / parts;
+    for (Py_ssize_t k = 0; k < PyTuple_Size(all); k++) {
+        Py_buffer view;
+        if (contiguous(PyTuple_GetItem(all, k), &view, PyBUF_SIMPLE, 8, -1) < 0) goto release;
+        const int64_t *stamps = view.buf;
+        const Py_ssize_t samples = view.len / 8;
+        const Py_ssize_t from = stamps_before(stamps, samples, begin, 0), to = stamps_before(stamps, samples, end, 1);
+        const Py_ssize_t inside = stamps_before(stamps, samples, begin, 1), outside = stamps_before(stamps, samples, end, 0);
+        for (Py_ssize_t i = inside > 1 ? inside : 1; i <= outside && i < samples; i++)
+            longest = stamps[i] - stamps[i - 1] > longest ? stamps[i] - stamps[i - 1] : longest;
+        room += 2 * (to - from);
+        int64_t *more = PyMem_Realloc(times, (size_t)room * sizeof *times);
+        if (more) {
+            times = more;
+            count = merge(times, count, stamps + from, to - from);
+        }
+        PyBuffer_Release(&view);
+        if (!more) {
+            PyErr_NoMemory();
+            goto release;
+        }
+    }
+    count = with_middles(times, count);
+    result = Py_BuildValue("(y#L)", (const char *)times, count * (Py_ssize_t)sizeof *times, (long long)longest);
+release:
+    PyMem_Free(times);
+    return result;
+}
+
+/* The sum of squared differences of so many numbers. */
+static double squared(const double *one, const double *other, int count) {
+    double sum = 0;
+    for (int i = 0; i < count; i++) sum += (one[i] - other[i]) * (one[i] - other[i]);
+    return sum;
+}
+
+PyObject *apart(PyObject *self, PyObject *args) {
+    (void)self;
+    PyObject *rows_of, *row_of;
+    if (!PyArg_ParseTuple(args, "OO", &rows_of, &row_of)) return NULL;
+    Py_buffer rows, row = {0};
+    if (contiguous(rows_of, &rows, PyBUF_SIMPLE, 8, -1) < 0) return NULL;
+    if (row_of != Py_None && contiguous(row_of, &row, PyBUF_SIMPLE, 8, 12) < 0) {
+        PyBuffer_Release(&rows);
+        return NULL;
+    }
+    double turned = NAN, moved = NAN;
+    const double *first = rows.buf;
+    for (Py_ssize_t i = row.obj ? 0 : 2; i < rows.len / 96; i += row.obj ? 1 : 2) {
+        const double *one = first + 12 * i, *other = row.obj ? row.buf : one - 24;
+        const double angle = squared(one, other, 9), distance = squared(one + 9, other + 9, 3);
+        turned = angle <= turned || angle != angle ? turned : angle;
+        moved = distance <= moved || distance != distance ? moved : distance;
+    }
+    if (row.obj) PyBuffer_Release(&row);
+    PyBuffer_Release(&rows);
+    return Py_BuildValue("(dd)", turned, moved);
 }

@@ -47,14 +47,14 @@ _SHORTEST = 1e-9
 #: power of that angle: at most 0.8 micrometres at 100 m.
 _STEP_NS = 2_000_000
 _STEP = 0.01
+#: The sum of the squared differences of two rotation matrices below which the angle is smaller, whatever rounding does.
+_SURELY = 8 * math.sin(_STEP / 2) ** 2 * (1 - 1e-9)
 _MOST_NODES = 20_000
 
 #: A time, and the stamps of a transform that is valid at any.
 _ONCE, _ALWAYS = np.zeros(1, np.int64), np.empty(0, np.int64)
 #: The row of a transform that changes nothing.
 _IDENTITY = np.array([[1.0, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0]])
-#: Sums of a row's last three numbers, and of the others.
-_SUMS = np.repeat([[0.0, 1.0], [1.0, 0.0]], [9, 3], axis=0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -427,8 +427,10 @@ def _raise_why(buffer: TransformBuffer, fixed: str, source: str, time_ns: int) -
 
 
 def _step_ns(stamps_ns: NDArray[np.int64], rows: NDArray[np.float64]) -> int:
-    """How far nodes may be apart, given some."""
-    differences = rows[1:, :9] - rows[:-1, :9]
+    """How far nodes may be apart, given some of them and their rows, with those of the middles."""
+    if kernel.apart(rows, None)[0] < _SURELY:
+        return int(stamps_ns[-1] - stamps_ns[0])
+    differences = rows[2::2, :9] - rows[:-2:2, :9]
     # fmax ignores NaN.
     largest = float(np.fmax.reduce(np.einsum("ni,ni->n", differences, differences), initial=0.0))
     # A rotation by an angle changes its matrix by the root of 8 times the sine of half of that.
@@ -453,8 +455,5 @@ def _motion(rows: NDArray[np.float64], reference: tuple[Rigid, ...] | int, gap_n
         row = _IDENTITY.copy()
         for transform in reversed(reference):
             kernel.follow(_ONCE, _ALWAYS, np.array([transform.pose]), row)
-    squares = rows - row
-    squares *= squares
-    # fmax ignores NaN.
-    distance, angle = (math.sqrt(float(np.fmax.reduce(part))) for part in (squares @ _SUMS).T)
-    return Motion(distance, 2 * math.asin(min(1.0, angle / math.sqrt(8))), gap_ns / 1e9)
+    turned, moved = kernel.apart(rows, row)
+    return Motion(math.sqrt(moved), 2 * math.asin(min(1.0, math.sqrt(turned) / math.sqrt(8))), gap_ns / 1e9)
