@@ -20,3 +20,18 @@ def loops(request: pytest.FixtureRequest) -> Iterator[None]:
         elif not kernel.COMPILED:
             pytest.skip("there was no C compiler: this installation has no compiled loops")
         yield
+
+
+@pytest.fixture(params=[16, 8, 1])
+def lanes(request: pytest.FixtureRequest) -> Iterator[None]:
+    """The compiled loops do so many points at once; skipped where the processor cannot."""
+    if not kernel.COMPILED:
+        pytest.skip("there was no C compiler: this installation has no compiled loops")
+    from pc2scan.core import _kernel  # not everywhere
+
+    possible = _kernel.lanes(request.param) == request.param
+    if possible:
+        yield
+    _kernel.lanes(16)
+    if not possible:
+        pytest.skip(f"the processor has no vectors of {request.param} numbers")

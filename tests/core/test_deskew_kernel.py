@@ -50,6 +50,7 @@ def same_bits(one: Any, other: Any) -> None:
     np.testing.assert_array_equal(one[~nan].view(np.int32), other[~nan].view(np.int32))
 
 
+@pytest.mark.usefixtures("lanes")
 @pytest.mark.skipif(not kernel.COMPILED, reason="there was no C compiler")
 @pytest.mark.parametrize("dtype", ["<f4", ">f4", "<f8", "<i2", ">u4"])
 @pytest.mark.parametrize("order", ["in time", "by ring", "random"])
@@ -83,6 +84,7 @@ RULES = [
 ]
 
 
+@pytest.mark.usefixtures("lanes")
 @pytest.mark.skipif(not kernel.COMPILED, reason="there was no C compiler")
 @pytest.mark.parametrize("dtype", ["<f4", ">f4", "<f8", "<i2"])
 @pytest.mark.parametrize("packed", [True, False])
@@ -90,7 +92,7 @@ RULES = [
 def test_points_are_projected_where_they_are_at_their_own_times(dtype: str, packed: bool, times_type: str) -> None:
     rng = np.random.default_rng(int(packed))
     project, gather = kernel.project, kernel.gather
-    for shape in ((1,), (700,), (3, 257), (2, 1024)):
+    for shape in ((1,), (15,), (16,), (17,), (700,), (3, 257), (2, 1024)):
         record = np.dtype([("x", dtype), ("y", dtype), ("z", dtype), ("t", times_type), ("pad", "V8")])
         cloud = np.zeros(shape, record)
         for name in "xyz":
@@ -127,13 +129,14 @@ def test_points_are_projected_where_they_are_at_their_own_times(dtype: str, pack
             assert (counts[0] - sum(lost), *counts[1:], *lost) == one
 
 
+@pytest.mark.usefixtures("lanes")
 @pytest.mark.skipif(not kernel.COMPILED, reason="there was no C compiler")
 @pytest.mark.parametrize("times_type", ["<u4", "<f4", "<f8", "<u8"])
 @pytest.mark.parametrize("tilt", [0.0, 1e-3, 0.3])
 @pytest.mark.parametrize("share", [0.05, 0.5, 1.0])
 def test_points_beside_the_heights_are_rejected_without_their_times(times_type: str, tilt: float, share: float) -> None:
     rng = np.random.default_rng(int(100 * share))
-    for shape in ((9,), (17,), (5000,), (3, 2500)):
+    for shape in ((9,), (17,), (33,), (5000,), (3, 2500)):
         record = np.dtype([(name, "<f4") for name in "xyz"] + [("t", times_type), ("pad", "V8")])
         cloud = np.zeros(shape, record)
         for name, width in (("x", 30.0), ("y", 30.0), ("z", 0.5 / share)):
@@ -160,6 +163,7 @@ def test_points_beside_the_heights_are_rejected_without_their_times(times_type: 
             np.testing.assert_array_equal(ranges[0], ranges[1])
 
 
+@pytest.mark.usefixtures("lanes")
 @pytest.mark.parametrize("dtype", ["<f4", ">f8", "<i2"])
 def test_the_span_of_values(dtype: str) -> None:
     rng = np.random.default_rng(3)
@@ -191,6 +195,57 @@ def test_a_frame_is_followed_as_numpy_follows_it() -> None:
         kernel.follow(times, stamps, poses, both[0])
         plain.follow(times, stamps, poses, both[1])
         np.testing.assert_allclose(both[0], both[1], rtol=0, atol=1e-13)
+
+
+@pytest.mark.skipif(not kernel.COMPILED, reason="there was no C compiler")
+def test_the_compiled_loop_finds_the_nodes_that_numpy_finds() -> None:
+    rng = np.random.default_rng(5)
+    for samples in (0, 1, 2, 40):
+        for frames in (0, 1, 3):
+            stamps = tuple(np.unique(rng.integers(-50, 1050, samples)) for _ in range(frames))
+            for begin, end in ((0, 1000), (0, 1), (-60, 1060), (400, 450), (1100, 1200), (-200, -100)):
+                for step in (1, 7, 333, 5000):
+                    found = kernel.nodes(stamps, begin, end, step)
+                    assert found == plain.nodes(stamps, begin, end, step)
+                    times = np.frombuffer(found[0], np.int64)
+                    nodes = times[::2]
+                    assert (nodes[0], nodes[-1]) == (begin, end)
+                    assert 1 <= np.diff(nodes).min() <= np.diff(nodes).max() <= step
+                    for own in stamps:
+                        inside = (own >= begin) & (own <= end)
+                        assert set(own[inside].tolist()) <= set(nodes.tolist())
+
+
+@pytest.mark.skipif(not kernel.COMPILED, reason="there was no C compiler")
+def test_nodes_that_cannot_be_are_refused() -> None:
+    for begin, end, step in (
+        (1, 1, 1),
+        (2, 1, 1),
+        (0, 1, 0),
+        (0, 1, -1),
+        (0, 1 << 60, 1),
+        (-(1 << 62), 1 << 62, 1 << 62),
+    ):
+        with pytest.raises(ValueError, match="the end is not behind the beginning"):
+            kernel.nodes((), begin, end, step)
+    with pytest.raises(ValueError, match="length or item size"):
+        kernel.nodes((np.zeros(3, np.int32),), 0, 9, 1)
+
+
+@pytest.mark.usefixtures("loops")
+def test_how_far_transforms_are_apart() -> None:
+    rows_found = np.zeros((5, 12))
+    rows_found[1, 0] = 50.0
+    rows_found[2, :2], rows_found[2, 9] = (3.0, 4.0), 2.0
+    rows_found[3] = np.nan
+    rows_found[4, :2], rows_found[4, 10:] = (3.0, 3.0), (3.0, 4.0)
+    assert kernel.apart(rows_found, None) == (25.0, 29.0)
+    assert kernel.apart(rows_found, rows_found[4]) == (47.0**2 + 9.0, 29.0)
+    assert np.isnan(kernel.apart(rows_found, rows_found[3])).all()
+    assert np.isnan(kernel.apart(rows_found[:1], None)).all()
+    random = np.random.default_rng(6).normal(size=(99, 12))
+    for row in (None, random[7]):
+        assert kernel.apart(random, row) == plain.apart(random, row)
 
 
 @pytest.mark.usefixtures("loops")

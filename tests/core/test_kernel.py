@@ -15,6 +15,7 @@ from hypothesis.extra import numpy as any_of
 from core.reference import reference_scan
 from pc2scan import ProjectionParams
 from pc2scan.core import kernel, plain
+from pc2scan.core.moving import MovingTransform
 from pc2scan.core.project import Projector
 from pc2scan.core.rigid import Rigid
 
@@ -69,6 +70,10 @@ def points_of_all_kinds(rng: np.random.Generator) -> NDArray[np.float32]:
     ]
     with np.errstate(over="ignore"):
         return np.concatenate(kinds, axis=1).astype(np.float32)
+
+
+#: The row of a transform that changes nothing.
+_STILL = np.append(np.eye(3).ravel(), np.zeros(3))
 
 
 def angles(x: NDArray[np.float32], y: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -221,6 +226,7 @@ def test_every_datatype_of_a_field_is_read(order: str, moves: bool, monkeypatch:
             assert scan.counts.used
 
 
+@pytest.mark.usefixtures("lanes")
 @pytest.mark.parametrize("moves", [False, True])
 def test_points_one_behind_the_other_are_taken_as_any_others(moves: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever is between them and behind the last, in rows or not, and where none or all of them are dropped."""
@@ -254,6 +260,7 @@ def test_points_one_behind_the_other_are_taken_as_any_others(moves: bool, monkey
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="protects memory as Linux does")
+@pytest.mark.usefixtures("lanes")
 @pytest.mark.parametrize("step", [12, 16, 32])
 def test_nothing_behind_the_last_point_is_read(step: int) -> None:
     """A process that reads the page behind the cloud dies."""
@@ -265,7 +272,16 @@ def test_nothing_behind_the_last_point_is_read(step: int) -> None:
     for count in range(1, page // step):
         first = page - count * step + step - 12
         x, y, z = (np.ndarray((count,), "<f4", memory, first + at, (step,)) for at in (0, 4, 8))
-        assert Projector(ProjectionParams(min_height=-1.0))(x, y, z).counts.total == count
+        project = Projector(ProjectionParams(min_height=-1.0, max_height=1.0))
+        assert project(x, y, z).counts.total == count
+        if step == 12:
+            continue
+        z[...], z[::3] = 0.0, 50.0
+        times = np.ndarray((count,), "<u4", memory, first - 4, (step,))
+        assert kernel.span(x, times)[2] == count
+        for timed in (False, True):
+            motion = MovingTransform(times, 0.0, 1e-9, np.array([0.0, 1.0]), np.tile(_STILL, (3, 1)), timed)
+            assert project.moving(x, y, z, motion).counts.height == len(z[::3])
 
 
 def test_arrays_that_do_not_fit_together_are_refused() -> None:
