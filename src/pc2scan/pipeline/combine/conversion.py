@@ -339,6 +339,10 @@ class CombineToScan(Conversion):
         held = Points(points.sequence, points.stamp_ns, points.frame_id, views)
         return prepared._replace(points=held, size=size, memory=memory)
 
+    def is_projected(self, lead: Prepared, members: Iterable[Prepared]) -> bool:
+        """Whether the points of all members are projected already, as this scan needs them."""
+        return all(_fits(member, lead) for member in members)
+
     def scan(self, lead: Prepared, members: Sequence[Prepared]) -> Result:
         """Make the scan of messages that belong together.
 
@@ -360,7 +364,7 @@ class CombineToScan(Conversion):
         motions: list[Motion] = []
         beams: list[tuple[Part, NDArray[np.int32]]] = []
         for member in members:
-            if member.nearest is not None and member.assumed in {None, (lead.reference_ns, lead.frame_id)}:
+            if member.nearest is not None and _fits(member, lead):
                 known.append(member.nearest)
                 motions += [] if member.motion is None else [member.motion]
                 continue
@@ -435,6 +439,11 @@ class CombineToScan(Conversion):
         # Upstream's beams know nothing of neighbours at the ends of a circle, but its points do.
         around = layout.full_circle or layout.angle_max - layout.angle_min > TURN - 2 * layout.angle_increment
         return rebinned(found, layout.count, full_circle=around)
+
+
+def _fits(member: Prepared, lead: Prepared) -> bool:
+    """Whether a member is projected as the scan needs it."""
+    return member.nearest is not None and member.assumed in {None, (lead.reference_ns, lead.frame_id)}
 
 
 def _as_it_is(prepared: Prepared) -> Prepared:

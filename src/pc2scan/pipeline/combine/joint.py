@@ -100,6 +100,10 @@ class Joint:
             made = err
         return MadeScan(output, log_time_ns, prepared.stamp_ns, sequence, made)
 
+    def is_quick(self, group: Group[Arrived]) -> bool:
+        """Whether making a scan takes less time than handing it to another thread."""
+        return self._conversion.is_projected(group.lead.item.prepared, [each.item.prepared for each in group.members])
+
     def alone(self, prepared: Prepared) -> Converted:
         """Make the scan of one message, as if there were no other; for forecasts."""
         return self._conversion.encoded(prepared, (prepared,), self._serialization)
@@ -140,10 +144,10 @@ def with_scans(
     # A scan may hold very many points: only one of such waits.
     queue: InOrder[Any] = InOrder(threads, _AHEAD_BYTES, 1)
     try:
-        for work, size, is_scan in _work(outcomes, arrivals, joints):
+        for work, size, takes_long in _work(outcomes, arrivals, joints):
             while len(queue) and (queue.is_ready() or not queue.has_room(size)):
                 yield queue.take()
-            queue.put(work, size, at_its_turn=not is_scan)
+            queue.put(work, size, at_its_turn=not takes_long)
             # The threads alone have the points: their buffer is free as soon as the scan is made.
             del work
         while len(queue):
@@ -159,7 +163,7 @@ def _work(
     arrivals: Callable[[Outcome], tuple[int, int, Iterable[Arrived]]],
     joints: Iterable[Joint],
 ) -> Generator[tuple[Callable[[], Outcome | MadeScan], int, bool]]:
-    """What is to be done in order, the bytes of it, and whether it makes a scan."""
+    """What is to be done in order, the bytes of it, and whether another thread should do it."""
     latest_ns = 0
     for outcome in outcomes:
         log_time_ns, size, found = arrivals(outcome)
@@ -174,7 +178,7 @@ def _work(
                 del group
     for joint in joints:
         for group in joint.finish():
-            yield partial(joint.make, group, latest_ns), _size(group), True
+            yield partial(joint.make, group, latest_ns), _size(group), not joint.is_quick(group)
 
 
 def _same(outcome: Outcome) -> Outcome:
