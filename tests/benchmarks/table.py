@@ -27,7 +27,7 @@ import zstandard
 
 import pc2scan
 from benchmarks.clouds import CLOUD_BYTES, FORMS, POINT_BYTES, POINTS, TRIFLE, Form, serialized_clouds, write_recording
-from benchmarks.test_combining import convert_two, write_two
+from benchmarks.test_combining import CLOUDS, convert_two, write_two
 from benchmarks.test_deskewing import tasks as moving_tasks
 from benchmarks.test_projection import LAYOUTS, cloud, params_of, straightforward
 from builders import write_mcap
@@ -406,8 +406,8 @@ def combining(place: Path, repeat: int) -> None:
                 yield heights, str(jobs), *times, *ratios
 
     table(
-        "Several sources:** two lidars of 131,072 points in one scan, uncompressed MCAP, seconds, and as a multiple "
-        "of a scan of each",
+        f"Several sources:** {CLOUDS} clouds of 131,072 points of each of two lidars in one scan, uncompressed MCAP, "
+        "seconds, and as a multiple of a scan of each",
         ("heights", "jobs", "a scan of each", "one scan", "one, fixed frame", "one, a multiple", "fixed, a multiple"),
         rows(),
     )

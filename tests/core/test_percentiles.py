@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import statistics
+
 import numpy as np
 import pytest
 
-from pc2scan.core.percentiles import median, percentiles
+from pc2scan.core.percentiles import median, median_low, percentiles
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 10, 997])
@@ -14,6 +16,7 @@ def test_they_are_those_of_numpy(count: int) -> None:
     asked = (0, 0.5, 5, 10, 50, 95, 99.5, 100)
     assert percentiles(values, *asked) == tuple(np.percentile(values, asked).tolist())
     assert median(values) == np.median(values)
+    assert median_low(values.tolist()) == statistics.median_low(values)
 
 
 def test_values_of_any_shape() -> None:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 import pc2scan
+from benchmarks.test_combining import write_two
 from support import ROOT
 
 if TYPE_CHECKING:
@@ -253,18 +254,22 @@ LOADED_BY_CONVERT = {
 SLOW_TO_LOAD = {"concurrent.futures", "logging"}
 
 
-def test_a_plain_conversion_loads_only_what_it_uses(tmp_path: Path) -> None:
+def loaded_by_convert(*arguments: str) -> set[str]:
     code = """
 import atexit, sys
 atexit.register(lambda: print("loaded:", *sys.modules))
 from pc2scan.cli import main
 main()
 """
-    command = [*(sys.executable, "-c", code), *("convert", str(ROOT / "fixtures" / "hall.bag"))]
-    command += [*("-o", str(tmp_path / "scans.mcap")), *("--min-height", "-0.3")]
+    command = [sys.executable, "-c", code, "convert", *arguments]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 0, done.stderr
-    loaded = set(done.stdout.splitlines()[-1].split()[1:])
+    return set(done.stdout.splitlines()[-1].split()[1:])
+
+
+def test_a_plain_conversion_loads_only_what_it_uses(tmp_path: Path) -> None:
+    hall = str(ROOT / "fixtures" / "hall.bag")
+    loaded = loaded_by_convert(hall, "-o", str(tmp_path / "scans.mcap"), "--min-height", "-0.3")
     allowed = {f"{package}.{name}" for package, names in LOADED_BY_CONVERT.items() for name in names.split()}
     # The loops over points, compiled or not.
     allowed |= {"pc2scan", "pc2scan.core._kernel", "pc2scan.core.plain"}
@@ -272,6 +277,29 @@ main()
     assert own - allowed == set()
     assert allowed - own <= {"pc2scan.core._kernel", "pc2scan.core.plain"}
     assert loaded & SLOW_TO_LOAD == set()
+
+
+@pytest.mark.parametrize("further", [(), ("--fixed-frame", "odom")])
+def test_scans_of_two_lidars_load_only_what_they_use(tmp_path: Path, further: tuple[str, ...]) -> None:
+    source = write_two(tmp_path / "two.mcap", 3)
+    both = ("--topic", "/front:=/scan", "--topic", "/rear:=/scan", "--target-frame", "base_link")
+    heights = ("--min-height=-1", "--only-scans")
+    loaded = loaded_by_convert(str(source), "-o", str(tmp_path / "scans.mcap"), *both, *heights, *further)
+    assert "pc2scan.pipeline.combine.matching" in loaded
+    assert loaded & (NOT_FOR_COMBINING | SLOW_TO_LOAD) == set()
+
+
+#: What scans of several clouds do without: points' times, filters, LaserScans, and measurements of the first clouds.
+NOT_FOR_COMBINING = {
+    "statistics",
+    "pc2scan.core.resolution",
+    "pc2scan.core.unproject",
+    "pc2scan.messages.beams",
+    "pc2scan.pipeline.combine.rebinned",
+    "pc2scan.pipeline.measure",
+    "pc2scan.pipeline.stages.deskew",
+    "pc2scan.pipeline.stages.select",
+}
 
 
 def test_public_names_exist() -> None:

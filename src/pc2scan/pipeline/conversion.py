@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from .combine.rebinned import Rebinned
     from .first_clouds import Sample
-    from .stages.deskew import Motion
+    from .motion import Motion
 
     #: One step between the decoded message and the result.
     Step: TypeAlias = Callable[[Any], Any]

@@ -6,13 +6,13 @@ Only the first clouds of a topic are read, so that a conversion stays a single p
 from __future__ import annotations
 
 import math
-import statistics
 from itertools import islice
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pc2scan.core.layout import TURN
+from pc2scan.core.percentiles import median_low
 from pc2scan.core.resolution import RING_FIELDS, azimuth_step
 from pc2scan.core.timing import TIME_FIELDS, beam_times, fit_sweep, median_interval_ns, point_times
 from pc2scan.errors import MessageError, ParameterError, stamp_text
@@ -220,7 +220,7 @@ class _FirstClouds:
                 name="beams",
                 hint="give a number of `beams`, or an `angle_increment`",
             )
-        step = statistics.median_low(known)
+        step = median_low(known)
         layout = self._params.at_resolution(step).layout
         notes.append(
             f"{topic}: beams is {layout.count:,}, angle_increment {layout.angle_increment:.6g} rad: the lidar measures "
@@ -237,12 +237,12 @@ class _FirstClouds:
             return 0.0, 0, f"time_increment is 0, because the times of points ({field}) are not of a turning lidar"
         found = [times for sweep in self._sweeps if (times := beam_times(sweep, layout)) is not None]
         if len(found) < len(self._sweeps):
-            lowest = statistics.median_low(sweep.lowest for sweep in self._sweeps)
+            lowest = median_low(sweep.lowest for sweep in self._sweeps)
             advice = f"`angle_min={lowest:.4f}` `angle_max={lowest + TURN:.4f}`"
             note = "time_increment is 0, because the clouds begin inside the scan's sector; let the scan begin there"
             return 0.0, 0, f"{note}: {advice}"
-        first_beam_ns = round(statistics.median_low(first for first, _ in found) * 1e9)
-        increment = statistics.median_low(step for _, step in found)
+        first_beam_ns = round(median_low(first for first, _ in found) * 1e9)
+        increment = median_low(step for _, step in found)
         way = "clockwise, so the first beam is the last in time" if increment < 0 else "counter-clockwise"
         note = f"time_increment is {increment:.4g} s, from {field}: the lidar turns {way}"
         return (

@@ -89,7 +89,7 @@ class TopicReport:
         """The largest and the median of the motions, and the longest gap; None if nothing was deskewed."""
         if not self.motions:
             return None
-        from statistics import median_low  # noqa: PLC0415  # only with deskewing
+        from pc2scan.core.percentiles import median_low  # noqa: PLC0415  # only with deskewing
 
         metres, radians, gaps = zip(*self.motions, strict=True)
         return {
@@ -105,7 +105,7 @@ class TopicReport:
         """The largest and the median of the tilts, degrees; None if nothing was made level."""
         if not self.tilts:
             return None
-        from statistics import median_low  # noqa: PLC0415  # only where scans are level
+        from pc2scan.core.percentiles import median_low  # noqa: PLC0415  # only where scans are level
 
         return {
             "largest_deg": math.degrees(max(self.tilts)),

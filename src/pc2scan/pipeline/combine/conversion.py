@@ -22,18 +22,13 @@ from pc2scan.core.project import Part, ProjectedScan, Projector, compact
 from pc2scan.core.rigid import Rigid
 from pc2scan.errors import MessageError
 from pc2scan.files.borrowed import Memory, keep
-from pc2scan.messages.beams import beams_of
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
 from pc2scan.messages.outputs import OF_CLOUDS
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
 from pc2scan.pipeline.conversion import Conversion, Result
-from pc2scan.pipeline.stages.deskew import Motion
-from pc2scan.pipeline.stages.filters import Frame
-from pc2scan.pipeline.stages.select import Select
+from pc2scan.pipeline.motion import Motion
 from pc2scan.tf.placing import Placement
-
-from .rebinned import rebinned
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -48,6 +43,8 @@ if TYPE_CHECKING:
     from pc2scan.pipeline.first_clouds import Sample, TopicClouds
     from pc2scan.pipeline.scan_spec import ScanSpec
     from pc2scan.pipeline.stages.deskew import Deskew, Track
+    from pc2scan.pipeline.stages.filters import Filter
+    from pc2scan.pipeline.stages.select import Select
     from pc2scan.tf.placing import Frames, Level
 
     from .matching import Grouper
@@ -182,10 +179,17 @@ class CombineToScan(Conversion):
         self._once = not (spec.combining.accumulates or spec.combining.every_ns)
         #: The last messages of the leading topic that were prepared, in whatever order; replaced, never changed.
         self._leads: list[Prepared] = []
-        late = tuple(each for each in spec.filters if each.frame is Frame.TARGET and not self._rigid)
-        early = tuple(each for each in spec.filters if each not in late)
-        self._early = Select(early, frames) if early else None
-        self._late = Select(late, frames) if late else None
+        self._early: Select | None = None
+        self._late: Select | None = None
+        late: Sequence[Filter] = ()
+        if spec.filters:
+            from pc2scan.pipeline.stages.filters import Frame  # noqa: PLC0415  # most points are not filtered
+            from pc2scan.pipeline.stages.select import Select  # noqa: PLC0415
+
+            late = tuple(each for each in spec.filters if each.frame is Frame.TARGET and not self._rigid)
+            early = tuple(each for each in spec.filters if each not in late)
+            self._early = Select(early, frames) if early else None
+            self._late = Select(late, frames) if late else None
         self._intensity = params.intensity_field or ("intensity" if spec.combining.rebin else "")
         self._remove: Callable[[Result], Result] | None = None
         if spec.remove:
@@ -231,6 +235,8 @@ class CombineToScan(Conversion):
         flat = isinstance(message, LaserScan)
         rejected: dict[str, int] = {}
         if isinstance(message, LaserScan):
+            from pc2scan.messages.beams import beams_of  # noqa: PLC0415  # most sources are clouds
+
             points, _, rejected = beams_of(message)
         else:
             points = message
@@ -431,6 +437,8 @@ class CombineToScan(Conversion):
         return selected.points, selected.motion or selected.target_from_source, rejected, motion
 
     def _rebinned(self, beams: Sequence[tuple[Part, NDArray[np.int32]]]) -> Rebinned:
+        from .rebinned import rebinned  # noqa: PLC0415  # most sources are clouds
+
         found = []
         for part, numbers in beams:
             bins, used = self._projector.bins(part)

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import math
-import statistics
 from contextlib import closing
 from functools import partial
 from itertools import islice
 from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.bags.units import in_time_order
+from pc2scan.core.percentiles import median_low
 from pc2scan.core.timing import median_interval_ns
 from pc2scan.errors import MessageError, ParameterError, UsageError, name_list
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
 from pc2scan.pipeline.conversion import Measured
-from pc2scan.pipeline.measure import measure
 
 from .matching import Intervals, Nearest, Recent
 
@@ -116,6 +115,8 @@ def measured(
     clouds = {topic: [each for each in found if each.ros_type != LASERSCAN] for topic, found in own.items()}
     timing: Mapping[str, Measured] = {}
     if spec.needs_measuring:
+        from pc2scan.pipeline.measure import measure  # noqa: PLC0415  # only if something is to be measured
+
         others = [each for found in clouds.values() for each in found]
         timing, notes = measure(reader, others, spec, frames, start_ns, stop_ns)
         kept = [note for note in notes if note.startswith(f"{topics[0]}: ")]
@@ -241,7 +242,7 @@ def _clocks(firsts: Mapping[str, _Firsts], topics: Sequence[str], windows: Seque
         own = firsts.get(topic)
         if lead is None or own is None or not lead.stamps or not own.stamps:
             continue
-        behind_ns = statistics.median_low(own.delays) - statistics.median_low(lead.delays)
+        behind_ns = median_low(own.delays) - median_low(lead.delays)
         window_ns = 0 if windows is None else windows[number]
         if abs(behind_ns) <= max(_OTHER_CLOCK_NS, window_ns):
             continue
@@ -274,7 +275,7 @@ def _of_scans(combination: Combination, lead: _Firsts | None, notes: list[str]) 
                 name="beams",
                 hint="give a number of `beams`, or an `angle_increment`",
             )
-        step = statistics.median_low(known)
+        step = median_low(known)
         count = params.at_resolution(step).layout.count
         notes.append(f"{topic}: beams is {count:,}: the scans have one every {math.degrees(step):.4g} deg")
     return Measured(scan_time, 0.0, 0, step)

@@ -20,6 +20,7 @@ from pc2scan.core.points import TIME, Points
 from pc2scan.core.rule import NO_TIME, NO_TRANSFORM
 from pc2scan.core.timing import TIME_FIELDS, TIME_UNITS, offset_and_unit
 from pc2scan.errors import DecodeError, TransformError, UsageError
+from pc2scan.pipeline.motion import Motion
 
 from .turn import AZIMUTH, Turn
 
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.placing import Frames
 
-__all__ = ["NO_TIME", "NO_TRANSFORM", "STAMPS", "Deskew", "Motion", "Moving", "PointTime", "Track"]
+__all__ = ["NO_TIME", "NO_TRANSFORM", "STAMPS", "Deskew", "Moving", "PointTime", "Track"]
 
 #: Which time of a cloud its scan has.
 STAMPS = ("header", "start", "middle", "end")
@@ -109,17 +110,6 @@ class PointTime:
                 message, stamp_ns=points.stamp_ns, hint="name the field that has them: `point_time=FIELD`"
             )
         return name
-
-
-class Motion(NamedTuple):
-    """How far the sensor was from its pose at the scan's time, at most: metres and radians.
-
-    ``gap`` is the longest time that transforms were interpolated over, seconds.
-    """
-
-    distance: float
-    angle: float
-    gap: float = 0.0
 
 
 class _Times(Mapping[str, "NDArray[Any]"]):
