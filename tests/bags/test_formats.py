@@ -8,13 +8,17 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, get_args
 
 import pytest
+from typer.testing import CliRunner
 
 import pc2scan
-from pc2scan.bags.formats import FORMATS, Format, ReadOptions, WriteOptions, and_list, storages
+from pc2scan.bags.formats import FORMATS, Format, ReadOptions, WriteOptions, and_list, destinations, storages
 from pc2scan.bags.opening import open_recording
 from pc2scan.bags.reader import Reader
 from pc2scan.bags.units import Unit
-from pc2scan.cli.options import Compression, Storage
+from pc2scan.batch.results import first_part, whole
+from pc2scan.batch.words import WORDS
+from pc2scan.cli.app import application
+from pc2scan.cli.options import Compression, Storage, To
 from pc2scan.errors import DestinationError, RecordingError
 from pc2scan.model import Connection, Definition, RawMessage, Summary
 from support import ROOT
@@ -150,10 +154,12 @@ class ToyWriter:
 TOY = Format(
     name="toy",
     readable="toys",
+    readable_one="toy",
     open_reader=ToyReader,
     open_writer=ToyWriter,
     magic=MAGIC,
     suffix=".toy",
+    to="toy",
 )
 
 
@@ -204,6 +210,22 @@ def test_a_new_container_has_a_default_destination(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("toy")
+def test_the_command_and_batches_know_a_new_container(tmp_path: Path) -> None:
+    run = CliRunner().invoke
+    words = ["convert", str(FIXTURES / "hall.mcap"), "-o", str(tmp_path / "y.toy"), "--keep-clouds"]
+    dry = run(application(), [*words, "--dry-run"])
+    assert dry.exit_code == 0, dry.output
+    assert "y.toy: toy, about " in dry.output
+    done = run(application(), words)
+    # Nobody knows a player.
+    assert done.output.splitlines()[-1] == f"next: pc2scan check {tmp_path / 'y.toy'}"
+    report = pc2scan.convert(FIXTURES / "hall.mcap", f"{tmp_path}/", to="toy", keep_clouds=True)
+    assert report.destination == str(tmp_path / "hall_scan.toy")
+    assert first_part("a_scan.toy") == "a_scan_0.toy"
+    assert whole("a_scan_0.toy") == "a_scan.toy"
+
+
+@pytest.mark.usefixtures("toy")
 def test_a_new_container_is_in_what_errors_list(tmp_path: Path) -> None:
     (tmp_path / "x").write_bytes(b"hello")
     with pytest.raises(RecordingError) as caught:
@@ -231,6 +253,8 @@ def test_the_command_line_offers_what_the_table_has() -> None:
     known = {name for entry in FORMATS.values() for name in entry.compressions}
     assert set(get_args(Compression)) == known
     assert set(get_args(Storage)) == set(storages())
+    assert get_args(To) == tuple(destinations())
+    assert set(WORDS["compression"].choices) == known
 
 
 @pytest.mark.parametrize(

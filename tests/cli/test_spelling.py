@@ -59,6 +59,7 @@ OPTIONS_BELOW = {
     "pipeline/parameters.py": "where a parameter comes from, as it was typed",
     "pipeline/param_assignment.py": "likewise",
     "pipeline/launch_file.py": "ROS's own options, which launch files have",
+    "bags/formats.py": "the options of ROS's own players",
     "golden/case.py": "the arguments of a command, which cases have",
     "golden/check.py": "the arguments of the command that golden cases run",
     "compare/scan_text.py": "the first line of files that are kept: they stay as they are, to the byte",

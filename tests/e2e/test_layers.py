@@ -59,10 +59,11 @@ ALLOWED = {
         *("batch", "requests", "pipeline", "inspect", "compare", "golden", "streams", "export", "look", "core", "tf"),
         *("cli.in_process", "cli.command_line"),
     },
-    # `bags.damage`: results have its data classes. `files.staging`: what is complete when a command is interrupted.
+    # `bags.formats`: what containers are called. `bags.damage`: results have its data classes.
+    # `files.staging`: what is complete when a command is interrupted.
     "cli": {
         *("batch", "pipeline", "inspect", "compare", "golden", "export", "look", "core", "tf"),
-        *("bags.damage", "files.staging", "files.junit", "remote.urls", "requests"),
+        *("bags.damage", "bags.formats", "files.staging", "files.junit", "remote.urls", "requests"),
     },
     "pytest_plugin": {"api", "cli", "golden"},
 }

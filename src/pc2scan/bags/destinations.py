@@ -8,7 +8,7 @@ from pc2scan.errors import DestinationError
 from pc2scan.files.places import LEFTOVERS
 
 from . import zstd
-from .formats import FORMATS, Format, WriteOptions
+from .formats import FORMATS, Format, WriteOptions, destinations
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from .splitting import Cut, Part
 
 __all__ = [
-    "TO",
     "Destination",
     "beside_recording",
     "check_to",
@@ -32,9 +31,6 @@ __all__ = [
 ]
 
 _METADATA_VERSIONS = (8, 9)
-
-#: The formats of a destination by the names that users give.
-TO = {"bag": "rosbag1", "mcap": "mcap", "rosbag2": "rosbag2"}
 
 #: Suffixes of formats that are not written; a directory of such a name would be confusing.
 _REFUSED_SUFFIXES = {
@@ -244,7 +240,7 @@ def default_destination(
     folder
         Where the destination is; None: next to the source.
     to
-        One of `TO`; None: the source's format.
+        One of `pc2scan.bags.formats.destinations`; None: the source's format.
     """
     return named_after(sources[0], summaries[0].container, mark, folder=folder, to=to)
 
@@ -284,9 +280,10 @@ def check_to(path: Path, to: str | None) -> None:
 
 
 def _to(name: str) -> Format:
-    if name not in TO:
-        raise DestinationError(f"`to={name}` is not a format; allowed: {', '.join(TO)}")
-    return FORMATS[TO[name]]
+    known = destinations()
+    if name not in known:
+        raise DestinationError(f"`to={name}` is not a format; allowed: {', '.join(known)}")
+    return known[name]
 
 
 def _source_suffixes() -> tuple[str, ...]:

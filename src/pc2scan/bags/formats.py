@@ -19,7 +19,17 @@ if TYPE_CHECKING:
     from .reader import Reader
     from .splitting import Cut
 
-__all__ = ["FORMATS", "Format", "ReadOptions", "WriteOptions", "and_list", "chunk_format", "storages"]
+__all__ = [
+    "FORMATS",
+    "Format",
+    "ReadOptions",
+    "WriteOptions",
+    "and_list",
+    "chunk_format",
+    "destinations",
+    "file_suffixes",
+    "storages",
+]
 
 
 class ReadOptions(NamedTuple):
@@ -63,15 +73,25 @@ class Format(NamedTuple):
         The name in `Summary.container` and in reports.
     readable
         The name of such recordings in errors.
+    readable_one
+        The name of one such recording.
     open_reader
         Opens a recording.
     open_writer
         Starts a recording; None if it cannot be a destination by itself.
     magic
         The first bytes of every such file; empty for a directory.
+    is_magic_shared
+        Whether files of other programs begin with the same bytes.
     suffix
         The suffix of such files, in lower case. With ``open_writer``, a destination of such a name gets this format;
         the format with the empty suffix gets all other names.
+    to
+        The name of the format in the option `to`; empty if it cannot be a destination by itself.
+    play
+        The command that plays a recording of the format's ``ros_version``, with ``{}`` for its path; empty for none.
+    plays_several
+        Whether that command takes several files.
     is_in
         For a directory: whether a directory holds one or several such recordings.
     is_one
@@ -107,10 +127,15 @@ class Format(NamedTuple):
 
     name: str
     readable: str
+    readable_one: str
     open_reader: Callable[[Path, ReadOptions], Reader]
     open_writer: Callable[[Path, WriteOptions], Writer] | None = None
     magic: bytes = b""
+    is_magic_shared: bool = False
     suffix: str = ""
+    to: str = ""
+    play: str = ""
+    plays_several: bool = False
     is_in: Callable[[Path], bool] | None = None
     is_one: Callable[[Path], bool] | None = None
     open_storage: Callable[[Path, WriteOptions], tuple[Writer, Callable[[str], None]]] | None = None
@@ -126,6 +151,11 @@ class Format(NamedTuple):
     ros_version: int = 2
     profiles: tuple[str, ...] = ()
     times_ns: tuple[int, int] = (0, (1 << 64) - 1)
+
+    @property
+    def is_directory(self) -> bool:
+        """Whether such a recording is a directory, not a file."""
+        return not self.magic
 
 
 def _late(place: str) -> Callable[..., Any]:
@@ -147,10 +177,14 @@ FORMATS = _table(
     Format(
         name="rosbag1",
         readable="ROS 1 bags",
+        readable_one="ROS 1 bag",
         open_reader=_late(".rosbag1.reader:open_reader"),
         open_writer=_late(".rosbag1.writer:open_writer"),
         magic=b"#ROSBAG V2.0\n",
         suffix=".bag",
+        to="bag",
+        play="rosbag play --clock {}",
+        plays_several=True,
         compressions=("none", "bz2", "lz4"),
         default_compression="lz4",
         has_chunks=True,
@@ -160,8 +194,11 @@ FORMATS = _table(
     Format(
         name="rosbag2",
         readable="rosbag2 directories",
+        readable_one="rosbag2 directory",
         open_reader=_late(".rosbag2.reader:open_reader"),
         open_writer=_late(".rosbag2.writer:open_writer"),
+        to="rosbag2",
+        play="ros2 bag play {} --clock",
         is_in=_late(".rosbag2.metadata:is_in"),
         is_one=_late(".rosbag2.metadata:is_one"),
         storages=("mcap", "sqlite3"),
@@ -171,8 +208,10 @@ FORMATS = _table(
     Format(
         name="sqlite3",
         readable=".db3 files",
+        readable_one=".db3 file",
         open_reader=_late(".rosbag2.sqlite3_reader:open_reader"),
         magic=b"SQLite format 3\0",
+        is_magic_shared=True,
         suffix=".db3",
         open_storage=_late(".rosbag2.sqlite3_writer:open_storage"),
         written_as="rosbag2",
@@ -183,10 +222,13 @@ FORMATS = _table(
     Format(
         name="mcap",
         readable="MCAP",
+        readable_one="MCAP file",
         open_reader=_late(".mcap.reader:open_reader"),
         open_writer=_late(".mcap.writer:open_writer"),
         magic=b"\x89MCAP0\r\n",
         suffix=".mcap",
+        to="mcap",
+        play="ros2 bag play -s mcap {} --clock",
         open_storage=_late(".rosbag2.writer:open_mcap_storage"),
         compressions=("none", "lz4", "zstd"),
         default_compression="zstd",
@@ -196,6 +238,17 @@ FORMATS = _table(
         profiles=("ros1", "ros2"),
     ),
 )
+
+
+def destinations() -> dict[str, Format]:
+    """Return the formats of destinations by their names in the option `to`, in the order of these."""
+    named = {entry.to: entry for entry in FORMATS.values() if entry.to}
+    return {name: named[name] for name in sorted(named)}
+
+
+def file_suffixes() -> tuple[str, ...]:
+    """Return the suffixes of destinations that are files."""
+    return tuple(entry.suffix for entry in FORMATS.values() if entry.suffix and entry.open_writer is not None)
 
 
 def storages() -> dict[str, Format]:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.bags.folders import continues, groups_of_parts, is_named_as_recording, natural_order
+from pc2scan.bags.formats import FORMATS
 from pc2scan.bags.opening import open_recording, sniff
 from pc2scan.errors import Pc2ScanError, RecordingError, UsageError
 from pc2scan.files.places import working_names
@@ -285,8 +286,8 @@ def _judged(path: Path, key: str, search: _Search, *, named: bool) -> Iterator[F
         return
     try:
         container = sniff(path).partition("+")[0]
-        if container == "sqlite3" and not named:
-            # Other programs have SQLite databases, too: open it to see whether it is a recording.
+        if FORMATS[container].is_magic_shared and not named:
+            # Other programs write such files, too: open it to see whether it is a recording.
             _opened(path, search).close()
     except Pc2ScanError as err:
         if named:

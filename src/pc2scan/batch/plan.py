@@ -7,12 +7,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pc2scan.bags.destinations import named_after
+from pc2scan.bags.formats import file_suffixes
 from pc2scan.errors import DestinationError
 from pc2scan.files.places import working_names
 from pc2scan.shown import size
 from pc2scan.version import __version__
 
-from .results import SUFFIXES, first_part, whole
+from .results import first_part, whole
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -137,7 +138,7 @@ def _name(found: Found, request: Request, *, distinct: bool = False) -> str:
     suffix = f"_{source.suffix[1:] or 'folder'}" if distinct else ""
     mark, to = ("", "rosbag2") if request.export is not None else ("_scan", request.output.to)
     name = named_after(source, found.container, f"{suffix}{mark}", folder=source.parent, to=to)
-    in_parts = request.output.cut is not None and request.export is None and name.suffix in SUFFIXES
+    in_parts = request.output.cut is not None and request.export is None and name.suffix in file_suffixes()
     return first_part(name.as_posix()) if in_parts else name.as_posix()
 
 

@@ -9,18 +9,14 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from pc2scan.bags.formats import file_suffixes
 from pc2scan.bags.splitting import part_name
 from pc2scan.files.staged_parts import parts_beside
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-__all__ = ["SUFFIXES", "files_of", "first_part", "in_order", "is_numbered", "parts_among", "whole"]
-
-#: Suffixes of results that are files.
-SUFFIXES = (".bag", ".mcap")
-
-_FIRST = re.compile(r"(.*_scan)_0(\.bag|\.mcap)", re.DOTALL)
+__all__ = ["files_of", "first_part", "in_order", "is_numbered", "parts_among", "whole"]
 
 
 def first_part(output: str) -> str:
@@ -35,7 +31,13 @@ def first_part(output: str) -> str:
 
 def is_numbered(output: str) -> bool:
     """Return whether this is the first file of a result with numbered files."""
-    return _FIRST.fullmatch(output) is not None
+    return _numbered(output) is not None
+
+
+def _numbered(output: str) -> re.Match[str] | None:
+    """Return the name without the number, and the suffix, of the first file of a result with numbered files."""
+    suffixes = "|".join(map(re.escape, file_suffixes()))
+    return re.fullmatch(rf"(.*_scan)_0({suffixes})", output, re.DOTALL)
 
 
 def whole(output: str) -> str:
@@ -44,7 +46,7 @@ def whole(output: str) -> str:
     >>> whole("drive_scan_0.bag"), whole("drive_scan.bag")
     ('drive_scan.bag', 'drive_scan.bag')
     """
-    found = _FIRST.fullmatch(output)
+    found = _numbered(output)
     return output if found is None else f"{found[1]}{found[2]}"
 
 

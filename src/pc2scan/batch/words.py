@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from pc2scan.bags.destinations import TO
+from pc2scan.bags.formats import FORMATS, destinations
 from pc2scan.core.presets import PRESETS
 from pc2scan.pipeline.parameters import PARAMETERS
 
@@ -103,8 +103,8 @@ WORDS: dict[str, Word] = {
     "pose_frame": Word("text", "With export: write the robot's pose in this frame (odom, map) at each stamp."),
     "base_frame": Word("text", "With export: the frame of the robot, whose pose is written."),
     "odom_topic": Word("text", "With export: take the poses from this nav_msgs/Odometry topic."),
-    "to": Word("text", "Format of the output. Default: that of the source.", tuple(TO)),
-    "storage": Word("text", "Storage of a rosbag2 directory.", ("mcap", "sqlite3")),
+    "to": Word("text", "Format of the output. Default: that of the source.", tuple(destinations())),
+    "storage": Word("text", "Storage of a rosbag2 directory.", FORMATS["rosbag2"].storages),
     "compression": Word("text", "Compression of the output.", ("none", "lz4", "zstd", "bz2")),
     "profile": Word("text", "ROS version of an .mcap file.", ("ros1", "ros2")),
     "metadata_version": Word("number", "Version of a rosbag2 directory's metadata.yaml, 8 or 9."),

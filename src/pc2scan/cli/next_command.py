@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 from typing import TYPE_CHECKING
 
+from pc2scan.bags.formats import FORMATS
 from pc2scan.pipeline.parameters import from_preset
 
 if TYPE_CHECKING:
@@ -26,19 +27,17 @@ def next_command(report: Report) -> str:
         return f"pc2scan check {destination} --for {consumer}"
     if not any(topic.action == "converted" for topic in report.topics):
         return f"pc2scan info {destination}"
-    if report.container == "rosbag1":
-        return f"rosbag play --clock {destination}"
-    if report.container == "rosbag2":
-        return f"ros2 bag play {destination} --clock"
-    if report.ros_version == 2 and len(report.files) < 2:
-        return f"ros2 bag play -s mcap {destination} --clock"
+    entry = FORMATS[report.container]
+    is_one = entry.is_directory or len(report.files) < 2
+    if entry.play and entry.ros_version == report.ros_version and (is_one or entry.plays_several):
+        return entry.play.format(destination)
     # For the rest there is no player: none of ROS 1 reads MCAP, and that of ROS 2 reads only one file.
     return f"pc2scan check {destination}"
 
 
 def _destination(report: Report) -> str:
     """Return the destination quoted for the shell: the recording, or a pattern for all its files."""
-    if not report.files or report.container == "rosbag2":
+    if not report.files or FORMATS[report.container].is_directory:
         return _quoted(report.destination)
     if len(report.files) <= _NAMED:
         return " ".join(map(_quoted, report.files))

@@ -54,6 +54,7 @@ __all__ = [
 ]
 
 Storage = Literal["mcap", "sqlite3"]
+To = Literal["bag", "mcap", "rosbag2"]
 Compression = Literal["none", "lz4", "zstd", "bz2"]
 
 _TOPICS = "Topics and time"
@@ -848,7 +849,7 @@ class OutputGroup(Group):
         ),
     ] = False
     to: Annotated[
-        Literal["bag", "mcap", "rosbag2"] | None,
+        To | None,
         typer.Option(
             help="Format of DST, if -o does not name a file.  [default: SRC's]",
             show_default=False,

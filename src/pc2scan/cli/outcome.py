@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from pc2scan.bags.formats import FORMATS
 from pc2scan.pipeline.parameters import PARAMETERS, in_words
 from pc2scan.shown import counted
 
@@ -52,7 +53,8 @@ def show(report: Report, *, verbose: bool = False) -> None:
         frames = [repr(spec.params.target_frame) if spec.params.target_frame else _OWN for spec in report.scans]
         named = ", ".join(dict.fromkeys(frames))
         typer.echo(printable(f"frame{'s' * (',' in named)}: {named}; points: those of the first messages"))
-        typer.echo(printable(f"{report.written_to}: {_CONTAINERS[report.container]}, about {written} from {read}"))
+        made = FORMATS[report.container].readable_one
+        typer.echo(printable(f"{report.written_to}: {made}, about {written} from {read}"))
     else:
         typer.echo(printable(f"{report.written_to}: {written} from {read} in {duration(report.seconds)}"))
     if report.container == "mcap":

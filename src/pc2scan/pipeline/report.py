@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from pc2scan.bags.formats import FORMATS
 from pc2scan.core.rule import REJECTIONS, Rejection
 from pc2scan.errors import stamp_text
 from pc2scan.json_types import json_value
@@ -169,7 +170,7 @@ class Report(Shown):
     def written_to(self) -> str:
         """The destination as text; for several files the first, the last and their number."""
         if len(self.files) < 2:  # several
-            return self.files[0] if self.files and self.container != "rosbag2" else self.destination
+            return self.files[0] if self.files and not FORMATS[self.container].is_directory else self.destination
         return f"{self.destination}: {len(self.files)} files, {self.files[0]} to {self.files[-1]}"
 
     @property

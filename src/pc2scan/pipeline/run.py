@@ -19,7 +19,7 @@ from pc2scan.bags.destinations import (
     open_writer,
     plan_destination,
 )
-from pc2scan.bags.formats import chunk_format
+from pc2scan.bags.formats import chunk_format, destinations
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.errors import (
     DamageError,
@@ -430,7 +430,7 @@ def _target(
         profile=output.profile,
         metadata_version=output.metadata_version,
         source_ros_version=ros_version,
-        is_directory=not is_named or output.storage is not None or output.to == "rosbag2",
+        is_directory=not is_named or output.storage is not None or _is_directory(output.to),
     )
     # A recording without ROS messages has no ROS profile.
     if options.repair and ros_version is None and target.format.profiles and output.profile is None:
@@ -450,6 +450,11 @@ def _level_frames(
     entry = TopicReport(connection.topic, connection.ros_type, connection.topic, "added", "from `level`")
     report.topics.append(entry)
     return LevelFrames(declared.add(connection), target.serialization, entry)
+
+
+def _is_directory(to: str | None) -> bool:
+    """Whether the option `to` names a format whose recordings are directories."""
+    return to is not None and destinations()[to].is_directory
 
 
 def _ros_version(connections: Iterable[Connection]) -> int | None:
