@@ -14,10 +14,10 @@ from .requests import (
     destination_of,
     frames_of,
     given_among,
+    keywords_among,
     moments_of,
     parameter_names,
     selection_of,
-    words_among,
 )
 
 if TYPE_CHECKING:
@@ -283,7 +283,7 @@ def convert(
     0
     """
     notes: list[str] = []
-    asked = conversion_of(words_among(locals()), note=notes.append)
+    asked = conversion_of(keywords_among(locals()), note=notes.append)
     from .pipeline.run import OutputOptions, run, scratch_bytes  # noqa: PLC0415
 
     cut = None
@@ -311,14 +311,14 @@ def convert(
     return done
 
 
-def _batch_words() -> Iterable[str]:
+def _batch_keywords() -> Iterable[str]:
     """Return the keywords of conversions that `batch` takes."""
-    from .batch.request import words_known  # noqa: PLC0415
+    from .batch.request import all_keywords  # noqa: PLC0415
 
-    return words_known()
+    return all_keywords()
 
 
-@known_keywords(further=_batch_words, synonyms=_SYNONYMS)
+@known_keywords(further=_batch_keywords, synonyms=_SYNONYMS)
 def batch(
     sources: PathText | Iterable[PathText],
     destination: PathText,
@@ -335,7 +335,7 @@ def batch(
     scratch_size: str | None = None,
     report: PathText | None = None,
     progress: Callable[[BatchProgress], None] | None = None,
-    **words: Any,
+    **keywords: Any,
 ) -> BatchReport:
     """Convert every recording of a dataset by itself, in several processes, as ``pc2scan batch`` does.
 
@@ -372,7 +372,7 @@ def batch(
         A file to write the summary to: ``.json``, ``.csv`` or ``.md``.
     progress
         Called from time to time with the progress.
-    **words
+    **keywords
         Options of `pc2scan.convert`, except those of a single run, and parameters of the projection. With ``export``
         (``npz``, ``csv``, ...), scans or clouds are exported as by `pc2scan.export`, to one folder for each recording;
         ``pose_frame``, ``base_frame`` and ``odom_topic`` are as for that function.
@@ -414,7 +414,7 @@ def batch(
     )
     watch = Watch() if progress is None else Watch(progress=progress)
     names = [str(path) for path in paths_in("sources", sources)]
-    return run_batch(names, path_of("destination", destination), words, options, watch=watch)
+    return run_batch(names, path_of("destination", destination), keywords, options, watch=watch)
 
 
 @known_keywords(synonyms=_SYNONYMS)
@@ -587,7 +587,7 @@ def view(
     >>> import pc2scan
     >>> pc2scan.view("drive.bag", preset="slam_toolbox", min_height=-0.3).save("page.html")  # doctest: +SKIP
     """
-    options = conversion_of(words_among(locals())).options
+    options = conversion_of(keywords_among(locals())).options
     from .cli.command_line import convert_words  # noqa: PLC0415
     from .look.view import page_of  # noqa: PLC0415
 
@@ -703,7 +703,7 @@ def map(  # noqa: A001  # the command's name
     >>> import pc2scan
     >>> pc2scan.map("drive.bag", min_height=0.1, max_height=1.5).save("map.yaml")  # doctest: +SKIP
     """
-    options = conversion_of(words_among(locals())).options
+    options = conversion_of(keywords_among(locals())).options
     import math  # noqa: PLC0415
 
     from .look.map import MapOptions, map_of  # noqa: PLC0415
@@ -1063,7 +1063,7 @@ def export(
     >>> pc2scan.export("drive.bag", "scans.csv", preset="slam_toolbox", min_height=-0.3)  # doctest: +SKIP
     """
     notes: list[str] = []
-    asked = conversion_of(words_among(locals()), note=notes.append)
+    asked = conversion_of(keywords_among(locals()), note=notes.append)
     from .export.poses import PoseOptions  # noqa: PLC0415
     from .export.run import ExportOptions, run  # noqa: PLC0415
 
@@ -1177,15 +1177,15 @@ def scans(
     >>> for scan in pc2scan.scans("drive.bag", preset="slam_toolbox", min_height=-0.5):  # doctest: +SKIP
     ...     print(scan)
     """
-    words = words_among(locals())
+    keywords = keywords_among(locals())
     from .streams.scans import Scans  # noqa: PLC0415
 
     names = names_in("topic", topic)
     conversion = None
-    given = set(given_among(words))
+    given = set(given_among(keywords))
     projected = bool(parameters) or any(each is not None for each in (params, preset, params_file))
     if projected or given & {"lead", "window", "accumulate", "every", "rebin"}:
-        conversion = conversion_of({**words, "topics": names, "only_scans": True}).options
+        conversion = conversion_of({**keywords, "topics": names, "only_scans": True}).options
         if conversion.scan.reverse:
             raise UsageError("the parameter file is for laserscan_to_pointcloud, which does not make scans")
     elif given - {"start", "end", "on_error", "verify", "strict"}:

@@ -31,17 +31,17 @@ if TYPE_CHECKING:
     from .streams.stream import Selection
 
 __all__ = [
-    "WORDS",
+    "KEYWORDS",
     "Conversion",
     "conversion_of",
     "destination_of",
     "frames_of",
     "given_among",
+    "keywords_among",
     "moments_of",
     "parameter_names",
     "params_from_file",
     "selection_of",
-    "words_among",
 ]
 
 _PARAMETERS = ("params", "preset", "params_file", "node", "param", "launch_args", "remap")
@@ -65,7 +65,7 @@ _USUAL = {"stamp": "header", "ground": "keep", "on_error": "skip", "verify": Tru
 
 #: The keywords of a conversion besides parameters of the projection: those of `pc2scan.convert`, and ``param``,
 #: ``launch_args`` and ``remap``, which only the command line has.
-WORDS = frozenset(("scans", "param", "keep", "drop", "start", "end", *_BESIDE, *_FRAMES, *_OF_ALL))
+KEYWORDS = frozenset(("scans", "param", "keep", "drop", "start", "end", *_BESIDE, *_FRAMES, *_OF_ALL))
 
 
 class Conversion(NamedTuple):
@@ -83,13 +83,13 @@ class Conversion(NamedTuple):
     files: Mapping[str, Path]
 
 
-def words_among(arguments: Mapping[str, Any]) -> dict[str, Any]:
+def keywords_among(arguments: Mapping[str, Any]) -> dict[str, Any]:
     """Return the keywords in the ``locals()`` of a function with parameters of the projection as ``**parameters``."""
-    words = {name: value for name, value in arguments.items() if name in WORDS}
-    return words | dict(arguments["parameters"])
+    keywords = {name: value for name, value in arguments.items() if name in KEYWORDS}
+    return keywords | dict(arguments["parameters"])
 
 
-def given_among(words: Mapping[str, Any]) -> list[str]:
+def given_among(keywords: Mapping[str, Any]) -> list[str]:
     """Return the names of keywords whose values differ from their defaults."""
 
     def is_usual(name: str, value: object) -> bool:
@@ -97,11 +97,11 @@ def given_among(words: Mapping[str, Any]) -> list[str]:
             return not value
         return value is None or value is False or value == _USUAL.get(name, "")
 
-    return [name for name, value in words.items() if not is_usual(name, value)]
+    return [name for name, value in keywords.items() if not is_usual(name, value)]
 
 
 def conversion_of(
-    words: Mapping[str, Any],
+    keywords: Mapping[str, Any],
     origins: Mapping[str, str] | None = None,
     note: Callable[[str], None] = lambda _: None,
 ) -> Conversion:
@@ -109,8 +109,8 @@ def conversion_of(
 
     Parameters
     ----------
-    words
-        `WORDS`, and parameters of the projection by name. Missing ones have the defaults of `pc2scan.convert`.
+    keywords
+        `KEYWORDS`, and parameters of the projection by name. Missing ones have the defaults of `pc2scan.convert`.
     origins
         Where parameters come from, for errors and reports. Missing ones were given in Python.
     note
@@ -121,14 +121,14 @@ def conversion_of(
     UsageError
         If a keyword has a wrong value, or contradicts another one.
     """
-    words = {**words, "filters": tuple(words.get("filters", ()))}
+    keywords = {**keywords, "filters": tuple(keywords.get("filters", ()))}
     settings = [
         Setting(name, _plain(value), (origins or {}).get(name, CALL))
-        for name, value in words.items()
+        for name, value in keywords.items()
         if name in PARAMETERS
     ]
-    if words.get("scans") is not None:
-        return _several_scans(words, settings, note)
+    if keywords.get("scans") is not None:
+        return _several_scans(keywords, settings, note)
     noted: dict[str, None] = {}
 
     def note_once(text: str) -> None:
@@ -137,34 +137,34 @@ def conversion_of(
             note(text)
 
     try:
-        return _of_node(words, settings, words.get("node"), note_once)
+        return _of_node(keywords, settings, keywords.get("node"), note_once)
     except SeveralNodesError as err:
-        if words.get("reverse") or words.get("params_file") is None:
+        if keywords.get("reverse") or keywords.get("params_file") is None:
             raise
         from .pipeline.several_nodes import options_of_nodes, refuse_topics  # noqa: PLC0415  # few files have several
 
-        file = path_of("params_file", words["params_file"])
-        refuse_topics(words.get("topics"), err.nodes, file)
-        each = [_of_node(words, settings, node, note_once, one_of_several=True) for node in err.nodes]
+        file = path_of("params_file", keywords["params_file"])
+        refuse_topics(keywords.get("topics"), err.nodes, file)
+        each = [_of_node(keywords, settings, node, note_once, one_of_several=True) for node in err.nodes]
         return Conversion(options_of_nodes(err.nodes, [found.options for found in each], file), each[0].files)
 
 
-def _several_scans(words: Mapping[str, Any], settings: list[Setting], note: Callable[[str], None]) -> Conversion:
+def _several_scans(keywords: Mapping[str, Any], settings: list[Setting], note: Callable[[str], None]) -> Conversion:
     """Read the keywords of a conversion with several outputs; parameters besides ``scans`` apply to all of them."""
     from .pipeline.param_assignment import parse_param  # noqa: PLC0415  # few conversions have several outputs
     from .pipeline.scans_file import load_scans, refuse_beside  # noqa: PLC0415
 
-    refuse_beside([name for name in given_among(words) if name in _BESIDE])
-    scans = words["scans"]
-    settings = [*settings, *(parse_param(text) for text in reversed(names_in("param", words.get("param"))))]
+    refuse_beside([name for name in given_among(keywords) if name in _BESIDE])
+    scans = keywords["scans"]
+    settings = [*settings, *(parse_param(text) for text in reversed(names_in("param", keywords.get("param"))))]
     found = load_scans(path_of("scans", scans) if isinstance(scans, str | PathLike) else scans, settings)
     _note_ignored(found.ignored, note)
     files = {f"{path.name} (from `scans`)": path for path in found.files}
-    return Conversion(_options(words, found.specs, _frames(words)), _named(words) | files)
+    return Conversion(_options(keywords, found.specs, _frames(keywords)), _named(keywords) | files)
 
 
 def _of_node(
-    words: Mapping[str, Any],
+    keywords: Mapping[str, Any],
     settings: list[Setting],
     node: str | None,
     note: Callable[[str], None],
@@ -172,10 +172,10 @@ def _of_node(
     one_of_several: bool = False,
 ) -> Conversion:
     """Read the keywords of a conversion with one output; a parameter file is read for one of its nodes."""
-    resolved = _resolved(words, settings, node)
+    resolved = _resolved(keywords, settings, node)
     _note_ignored(resolved.ignored, note)
-    frames = _frames(words)
-    topics, typed = names_in("topics", words.get("topics")), list(names_in("remap", words.get("remap")))
+    frames = _frames(keywords)
+    topics, typed = names_in("topics", keywords.get("topics")), list(names_in("remap", keywords.get("remap")))
     if typed and topics:
         raise UsageError(
             "`topics` and `remap` both name the topics; give only one of them", hint="such as `topics=/points:=/scan`"
@@ -195,14 +195,14 @@ def _of_node(
         origins=resolved.origin,
         params=resolved.params,
         reverse=resolved.reverse,
-        channels=_channels(words.get("channels"), words.get("range_cutoff")),
-        combining=Combining.of(**{name: words[name] for name in _COMBINING if name in words}),
-        filters=_filters(words, resolved),
-        remove=_beam_filters(words.get("remove")),
-        **{name: words[name] for name in _OF_A_SCAN if name in words},
+        channels=_channels(keywords.get("channels"), keywords.get("range_cutoff")),
+        combining=Combining.of(**{name: keywords[name] for name in _COMBINING if name in keywords}),
+        filters=_filters(keywords, resolved),
+        remove=_beam_filters(keywords.get("remove")),
+        **{name: keywords[name] for name in _OF_A_SCAN if name in keywords},
     )
-    files = _named(words) | {f"{path.name} (from `params_file`)": path for path in resolved.files}
-    return Conversion(_options(words, (scan,), frames), files)
+    files = _named(keywords) | {f"{path.name} (from `params_file`)": path for path in resolved.files}
+    return Conversion(_options(keywords, (scan,), frames), files)
 
 
 def _note_ignored(places: Iterable[str], note: Callable[[str], None]) -> None:
@@ -210,21 +210,21 @@ def _note_ignored(places: Iterable[str], note: Callable[[str], None]) -> None:
         note(f"ignored, because it is not a parameter of the projection: {place}")
 
 
-def _options(words: Mapping[str, Any], scans: tuple[ScanSpec, ...], frames: FrameOptions) -> ConvertOptions:
+def _options(keywords: Mapping[str, Any], scans: tuple[ScanSpec, ...], frames: FrameOptions) -> ConvertOptions:
     return ConvertOptions(
         scans=scans,
         frames=frames,
-        keep=names_in("keep", words.get("keep")),
-        drop=names_in("drop", words.get("drop")),
-        start=bound_of("start", words.get("start")),
-        end=bound_of("end", words.get("end")),
-        **{name: words[name] for name in _OF_ALL if name in words},
+        keep=names_in("keep", keywords.get("keep")),
+        drop=names_in("drop", keywords.get("drop")),
+        start=bound_of("start", keywords.get("start")),
+        end=bound_of("end", keywords.get("end")),
+        **{name: keywords[name] for name in _OF_ALL if name in keywords},
     )
 
 
-def _named(words: Mapping[str, Any]) -> dict[str, Path]:
+def _named(keywords: Mapping[str, Any]) -> dict[str, Path]:
     """Return the files that keywords name and that are read, by keyword."""
-    named = {name: words.get(name) for name in ("params_file", "static_tf_file")}
+    named = {name: keywords.get(name) for name in ("params_file", "static_tf_file")}
     return {f"`{name}`": path_of(name, path) for name, path in named.items() if path is not None}
 
 
@@ -233,28 +233,28 @@ def parameter_names() -> list[str]:
     return [field.name for field in fields(ProjectionParams)]
 
 
-def _resolved(words: Mapping[str, Any], settings: list[Setting], node: str | None) -> ResolvedSources:
+def _resolved(keywords: Mapping[str, Any], settings: list[Setting], node: str | None) -> ResolvedSources:
     """Find the parameters of the projection, and where each comes from."""
-    params, file, reverse = words.get("params"), words.get("params_file"), words.get("reverse", False)
+    params, file, reverse = keywords.get("params"), keywords.get("params_file"), keywords.get("reverse", False)
     if params is None:
         return resolve_sources(
             settings,
-            assignments=names_in("param", words.get("param")),
+            assignments=names_in("param", keywords.get("param")),
             file=None if file is None else path_of("params_file", file),
             node=node,
-            launch_args=names_in("launch_args", words.get("launch_args")),
-            preset=words.get("preset"),
+            launch_args=names_in("launch_args", keywords.get("launch_args")),
+            preset=keywords.get("preset"),
             reverse=reverse,
         )
     if not isinstance(params, ProjectionParams):
         raise TypeError(f"params is {type(params).__name__}, it must be ProjectionParams")
-    others = {"preset": words.get("preset"), "params_file": file, "node": node}
+    others = {"preset": keywords.get("preset"), "params_file": file, "node": node}
     if given := [f"`{name}`" for name, value in others.items() if value is not None]:
         raise UsageError(
             f"params has all parameters, so {' and '.join(given)} would have no effect",
             hint="use ProjectionParams.preset() or ProjectionParams.from_file(), which take changes by name",
         )
-    changes: dict[str, Any] = {setting.name: words[setting.name] for setting in settings}
+    changes: dict[str, Any] = {setting.name: keywords[setting.name] for setting in settings}
     angles = {name: getattr(params, name) for name in ("angle_min", "angle_max", "geometry")}
     refuse_degrees(angles | changes, dict.fromkeys(PARAMETERS, CALL))
     origins = {name: CALL if getattr(params, name) != row.default else "default" for name, row in PARAMETERS.items()}
@@ -276,8 +276,8 @@ def _plain(value: object) -> object:
     return value.item() if hasattr(value, "item") and getattr(value, "ndim", None) == 0 else value
 
 
-def _frames(words: Mapping[str, Any]) -> FrameOptions:
-    return frames_of(**{name: words[name] for name in _FRAMES if name in words})
+def _frames(keywords: Mapping[str, Any]) -> FrameOptions:
+    return frames_of(**{name: keywords[name] for name in _FRAMES if name in keywords})
 
 
 def frames_of(
@@ -365,13 +365,13 @@ def selection_of(
     )
 
 
-def _filters(words: Mapping[str, Any], resolved: ResolvedSources) -> tuple[Filter, ...]:
+def _filters(keywords: Mapping[str, Any], resolved: ResolvedSources) -> tuple[Filter, ...]:
     """Combine the arguments about points into filters."""
     conditions, boxes, polygons = (
-        names_in(name, words.get(name)) for name in ("where", "exclude_box", "exclude_polygon")
+        names_in(name, keywords.get(name)) for name in ("where", "exclude_box", "exclude_polygon")
     )
-    slope, ground = words.get("min_height_slope"), words.get("ground", "keep")
-    further: tuple[Filter, ...] = words["filters"]
+    slope, ground = keywords.get("min_height_slope"), keywords.get("ground", "keep")
+    further: tuple[Filter, ...] = keywords["filters"]
     if not (conditions or boxes or polygons or slope is not None or ground != "keep"):
         return further
     from .pipeline.stages.texts import filters_from  # noqa: PLC0415  # few conversions have filters

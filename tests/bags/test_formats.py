@@ -15,8 +15,8 @@ from pc2scan.bags.formats import FORMATS, Format, ReadOptions, WriteOptions, and
 from pc2scan.bags.opening import open_recording
 from pc2scan.bags.reader import Reader
 from pc2scan.bags.units import Unit
+from pc2scan.batch.file_options import FILE_OPTIONS
 from pc2scan.batch.results import first_part, whole
-from pc2scan.batch.words import WORDS
 from pc2scan.cli.app import application
 from pc2scan.cli.options import Compression, Storage, To
 from pc2scan.errors import DestinationError, RecordingError
@@ -254,7 +254,7 @@ def test_the_command_line_offers_what_the_table_has() -> None:
     assert set(get_args(Compression)) == known
     assert set(get_args(Storage)) == set(storages())
     assert get_args(To) == tuple(destinations())
-    assert set(WORDS["compression"].choices) == known
+    assert set(FILE_OPTIONS["compression"].choices) == known
 
 
 @pytest.mark.parametrize(

@@ -37,14 +37,14 @@ recordings:
 """,
     )
     defaults, robot, skipped = found.entries
-    assert defaults.words == {
+    assert defaults.keywords == {
         "min_height": 0.5,
         "target_frame": "base_link",
         "use_inf": False,
         "scan_time": "auto",
         "start": 12.5,
     }
-    assert robot.words == {
+    assert robot.keywords == {
         "topics": ("/points:=/scan",),
         "drop": ("/a", "/b"),
         "params_file": str(tmp_path / "params.yaml"),
@@ -170,9 +170,9 @@ def test_the_documented_file_is_one(tmp_path: Path) -> None:
     assert found.matching("robot1/day1/a.bag") == (0, 1)
     assert found.matching("robot2/x_outdoor.bag") == (0, 2)
     assert found.matching("robot1/calibration_3.mcap") == (0, 1, 3)
-    words, _, skip = found.combined((0, 1, 3))
+    keywords, _, skip = found.combined((0, 1, 3))
     assert skip
-    assert words["topics"] == ("/velodyne_points:=/scan",)
+    assert keywords["topics"] == ("/velodyne_points:=/scan",)
     choice = Choices(found, {}, {}).of(["robot1/a.bag"])["robot1/a.bag"]
     assert choice.request is not None
     assert choice.request.options.frames.static[0].child == "velodyne"

@@ -25,15 +25,15 @@ class Choices:
     ----------
         dataset
             The dataset file.
-        words
+        keywords
         Options of the call. They override those of the file.
         origins
             Where each option comes from, for errors.
     """
 
-    def __init__(self, dataset: DatasetFile, words: Mapping[str, Any], origins: Mapping[str, str]) -> None:
+    def __init__(self, dataset: DatasetFile, keywords: Mapping[str, Any], origins: Mapping[str, str]) -> None:
         self._dataset = dataset
-        self._words = words
+        self._keywords = keywords
         self._origins = origins
         self._made: dict[tuple[int, ...], Choice] = {}
 
@@ -65,18 +65,18 @@ class Choices:
 
     def _choice(self, numbers: tuple[int, ...]) -> Choice:
         if numbers not in self._made:
-            words, origins, skip = self._dataset.combined(numbers)
-            for name in self._words:
-                words.pop(RIVALS.get(name, ""), None)
-            words |= self._words
-            origins = {name: origin for name, origin in origins.items() if name not in self._words} | dict(
+            keywords, origins, skip = self._dataset.combined(numbers)
+            for name in self._keywords:
+                keywords.pop(RIVALS.get(name, ""), None)
+            keywords |= self._keywords
+            origins = {name: origin for name, origin in origins.items() if name not in self._keywords} | dict(
                 self._origins
             )
             if skip:
                 self._made[numbers] = Choice(None)
             else:
                 try:
-                    request = request_of(words, origins)
+                    request = request_of(keywords, origins)
                     self._made[numbers] = Choice(request, request.digest())
                 except UsageError as err:
                     self._place(err, numbers, origins)
@@ -92,10 +92,10 @@ class Choices:
         if isinstance(err, ParameterError) and err.name in origins:
             named.insert(0, err.name)
         # Some messages quote the wrong value (a transform, a topic) instead of the option.
-        words = self._dataset.combined(numbers)[0]
+        keywords = self._dataset.combined(numbers)[0]
         named += [
             name
-            for name, value in words.items()
+            for name, value in keywords.items()
             if any(repr(text) in err.message for text in (value if isinstance(value, tuple) else (value,)))
         ]
         entry = self._dataset.entries[numbers[-1]]

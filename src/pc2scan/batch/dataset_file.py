@@ -18,7 +18,7 @@ from pc2scan.pipeline.ros_scalars import plain_scalar
 from pc2scan.pipeline.yaml_nodes import compose, is_empty, is_mapping, is_scalar
 from pc2scan.remote.urls import is_url
 
-from .words import WORDS, Word
+from .file_options import FILE_OPTIONS, FileOption
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -51,7 +51,7 @@ class Entry:
         The line where it begins in the file.
     patterns
         Globs; empty for the defaults, which match everything.
-    words
+    keywords
         Options by name, as `pc2scan.batch.request.request_of` reads them.
     lines
         The line of each option.
@@ -61,7 +61,7 @@ class Entry:
 
     line: int
     patterns: tuple[str, ...] = ()
-    words: Mapping[str, Any] = field(default_factory=dict)
+    keywords: Mapping[str, Any] = field(default_factory=dict)
     lines: Mapping[str, int] = field(default_factory=dict)
     skip: bool | None = None
 
@@ -87,17 +87,17 @@ class DatasetFile:
 
     def combined(self, numbers: Sequence[int]) -> tuple[dict[str, Any], dict[str, str], bool]:
         """Return the options of several entries, where each comes from, and whether the recordings are skipped."""
-        words: dict[str, Any] = {}
+        keywords: dict[str, Any] = {}
         origins: dict[str, str] = {}
         skip = False
         for entry in (self.entries[number] for number in numbers):
-            for name in entry.words:
+            for name in entry.keywords:
                 # Another option that means the same is overridden, too.
-                words.pop(RIVALS.get(name, ""), None)
-            words |= entry.words
+                keywords.pop(RIVALS.get(name, ""), None)
+            keywords |= entry.keywords
             origins |= {name: f"{self.path}, line {line}" for name, line in entry.lines.items()}
             skip = skip if entry.skip is None else entry.skip
-        return words, origins, skip
+        return keywords, origins, skip
 
 
 def load_dataset_file(path: Path) -> DatasetFile:
@@ -150,8 +150,8 @@ class _Reader:
 
     def _entry(self, node: Any, where: str) -> Entry:
         is_default = where == "defaults"
-        known = (*(() if is_default else ("match", "skip")), *WORDS)
-        words: dict[str, Any] = {}
+        known = (*(() if is_default else ("match", "skip")), *FILE_OPTIONS)
+        keywords: dict[str, Any] = {}
         lines: dict[str, int] = {}
         patterns: tuple[str, ...] = ()
         skip = None
@@ -161,11 +161,11 @@ class _Reader:
             elif name == "skip":
                 skip = self._flag(value, name)
             else:
-                words[name] = self._value(value, name, WORDS[name])
+                keywords[name] = self._value(value, name, FILE_OPTIONS[name])
                 lines[name] = _line(value)
         if not patterns and not is_default:
             raise self._error(node, "an entry of recordings has no match", "write 'match: robot1/**' in it")
-        return Entry(_line(node), patterns, words, lines, skip)
+        return Entry(_line(node), patterns, keywords, lines, skip)
 
     def _pairs(self, node: Any, where: str, known: Sequence[str]) -> Iterator[tuple[str, Any]]:
         """Yield the names and values of a mapping; raises if a name is unknown or occurs twice."""
@@ -183,28 +183,28 @@ class _Reader:
             seen[name] = self._key_line = _line(key)
             yield name, value
 
-    def _value(self, node: Any, name: str, word: Word) -> Any:
-        if word.kind == "flag":
+    def _value(self, node: Any, name: str, option: FileOption) -> Any:
+        if option.kind == "flag":
             return self._flag(node, name)
-        if word.kind in ("texts", "paths"):
+        if option.kind in ("texts", "paths"):
             texts = self._texts(node, name)
             for text in texts:
-                self._check_choice(node, name, text, word)
-            return tuple(map(self._located, texts)) if word.kind == "paths" else texts
+                self._check_choice(node, name, text, option)
+            return tuple(map(self._located, texts)) if option.kind == "paths" else texts
         if not is_scalar(node) or is_empty(node):
-            raise self._unexpected(node, name, word.kind)
+            raise self._unexpected(node, name, option.kind)
         value = node.value if node.style else plain_scalar(node.value)
-        if word.kind == "number":
+        if option.kind == "number":
             if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-                raise self._unexpected(node, name, word.kind)
+                raise self._unexpected(node, name, option.kind)
             return value
-        if word.kind == "value":
+        if option.kind == "value":
             if isinstance(value, bool):
-                raise self._unexpected(node, name, word.kind)
+                raise self._unexpected(node, name, option.kind)
             return value
         text = str(node.value)
-        self._check_choice(node, name, text, word)
-        return self._located(text) if word.kind == "path" else text
+        self._check_choice(node, name, text, option)
+        return self._located(text) if option.kind == "path" else text
 
     def _flag(self, node: Any, name: str) -> bool:
         value = plain_scalar(node.value) if is_scalar(node) and not node.style else None
@@ -218,10 +218,10 @@ class _Reader:
             raise self._unexpected(node, name, "texts")
         return tuple(str(each.value) for each in nodes)
 
-    def _check_choice(self, node: Any, name: str, text: str, word: Word) -> None:
-        if word.choices and text not in word.choices:
-            near = did_you_mean(text, word.choices) or None
-            raise self._error(node, f"{name} is {text!r}, it must be one of {', '.join(word.choices)}", near)
+    def _check_choice(self, node: Any, name: str, text: str, option: FileOption) -> None:
+        if option.choices and text not in option.choices:
+            near = did_you_mean(text, option.choices) or None
+            raise self._error(node, f"{name} is {text!r}, it must be one of {', '.join(option.choices)}", near)
 
     def _located(self, text: str) -> str:
         """Resolve a path that is relative to the dataset file."""

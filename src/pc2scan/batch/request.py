@@ -15,7 +15,7 @@ from pc2scan.json_types import json_value
 from pc2scan.names import did_you_mean
 from pc2scan.pipeline.run import OutputOptions
 from pc2scan.remote.urls import is_url
-from pc2scan.requests import WORDS, conversion_of, parameter_names
+from pc2scan.requests import KEYWORDS, conversion_of, parameter_names
 
 from .identity import Identity, identity_of
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from pc2scan.export.run import ExportOptions
     from pc2scan.pipeline.options import ConvertOptions
 
-__all__ = ["Request", "request_of", "words_known"]
+__all__ = ["Request", "all_keywords", "request_of"]
 
 #: Keywords of the destination, of splitting, and of exports.
 _OUTPUT = ("storage", "compression", "profile", "metadata_version", "to", "overwrite")
@@ -91,18 +91,18 @@ def _identity(path: Path) -> Identity:
     )
 
 
-def words_known() -> frozenset[str]:
+def all_keywords() -> frozenset[str]:
     """Return all keywords that `request_of` reads."""
     # Not `jobs`: the batch decides the number of threads.
-    return (WORDS - {"jobs"}).union(_OUTPUT, _SPLIT, _EXPORT, parameter_names())
+    return (KEYWORDS - {"jobs"}).union(_OUTPUT, _SPLIT, _EXPORT, parameter_names())
 
 
-def request_of(words: Mapping[str, Any], origins: Mapping[str, str] | None = None) -> Request:
+def request_of(keywords: Mapping[str, Any], origins: Mapping[str, str] | None = None) -> Request:
     """Read the keywords of `pc2scan.convert`, except those of a single run: sources, destination, report, jobs.
 
     Parameters
     ----------
-    words
+    keywords
         Keywords of `pc2scan.convert`, and those that only the command line has: ``param``, ``launch_args``, ``remap``.
     origins
         Where keywords come from, for errors and reports.
@@ -112,9 +112,9 @@ def request_of(words: Mapping[str, Any], origins: Mapping[str, str] | None = Non
     UsageError
         If a keyword is unknown, has a wrong value, or contradicts another one.
     """
-    if unknown := words.keys() - words_known():
+    if unknown := keywords.keys() - all_keywords():
         raise UsageError(f"`{min(unknown)}` is not an option of a conversion")
-    given = dict(words)
+    given = dict(keywords)
 
     def take(names: tuple[str, ...]) -> dict[str, Any]:
         return {name: given.pop(name) for name in names if name in given}

@@ -155,7 +155,7 @@ class Watch:
 def run_batch(
     sources: Sequence[str],
     out: Path,
-    words: Mapping[str, Any],
+    keywords: Mapping[str, Any],
     options: BatchOptions,
     *,
     origins: Mapping[str, str] | None = None,
@@ -170,7 +170,7 @@ def run_batch(
         See `pc2scan.batch.find.find`.
     out
         The folder that is written into.
-    words
+    keywords
         Options of the conversions, as `pc2scan.batch.request.request_of` reads them.
     options
         How the batch runs; they do not affect the outputs.
@@ -186,7 +186,7 @@ def run_batch(
     if not sources:
         raise UsageError("no source given")
     dataset = DatasetFile() if options.dataset is None else load_dataset_file(options.dataset)
-    choices = Choices(dataset, words, origins or {})
+    choices = Choices(dataset, keywords, origins or {})
     choices.check()
     if options.dask and not options.dry_run:
         executor = executor or _on_dask("" if options.dask is True else str(options.dask))

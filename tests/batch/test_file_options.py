@@ -1,4 +1,4 @@
-"""The words of conversions: the same for Python, for the command line and for dataset files."""
+"""The keywords of conversions: the same for Python, for the command line and for dataset files."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from typer.main import get_command
 import pc2scan
 from batch.datasets import HEIGHTS
 from builders import CONTENT, write_rosbag1
-from pc2scan.batch import words as words_module
-from pc2scan.batch.request import request_of, words_known
-from pc2scan.batch.words import WORDS, schema
+from pc2scan.batch import file_options
+from pc2scan.batch.file_options import FILE_OPTIONS, schema
+from pc2scan.batch.request import all_keywords, request_of
 from pc2scan.cli.app import application
 from pc2scan.cli.batch import ExportGroup
 from pc2scan.cli.options import ConversionGroup, OutputGroup, typed_words
@@ -41,27 +41,27 @@ OF_ONE_RUN = {
 NOT_IN_FILES = {"params", "filters", "frames", "overwrite"}
 
 
-def test_every_option_of_convert_is_a_word() -> None:
+def test_every_option_of_convert_is_in_dataset_files() -> None:
     parameters = set(inspect.signature(pc2scan.convert).parameters)
-    assert parameters - OF_ONE_RUN <= words_known()
-    assert words_known() - NOT_IN_FILES == WORDS.keys()
+    assert parameters - OF_ONE_RUN <= all_keywords()
+    assert all_keywords() - NOT_IN_FILES == FILE_OPTIONS.keys()
 
 
 def test_the_schema_agrees_with_the_code() -> None:
     committed = (ROOT / "src" / "pc2scan" / "batch" / "dataset.schema.json").read_text("utf-8")
     assert json.loads(committed) == schema()
-    assert inspect.getfile(words_module).rpartition("/")[0].endswith("pc2scan/batch")
+    assert inspect.getfile(file_options).rpartition("/")[0].endswith("pc2scan/batch")
 
 
 def typed(*arguments: str) -> tuple[dict[str, Any], dict[str, str]]:
-    """The words that a command line of ``convert`` has."""
+    """The keywords that a command line of ``convert`` has."""
     group = get_command(application("convert"))
     command = group.commands["convert"]  # type: ignore[attr-defined]
     context = command.make_context("convert", ["drive.bag", *arguments], parent=typer.Context(group))
     return typed_words(*(kind.gathered(context.params) for kind in (ConversionGroup, OutputGroup)))
 
 
-#: Options as they are typed, and as words.
+#: Options as they are typed, and as keywords.
 TYPED: dict[str, Any] = {
     "--topic /points:=/a --topic /b": {"topics": ("/points:=/a", "/b")},
     "--keep /x --drop /y": {"keep": ("/x",), "drop": ("/y",)},
@@ -95,9 +95,9 @@ TYPED: dict[str, Any] = {
 
 
 @pytest.mark.parametrize("text", TYPED)
-def test_typed_options_are_words(text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    words, _ = typed(*text.split())
-    assert words == TYPED[text]
+def test_typed_options_are_keywords(text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    keywords, _ = typed(*text.split())
+    assert keywords == TYPED[text]
     # They mean the same to `convert` in Python, where it has them.
     called: list[Any] = []
 
@@ -106,9 +106,9 @@ def test_typed_options_are_words(text: str, tmp_path: Path, monkeypatch: pytest.
         return _Done()
 
     monkeypatch.setattr("pc2scan.pipeline.run.run", run)
-    if not words.keys() & {"param", "remap"}:
-        pc2scan.convert("drive.bag", tmp_path / "x", **words)
-        request = request_of(words)
+    if not keywords.keys() & {"param", "remap"}:
+        pc2scan.convert("drive.bag", tmp_path / "x", **keywords)
+        request = request_of(keywords)
         options = called[0][2]
         assert replace(request, options=options).digest() == request.digest()
         assert [scan.origins for scan in options.scans] == [scan.origins for scan in request.options.scans]
@@ -123,12 +123,12 @@ class _Done:
 def test_every_option_of_the_command_becomes_a_word() -> None:
     names = {parameter.name for group in (ConversionGroup, OutputGroup) for parameter in group.parameters()}
     renamed = {"tf_topic": "tf_topics", "no_verify": "verify"}
-    words = {renamed.get(name, name) for name in names}
-    assert words - {"ros_args", "jobs", "each", "dry_run"} <= words_known()
+    keywords = {renamed.get(name, name) for name in names}
+    assert keywords - {"ros_args", "jobs", "each", "dry_run"} <= all_keywords()
 
 
 @pytest.mark.parametrize(
-    ("words", "other", "same"),
+    ("keywords", "other", "same"),
     [
         ({"min_height": 1}, {"min_height": 1.0}, True),
         ({"min_height": 1}, {"param": "min_height:=1"}, True),
@@ -148,8 +148,8 @@ def test_every_option_of_the_command_becomes_a_word() -> None:
         ({"strict": True}, {}, False),
     ],
 )
-def test_a_digest_is_of_what_decides_the_output(words: dict[str, Any], other: dict[str, Any], same: bool) -> None:
-    assert (request_of(words).digest() == request_of(other).digest()) == same
+def test_a_digest_is_of_what_decides_the_output(keywords: dict[str, Any], other: dict[str, Any], same: bool) -> None:
+    assert (request_of(keywords).digest() == request_of(other).digest()) == same
 
 
 def test_repeating_goes_with_splitting() -> None:
@@ -207,7 +207,7 @@ def test_several_nodes_of_a_file_are_several_outputs(tmp_path: Path) -> None:
 
 
 def test_exports_are_those_of_the_command() -> None:
-    assert WORDS["export"].choices == tuple(FORMATS)
+    assert FILE_OPTIONS["export"].choices == tuple(FORMATS)
     assert typing.get_args(typing.get_args(ExportGroup.__annotations__["export"])[0])[0].__args__ == tuple(FORMATS)
     asked = request_of({"export": "npz", "pose_frame": "odom", "min_height": 0})
     assert asked.export is not None
@@ -220,14 +220,14 @@ def test_exports_are_those_of_the_command() -> None:
         != request_of({"export": "npz", "min_height": 0}).digest()
         != request_of({"min_height": 0}).digest()
     )
-    for words, message in (
+    for keywords, message in (
         ({"pose_frame": "odom"}, "`pose_frame` goes with `export`"),
         ({"export": "npy"}, "`export=npy` is not a format"),
         ({"export": "tum"}, "`export=tum` needs poses"),
         ({"export": "npz", "to": "bag", "split": "1s"}, "`to`, `split` would have no effect"),
     ):
         with pytest.raises(UsageError, match=re.escape(message)):
-            request_of(words)
+            request_of(keywords)
 
 
 def test_what_is_no_word_is_refused() -> None:
