@@ -1,4 +1,4 @@
-"""Measures how lidars turn whose points have no times, in the first clouds of each topic."""
+"""Measures in the first clouds of each topic how a lidar turns, if its points have no times."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def measured_turns(
     Parameters
     ----------
     connections
-        Those of the clouds; others do not count.
+        Those with clouds are used; others are ignored.
     point_time
         See `PointTime.parse`.
     start_ns, stop_ns
@@ -47,7 +47,7 @@ def measured_turns(
     Raises
     ------
     ParameterError
-        If the first clouds of a topic do not tell.
+        If a turn cannot be measured in the first clouds of a topic.
     """
     asked = PointTime.parse(point_time).turn if point_time else None
     if asked is None or asked.period:

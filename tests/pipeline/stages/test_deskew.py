@@ -135,7 +135,7 @@ def test_a_direction_that_is_not_known_is_an_error() -> None:
     xyz, _ = turn()
     order = np.random.default_rng(3).permutation(len(xyz))
     cloud = points(xyz[order], np.zeros(len(xyz)), "x_again")
-    with pytest.raises(DecodeError, match="which way the lidar turned") as caught:
+    with pytest.raises(DecodeError, match="in which direction the lidar turned") as caught:
         Deskew(frames(), "odom", PointTime.parse("azimuth:0.1"))(cloud)
     assert "azimuth:0.1:cw" in str(caught.value.hint)
     assert Deskew(frames(), "odom", PointTime.parse("azimuth:0.1:cw"))(cloud) is not None

@@ -53,8 +53,8 @@ def test_everything_is_measured() -> None:
     assert note == (
         "/points: the times of points are computed from their azimuth: one turn takes 0.1 s, clockwise, and the stamp "
         "is that of the last point; measured: the period (median interval of the first 11 stamps), the direction "
-        "(order of the points of 11 clouds), which point the stamp is of (clouds are logged 0.004 s after their "
-        "stamps, so after their last points)"
+        "(order of the points of 11 clouds), which point is stamped (clouds are logged 0.004 s after their "
+        "stamps, so the last one)"
     )
     assert measured_turn("/points", Turn(), clouds(turns=64.0))[0] == Turn(0.1, 1, True)
 
@@ -89,8 +89,8 @@ def test_a_missing_cloud_and_jitter_change_nothing() -> None:
         (clouds(parts=2), "in 50% of all directions, several clouds together in 100%", "azimuth:0.1"),
         (clouds(hidden=50), "in 44% of all directions, several clouds together in 44%", "azimuth:0.1"),
         (clouds(turns=-2.0), "go round 2.0 times", "azimuth:0.1"),
-        (clouds(turns=0.0), "of 11 clouds 0 say clockwise, 0 counter-clockwise, 11 nothing", "azimuth:0.1:cw"),
-        (clouds()[:6] + clouds(turns=1.0)[6:], "6 say clockwise, 5 counter-clockwise", "azimuth:0.1:cw"),
+        (clouds(turns=0.0), "of 11 clouds, 0 are clockwise, 0 counter-clockwise, 11 neither", "azimuth:0.1:cw"),
+        (clouds()[:6] + clouds(turns=1.0)[6:], "6 are clockwise, 5 counter-clockwise", "azimuth:0.1:cw"),
         (clouds(late_ms=0), "the stamps are the log times", "azimuth:0.1:cw:start"),
         (clouds(late_ms=-3), "stamps are up to 0.003 s after the log times", "azimuth:0.1:cw:end"),
         (clouds(late_ms=60), "logged 0.06 s after their stamps", "azimuth:0.1:cw:end"),

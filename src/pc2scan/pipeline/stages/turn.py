@@ -24,10 +24,10 @@ if TYPE_CHECKING:
 
 __all__ = ["AZIMUTH", "FIRST_CLOUDS", "Look", "Turn", "look", "measured_turn"]
 
-#: Instead of a field with times: the points' directions tell them.
+#: Given instead of a field with times: the times are computed from the directions of the points.
 AZIMUTH = "azimuth"
 
-#: How many clouds a turn is measured in, and how few are too few.
+#: A turn is measured in this many clouds, and in at least so many.
 FIRST_CLOUDS = 11
 _FEWEST = 4
 
@@ -47,8 +47,8 @@ _DIRECTIONS = 90
 #: Turns that a cloud in one row may not have: it has one, or one for each of many rings.
 _TWO_OR_THREE = (1.5, 3.5)
 
-#: From the stamp to the log time, as a share of the turn, at most where the stamp is that of the last point: no cloud
-#: is logged before its last point is measured. More tells nothing, because drivers may take that long as well.
+#: The longest delay from stamp to log time, as a share of the turn, that proves the stamp to be that of the last point:
+#: no cloud is logged before its last point is measured. A longer delay proves nothing, because drivers may need it.
 _OF_LAST = 0.4
 
 _WAYS = {"cw": -1, "ccw": 1}
@@ -57,16 +57,16 @@ _ENDS = {"start": False, "end": True}
 
 @dataclass(frozen=True, slots=True)
 class Turn:
-    """How a lidar turned, whose points have no times.
+    """How a lidar turned, if its points have no times.
 
     Attributes
     ----------
     period
-        Of one turn, seconds; 0: to be measured, as is what else is not given.
+        Of one turn, seconds; 0: this and everything else that is not given is measured.
     direction
-        1 counter-clockwise, -1 clockwise; 0: not given, so as the order of the points tells.
+        1 counter-clockwise, -1 clockwise; 0: not given, so taken from the order of each cloud's points.
     ended
-        Whether the stamp is the time of the last point, not of the first one; None: not given, so of the first one.
+        Whether the stamp is the time of the last point instead of the first; None: not given, so the first.
     """
 
     period: float = 0.0
@@ -93,11 +93,11 @@ class Turn:
                 period = _seconds(word)
             else:
                 raise UsageError(
-                    f"`point_time` is {text!r}, but {word!r} is not the time of a turn, at most {_LONGEST:g} s, nor a "
-                    "direction, nor an end",
-                    hint="write `point_time=azimuth` to measure the turn, `point_time=azimuth:0.1` for 10 Hz. cw or "
-                    "ccw may follow (the direction, seen from above), and start or end (of the turn: the stamp's "
-                    "time): `point_time=azimuth:0.1:cw:end`",
+                    f"`point_time` is {text!r}, but {word!r} is not the time of a turn (at most {_LONGEST:g} s), a "
+                    "direction (cw or ccw), or the stamped end of the turn (start or end)",
+                    hint="write `point_time=azimuth` to measure the turn, `point_time=azimuth:0.1` for 10 Hz. The "
+                    "direction may follow, as seen from above, and which end of the turn the stamp is of: "
+                    "`point_time=azimuth:0.1:cw:end`",
                 )
         return cls(period, direction, ended)
 
@@ -107,7 +107,7 @@ class Turn:
         Raises
         ------
         DecodeError
-            If it is not known how long a turn takes, or in which direction the lidar turned.
+            If the period or the direction of the turn is unknown.
         """
         if not self.period:
             raise DecodeError(
@@ -118,9 +118,9 @@ class Turn:
         times = azimuth_times(points.field("x"), points.field("y"), self.period, self.direction)
         if times is None:
             raise DecodeError(
-                "the order of its points does not tell which way the lidar turned",
+                "the order of its points does not show in which direction the lidar turned",
                 stamp_ns=points.stamp_ns,
-                hint=f"say it: `point_time=azimuth:{self.period:g}:cw` (clockwise, seen from above) or ccw",
+                hint=f"give the direction: `point_time=azimuth:{self.period:g}:cw` (clockwise, seen from above) or ccw",
             )
         return times - np.fmax.reduce(times, axis=None, initial=0.0) if self.ended else times
 
@@ -135,16 +135,17 @@ def _seconds(text: str) -> float:
 
 
 class Look(NamedTuple):
-    """What one cloud tells of the lidar's turns.
+    """What one cloud shows of the lidar's turns.
 
     Attributes
     ----------
     stamp_ns, log_time_ns
         When it was stamped and logged.
     turns
-        How often its points go round in their order, positive counter-clockwise; 0 where their order tells nothing.
+        How many times its points go round, in their order; positive counter-clockwise; 0 if the order shows no
+        direction.
     directions
-        Those of its points: a bit for each 4 degrees.
+        The directions of its points: a bit for each 4 degrees.
     """
 
     stamp_ns: int
@@ -165,12 +166,12 @@ def look(points: Points, log_time_ns: int) -> Look:
 
 
 def measured_turn(topic: str, asked: Turn, clouds: Sequence[Look]) -> tuple[Turn, str]:
-    """Return how a lidar turns, with what the user gave, and a note that says what was measured.
+    """Return how a lidar turns, as given or measured, and a note about what was measured.
 
     Raises
     ------
     ParameterError
-        If its first clouds do not tell; the hint has what to type.
+        If the turn cannot be measured in the first clouds; the hint is what to type.
     """
     period, how = _period(topic, asked, clouds)
     found, said = replace(asked, period=period), [how]
@@ -190,7 +191,7 @@ def _error(topic: str, why: str, typed: str) -> ParameterError:
 
 
 def _typed(turn: Turn, *more: str) -> str:
-    """What the user types for what is known of a turn, and for more."""
+    """Return the option for what is known of a turn, and for ``more``."""
     period = f"{turn.period:.4g}" if turn.period else "0.1"
     ways = {value: name for name, value in _WAYS.items()}
     ends = {value: name for name, value in _ENDS.items()}
@@ -240,8 +241,8 @@ def _period(topic: str, asked: Turn, clouds: Sequence[Look]) -> tuple[float, str
 def _with_direction(topic: str, turn: Turn, clouds: Sequence[Look]) -> tuple[Turn, str]:
     ways = [1 if cloud.turns > 0 else -1 for cloud in clouds if cloud.turns]
     if 2 * len(ways) <= len(clouds) or len(set(ways)) > 1:
-        each = f"{ways.count(-1)} say clockwise, {ways.count(1)} counter-clockwise, {len(clouds) - len(ways)} nothing"
-        why = f"the order of the points does not tell the direction: of {len(clouds)} clouds {each}"
+        each = f"{ways.count(-1)} are clockwise, {ways.count(1)} counter-clockwise, {len(clouds) - len(ways)} neither"
+        why = f"the order of the points does not show the direction: of {len(clouds)} clouds, {each}"
         give = f"clockwise, seen from above: {_typed(replace(turn, ended=None), 'cw')}, or else ccw"
         raise _error(topic, why, give)
     return replace(turn, direction=ways[0]), f"the direction (order of the points of {len(ways)} clouds)"
@@ -257,9 +258,9 @@ def _with_stamp(topic: str, turn: Turn, clouds: Sequence[Look]) -> tuple[Turn, s
     else:
         why = f"clouds are logged {seconds:.4g} s after their stamps"
         if seconds < _OF_LAST * turn.period:
-            return replace(turn, ended=True), f"which point the stamp is of ({why}, so after their last points)"
+            return replace(turn, ended=True), f"which point is stamped ({why}, so the last one)"
     raise _error(
         topic,
-        f"{why}, which does not tell whether the stamp is the time of the first or the last point",
-        f"of the first: {_typed(turn, 'start')}; of the last (velodyne_driver's default): {_typed(turn, 'end')}",
+        f"{why}, so the stamp may be the time of the first or of the last point",
+        f"if it is the first: {_typed(turn, 'start')}; the last (velodyne_driver's default): {_typed(turn, 'end')}",
     )
