@@ -136,4 +136,4 @@ def test_times_of_no_sense_skip_the_clouds_and_say_why(tmp_path: Path) -> None:
     assert done.status == 1
     assert not scans
     assert "by their field intensity" in done.stderr
-    assert "hint: the times of the points are of another clock" in done.stderr
+    assert "hint: the times of the points and the stamps come from different clocks" in done.stderr

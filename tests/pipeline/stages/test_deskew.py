@@ -196,7 +196,7 @@ def test_a_cloud_before_all_transforms_is_an_error() -> None:
     near = Frames("", "", known.buffer, 10_000_000)
     with pytest.raises(TransformError) as caught:
         Deskew(near, "odom", PointTime())(points([[1, 1, 1]] * 2, [-2_000_000, -1_000_000]))
-    assert "`start` and `end` leave such clouds out" in str(caught.value.hint)
+    assert "exclude such clouds by `start` and `end`" in str(caught.value.hint)
 
 
 def test_points_that_were_not_measured_need_no_time() -> None:
@@ -217,7 +217,7 @@ def test_points_that_were_not_measured_need_no_time() -> None:
 @pytest.mark.parametrize(
     ("times", "name", "what"),
     [
-        ([5, 5, 5], "t", "have all the same time by their field t, 5e-09 s after its stamp"),
+        ([5, 5, 5], "t", "all have the same time in their field t, 5e-09 s after its stamp"),
         ([0, 1, 100 * SECOND], "t", "span 100 s by their field t, at most 60 s are possible"),
         ([1e9, 1e9 + 0.05, 1e9 + 0.1], "timestamp", "s after its stamp by their field timestamp"),
         ([math.nan] * 3, "time", "none of its points has a time: time is not finite"),

@@ -1,4 +1,4 @@
-/* The arctangents of many points, as fdlibm.py and NumPy have them. */
+/* The arctangents of many points, with the results of fdlibm.py and NumPy. */
 
 #ifndef PC2SCAN_ANGLES_H
 #define PC2SCAN_ANGLES_H
@@ -29,7 +29,7 @@ INLINED void angles_of(const float *restrict x, const float *restrict y, float *
         turn = copysign(1.0, across) < 0 ? 0x1.921fb54442d18p+1 - turn : turn;
         float low = (float)(turn - turn * ANGLE_ERROR), high = (float)(turn + turn * ANGLE_ERROR);
         angle[i] = copysignf(low, y[i]);
-        /* False for NaN too, which is what 0 / 0 and inf / inf end as. */
+        /* NaN, the result of 0 / 0 and inf / inf, is unsure as well. */
         unsure[i] = !(low == high);
         any |= unsure[i];
     }
@@ -44,7 +44,8 @@ static const float FDLIBM[11] = {
     0x1.10d66ap-4f, -0x1.dde2d6p-5f, 0x1.97b4b2p-5f, -0x1.2b4442p-5f, 0x1.0ad3aep-6f,
 };
 
-/* Its argument reduction, from some quotients t on: atan(t) = high + low + atan((a * t + b) / (c * t + d)). */
+/* fdlibm's argument reduction, for quotients t of at least `from`: atan(t) = high + low + atan((a * t + b) / (c * t
+   + d)). */
 enum { REDUCTIONS = 6 };
 static const struct {
     float from, a, b, c, d, high, low;
@@ -80,7 +81,7 @@ INLINED void glibc_angles_of(const float *restrict x, const float *restrict y, f
         const float ahead = high - ((s * (z * odd + w * even) - low) - s);
         const float behind = pi - (ahead + 0x1.777a5cp-24f);
         float turn = back < 0 ? behind : ahead;
-        /* On the axes and at infinity the quotient does not decide. */
+        /* On the axes and at infinity, the quotient does not determine the angle. */
         const float along = back < 0 ? pi : 0, diagonal = back < 0 ? 3 * quarter_pi : quarter_pi;
         turn = (across == 0) | (up == INFINITY) ? half_pi : turn;
         turn = (across == INFINITY) & (up == INFINITY) ? diagonal : turn;

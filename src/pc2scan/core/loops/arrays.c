@@ -12,7 +12,7 @@ void release_cloud(Cloud *cloud) {
     while (cloud->held > 0) PyBuffer_Release(&cloud->coordinates[--cloud->held]);
 }
 
-/* The type of an array's values, from its dtype; with integers of eight bytes if they may be that wide. */
+/* Set the type of an array's values from its dtype. Integers of eight bytes are refused unless `wide` is set. */
 static int find_type(PyObject *dtype, Axis *axis, Py_ssize_t item, int wide) {
     PyObject *text = PyObject_GetAttrString(dtype, "str");
     if (!text) return -1;
@@ -32,7 +32,7 @@ static int find_type(PyObject *dtype, Axis *axis, Py_ssize_t item, int wide) {
 int take_coordinates(Cloud *cloud, PyObject *xyz[3]) {
     memset(cloud, 0, sizeof *cloud);
     const Py_buffer *like = &cloud->coordinates[0];
-    /* As a rule all have one: what NumPy says of it takes as long as projecting 300 points. */
+    /* Usually all three have the same dtype. Asking NumPy for its name takes as long as projecting 300 points. */
     PyObject *last = NULL;
     for (; cloud->held < 3; cloud->held++) {
         Py_buffer *view = &cloud->coordinates[cloud->held];

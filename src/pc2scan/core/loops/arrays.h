@@ -5,7 +5,7 @@
 
 #include "fields.h"
 
-/* Take a contiguous array of numbers of so many bytes; so many of them, unless that is negative. */
+/* Take a contiguous array of `count` numbers of `item` bytes each; of any count if `count` is negative. */
 HIDDEN int contiguous(PyObject *object, Py_buffer *view, int flags, Py_ssize_t item, Py_ssize_t count);
 
 /* The coordinates of a cloud: three arrays of one shape. */
@@ -19,10 +19,10 @@ typedef struct {
 HIDDEN int take_coordinates(Cloud *cloud, PyObject *xyz[3]);
 HIDDEN void release_cloud(Cloud *cloud);
 
-/* A field of each point, besides the coordinates. */
+/* Take a field of the points that is not a coordinate. */
 HIDDEN int take_field(const Cloud *cloud, PyObject *array, Py_buffer *view, Axis *axis);
 
-/* Let other threads have the interpreter, unless taking turns takes longer than this many points or beams do. */
+/* Release the interpreter's lock, unless that takes longer than the work: a number of points or beams. */
 static inline PyThreadState *let_others(Py_ssize_t work) { return work > 16384 ? PyEval_SaveThread() : NULL; }
 
 #endif

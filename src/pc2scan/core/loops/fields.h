@@ -9,7 +9,7 @@
 typedef struct {
     const char *data;
     Py_ssize_t row_step, step;
-    char kind; /* NumPy's: i, u or f */
+    char kind; /* NumPy's code: i, u or f */
     int size, swapped;
 } Axis;
 
@@ -31,7 +31,7 @@ static inline uint32_t read_unsigned(const char *from) {
     return value;
 }
 
-/* Any value; float64 holds them all. */
+/* Read a value of any type, as float64. */
 static inline double read_any(const char *from, const Axis *axis) {
     char turned[8];
     if (axis->swapped) {
@@ -51,14 +51,15 @@ static inline double read_any(const char *from, const Axis *axis) {
     }
 }
 
-/* What the three axes have in common. */
+/* The type that the three axes share. */
 enum { FLOATS, DOUBLES, MIXED };
 
 static inline double read_as(const char *from, const Axis *axis, const int common) {
     return common == FLOATS ? read_float(from) : common == DOUBLES ? read_double(from) : read_any(from, axis);
 }
 
-/* Whether there are no gaps between rows: these are one row, and only its end is not read eight points at a time. */
+/* Whether there are no gaps between rows. They are then read as one row, so that only its last points are read one
+   at a time. */
 static inline int is_one_row(const Axis *axis, Py_ssize_t columns) { return axis->row_step == columns * axis->step; }
 
 /* Whether x, y and z are float32 that follow each other, with four bytes of the same or the next point behind them. */
@@ -77,7 +78,7 @@ static inline int in_common(const Axis axis[3]) {
     return floats ? FLOATS : doubles ? DOUBLES : MIXED;
 }
 
-/* So many values of any type. */
+/* Read `count` values of any type, as float64. */
 static inline void read_values(const Axis *axis, const char *from, int count, double *to) {
     const Py_ssize_t step = axis->step;
     if (axis->swapped || (axis->size != 4 && axis->size != 8))

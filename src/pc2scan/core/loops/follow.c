@@ -15,7 +15,7 @@ static void matrix_of(const double q[4], double m[9]) {
     memcpy(m, all, sizeof all);
 }
 
-/* A row of a transform after another one. */
+/* Apply a transform to a row that holds another transform. */
 static void compose(const double m[9], const double t[3], double *row) {
     double turned[12];
     for (int i = 0; i < 3; i++) {
@@ -116,7 +116,7 @@ release_times:
     return result;
 }
 
-/* The number of stamps below a time; with `same`, also those at it. */
+/* Return how many stamps are before a time; with `same`, how many are not after it. */
 static Py_ssize_t stamps_before(const int64_t *stamps, Py_ssize_t count, int64_t time, int same) {
     Py_ssize_t low = 0, high = count;
     while (low < high) {
@@ -127,14 +127,16 @@ static Py_ssize_t stamps_before(const int64_t *stamps, Py_ssize_t count, int64_t
     return low;
 }
 
-/* Merge increasing times into other increasing times, which have room for them. Returns how many there are then. */
+/* Merge increasing times into other increasing times, which have room for them. Returns the new number of times. */
 static Py_ssize_t merge(int64_t *times, Py_ssize_t count, const int64_t *others, Py_ssize_t more) {
     const Py_ssize_t sum = count + more;
-    for (Py_ssize_t to = sum; more;) times[--to] = count && times[count - 1] > others[more - 1] ? times[--count] : others[--more];
+    for (Py_ssize_t to = sum; more;)
+        times[--to] = count && times[count - 1] > others[more - 1] ? times[--count] : others[--more];
     return sum;
 }
 
-/* Keep each time once, and write the middle between each and the next one behind it. Returns how many there are then. */
+/* Remove times that occur twice, and insert the middle between each time and the next. Returns the new number of
+   times. */
 static Py_ssize_t with_middles(int64_t *times, Py_ssize_t count) {
     Py_ssize_t kept = 1;
     for (Py_ssize_t i = 1; i < count; i++)
@@ -190,7 +192,7 @@ release:
     return result;
 }
 
-/* The sum of squared differences of so many numbers. */
+/* Return the sum of the squared differences of `count` numbers. */
 static double squared(const double *one, const double *other, int count) {
     double sum = 0;
     for (int i = 0; i < count; i++) sum += (one[i] - other[i]) * (one[i] - other[i]);

@@ -1,12 +1,13 @@
-/* Points that are transformed alike: read and transformed in one loop, or eight at a time, then projected block by block.
-   Transforms are in float32, every product and every sum rounded, from left to right, as tf2_sensor_msgs does it. */
+/* Project points that share one transform: read and transform them in one loop, or eight at a time, then project
+   them block by block. Transforms are in float32; every product and every sum is rounded, from left to right, as in
+   tf2_sensor_msgs. */
 
 #include "scan.h"
 
 #ifdef EIGHT
-/* Take points of one row, eight at a time, as long as what is read of them stays in front of the last one: x, y and z
-   are float32 that follow each other, with four bytes behind them. Returns how many were taken. Inlined, so that
-   compilers know of each call whether it has to transform the points. */
+/* Take points of one row, eight at a time, without reading beyond the last one. x, y and z must be consecutive
+   float32, with four bytes behind them. Returns how many points were taken. Inlined, so that compilers generate a
+   loop of its own for points that need no transform. */
 EIGHT_INLINED Py_ssize_t load_eight(Scan *scan, const char *from, Py_ssize_t step, Py_ssize_t count,
                                     const float *transform) {
     const __m256 lowest = _mm256_set1_ps((float)scan->rule.lowest), highest = _mm256_set1_ps((float)scan->rule.highest);
@@ -49,7 +50,8 @@ EIGHT_WIDE static Py_ssize_t load_eight_transformed(Scan *scan, const char *from
 }
 #endif
 
-/* Take points of one row. Inlined, so that compilers know of each call what it reads and whether it transforms. */
+/* Take points of one row. Inlined, so that compilers generate a loop for each type and for points that need no
+   transform. */
 static inline void load(Scan *scan, const char *x, const char *y, const char *z, const Axis axis[3], int64_t number,
                         Py_ssize_t count, const int common, const float *transform) {
     const Py_ssize_t dx = axis[0].step, dy = axis[1].step, dz = axis[2].step;
@@ -87,7 +89,7 @@ void load_rows(Scan *scan, const Axis axis[3], Py_ssize_t rows, Py_ssize_t colum
         int64_t number = (int64_t)row * columns;
         Py_ssize_t taken = 0;
 #ifdef EIGHT
-        /* Points of twelve bytes have the next one behind them. */
+        /* Behind a point of twelve bytes, the bytes of the next one are read. */
         if (eight_at_once && common == FLOATS && scan->smallest && are_packed(axis))
             taken = transform ? load_eight_transformed(scan, x, axis[0].step, columns, transform)
                               : load_eight_untransformed(scan, x, axis[0].step, columns);

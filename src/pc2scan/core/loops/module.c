@@ -1,9 +1,9 @@
-/* The module pc2scan.core._kernel: the functions of plain.py, with the same results, faster. What it knows of Python's
-   objects is here and in arrays.c.
+/* The module pc2scan.core._kernel: the functions of plain.py, with the same results, but faster. Only this file and
+   arrays.c handle Python's objects, besides follow.c, span.c and trace.c, which have functions of their own.
 
-   Points are taken a block at a time, small enough for the first-level cache. loading.c reads, transforms, and drops them
-   by height, moving.c does that at each point's own time, and scan.c projects what is left. Compiled with
-   -ffp-contract=off: a fused multiply-add rounds otherwise than upstream does. */
+   Points are processed in blocks that fit into the first-level cache. loading.c reads points, transforms them, and
+   drops them by height; moving.c does the same at each point's own time; scan.c projects the remaining ones. Compile
+   with -ffp-contract=off: a fused multiply-add rounds differently from upstream. */
 
 #include "angles.h"
 #include "arrays.h"
@@ -34,7 +34,7 @@ static int prepare_lanes(int most) {
 }
 #endif
 
-/* A cloud from Python, with the rule and the transform. */
+/* The arguments of a projection: a cloud, the rule, and the transform. */
 typedef struct {
     Cloud cloud;
     Motion motion;
@@ -69,7 +69,7 @@ failed:
     return -1;
 }
 
-/* Room for a scan, and for some doubles behind it. */
+/* Allocate a scan, with room for some doubles behind it. */
 static Scan *new_scan(const Asked *asked, int32_t beams, size_t doubles) {
     Scan *scan = PyMem_Malloc(sizeof *scan + doubles * sizeof(double));
     if (!scan) {

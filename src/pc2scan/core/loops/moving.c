@@ -1,8 +1,9 @@
-/* Points at their own times: each is read, transformed by the part of the motion that its time lies in, and projected. */
+/* Project points at their own times: read each point, transform it by the part of the motion that contains its time,
+   and project it. */
 
 #include "moving.h"
 
-/* A polynomial through three transforms: at the beginning, in the middle, and at the end of a part. */
+/* Fit a polynomial to three transforms: at the beginning, in the middle, and at the end of a part. */
 static void fit_part(Part *part, double begin, double end, const double *first) {
     const double *middle = first + 12, *last = first + 24;
     part->begin = begin;
@@ -18,7 +19,8 @@ static void fit_part(Part *part, double begin, double end, const double *first) 
     }
 }
 
-/* The row and the errors of z. A polynomial moves away from its start by at most the sum of its other coefficients. */
+/* Compute the row for z and its errors. A polynomial differs from its start by at most the sum of its other
+   coefficients. */
 static void bound_z(Motion *motion) {
     double widest = 0, largest = 0;
     motion->whole = 1;
@@ -33,7 +35,8 @@ static void bound_z(Motion *motion) {
             high = fmax(high, part->start[at] + away);
         }
         motion->row[k] = (float)((low + high) / 2);
-        /* What float32 rounds, here and where points are moved, is far below four millionths of the summands. */
+        /* The rounding errors of float32, here and where points are moved, are far below four millionths of the
+           summands. */
         const double error = (high - low) / 2 + 4e-6 * fmax(fabs(low), fabs(high));
         if (k == 3) motion->level = (float)(1.000001 * error + FLT_MIN);
         widest = k < 3 ? fmax(widest, (high - low) / 2) : widest;
@@ -75,7 +78,7 @@ void release_motion(Motion *motion) {
     if (motion->held > 0) PyBuffer_Release(&motion->times_of);
 }
 
-/* The part that a time lies in: -1 if it is in none, or NaN. */
+/* Return the part that contains a time; -1 if there is none, or the time is NaN. */
 static Py_ssize_t part_at(const Motion *motion, double time) {
     const Part *parts = motion->parts;
     Py_ssize_t part = motion->part, last = motion->count - 1;
@@ -92,12 +95,12 @@ static Py_ssize_t part_at(const Motion *motion, double time) {
             part = low;
         }
     }
-    /* Where transforms begin to be known, their first one is. */
+    /* The first transform after a gap is valid at its own time. */
     if (!parts[part].known && part < last && time == parts[part].end) part++;
     return part;
 }
 
-/* One coordinate of a point: the row from 3 * axis on, and a part of the translation. */
+/* Return one coordinate of a moved point. Its row starts at 3 * axis, its translation is at 9 + axis. */
 static inline float move_one(const Part *part, int axis, float x, float y, float z, float s) {
     const double *start = part->start + 3 * axis;
     const float *rate = part->rate + 3 * axis, *bend = part->bend + 3 * axis;
@@ -107,7 +110,7 @@ static inline float move_one(const Part *part, int axis, float x, float y, float
     return (float)(place + s * (along + s * aside));
 }
 
-/* Transform points as long as they are of one part. Returns the first one that is not. */
+/* Transform points until one belongs to another part. Returns the index of that one. */
 static int move_run(const Part *part, Moved *block, int from, int end) {
     int i = from;
     for (; i < end && (i == from || (block->times[i] > part->begin && block->times[i] <= part->end)); i++) {
@@ -120,13 +123,13 @@ static int move_run(const Part *part, Moved *block, int from, int end) {
     return i;
 }
 
-/* Points of a row between two decisions whether many of them are too high or too low. */
+/* The number of points of a row after which it is decided anew whether to drop points before they are moved. */
 enum { STRETCH = 8 * BLOCK };
 
 #ifdef EIGHT
 static void move_chosen(Scan *scan, Motion *motion, Moved *block, const char *times);
 
-/* Append the points of a set of lanes to those that were chosen; `number` is that of the first lane's point. */
+/* Append the points of a set of lanes to the chosen points. `number` is the number of the first lane's point. */
 EIGHT_INLINED void keep_eight(Moved *block, __m256 x, __m256 y, __m256 z, int32_t number, unsigned keep) {
     const int filled = block->filled;
     const __m256i to = lanes_of((int)keep), lanes = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
@@ -156,7 +159,7 @@ SIXTEEN_INLINED void keep_sixteen(Moved *block, __m512 x, __m512 y, __m512 z, in
 #include "moving_lanes.h"
 #endif
 
-/* The same as move_run, with as many lanes as the processor has. */
+/* Do the same as move_run, with as many lanes as the processor has. */
 static int move_run_at_once(const Motion *motion, const Part *part, Moved *block, int from, int end) {
 #ifdef EIGHT
     if (sixteen_at_once) return move_run_sixteen(part, block, from, end, motion->lowest, motion->highest);
@@ -187,7 +190,7 @@ static void move_block(Motion *motion, Moved *block, const int count) {
 }
 
 #ifdef EIGHT
-/* Read points as long as what is read of them stays in front of the last one; returns how many. */
+/* Read points, eight at a time, without reading beyond the last one. Returns how many were read. */
 EIGHT_WIDE static int read_eight(const char *from, Py_ssize_t step, int count, float *x, float *y, float *z) {
     int taken = 0;
     for (; taken + 8 < count; taken += 8, from += 8 * step) {
@@ -200,10 +203,10 @@ EIGHT_WIDE static int read_eight(const char *from, Py_ssize_t step, int count, f
     return taken;
 }
 
-/* Read values of four bytes as long as what is read of them stays in front of the last one; returns how many. */
+/* Read values of four bytes, eight at a time, without reading beyond the last one. Returns how many were read. */
 EIGHT_WIDE static int read_eight_values(const Axis *axis, const char *from, int count, double *to) {
     const Py_ssize_t step = axis->step;
-    /* An unsigned number is a signed one with its highest bit turned, and half of what they have more. */
+    /* An unsigned number is the signed one with the highest bit inverted, plus 2**31. */
     const __m256i turn = _mm256_set1_epi32(axis->kind == 'u' ? INT32_MIN : 0);
     const __m256d more = _mm256_set1_pd(axis->kind == 'u' ? 0x1p31 : 0);
     int taken = 0;
@@ -223,7 +226,7 @@ EIGHT_WIDE static int read_eight_values(const Axis *axis, const char *from, int 
     return taken;
 }
 
-/* Append points to a scan's, without those that are NaN or too high or low. */
+/* Append points to a scan's block, except those that are NaN, too high or too low. */
 EIGHT_WIDE static void append_eight(Scan *scan, const float *x, const float *y, const float *z, int count) {
     const __m256 lowest = _mm256_set1_ps((float)scan->rule.lowest), highest = _mm256_set1_ps((float)scan->rule.highest);
     int64_t nans = 0, kept = 0;
@@ -248,7 +251,7 @@ EIGHT_WIDE static void append_eight(Scan *scan, const float *x, const float *y, 
 }
 #endif
 
-/* The same, with any processor, and with the points' numbers if the scan gathers these. */
+/* The same for any processor, and with the points' numbers if the scan gathers them. */
 static void append(Scan *scan, const float *x, const float *y, const float *z, int64_t number, int count) {
 #ifdef EIGHT
     if (eight_at_once && scan->smallest) {
@@ -273,10 +276,10 @@ WIDEST static void to_seconds(double *times, int count, double offset, double un
     for (int i = 0; i < count; i++) times[i] = (times[i] - offset) * unit;
 }
 
-/* Move points that have been read with their times. */
+/* Move points that have been read, with their times. */
 static void move_filled(Motion *motion, Moved *block, int count) {
     to_seconds(block->times, count, motion->offset, motion->unit);
-    /* Moved as well, up to sixteen at a time. */
+    /* Loops that do several points at once also move up to 15 points behind the last one. */
     for (int i = count; i < count + 16; i++) block->x[i] = block->y[i] = block->z[i] = 0, block->times[i] = 0;
     move_block(motion, block, count);
 }
@@ -308,7 +311,7 @@ static void move_points(Motion *motion, const Axis axis[3], const int common, Py
 }
 
 #ifdef EIGHT
-/* Move the points that were chosen of a row whose times begin here, and project them. */
+/* Move the chosen points of a row, and project them. `times` is where the row's times begin. */
 static void move_chosen(Scan *scan, Motion *motion, Moved *block, const char *times) {
     const Axis *field = &motion->times;
     const Py_ssize_t step = field->step;
@@ -328,7 +331,7 @@ static void move_chosen(Scan *scan, Motion *motion, Moved *block, const char *ti
 
 #endif
 
-/* Whether points that are too high or too low can be told before they are moved: 1, else 0. */
+/* Whether points that are too high or too low can be dropped before they are moved: 1 or 0. */
 static int can_choose(const Scan *scan, const Cloud *cloud, const Motion *motion) {
 #ifdef EIGHT
     return eight_at_once && in_common(cloud->axis) == FLOATS && scan->smallest && motion->timed && motion->whole &&
@@ -359,7 +362,8 @@ void load_moving(Scan *scan, const Cloud *cloud, Motion *motion) {
             if (choosing > 0) {
                 const char *from = axis[0].data + row * axis[0].row_step + column * axis[0].step;
                 const char *times = field->data + row * field->row_step + column * field->step;
-                taken = (sixteen_at_once ? load_moving_sixteen : load_moving_eight)(scan, motion, from, axis[0].step, times, left, &block);
+                taken = sixteen_at_once ? load_moving_sixteen(scan, motion, from, axis[0].step, times, left, &block)
+                                        : load_moving_eight(scan, motion, from, axis[0].step, times, left, &block);
             }
 #endif
             for (; taken < left && taken < STRETCH;) {
@@ -368,11 +372,11 @@ void load_moving(Scan *scan, const Cloud *cloud, Motion *motion) {
                 append(scan, block.to_x, block.to_y, block.to_z, (int64_t)row * columns + column + taken, count);
                 taken += count;
             }
-            /* Choosing points takes time, too. */
+            /* Choosing points takes time as well: it is worth it if more than a quarter of them is dropped. */
             if (choosing) choosing = 4 * (scan->height - rejected) > taken ? 1 : -1;
         }
     if (scan->filled) project_block(scan);
-    /* They have no coordinates any more, and were taken for points without. */
+    /* These points were made NaN above, and counted as NaN. */
     scan->nan -= motion->untimed + motion->nowhere;
 }
 

@@ -1,4 +1,4 @@
-/* How a sensor moved while it measured a cloud, and where points are at their own times; moving.py describes it. */
+/* How a sensor moved while it measured a cloud, and where points are at their own times. moving.py describes both. */
 
 #ifndef PC2SCAN_MOVING_H
 #define PC2SCAN_MOVING_H
@@ -6,13 +6,14 @@
 #include "arrays.h"
 #include "scan.h"
 
-/* Numbers below it can be multiplied and added up without becoming infinite, nor then NaN. */
+/* Products and sums of numbers below this do not become infinite or NaN. */
 #define TAME 1e18f
 
-/* A part of the time in which a cloud was measured. The transform in it is a polynomial of the time: start + s * (rate +
-   s * bend), with s from 0 to 1; each has twelve numbers, the rows of a rotation, then a translation. */
+/* A part of the time in which a cloud was measured. In it, the transform is a polynomial of the time: start + s *
+   (rate + s * bend), with s from 0 to 1. Each coefficient has twelve numbers: the rows of a rotation, then a
+   translation. */
 typedef struct {
-    /* A time belongs to the first part that ends at it or behind it. */
+    /* A time belongs to the first part that does not end before it. */
     double begin, end, scale;
     /* Whether there is a transform, and whether all of its numbers are below TAME. */
     int known, tame;
@@ -31,14 +32,14 @@ typedef struct {
     Py_ssize_t count;
     /* The part of the latest point. */
     Py_ssize_t part;
-    /* Points with coordinates that have no time, or no transform at their time. */
+    /* How many points with coordinates have no time, and how many have no transform at their time. */
     int64_t untimed, nowhere;
-    /* Points whose z is outside of these may have any x and y. */
+    /* If z of a moved point is outside these limits, its x and y may have any value. */
     float lowest, highest;
     /* Whether all points have times between those of the nodes, and all parts are known and tame. */
     int timed, whole;
-    /* z of all points at all times: a row times the point and a part of the translation, with an error of at most
-       slope * (|x| + |y| + |z|) + level. */
+    /* z of any point at any time is row[0] * x + row[1] * y + row[2] * z + row[3], with an error of at most slope *
+       (|x| + |y| + |z|) + level. */
     float row[4], slope, level;
 } Motion;
 
@@ -46,12 +47,12 @@ typedef struct {
 typedef struct {
     float x[PADDED], y[PADDED], z[PADDED], to_x[PADDED], to_y[PADDED], to_z[PADDED];
     double times[PADDED];
-    /* How many there are, and which points of their row, if they are chosen ones. */
+    /* For chosen points only: how many there are, and their numbers in their row. */
     int filled;
     int32_t number[PADDED];
 } Moved;
 
-/* Take a motion from Python: (times, offset, unit, node_times, rows); see plain.py. Release it even if that failed. */
+/* Take a motion from Python: a MovingTransform; see moving.py. It must be released even if this fails. */
 HIDDEN int take_motion(Motion *motion, const Cloud *cloud, PyObject *tuple);
 HIDDEN void release_motion(Motion *motion);
 

@@ -1,5 +1,6 @@
-/* The loops over points at their own times that do LANES points at once. moving.c includes this file once for eight and
-   once for sixteen lanes. Each lane rounds as the loops over single points do, so the number of lanes changes no bit. */
+/* The loops over points at their own times that do LANES points at once. moving.c includes this file twice: for
+   eight and for sixteen lanes. Each lane rounds like the loops over single points, so the number of lanes changes no
+   bit. */
 
 #if LANES == 8
 #define OF_LANES(name) name##_eight
@@ -41,7 +42,7 @@
 
 #define ALL_LANES ((1u << LANES) - 1)
 
-/* A row of twelve numbers times points, in float64. */
+/* Return one coordinate of points, transformed in float64. */
 INLINED_LOOP DOUBLES_TYPE OF_LANES(row_of)(const double *row, const double *offset, DOUBLES_TYPE x, DOUBLES_TYPE y,
                                            DOUBLES_TYPE z) {
     DOUBLES_TYPE sum = PD(mul)(PD(set1)(row[0]), x);
@@ -50,7 +51,7 @@ INLINED_LOOP DOUBLES_TYPE OF_LANES(row_of)(const double *row, const double *offs
     return PD(add)(sum, PD(set1)(*offset));
 }
 
-/* The same as move_one. */
+/* Do the same as move_one. */
 INLINED_LOOP FLOATS_TYPE OF_LANES(move)(const Part *part, int axis, FLOATS_TYPE x, FLOATS_TYPE y, FLOATS_TYPE z,
                                         FLOATS_TYPE s, const DOUBLES_TYPE wide[6]) {
     const FLOATS_TYPE along = OF_LANES(turn)(x, y, z, part->rate + 3 * axis, part->rate + 9 + axis);
@@ -62,13 +63,14 @@ INLINED_LOOP FLOATS_TYPE OF_LANES(move)(const Part *part, int axis, FLOATS_TYPE 
     return JOINED(NARROWED(PD(add)(low, WIDENED(LOWER(away)))), NARROWED(PD(add)(high, WIDENED(UPPER(away)))));
 }
 
-/* Seconds as a share of a part. */
+/* Return times as shares of a part, from 0 to 1. */
 INLINED_LOOP HALF_TYPE OF_LANES(share)(DOUBLES_TYPE times, DOUBLES_TYPE begin, DOUBLES_TYPE scale) {
     return NARROWED(PD(mul)(PD(sub)(times, begin), scale));
 }
 
-/* The same as move_run. What is written behind the last point is overwritten later. Where all lanes are too high or too
-   low, their x and y are not needed; 0 stands for them, unless they may be NaN, which counts first. */
+/* Do the same as move_run. What is written behind the last point is overwritten later. If all lanes are too high or
+   too low, their x and y are not needed: they are set to 0, unless they may be NaN, because NaN is counted before
+   height. */
 LOOP int OF_LANES(move_run)(const Part *part, Moved *block, int from, int end, float lowest, float highest) {
     const DOUBLES_TYPE begin = PD(set1)(part->begin), scale = PD(set1)(part->scale), close = PD(set1)(part->end);
     const FLOATS_TYPE least = PS(set1)(lowest), most = PS(set1)(highest), tame = PS(set1)(TAME);
@@ -98,8 +100,8 @@ LOOP int OF_LANES(move_run)(const Part *part, Moved *block, int from, int end, f
     return end;
 }
 
-/* Project a stretch of points of one row, as long as reading stays in front of the row's last point. Returns how many.
-   Points that are too high or too low wherever the sensor was are not moved. */
+/* Project a stretch of points of one row, without reading beyond its last one. Returns how many were projected.
+   Points that are too high or too low at any time of the cloud are not moved. */
 LOOP Py_ssize_t OF_LANES(load_moving)(Scan *scan, Motion *motion, const char *from, Py_ssize_t step, const char *times,
                                       Py_ssize_t count, Moved *block) {
     const FLOATS_TYPE lowest = PS(set1)((float)scan->rule.lowest), highest = PS(set1)((float)scan->rule.highest);

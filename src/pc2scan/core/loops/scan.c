@@ -1,10 +1,10 @@
-/* From a block of points to the beams of a scan. Loops without branches over squares, angles and bins, which compilers
-   turn into vector instructions; then the minimum of each bin. */
+/* Project a block of points to the beams of a scan. Loops without branches compute squares, angles and bins, so that
+   compilers use vector instructions. Then the minimum of each bin is taken. */
 
 #include "angles.h"
 #include "scan.h"
 
-/* Inlined, so that each rounding of angles has a function of its own: one for both took 4 % longer. */
+/* Inlined, so that each rounding of angles has a function of its own: a common one took 4 % longer. */
 INLINED void project_with(Scan *scan, const int glibc) {
     const Rule rule = scan->rule;
     const int count = scan->filled;
@@ -13,7 +13,7 @@ INLINED void project_with(Scan *scan, const int glibc) {
     double squares[BLOCK];
     float angle[BLOCK];
     int32_t bin[BLOCK], lost[REASONS] = {0, 0, 0};
-    /* float64 holds the squares of float32 exactly, and libm's hypotf adds them in float64. */
+    /* float64 represents squares of float32 exactly, and libm's hypotf adds them in float64. */
     for (int i = 0; i < count; i++) squares[i] = (double)scan->x[i] * scan->x[i] + (double)scan->y[i] * scan->y[i];
     if (glibc) glibc_angles_of(scan->x, scan->y, angle, count);
     else angles_of(scan->x, scan->y, angle, count);
@@ -23,7 +23,7 @@ INLINED void project_with(Scan *scan, const int glibc) {
         /* The angles from -float32(pi) to float32(pi) are more than one turn. */
         turned = turned >= rule.turn ? turned - rule.turn : turned;
         double quotient = (turned + rule.skew) / rule.increment;
-        /* Outside the sector the quotient may be beyond the integers. */
+        /* Outside the sector, the quotient may exceed the integers. */
         int32_t outside = (angle[i] < first) | (angle[i] > last) | (turned > rule.end);
         int32_t index = (int32_t)(outside ? 0.0 : quotient);
         index = index < beams ? index : behind;
@@ -63,7 +63,7 @@ void project_block(Scan *scan) {
     else project_correct(scan);
 }
 
-/* Drop points that are NaN or too high or low: from so many of them on, in place. */
+/* Drop the points from index `from` on that are NaN, too high or too low, in place. */
 WIDEST static void keep_level(Scan *scan, const int from, const int count) {
     const float lowest = (float)scan->rule.lowest, highest = (float)scan->rule.highest;
     float *restrict x = scan->x + from, *restrict y = scan->y + from;

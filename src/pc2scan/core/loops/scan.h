@@ -1,18 +1,18 @@
-/* A scan while points are projected to it: project.py and rule.py describe the rules. */
+/* A scan to which points are projected. project.py and rule.py describe the rules. */
 
 #ifndef PC2SCAN_SCAN_H
 #define PC2SCAN_SCAN_H
 
 #include "fields.h"
 
-/* What points are compared with: the array that rule.py makes and explains. */
+/* The limits of a scan: the array that rule.py makes and describes. */
 typedef struct {
     double lowest, highest, least, most;
     double first, last, offset, turn, end, skew, increment, closed;
     double glibc;
 } Rule;
 
-/* Bins behind those of the beams, for points that are rejected: one for each reason that is found this late. */
+/* Bins behind those of the beams, for rejected points: one for each reason that is found in the projection. */
 enum { PAST_END, OUTSIDE, TOO_FAR, REASONS };
 
 typedef struct {
@@ -33,10 +33,10 @@ typedef struct {
 /* Project the points of the block, and empty it. */
 HIDDEN void project_block(Scan *scan);
 
-/* Of the points of the block from so many on: keep those that are not NaN, too high or too low. */
+/* Of the points of the block, from index `from` on, drop those that are NaN, too high or too low. */
 HIDDEN void drop_by_height(Scan *scan, int from, int count);
 
-/* Project points at one transform, or none. */
+/* Project points with one transform, or without. */
 HIDDEN void load_rows(Scan *scan, const Axis axis[3], Py_ssize_t rows, Py_ssize_t columns, const float *transform);
 
 #endif

@@ -1,9 +1,9 @@
-/* The least and the largest value of a field: when the points of a cloud were measured. */
+/* The minimum and the maximum of a field: the time in which the points of a cloud were measured. */
 
 #include "arrays.h"
 #include "functions.h"
 
-/* Of the points whose x is not NaN. Values that are NaN or infinite are unknown. */
+/* Only points whose x is not NaN count. Values that are NaN or infinite are unknown. */
 typedef struct {
     double low, high;
     int64_t measured, unknown;
@@ -14,7 +14,7 @@ static void widen(Span *span, double low, double high) {
     span->high = high > span->high ? high : span->high;
 }
 
-/* Points of one row: any types. */
+/* Take points of one row, of any types. */
 static void widen_by_each(Span *span, const Axis *axis, const char *x, const Axis *field, const char *values,
                           Py_ssize_t count) {
     for (Py_ssize_t i = 0; i < count; i++, x += axis->step, values += field->step) {
@@ -27,8 +27,8 @@ static void widen_by_each(Span *span, const Axis *axis, const char *x, const Axi
 }
 
 #ifdef EIGHT
-/* Points of one row, eight at a time, as long as what is read of them stays in front of the last one; returns how many.
-   Integers are compared as signed ones: the highest bit of others is turned first. */
+/* Take points of one row, eight at a time, without reading beyond the last one. Returns how many were taken.
+   Integers are compared as signed ones: the highest bit of unsigned ones is inverted first. */
 EIGHT_WIDE static Py_ssize_t widen_by_integers(Span *span, const char *x, Py_ssize_t dx, const char *values, Py_ssize_t dv,
                                                Py_ssize_t count, int is_signed) {
     const __m256i turn = _mm256_set1_epi32(is_signed ? 0 : INT32_MIN);
@@ -48,7 +48,7 @@ EIGHT_WIDE static Py_ssize_t widen_by_integers(Span *span, const char *x, Py_ssi
     _mm256_storeu_si256((__m256i *)lows, _mm256_xor_si256(low, turn));
     _mm256_storeu_si256((__m256i *)highs, _mm256_xor_si256(high, turn));
     for (int k = 0; k < 8 && measured; k++)
-        /* Lanes without a point have kept what they began with: the lowest one is above the highest one. */
+        /* A lane without a point still has its initial values, of which the minimum is above the maximum. */
         if (is_signed ? lows[k] <= highs[k] : (uint32_t)lows[k] <= (uint32_t)highs[k])
             widen(span, is_signed ? lows[k] : (double)(uint32_t)lows[k], is_signed ? highs[k] : (double)(uint32_t)highs[k]);
     span->measured += measured;

@@ -3,16 +3,16 @@
 #include "arrays.h"
 #include "functions.h"
 
-/* A grid of log-odds that rays are drawn into; occupancy.py has the numbers. */
+/* Constants of a grid of log-odds, the same as in occupancy.py. */
 enum { UNKNOWN = -128, HIT = 17, MISS = -8, LOWEST = -40, HIGHEST = 70 };
 
-/* A cell's high byte is its log-odds, the low one the mark of the last scan that changed it. */
+/* The high byte of a cell is its log-odds, the low byte the mark of the last scan that changed it. */
 typedef struct {
     int16_t *cells;
     int mark;
 } Grid;
 
-/* A cell takes the first change of each scan. Without branches: whether another beam was here is hard to predict. */
+/* Change a cell, unless the same scan has changed it. Without branches, because whether it has is hard to predict. */
 INLINED void observe(const Grid *grid, int64_t place, const int change) {
     const int cell = grid->cells[place], odds = cell >> 8;
     int value = (odds == UNKNOWN ? 0 : odds) + change;
@@ -22,14 +22,14 @@ INLINED void observe(const Grid *grid, int64_t place, const int change) {
     grid->cells[place] = (int16_t)((cell & 255) == grid->mark ? cell : changed);
 }
 
-/* The cells of a line, by Bresenham's algorithm; the last one only if nothing was hit there. */
+/* Draw a line by Bresenham's algorithm. The last cell is free only if nothing was hit there. */
 static void draw_free(const Grid *grid, int64_t width, const int32_t *ray, int hit) {
     const int64_t dx = (int64_t)ray[2] - ray[0], dy = (int64_t)ray[3] - ray[1];
     const int64_t across = dx < 0 ? -dx : dx, up = dy < 0 ? -dy : dy;
     const int64_t along_x = dx < 0 ? -1 : 1, along_y = dy < 0 ? -width : width;
     const int64_t length = across > up ? across : up, other = across > up ? up : across;
     const int64_t step = across > up ? along_x : along_y, aside = across > up ? along_y : along_x;
-    /* Of each step: what is added if the line goes straight on, and if it also goes aside. */
+    /* For each step: what is added to the error if the line goes straight on, and if it also goes aside. */
     const int64_t straight = 2 * other, turned = 2 * other - 2 * length, both = step + aside;
     int64_t place = ray[1] * width + ray[0], error = length;
     for (int64_t left = length + !hit; left > 0; left--) {
@@ -67,7 +67,7 @@ PyObject *trace(PyObject *self, PyObject *args) {
     if (contiguous(hits_of, &hits, PyBUF_SIMPLE, 1, -1) < 0) goto release_cells;
     if (contiguous(rays_of, &rays, PyBUF_SIMPLE, 4, 4 * hits.len) < 0) goto release_hits;
     const Py_ssize_t size = cells.len / 2;
-    if (width < 1 || size % width || mark < 0 || mark > 255) PyErr_SetString(PyExc_ValueError, "the grid is not as wide as that, or the mark no byte");
+    if (width < 1 || size % width || mark < 0 || mark > 255) PyErr_SetString(PyExc_ValueError, "the size of the grid is not a multiple of its width, or the mark is not from 0 to 255");
     else if (!are_inside(rays.buf, hits.len, width, size / width))
         PyErr_SetString(PyExc_ValueError, "a ray leaves the grid");
     else {

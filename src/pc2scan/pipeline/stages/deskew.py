@@ -1,8 +1,8 @@
-"""Deskewing: each point is placed where it was at its own time, as seen at the scan's time.
+"""Deskewing: moves each point to where it was at its own time, as seen at the scan's time.
 
-Source of the rule: tf2's lookup with two times, ``lookupTransform(target, target_time, source, source_time, fixed)``: a
-point goes from its own frame to a frame that does not move at the time of the point, and from there to the target frame
-at the time of the scan.
+Source of the rule: tf2's lookup with two times, ``lookupTransform(target, target_time, source, source_time, fixed)``. A
+point is transformed from its own frame to a frame that does not move, at the point's time, and from there to the target
+frame, at the scan's time.
 """
 
 from __future__ import annotations
@@ -35,24 +35,24 @@ if TYPE_CHECKING:
 
 __all__ = ["NO_TIME", "NO_TRANSFORM", "STAMPS", "Deskew", "Moving", "PointTime", "Track"]
 
-#: Which time of a cloud its scan has.
+#: The time of a cloud that its scan gets.
 STAMPS = ("header", "start", "middle", "end")
 
-#: Seconds that a cloud may take, and that its points may be away from its stamp.
+#: The longest time between the first and the last point of a cloud, and between a point and the stamp, seconds.
 _LONGEST = 60.0
-#: Seconds below which the times of all points are the same.
+#: If the times of all points span less than this, they count as equal, seconds.
 _SHORTEST = 1e-9
 
-#: Nodes between which transforms are interpolated: at most so far apart, nanoseconds and radians. Transforms are looked
-#: up in the middle between two of them as well, so every millisecond. The rotation is off by 0.008 times the third
-#: power of that angle: at most 0.8 micrometres at 100 m.
+#: The maximum distance of two nodes between which transforms are interpolated, nanoseconds and radians. Transforms are
+#: also looked up in the middle between two nodes, so at least every millisecond. The error of the rotation is 0.008
+#: times the third power of the angle: at most 0.8 micrometres at 100 m.
 _STEP_NS = 2_000_000
 _STEP = 0.01
-#: The sum of the squared differences of two rotation matrices below which the angle is smaller, whatever rounding does.
+#: If the squared differences of two rotation matrices add up to less, the angle is below `_STEP` despite rounding.
 _SURELY = 8 * math.sin(_STEP / 2) ** 2 * (1 - 1e-9)
 _MOST_NODES = 20_000
 
-#: A time, and the stamps of a transform that is valid at any.
+#: Any time, and the stamps of a transform that is valid at all times.
 _ONCE, _ALWAYS = np.zeros(1, np.int64), np.empty(0, np.int64)
 #: The row of a transform that changes nothing.
 _IDENTITY = np.array([[1.0, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0]])
@@ -60,16 +60,16 @@ _IDENTITY = np.array([[1.0, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0]])
 
 @dataclass(frozen=True, slots=True)
 class PointTime:
-    """Where the times of points are.
+    """The source of the points' times.
 
     Attributes
     ----------
     field
-        Empty: the first of `TIME_FIELDS` that the cloud has.
+        The field with the times. Empty: the first of `TIME_FIELDS` that the cloud has.
     unit
-        ``s``, ``ms``, ``us`` or ``ns``. Empty: integers are nanoseconds, for others what they span decides.
+        ``s``, ``ms``, ``us`` or ``ns``. Empty: nanoseconds for integers; for other numbers, their span decides.
     turn
-        How the lidar turned, if its points have no times; None: ``field`` has them.
+        How the lidar turned, if its points have no times. None: the times are in ``field``.
     """
 
     field: str = ""
@@ -78,12 +78,12 @@ class PointTime:
 
     @classmethod
     def parse(cls, text: str) -> PointTime:
-        """Read ``FIELD``, ``FIELD:UNIT``, or what `Turn` reads.
+        """Parse ``FIELD``, ``FIELD:UNIT``, or the forms that `Turn` parses.
 
         Raises
         ------
         UsageError
-            If it is neither.
+            If the text has another form.
         """
         field, colon, unit = text.partition(":")
         if field == AZIMUTH:
@@ -96,12 +96,12 @@ class PointTime:
         return cls(field, unit)
 
     def field_of(self, points: Points) -> str:
-        """Return the field of a cloud.
+        """Return the name of a cloud's field with the times.
 
         Raises
         ------
         DecodeError
-            If it is not there.
+            If the cloud has none.
         """
         name = self.field or next((name for name in TIME_FIELDS if name in points.fields), "")
         if not name:
@@ -113,7 +113,7 @@ class PointTime:
 
 
 class _Times(Mapping[str, "NDArray[Any]"]):
-    """The field `TIME` of a cloud, on request: the loops over points read times as they are stored."""
+    """The field `TIME` of a cloud, computed on request: the loops over points read times as they are stored."""
 
     def __init__(self, points: Points, field: str, offset: float, unit: float) -> None:
         self._points = points
@@ -125,7 +125,7 @@ class _Times(Mapping[str, "NDArray[Any]"]):
         if name != TIME:
             raise KeyError(name)
         times = (self._points.field(self._field).astype(np.float64) - self._offset) * self._unit
-        # Some drivers give no time to points that they did not measure.
+        # Some drivers set no time for points without a return.
         times[~np.isfinite(times) | np.isnan(self._points.field("x"))] = np.nan
         return times
 
@@ -142,13 +142,13 @@ class Moving(NamedTuple):
     Attributes
     ----------
     points
-        With their own times as the field `TIME`.
+        With their own times in the field `TIME`.
     stamp_ns
-        The scan's.
+        The scan's stamp.
     transform
-        Takes the cloud's points to the target frame at the scan's time.
+        From the cloud's frame at the points' times to the target frame at the scan's time.
     time_field
-        The field that has the times.
+        The field with the times.
     frame_id
         The target frame.
     motion
@@ -163,7 +163,7 @@ class Moving(NamedTuple):
     motion: Motion
 
     def transform_of(self, points: Points) -> MovingTransform:
-        """Return the transform of these points, or of some of them."""
+        """Return the transform for these points, or for some of them."""
         return self.transform._replace(times=points.field(self.time_field))
 
     def place(self, points: Points) -> tuple[Points, NDArray[np.bool_] | None, dict[str, int]]:
@@ -174,9 +174,9 @@ class Moving(NamedTuple):
         Points
             In the target frame at the scan's time.
         (M,) or (H, W) bool
-            Which of them have a place; None if all have.
+            Which of them could be placed; None if all could.
         dict
-            How many have none because of `NO_TIME` and `NO_TRANSFORM`.
+            How many could not be placed, by the reasons `NO_TIME` and `NO_TRANSFORM`.
         """
         x, y, z = points.xyz()
         out = np.empty((x.size, 3), np.float32)
@@ -190,18 +190,18 @@ class Moving(NamedTuple):
 
 
 class Track(NamedTuple):
-    """Where the sensor of a cloud was in a frame that does not move, while its points were measured.
+    """The path of a cloud's sensor in a frame that does not move, while its points were measured.
 
     Attributes
     ----------
     points
-        With their own times as the field `TIME`.
+        With their own times in the field `TIME`.
     reference_ns
-        The time that a scan of this cloud alone has.
+        The stamp of a scan of this cloud alone.
     time_field, offset, unit, node_times, rows
-        See `Moving` and `MovingTransform`; the rows take points to the fixed frame.
+        See `Moving` and `MovingTransform`. The rows are transforms to the fixed frame.
     gap_ns
-        The longest time that transforms were interpolated over.
+        The longest time over which transforms were interpolated, nanoseconds.
     timed
         See `MovingTransform`.
     begin_ns, end_ns
@@ -233,14 +233,14 @@ class Track(NamedTuple):
         Parameters
         ----------
         target_from_fixed
-            That frame, at the scan's time.
+            The transform to that frame at the scan's time.
         reference
-            target_from_sensor, by transforms that follow each other, or the number of its row: how far the sensor moved
-            is measured from there.
+            The pose from which the motion is measured: target_from_sensor as a product of transforms, or the index of
+            its row.
         frame_id, stamp_ns
             The frame's name, and the scan's time.
         rows
-            What is overwritten with the result: ``self.rows`` if nobody needs them any more; None: a copy.
+            Overwritten with the result. Pass ``self.rows`` if they are not needed again. None: a copy is used.
         """
         rows = self.rows.copy() if rows is None else rows
         any_time = np.zeros(len(rows), np.int64)
@@ -252,7 +252,7 @@ class Track(NamedTuple):
 
 
 class Deskew:
-    """Finds out where the points of clouds are at their own times. Two that do it alike are equal.
+    """Looks up the motion of the sensor within clouds. Two instances with equal parameters are equal.
 
     Parameters
     ----------
@@ -261,11 +261,11 @@ class Deskew:
     fixed_frame
         A frame that does not move.
     point_time
-        Where the times of points are.
+        The source of the points' times.
     stamp
         One of `STAMPS`.
     turns
-        How the lidars of some topics turn, if that was measured.
+        How lidars turn, by topic, where this was measured.
     """
 
     __slots__ = ("_fixed", "_frames", "_point_time", "_stamp", "_turns")
@@ -285,14 +285,14 @@ class Deskew:
         self._turns = turns or {}
 
     def of(self, topic: str) -> Deskew:
-        """Return the same for one topic, with the turn that was measured of its lidar."""
+        """Return an instance for one topic, with the measured turn of its lidar."""
         turn = self._turns.get(topic)
         if turn is None:
             return self
         return Deskew(self._frames, self._fixed, PointTime(turn=turn), self._stamp)
 
     def within(self, frames: Frames) -> Deskew:
-        """Return the same with other frames."""
+        """Return an instance with other frames."""
         return Deskew(frames, self._fixed, self._point_time, self._stamp, self._turns)
 
     def __eq__(self, other: object) -> bool:
@@ -309,7 +309,7 @@ class Deskew:
         Raises
         ------
         DecodeError
-            If its points have no times, or these cannot be.
+            If its points have no times, or impossible ones.
         TransformError
             If there is no transform at the scan's time, or at none of the points' times.
         """
@@ -323,18 +323,18 @@ class Deskew:
         reference = {track.begin_ns: 0, track.end_ns: -1}.get(reference_ns, 1)
         if reference == 1 or math.isnan(track.rows[reference, 0]):
             reference = from_fixed, buffer.lookup(self._fixed, source, reference_ns, tolerance_ns)
-        # Nobody else has the rows.
+        # The rows are not needed again.
         return track.seen_from(from_fixed, reference, target, reference_ns, track.rows)
 
     def track(self, points: Points) -> Track | None:
-        """Look up where a cloud's sensor was in the fixed frame; None for a cloud without a point.
+        """Look up the path of a cloud's sensor in the fixed frame; None for a cloud without a point.
 
-        Points that have the field `TIME` were measured at these times: beams of a scan, which may all have the same.
+        If the points have the field `TIME`, it is used: they are beams of a scan, which may all have the same time.
 
         Raises
         ------
         DecodeError
-            If its points have no times, or these cannot be.
+            If its points have no times, or impossible ones.
         TransformError
             If there is no transform at any of the points' times.
         """
@@ -349,7 +349,9 @@ class Deskew:
             return None
         if unknown == measured:
             message = f"none of its points has a time: {name} is not finite"
-            raise DecodeError(message, stamp_ns=points.stamp_ns, hint="another field may have it: `point_time=FIELD`")
+            raise DecodeError(
+                message, stamp_ns=points.stamp_ns, hint="if another field has the times, name it: `point_time=FIELD`"
+            )
         whole = values.dtype.kind in "iu"
         offset, unit = 0.0, 1.0
         if not given:
@@ -369,13 +371,13 @@ class Deskew:
         buffer = self._known()
         source = self._frames.source_frame or points.frame_id
         measured_ns = begin_ns, end_ns
-        # Where the sensor was at the scan's time is needed as well.
+        # The pose at the scan's time is needed as well.
         if end_ns - begin_ns > 4 * _STEP_NS:
             begin_ns = reference_ns if 0 < begin_ns - reference_ns <= _STEP_NS else begin_ns
             end_ns = reference_ns if 0 < reference_ns - end_ns <= _STEP_NS else end_ns
         step_ns = max(_STEP_NS, (end_ns - begin_ns) // _MOST_NODES)
         stamps_ns, rows, gap_ns = buffer.rows(self._fixed, source, begin_ns, end_ns, step_ns, _step_ns)
-        # Nearly always there is a transform in the middle of the points' times.
+        # Checked first, because there nearly always is a transform in the middle of the points' times.
         if math.isnan(rows[2 * int(stamps_ns.searchsorted(sum(measured_ns) // 2)), 0]):
             nodes = np.flatnonzero((stamps_ns >= measured_ns[0]) & (stamps_ns <= measured_ns[1]))
             if np.isnan(rows[2 * nodes[0] : 2 * nodes[-1] + 1]).all():
@@ -391,39 +393,39 @@ class Deskew:
         return self._frames.buffer
 
     def _check(self, name: str, low: float, high: float, *, several: bool, stamp_ns: int) -> None:
-        """Refuse times that cannot be."""
-        message, hint = "", f"say where the times are, and in which unit: `point_time={name}:us`"
+        """Raise an error for impossible times."""
+        message, hint = "", f"name the field with the times, and their unit: `point_time={name}:us`"
         if high - low > _LONGEST:
             message = f"its points span {high - low:.6g} s by their field {name}, at most {_LONGEST:g} s are possible"
         elif low < -_LONGEST or high > _LONGEST:
             message = f"its points are {low:.6g} to {high:.6g} s after its stamp by their field {name}"
-            hint = "the times of the points are of another clock than the stamps"
+            hint = "the times of the points and the stamps come from different clocks"
         elif several and high - low < _SHORTEST:
-            message = f"its points have all the same time by their field {name}, {low:.6g} s after its stamp"
-            hint = "say where the times are: `point_time=FIELD`; a cloud that was measured at once needs no `deskew`"
+            message = f"its points all have the same time in their field {name}, {low:.6g} s after its stamp"
+            hint = "name the field with the times: `point_time=FIELD`; clouds measured at once need no `deskew`"
         if message:
             raise DecodeError(message, stamp_ns=stamp_ns, hint=hint)
 
 
 def _raise_why(buffer: TransformBuffer, fixed: str, source: str, time_ns: int) -> None:
-    """Raise the error of a lookup; the tolerance, which it offers, does not count for points."""
+    """Raise the error of a lookup, without its hint about the tolerance, which does not apply to points."""
     try:
         buffer.lookup(fixed, source, time_ns)
     except TransformError as err:
         err.hint = (
-            "no point of the cloud was measured while there were transforms; `start` and `end` leave such clouds out"
+            "no point of the cloud was measured while there were transforms; exclude such clouds by `start` and `end`"
         )
         raise
 
 
 def _step_ns(stamps_ns: NDArray[np.int64], rows: NDArray[np.float64]) -> int:
-    """How far nodes may be apart, given some of them and their rows, with those of the middles."""
+    """Return how far nodes may be apart, given some nodes, and their rows with those of the middles."""
     if kernel.apart(rows, None)[0] < _SURELY:
         return int(stamps_ns[-1] - stamps_ns[0])
     differences = rows[2::2, :9] - rows[:-2:2, :9]
-    # fmax ignores NaN.
+    # np.fmax ignores NaN.
     largest = float(np.fmax.reduce(np.einsum("ni,ni->n", differences, differences), initial=0.0))
-    # A rotation by an angle changes its matrix by the root of 8 times the sine of half of that.
+    # A rotation by an angle changes the matrix by sqrt(8) times the sine of half the angle.
     angle = 2 * math.asin(min(1.0, math.sqrt(largest / 8)))
     if angle <= _STEP:
         return int(stamps_ns[-1] - stamps_ns[0])
@@ -432,7 +434,7 @@ def _step_ns(stamps_ns: NDArray[np.int64], rows: NDArray[np.float64]) -> int:
 
 
 def _angles(differences: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The angles between rotations, radians, by the differences of their matrices (N, 9)."""
+    """Return the angles between rotations, radians, from the differences of their matrices (N, 9)."""
     sines = np.sqrt(np.einsum("ni,ni->n", differences, differences)) / math.sqrt(8)
     angles: NDArray[np.float64] = 2 * np.arcsin(np.minimum(sines, 1.0))
     return angles
