@@ -16,7 +16,7 @@ __all__ = ["ConcatenatedReader"]
 
 
 class ConcatenatedReader(MergedReader):
-    """All recordings of a file as one."""
+    """Reads all recordings of a file as one."""
 
     def __init__(self, readers: Sequence[Reader], log: DamageLog) -> None:
         super().__init__(readers)
@@ -24,7 +24,7 @@ class ConcatenatedReader(MergedReader):
 
     @staticmethod
     def _refuse(readers: Sequence[Reader]) -> None:
-        """Accept readers of one file, and of both ROS versions."""
+        """Accept several readers of one file, also with different ROS versions."""
 
     @property
     def damage(self) -> tuple[Damage, ...]:

@@ -98,7 +98,7 @@ class Destination(NamedTuple):
         return max(first, first_in_file), min(last, last_in_file)
 
     def same_kind(self, source: Summary) -> bool:
-        """Whether the source is in this kind of container, so that messages of any serialisation fit."""
+        """Return whether the source is in this kind of container, so that messages of any serialisation fit."""
         entry = FORMATS.get(source.container)
         return entry is not None and self.container == (entry.written_as or entry.name)
 
@@ -264,7 +264,7 @@ def named_after(
 
 
 def check_to(path: Path, to: str | None) -> None:
-    """Raise if a destination's name says another format than the one that was asked for.
+    """Raise if the suffix of a destination contradicts the requested format.
 
     Raises
     ------
@@ -314,7 +314,7 @@ def kept_form(path: Path, summaries: Sequence[Summary]) -> tuple[str | None, str
 
 
 def beside_recording(folder: Path) -> str:
-    """Return what a folder has in it beside a rosbag2 recording; empty for nothing."""
+    """Return what a folder has besides a rosbag2 recording; empty for nothing."""
     from .rosbag2 import metadata  # noqa: PLC0415  # it reads YAML, which few runs need
 
     return metadata.beside_recording(folder)

@@ -1,4 +1,4 @@
-"""Folders: which recordings are in one, and which files are the parts of one recording.
+"""Finds the recordings in a folder, and the files that are parts of one recording.
 
 A folder with a metadata.yaml is one recording. Without one, its files are one recording if they are parts:
 
@@ -42,8 +42,8 @@ __all__ = [
     "several_recordings",
 ]
 
-#: A recorder's threads may write a message late; parts of one recording have no more than this in common, and no more
-#: than half of the shorter one, though that may be shorter than a message is late.
+#: Maximum overlap of parts, since a recorder's threads may write a message late: at most this, and at most half of
+#: the shorter part, although such a part may be shorter than that delay.
 _MAX_COMMON_NS = 1_000_000_000
 _LATE_NS = 10_000_000
 #: A recorder begins a part when the last one is full, not later.
@@ -65,7 +65,7 @@ class _PartName(NamedTuple):
 
 
 def recordings_in(folder: Path) -> list[Path]:
-    """Return what is a recording by its name in a folder: files, and folders with a recording in them.
+    """Return the recordings in a folder, by their names: files, and folders with a recording.
 
     In natural order. Hidden files and folders are ignored.
     """
@@ -171,7 +171,7 @@ def refuse_unrelated(folder: Path, files: Sequence[Path], readers: Sequence[Read
 
 
 def _why_unrelated(files: Sequence[Path], readers: Sequence[Reader]) -> str:
-    """Say why files that are named as parts are none; empty if they may be parts."""
+    """Return why files that are named as parts cannot be parts; empty if they may be."""
     opened = [(file, reader) for file, reader in zip(files, readers, strict=True) if _has_messages(reader)]
     for (file, reader), (other, other_reader) in combinations(opened, 2):
         types, others = _types(reader), _types(other_reader)
@@ -231,7 +231,7 @@ def overlap_warnings(readers: Sequence[Reader]) -> list[str]:
 
 
 def _common_ns(reader: Reader, other: Reader) -> int:
-    """How long two recordings overlap; 0 for not at all, or where their times are unknown."""
+    """Return how long two recordings overlap; 0 if they do not, or if their times are unknown."""
     times = [time for each in (reader, other) for time in (each.summary.start_ns, each.summary.end_ns)]
     start_ns, end_ns, other_start_ns, other_end_ns = times
     if start_ns is None or end_ns is None or other_start_ns is None or other_end_ns is None:
@@ -240,13 +240,13 @@ def _common_ns(reader: Reader, other: Reader) -> int:
 
 
 def _allowed_ns(*readers: Reader) -> int:
-    """How long parts of one recording may overlap."""
+    """Return how long parts of one recording may overlap."""
     durations = [(each.summary.end_ns or 0) - (each.summary.start_ns or 0) for each in readers]
     return min(_MAX_COMMON_NS, max(_LATE_NS, min(durations) // 2))
 
 
 def _moving_topics(reader: Reader) -> set[str]:
-    """Topics with messages, without those that every part of a recording repeats."""
+    """Return topics with messages, without those that every part of a recording repeats."""
     return {
         connection.topic
         for connection in reader.connections

@@ -1,4 +1,4 @@
-"""The messages of a chunk that has very many of them, each made when its turn comes.
+"""The messages of a chunk with very many, each created when it is needed.
 
 A message without data takes 31 bytes in a chunk, next to none where it is compressed, and ten times as much as an
 object. So only the log times and the places of very many are kept.
@@ -19,26 +19,26 @@ __all__ = ["ITEM_BYTES", "MAX_TOGETHER", "Many", "kept", "mapped"]
 _Item = TypeVar("_Item")
 _Other = TypeVar("_Other")
 
-#: Messages of a chunk that are made at once. Chunks of usual sizes have fewer.
+#: Up to this number, the messages of a chunk are all created at once. Usual chunks have fewer.
 MAX_TOGETHER = 1 << 15
 
-#: What an item takes besides its data, bytes.
+#: Bytes that an item takes besides its data.
 ITEM_BYTES = 400
 
 
 class Many(Generic[_Item]):
-    """Items that are made of messages one by one; only the one made last is kept.
+    """Items that are created from messages one by one; only the last one is kept.
 
     Parameters
     ----------
     times
         Log times, ns.
     places
-        Where the messages are; as many.
+        The messages' positions, in the same order.
     make
-        Makes the item of a place. It is the same whenever it is made.
+        Creates the item at a position. Each call for a position gives an equal item.
     kept_bytes
-        What ``make`` keeps in memory.
+        Bytes that ``make`` keeps in memory.
     """
 
     __slots__ = ("_kept_bytes", "_last", "_make", "_places", "_times")
@@ -74,7 +74,7 @@ class Many(Generic[_Item]):
         return self._kept_bytes + sum(len(values) * values.itemsize for values in (self._times, self._places))
 
     def mapped(self, callback: Callable[[_Item], _Other], times: array[int] | None = None) -> Many[_Other]:
-        """Return what a callback makes of the items; with other log times, if it gives them some."""
+        """Return the callback's results for the items, with their log times or the given ones."""
         make = self._make
         times = self._times if times is None else times
         return Many(times, self._places, lambda place: callback(make(place)), self._kept_bytes)
@@ -86,11 +86,11 @@ class Many(Generic[_Item]):
         return Many(times, places, self._make, self._kept_bytes)
 
     def together(self) -> list[_Item] | Many[_Item]:
-        """Return all items, made, if they are few enough."""
+        """Return a list of all items if they are few enough; else itself."""
         return self if len(self) > MAX_TOGETHER else list(self)
 
     def in_time_order(self) -> Many[_Item]:
-        """Return the items sorted by log time; those of one time stay in their order."""
+        """Return the items sorted by log time; items with equal times keep their order."""
         times = self._times
         if all(map(le, times, islice(times, 1, None))):
             return self
@@ -104,7 +104,7 @@ def mapped(callback: Callable[[_Item], _Other], items: list[_Item]) -> list[_Oth
 @overload
 def mapped(callback: Callable[[_Item], _Other], items: list[_Item] | Many[_Item]) -> list[_Other] | Many[_Other]: ...
 def mapped(callback: Callable[[_Item], _Other], items: list[_Item] | Many[_Item]) -> list[_Other] | Many[_Other]:
-    """Return what a callback makes of items."""
+    """Return the callback's results for items."""
     return items.mapped(callback) if isinstance(items, Many) else list(map(callback, items))
 
 

@@ -19,10 +19,10 @@ __all__ = ["Cut", "Part", "SplitWriter", "narrowed", "part_name"]
 #: More files than this are a unit that was mistaken.
 _MOST_PARTS = 10_000
 
-#: Bytes that a message takes beside its data: its record, and its entry in an index.
+#: Bytes that a message takes besides its data: its record, and its entry in an index.
 _RECORD = 40
 
-#: Static transforms that are repeated, of one connection. A robot has some dozens.
+#: Maximum number of static transforms of one connection that are repeated. A robot has some dozens.
 _MOST_STATIC = 1_000
 
 
@@ -117,15 +117,15 @@ def _is_static(connection: Connection) -> bool:
 
 
 def _lasts(connection: Connection) -> bool:
-    """Whether the messages of a connection count until there are others."""
+    """Return whether messages of a connection stay valid until the next one: latched topics and static transforms."""
     return connection.latching or _is_static(connection)
 
 
 class SplitWriter:
     """Writes files one after the other, each with all connections and their ids; see `pc2scan.model.Writer`.
 
-    A message or a chunk is never divided. What is counted is the order and the size of messages before compression, so
-    that the files do not depend on threads.
+    A message or a chunk is never divided. The order of messages and their sizes before compression decide where a file
+    ends, so the files do not depend on threads.
 
     Parameters
     ----------
@@ -241,14 +241,14 @@ class SplitWriter:
             self._begin(log_time_ns)
 
     def _note(self, log_time_ns: int, size: int) -> None:
-        """Take note of what was written."""
+        """Note the time and size of a written message or chunk."""
         part = self.parts[-1]
         part.own += 1
         part.size += size
         self._cell = max(self._cell, self._cut.cell(log_time_ns))
 
     def _keep(self, kept: dict[bytes, int], handle: int, data: bytes, sequence: int) -> None:
-        """Keep a message that is to be repeated: the last one, of static transforms all that differ."""
+        """Keep a message to repeat it: the last one of a connection; of static transforms all that differ."""
         if handle not in self._all_last:
             kept.clear()
         # The latest is the last one in the order, too.
@@ -258,7 +258,7 @@ class SplitWriter:
             del kept[next(iter(kept))]
 
     def _begin(self, log_time_ns: int) -> None:
-        """Complete a part, and begin the next with the connections and what is repeated."""
+        """Complete a part, and begin the next one with the connections and the repeated messages."""
         number = self._cut.first + len(self.parts)
         if number >= _MOST_PARTS:
             raise UsageError(
@@ -277,7 +277,7 @@ class SplitWriter:
             self._writer.compress_ahead(self._pool)
         for handle, messages in self._lasting.items():
             for data, sequence in messages.items():
-                # As `rosbag record --repeat-latched` does: with their own times there would be a gap behind them.
+                # Like `rosbag record --repeat-latched`: with their own times, a gap would follow them.
                 try:
                     self._writer.write(handle, log_time_ns, data, log_time_ns, sequence)
                 except UnwritableError:

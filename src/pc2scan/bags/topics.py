@@ -63,12 +63,12 @@ def find_topics(asked: str, types: dict[str, set[str]], candidates: list[str], *
 
 
 def is_glob(name: str) -> bool:
-    """Whether a name has the characters of a glob; no topic of ROS has."""
+    """Return whether a name has characters of a glob, which ROS topics cannot have."""
     return any(character in name for character in "*?[")
 
 
 def matches(topic: str, patterns: Sequence[str]) -> bool:
-    """Whether a topic is one of the names or globs; a leading slash is no difference."""
+    """Return whether a topic matches one of the names or globs; a leading slash is ignored."""
     return any(
         topic == pattern or fnmatchcase(topic.removeprefix("/"), pattern.removeprefix("/")) for pattern in patterns
     )

@@ -45,10 +45,10 @@ MAX_OPEN_BYTES = 96 << 20
 #: The start of a unit with an unknown first log time: it is due at once.
 UNKNOWN_START_NS = -1 << 63
 
-#: Units may be loaded again up to so many times the size of all units, and a gigabyte.
+#: Limit for loading units again, as a multiple of the size of all units; a gigabyte is always allowed.
 _MAX_AGAIN = 4
 
-#: Messages that any recording may have, however few bytes it is stored in, and one more for each of these.
+#: Maximum number of messages in a recording, whatever its size; one more is allowed for each stored byte.
 _MAX_FREE_MESSAGES = 1_000_000
 
 #: Bytes that are announced to the system before they are read: it reads them while others are decompressed.
@@ -74,7 +74,7 @@ class Timed(Protocol):
 
 Item = TypeVar("Item", bound=Timed)
 
-#: What a unit is loaded as: items in the order of the file, or the chunk as a whole.
+#: The result of loading a unit: items in the order of the file, or the chunk as a whole.
 Loaded: TypeAlias = list[Item] | Many[Item] | StoredChunk
 
 
@@ -161,7 +161,7 @@ def loaded(unit: Unit, callback: Callable[[RawMessage], Item], *, whole: bool) -
 
 
 def when_due(units: Iterable[Unit], callback: Callable[[RawMessage], Item]) -> Generator[Handle]:
-    """Load each unit when its result is asked for."""
+    """Load each unit when its result is needed."""
     for unit in units:
         yield Handle(unit, partial(loaded, unit, callback, whole=unit.may_be_whole))
 

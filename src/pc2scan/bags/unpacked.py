@@ -95,11 +95,11 @@ class UnpackedReader(Reader):
         return self._inner.counts(connections, start_ns, stop_ns)
 
     def attachments(self) -> Iterator[Attachment]:
-        """Attachments of what is in it."""
+        """Return the attachments of the recording in it."""
         return self._inner.attachments()
 
     def metadata(self) -> Iterator[Metadata]:
-        """Metadata records of what is in it."""
+        """Return the metadata records of the recording in it."""
         return self._inner.metadata()
 
     def close(self) -> None:

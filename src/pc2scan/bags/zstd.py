@@ -86,7 +86,7 @@ def unpacked_file(path: Path, folder: Path, log: DamageLog) -> Path:
     Raises
     ------
     RecordingError
-        If there is no room for the result.
+        If there is not enough space for the result.
     """
     target = folder / without_suffix(path.name)
     with making_copy(path, folder):
@@ -181,7 +181,7 @@ def unpacked_messages(messages: Messages, log: DamageLog, place: int, path: Path
         return messages
     unpacked = partial(_unpacked, log, place, path)
     if isinstance(messages, list) and sum(map(_least_size, messages)) > MAX_UNPACKED:
-        # They take more memory than a chunk may: each is unpacked when its turn comes.
+        # Together they would take more memory than a chunk may, so each is decompressed when it is needed.
         packed = list(map(owned, messages))
         times = array("Q", (message.log_time_ns for message in packed))
         size = sum(message.size for message in packed)

@@ -1,1 +1,1 @@
-"""What containers that keep messages in chunks have in common."""
+"""Common parts of containers that store messages in chunks."""

@@ -1,4 +1,4 @@
-"""Compares the index entries of a chunk with its messages: each entry has the time and the place of a message.
+"""Compares the index entries of a chunk with its messages: each entry has the time and the offset of a message.
 
 Checksums do not detect wrong entries: ROS 1 bags have none, and a program may have changed messages and not the index.
 """
@@ -41,7 +41,7 @@ class EntryForm(NamedTuple):
 
 
 class IndexCheck(NamedTuple):
-    """The result of comparing index entries with their chunk, but for the number of messages.
+    """The result of comparing index entries with their chunk, except for the number of messages.
 
     Entries are compared before the chunk is scanned: that is nearly free, since the scan finds the messages' headers
     in the processor's cache. After the scan it costs up to 6 % of a conversion of small messages.
@@ -83,7 +83,7 @@ def entries_astray(records: Buffer, groups: Sequence[tuple[int, Buffer]], form: 
 def _few_astray(records: Buffer, groups: Sequence[tuple[int, Buffer]], form: EntryForm) -> int:
     entry, identity, id_at, time_at = form.entry, form.identity, form.id_at, form.time_at
     last = len(records) - max(id_at + identity.size, time_at + 8)
-    # As a rule the entries of a connection are in the order of its messages: then none is there twice.
+    # Usually the entries of a connection are in the order of its messages. Then no entry is repeated.
     for number, entries in groups:
         own = identity.pack(number)
         after = -1

@@ -57,7 +57,7 @@ class Salvaged(NamedTuple):
 def settled(
     messages: list[RawMessage] | Many[RawMessage], span: tuple[int, int]
 ) -> list[RawMessage] | Many[RawMessage]:
-    """Correct log times outside of those that the chunk declares to the nearest of these.
+    """Replace log times outside the range that the chunk declares by the nearest time in the range.
 
     If there are several of them, and all messages are in order by their own times, the declared times are wrong and
     no message is changed.

@@ -138,7 +138,7 @@ def counted(
     stop_ns: int | None,
     counts_between: Callable[[frozenset[int]], dict[int, int]],
 ) -> dict[int, int]:
-    """Count messages by what the file declares, and by its index what it does not declare, or in a cut.
+    """Count messages: by the counts that the file declares, or by its index if there are none or for a cut.
 
     Parameters
     ----------

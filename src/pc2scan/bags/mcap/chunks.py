@@ -26,7 +26,7 @@ __all__ = ["CHUNK_HEAD_SIZE", "ChunkSegment", "chunk_at", "payload", "stored_chu
 
 _Result = TypeVar("_Result")
 
-# Limit of the name of a compression; a longer one is damaged.
+# Maximum length of a compression's name. A longer one is damaged.
 _MAX_COMPRESSION_NAME = 64
 
 CHUNK_HEAD_SIZE = RECORD.size + CHUNK.size + _MAX_COMPRESSION_NAME + UINT64.size

@@ -1,4 +1,4 @@
-"""What the index of an MCAP file declares: its connections, its summary, and counts, compared with what there is."""
+"""Reads what the index of an MCAP file declares (connections, summary, counts), and compares it with the content."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def summary_of(index: McapIndex, file: RecordFile, log: DamageLog) -> Summary:
 
 
 def compare_counts(index: McapIndex, file: RecordFile, log: DamageLog) -> None:
-    """Note wrong counts and offsets in the summary, of everything but messages."""
+    """Note wrong counts and offsets in the summary, except those of messages."""
     statistics = index.statistics
     if log.found:
         return

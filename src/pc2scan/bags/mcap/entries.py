@@ -60,7 +60,7 @@ def index_entries(file: RecordFile, segment: ChunkSegment) -> Iterator[tuple[int
 
 
 def index_check(file: RecordFile, segment: ChunkSegment, records: Buffer, ids: Container[int]) -> IndexCheck:
-    """Compare the message indexes behind a chunk with it.
+    """Compare the message indexes after a chunk with the chunk.
 
     Parameters
     ----------

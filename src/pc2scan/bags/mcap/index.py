@@ -33,7 +33,7 @@ __all__ = ["RUN_SIZE", "McapIndex", "RecordWalk", "find_declarations", "find_ind
 
 _FOOTER_SIZE = RECORD.size + 20
 
-#: Limit of compared entries: they take more memory than space in the file.
+#: Maximum number of entries that are compared: in memory they are larger than in the file.
 _MAX_EXTRA_INDEXES = 10_000
 
 ExtraIndex = records.AttachmentIndex | records.MetadataIndex

@@ -79,7 +79,7 @@ def messages_in(
 
 
 def _many(data: memoryview, wanted: Mapping[int, Connection], start_ns: int, stop_ns: int) -> Many[RawMessage]:
-    """The messages among sound records, each made when its turn comes."""
+    """Return the messages among sound records, each created when it is needed."""
     times, places = array("Q"), array("Q")
     position, last = 0, len(data) - MESSAGE.size
     while position <= last:
@@ -100,7 +100,7 @@ def _stretch_of(
     further: Callable[[int], None] | None,
     position: int,
 ) -> Found:
-    """Scan records from a place on for so many bytes that they can be no more than `MAX_TOGETHER` messages."""
+    """Scan records from an offset on, so few bytes that they have at most `MAX_TOGETHER` messages."""
     astray: int | None = None
     first_ns, last_ns = span
     # One comparison for cut and span; only if it fails, the two are distinguished.

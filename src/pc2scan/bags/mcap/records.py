@@ -63,7 +63,7 @@ class RecordFile(SourceFile):
     """Reads records of an MCAP file; all errors are `RecordingError`."""
 
     def damage(self, message: str) -> DamageError:
-        """Make the error for a damaged file."""
+        """Return the error for a damaged file."""
         return DamageError(self.located(message), path=self.path, hint=RECOVER)
 
     def record(self, offset: int, opcode: Opcode) -> bytes:

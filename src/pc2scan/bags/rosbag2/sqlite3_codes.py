@@ -15,7 +15,7 @@ FULL = 13
 NOTADB = 26
 IOERR_SHORT_READ = 522
 
-#: What SQLite says of an error, which is the same in all of its versions: for Python 3.10.
+#: SQLite's messages for errors, which are the same in all of its versions. They are needed for Python 3.10.
 _CODES = {"disk I/O error": 10, "database or disk is full": FULL, "out of memory": 7, "interrupted": 9}
 
 

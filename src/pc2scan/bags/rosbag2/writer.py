@@ -120,7 +120,7 @@ class Rosbag2Writer:
 
         def open_part(file: Path) -> tuple[Writer, Callable[[Part | _File], None]]:
             storage, keep_info = open_storage(file, options)
-            # Each file says of itself what metadata.yaml says of all.
+            # Each file repeats metadata.yaml's content for itself.
             return storage, lambda part: keep_info(dump_yaml(self._info([part])).rstrip("\n"))
 
         self._split: SplitWriter | None = None
@@ -270,7 +270,7 @@ def write_info(folder: Path, info: Mapping[str, Any]) -> None:
 
 
 def joined_info(infos: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return what metadata.yaml says of the files of recordings that have the same topics and follow each other.
+    """Return the content of metadata.yaml for the files of recordings with the same topics that follow each other.
 
     Files without messages are not listed, unless there are no others.
     """
