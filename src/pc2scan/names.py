@@ -26,8 +26,8 @@ def nearest(asked: str, known: Iterable[str]) -> str | None:
     """
     import difflib  # noqa: PLC0415  # few commands are wrong, and all start quickly
 
-    names = {_plain(name): name for name in reversed(list(islice(known, _MOST))) if len(name) <= _LONGEST}
-    wanted = _plain(asked[:_LONGEST])
+    names = {_normalized(name): name for name in reversed(list(islice(known, _MOST))) if len(name) <= _LONGEST}
+    wanted = _normalized(asked[:_LONGEST])
     if not wanted:
         return None
     close = difflib.get_close_matches(wanted, names, n=1)
@@ -45,7 +45,7 @@ def did_you_mean(asked: str, known: Iterable[str]) -> str:
     return f"did you mean {name}?" if name else ""
 
 
-def _plain(name: str) -> str:
+def _normalized(name: str) -> str:
     return name.casefold().replace("-", "_").strip("/ ")
 
 

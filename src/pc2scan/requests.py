@@ -123,7 +123,7 @@ def conversion_of(
     """
     keywords = {**keywords, "filters": tuple(keywords.get("filters", ()))}
     settings = [
-        Setting(name, _plain(value), (origins or {}).get(name, CALL))
+        Setting(name, _python_value(value), (origins or {}).get(name, CALL))
         for name, value in keywords.items()
         if name in PARAMETERS
     ]
@@ -160,7 +160,7 @@ def _several_scans(keywords: Mapping[str, Any], settings: list[Setting], note: C
     found = load_scans(path_of("scans", scans) if isinstance(scans, str | PathLike) else scans, settings)
     _note_ignored(found.ignored, note)
     files = {f"{path.name} (from `scans`)": path for path in found.files}
-    return Conversion(_options(keywords, found.specs, _frames(keywords)), _named(keywords) | files)
+    return Conversion(_options(keywords, found.specs, _frames(keywords)), _named_files(keywords) | files)
 
 
 def _of_node(
@@ -197,11 +197,11 @@ def _of_node(
         reverse=resolved.reverse,
         channels=_channels(keywords.get("channels"), keywords.get("range_cutoff")),
         combining=Combining.of(**{name: keywords[name] for name in _COMBINING if name in keywords}),
-        filters=_filters(keywords, resolved),
+        filters=_point_filters(keywords, resolved),
         remove=_beam_filters(keywords.get("remove")),
         **{name: keywords[name] for name in _OF_A_SCAN if name in keywords},
     )
-    files = _named(keywords) | {f"{path.name} (from `params_file`)": path for path in resolved.files}
+    files = _named_files(keywords) | {f"{path.name} (from `params_file`)": path for path in resolved.files}
     return Conversion(_options(keywords, (scan,), frames), files)
 
 
@@ -222,7 +222,7 @@ def _options(keywords: Mapping[str, Any], scans: tuple[ScanSpec, ...], frames: F
     )
 
 
-def _named(keywords: Mapping[str, Any]) -> dict[str, Path]:
+def _named_files(keywords: Mapping[str, Any]) -> dict[str, Path]:
     """Return the files that keywords name and that are read, by keyword."""
     named = {name: keywords.get(name) for name in ("params_file", "static_tf_file")}
     return {f"`{name}`": path_of(name, path) for name, path in named.items() if path is not None}
@@ -264,14 +264,14 @@ def _resolved(keywords: Mapping[str, Any], settings: list[Setting], node: str | 
 def params_from_file(path: PathText, node: str | None, changes: Mapping[str, Any]) -> ProjectionParams:
     """See `pc2scan.ProjectionParams.from_file`."""
     refuse_unknown("ProjectionParams.from_file", changes, parameter_names())
-    settings = [Setting(name, _plain(value), CALL) for name, value in changes.items()]
+    settings = [Setting(name, _python_value(value), CALL) for name, value in changes.items()]
     resolved = resolve_sources(settings, file=path_of("params_file", path), node=node)
     if resolved.reverse:
         raise UsageError("its parameters are for laserscan_to_pointcloud", path=path)
     return resolved.params
 
 
-def _plain(value: object) -> object:
+def _python_value(value: object) -> object:
     """Return NumPy's scalars as Python's."""
     return value.item() if hasattr(value, "item") and getattr(value, "ndim", None) == 0 else value
 
@@ -365,7 +365,7 @@ def selection_of(
     )
 
 
-def _filters(keywords: Mapping[str, Any], resolved: ResolvedSources) -> tuple[Filter, ...]:
+def _point_filters(keywords: Mapping[str, Any], resolved: ResolvedSources) -> tuple[Filter, ...]:
     """Combine the arguments about points into filters."""
     conditions, boxes, polygons = (
         names_in(name, keywords.get(name)) for name in ("where", "exclude_box", "exclude_polygon")

@@ -40,7 +40,7 @@ class Shown:
     def __str__(self) -> str:
         lines: list[str] = []
         for part in self._shown():
-            lines += _text_of(part) if isinstance(part, Table) else [plain(part)]
+            lines += _table_text(part) if isinstance(part, Table) else [plain(part)]
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
@@ -55,7 +55,7 @@ class Shown:
             if text := "\n".join(lines).strip("\n"):
                 parts.append(f"<pre>{text}</pre>")
             lines.clear()
-            parts += _html_of(part) if part.columns else []
+            parts += _table_html(part) if part.columns else []
         return f"<div>{''.join(parts)}</div>"
 
 
@@ -139,7 +139,7 @@ def listed(entries: Sequence[str], label: str, most: int) -> Iterator[str]:
         yield f"{label}: {len(entries) - most:,} more"
 
 
-def _text_of(table: Table) -> Iterator[str]:
+def _table_text(table: Table) -> Iterator[str]:
     cells = [list(table.columns), *([plain(cell, _MAX_CELL) for cell in row] for row in table.rows)]
     widths = [max(len(line[i]) for line in cells) for i in range(len(table.columns))]
     for number, line in enumerate(cells):
@@ -152,7 +152,7 @@ def _text_of(table: Table) -> Iterator[str]:
             yield "-" * (sum(widths) + 3 * (len(widths) - 1))
 
 
-def _html_of(table: Table) -> Iterator[str]:
+def _table_html(table: Table) -> Iterator[str]:
     styles = [f' style="text-align: {"left" if name in table.left else "right"}"' for name in table.columns]
 
     def row(tag: str, cells: Sequence[str]) -> str:

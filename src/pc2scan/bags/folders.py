@@ -187,7 +187,7 @@ def _why_unrelated(files: Sequence[Path], readers: Sequence[Reader]) -> str:
         if end_ns - start_ns > _allowed_ns(reader, other_reader):
             return f"{other.name} does not begin where {file.name} ends"
         if start_ns - end_ns > _MAX_GAP_NS and _follows(file, other):
-            return f"{other.name} begins {_seconds(start_ns - end_ns)} after the end of {file.name}"
+            return f"{other.name} begins {_seconds_text(start_ns - end_ns)} after the end of {file.name}"
     return ""
 
 
@@ -224,7 +224,7 @@ def overlap_warnings(readers: Sequence[Reader]) -> list[str]:
     if not found:
         return []
     warning = (
-        f"{_named(list(found))} overlap in time, by up to {_seconds(longest_ns)}, on {_named(list(topics))}: their "
+        f"{_some(list(found))} overlap in time, by up to {_seconds_text(longest_ns)}, on {_some(list(topics))}: their "
         "messages are mixed into one recording; `each=True` converts each by itself"
     )
     return [warning]
@@ -265,12 +265,12 @@ def _has_messages(reader: Reader) -> bool:
     return reader.summary.message_count != 0
 
 
-def _named(names: Sequence[str]) -> str:
+def _some(names: Sequence[str]) -> str:
     more = len(names) - _MAX_NAMED
     if more > 0:
         return f"{', '.join(names[:_MAX_NAMED])} and {more} more"
     return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
 
 
-def _seconds(duration_ns: int) -> str:
+def _seconds_text(duration_ns: int) -> str:
     return f"{duration_ns / 1e9:,.3f} s"

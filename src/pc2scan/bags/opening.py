@@ -168,7 +168,7 @@ def _recognised(head: bytes, path: Path, state: str = "") -> str:
         raise RecordingError(f"is cut off after {len(head)} bytes: there is nothing to recover{state}", path=path)
     if head.startswith(b"#ROSBAG V1"):
         raise RecordingError(
-            f"is a ROS bag of version {_shown(head[9:12])}{state}, only 2.0 can be read",
+            f"is a ROS bag of version {_printable(head[9:12])}{state}, only 2.0 can be read",
             path=path,
             hint="ROS 1's rosbag reindex converts it",
         )
@@ -182,10 +182,10 @@ def _recognised(head: bytes, path: Path, state: str = "") -> str:
     for magic, description in _LOOKALIKES.items():
         if head.startswith(magic):
             raise RecordingError(f"is not a recording: it is {description}{state}", path=path, hint=readable)
-    raise RecordingError(f"is not a recording: it begins with {_shown(head[:16])}{state}", path=path, hint=readable)
+    raise RecordingError(f"is not a recording: it begins with {_printable(head[:16])}{state}", path=path, hint=readable)
 
 
-def _shown(head: bytes) -> str:
+def _printable(head: bytes) -> str:
     """Bytes of unknown origin for a terminal: printable ASCII as it is, everything else escaped."""
     return repr(head)[1:]
 

@@ -179,7 +179,7 @@ def unpacked_messages(messages: Messages, log: DamageLog, place: int, path: Path
     """
     if not messages or not (is_frame(messages[0]) or is_frame(messages[-1])):
         return messages
-    unpacked = partial(_unpacked, log, place, path)
+    unpacked = partial(_decompressed_message, log, place, path)
     if isinstance(messages, list) and sum(map(_least_size, messages)) > MAX_UNPACKED:
         # Together they would take more memory than a chunk may, so each is decompressed when it is needed.
         packed = list(map(owned, messages))
@@ -192,7 +192,7 @@ def unpacked_messages(messages: Messages, log: DamageLog, place: int, path: Path
     return [message for message in map(unpacked, messages) if message is not None]
 
 
-def _unpacked(log: DamageLog, place: int, path: Path, message: RawMessage) -> RawMessage | None:
+def _decompressed_message(log: DamageLog, place: int, path: Path, message: RawMessage) -> RawMessage | None:
     """Unpack a message; None, and a note, if that is not possible."""
     if message.connection.serialization != "cdr":
         return message

@@ -79,11 +79,11 @@ class Choices:
                     request = request_of(keywords, origins)
                     self._made[numbers] = Choice(request, request.digest())
                 except UsageError as err:
-                    self._place(err, numbers, origins)
+                    self._add_origin(err, numbers, origins)
                     raise
         return self._made[numbers]
 
-    def _place(self, err: UsageError, numbers: tuple[int, ...], origins: Mapping[str, str]) -> None:
+    def _add_origin(self, err: UsageError, numbers: tuple[int, ...], origins: Mapping[str, str]) -> None:
         """Add the line of the dataset file that has the wrong option to the message."""
         if not numbers or any(origin in err.message for origin in origins.values()):
             return

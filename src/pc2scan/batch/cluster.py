@@ -113,10 +113,10 @@ def execute_on_dask(jobs: Sequence[Job], address: str, *, workers: int, cores: i
             yield Information(f"{address} has no worker yet; the batch begins when one joins")
             client.wait_for_workers(1)
         _check_workers(client, jobs)
-        yield from _run(client, jobs, retries)
+        yield from _run_jobs(client, jobs, retries)
 
 
-def _run(client: Any, jobs: Sequence[Job], retries: int) -> Generator[Event]:
+def _run_jobs(client: Any, jobs: Sequence[Job], retries: int) -> Generator[Event]:
     """Submit all jobs, and yield what happens until all are done."""
     inbox: SimpleQueue[tuple[str, str, Any]] = SimpleQueue()
     topic = f"pc2scan-{uuid4().hex}"
@@ -134,7 +134,13 @@ def _run(client: Any, jobs: Sequence[Job], retries: int) -> Generator[Event]:
                 left[job.key] = job
                 number = next(numbers)
                 future = client.submit(
-                    _convert, job, __version__, topic, key=f"{topic}-{number}", retries=retries, priority=-number
+                    _convert_on_worker,
+                    job,
+                    __version__,
+                    topic,
+                    key=f"{topic}-{number}",
+                    retries=retries,
+                    priority=-number,
                 )
                 futures[job.key] = future
                 future.add_done_callback(lambda future, key=job.key: inbox.put(("done", key, future)))
@@ -216,7 +222,7 @@ def _result(job: Job, future: Any, seconds: float) -> Result:
     return answer.result
 
 
-def _convert(job: Job, version: str, topic: str) -> _Answer:
+def _convert_on_worker(job: Job, version: str, topic: str) -> _Answer:
     """Convert a recording: runs on a worker, in one of its threads."""
     from distributed import Status, get_worker  # noqa: PLC0415  # an extra
 
@@ -242,7 +248,9 @@ def _convert(job: Job, version: str, topic: str) -> _Answer:
     worker.log_event(topic, ("began", job.key, None))
     try:
         while True:
-            result = _converted(job, threads, check, lambda what: worker.log_event(topic, ("progress", job.key, what)))
+            result = _convert_in_process(
+                job, threads, check, lambda what: worker.log_event(topic, ("progress", job.key, what))
+            )
             error = result.error or {}
             # The process of an earlier attempt may still hold the output. It ends soon after its worker was killed.
             if "being written by another run" not in error.get("message", "") or time.monotonic() > deadline:
@@ -266,7 +274,7 @@ def _is_there(folder: Path) -> bool:
     return folder.is_dir()
 
 
-def _converted(job: Job, threads: int, check: Any, tell: Any) -> Result:
+def _convert_in_process(job: Job, threads: int, check: Any, tell: Any) -> Result:
     last = 0.0
     with (
         jobs_here([job], workers=1) as queue,

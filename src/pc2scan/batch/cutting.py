@@ -128,7 +128,7 @@ def in_pieces(executor: Executor, piece_bytes: int | None = None) -> Executor:
         recordings: dict[str, _Recording] = {}
         for job in jobs:
             if _cuttable(job, size):
-                step = replace(job, key=_key(job, "index"), step=_Cut(size))
+                step = replace(job, key=_step_key(job, "index"), step=_Cut(size))
                 recordings[step.key] = _Recording(job, todo, recordings)
                 todo.append(step)
             else:
@@ -247,7 +247,7 @@ class _Recording:
 
     def _after(self, key: str, result: Result) -> Generator[Event]:
         """Continue after a step."""
-        if key == _key(self.job, "index"):
+        if key == _step_key(self.job, "index"):
             self._cut(result)
             return
         if result.identity != self.identity:
@@ -295,7 +295,7 @@ class _Recording:
         self.next = self._transforms_read
 
     def _add(self, name: str, step: _Transforms | _Convert, destination: Path) -> str:
-        key = _key(self.job, name)
+        key = _step_key(self.job, name)
         self.owners[key] = self
         self.waiting.add(key)
         self.todo.append(
@@ -327,7 +327,7 @@ class _Recording:
 
     def _converted(self) -> Iterator[Event]:
         """Join the pieces if their files have the numbers that one conversion would give; convert the others again."""
-        made: list[Made] = [self.made[_key(self.job, piece.folder.name)] for piece in self.pieces]
+        made: list[Made] = [self.made[_step_key(self.job, piece.folder.name)] for piece in self.pieces]
         self.numbered += 1
         if not made[0].file_count and len(made) > 1:
             # The first piece has no message. The first file of one conversion begins with the first message, so
@@ -387,7 +387,7 @@ class _Recording:
         return Ended(replace(result, key=self.job.key, started=started, seconds=seconds, attempts=self.attempts))
 
 
-def _key(job: Job, step: str) -> str:
+def _step_key(job: Job, step: str) -> str:
     return f"{job.key}: {step}"
 
 

@@ -67,7 +67,7 @@ class Found:
     error: Pc2ScanError | None = None
 
 
-class _Place(NamedTuple):
+class _Candidate(NamedTuple):
     """A path, the folder that its key is relative to, and whether the user named it.
 
     A path that a user names and that is not a recording is an error; one that was found in a folder is ignored.
@@ -129,22 +129,24 @@ def find(
         If a folder to be searched is in ``out``, a glob matches nothing, or two recordings would have one key.
     """
     stores = Stores(None) if stores is None else stores
-    search = _Search(_id(out), known or (lambda _path, _identity: ""), frozenset(map(_absolute, outputs)), stores)
+    search = _Search(
+        _device_and_inode(out), known or (lambda _path, _identity: ""), frozenset(map(_absolute, outputs)), stores
+    )
     found: list[Found] = []
-    for places in _gathered(sources, out, stores):
+    for candidates in _candidates(sources, out, stores):
         named: dict[Path, list[Found]] = {}
-        for place in places:
-            if place.named:
-                named.setdefault(place.path.parent, []).extend(_in_place(place, search))
+        for candidate in candidates:
+            if candidate.named:
+                named.setdefault(candidate.path.parent, []).extend(_search_candidate(candidate, search))
             else:
-                found += _in_place(place, search)
+                found += _search_candidate(candidate, search)
         for files in named.values():
-            found += _joined(files, search)
-    return sorted(_distinct(found), key=lambda each: _natural(each.key))
+            found += _with_joined_parts(files, search)
+    return sorted(_with_unique_keys(found), key=lambda each: _natural_key(each.key))
 
 
-def _gathered(sources: Sequence[str], out: Path, stores: Stores) -> Iterator[Iterable[_Place]]:
-    """Yield the places of the sources, grouped by root; that of single files is the folder that contains them all."""
+def _candidates(sources: Sequence[str], out: Path, stores: Stores) -> Iterator[Iterable[_Candidate]]:
+    """Yield the candidates of the sources by root; that of single files is the folder that contains them all."""
     files: list[Path] = []
     for source in sources:
         text = stores.located(source)
@@ -152,36 +154,38 @@ def _gathered(sources: Sequence[str], out: Path, stores: Stores) -> Iterator[Ite
         if path.is_dir():
             _refuse_inside(path, out)
             yield (
-                [_Place(path, path, named=False)] if not _is_rosbag2(path) else [_Place(path, path.parent, named=True)]
+                [_Candidate(path, path, named=False)]
+                if not _is_rosbag2(path)
+                else [_Candidate(path, path.parent, named=True)]
             )
         elif path.exists():
-            if (listed := _listed(path, stores)) is None:
+            if (listed := _paths_in_list(path, stores)) is None:
                 files.append(path)
             else:
-                yield from _at_all(listed, out, stores, searching=f"{path}: ")
+                yield from _candidates_at(listed, out, stores, searching=f"{path}: ")
         elif _GLOB & set(text):
             matches = sorted(glob.glob(text, recursive=True))  # noqa: PTH207  # the text may be absolute
             if not matches:
                 raise UsageError(f"{source!r} matches nothing")
             yield [
-                _Place(Path(match), _literal_part(text), named=not os.path.isdir(match))  # noqa: PTH112
+                _Candidate(Path(match), _literal_part(text), named=not os.path.isdir(match))  # noqa: PTH112
                 for match in matches
                 if not os.path.isdir(match) or _is_rosbag2(Path(match))  # noqa: PTH112
             ]
         else:
             # The path does not exist: raises an error with a suggestion.
             sniff(path)
-    yield from _at_all(files, out, stores)
+    yield from _candidates_at(files, out, stores)
 
 
-def _at_all(paths: Sequence[Path], out: Path, stores: Stores, searching: str = "") -> Iterator[list[_Place]]:
-    """Yield places for paths that were named one by one: local ones first, then those at URLs."""
+def _candidates_at(paths: Sequence[Path], out: Path, stores: Stores, searching: str = "") -> Iterator[list[_Candidate]]:
+    """Yield candidates for paths that were named one by one: local ones first, then those at URLs."""
     for remote in (False, True):
-        yield from _paths([path for path in paths if stores.is_remote(path) == remote], out, searching)
+        yield from _candidates_below([path for path in paths if stores.is_remote(path) == remote], out, searching)
 
 
-def _paths(paths: Sequence[Path], out: Path, searching: str = "") -> Iterator[list[_Place]]:
-    """Yield places for paths that were named one by one; keys are relative to the folder that contains them all."""
+def _candidates_below(paths: Sequence[Path], out: Path, searching: str = "") -> Iterator[list[_Candidate]]:
+    """Yield candidates for paths that were named one by one; keys are relative to the folder that contains them all."""
     if not paths:
         return
     parents = [os.path.abspath(path.parent) for path in paths]  # noqa: PTH100  # links keep their names
@@ -189,17 +193,17 @@ def _paths(paths: Sequence[Path], out: Path, searching: str = "") -> Iterator[li
         root = Path(os.path.commonpath(parents))
     except ValueError:
         # On different drives (Windows): there is no common folder.
-        yield from ([places] for path in paths for (places,) in _paths([path], out, searching))
+        yield from ([candidates] for path in paths for (candidates,) in _candidates_below([path], out, searching))
         return
-    places = []
+    candidates = []
     for path in paths:
         if path.is_dir() and not _is_rosbag2(path):
             if searching:
                 _refuse_inside(path, out)
-            places.append(_Place(path, root, named=False))
+            candidates.append(_Candidate(path, root, named=False))
         else:
-            places.append(_Place(path, root, named=True))
-    yield places
+            candidates.append(_Candidate(path, root, named=True))
+    yield candidates
 
 
 def _literal_part(pattern: str) -> Path:
@@ -212,7 +216,7 @@ def _literal_part(pattern: str) -> Path:
     return Path(*parts)
 
 
-def _listed(path: Path, stores: Stores) -> list[Path] | None:
+def _paths_in_list(path: Path, stores: Stores) -> list[Path] | None:
     """Return the paths in a text file; None if it is not a list of paths."""
     if is_named_as_recording(path.name):
         return None
@@ -234,20 +238,20 @@ def _listed(path: Path, stores: Stores) -> list[Path] | None:
     return paths if any(map(os.path.lexists, paths)) else None
 
 
-def _in_place(place: _Place, search: _Search) -> Iterator[Found]:
-    path = place.path
-    if path.is_dir() and not place.named:
-        yield from _in_folder(path, place.root, search)
+def _search_candidate(candidate: _Candidate, search: _Search) -> Iterator[Found]:
+    path = candidate.path
+    if path.is_dir() and not candidate.named:
+        yield from _search_folder(path, candidate.root, search)
         return
     if _absolute(path) in search.outputs or not _is_new(path, search):
         return
-    key = _key(path, place.root)
-    yield from _judged(path, key, search, named=True)
+    key = _key_of(path, candidate.root)
+    yield from _recognised(path, key, search, named=True)
 
 
-def _in_folder(folder: Path, root: Path, search: _Search) -> Iterator[Found]:
+def _search_folder(folder: Path, root: Path, search: _Search) -> Iterator[Found]:
     """Find the recordings in a folder and its subfolders."""
-    identity = _id(folder)
+    identity = _device_and_inode(folder)
     if identity is None or identity == search.out or identity in search.folders:
         return
     search.folders.add(identity)
@@ -256,7 +260,7 @@ def _in_folder(folder: Path, root: Path, search: _Search) -> Iterator[Found]:
             listed = sorted((entry for entry in entries if not entry.name.startswith(".")), key=_entry_order)
     except OSError as err:
         error = RecordingError(f"cannot be searched: {err.strerror}", path=folder)
-        yield Found(_key(folder, root) or folder.name, (folder,), "", Identity(), error)
+        yield Found(_key_of(folder, root) or folder.name, (folder,), "", Identity(), error)
         return
     files: list[Found] = []
     for entry in listed:
@@ -266,19 +270,19 @@ def _in_folder(folder: Path, root: Path, search: _Search) -> Iterator[Found]:
         if entry.is_dir():
             if _is_rosbag2(path, search):
                 if _is_new(path, search):
-                    yield from _judged(path, _key(path, root), search, named=True)
+                    yield from _recognised(path, _key_of(path, root), search, named=True)
             else:
-                yield from _in_folder(path, root, search)
+                yield from _search_folder(path, root, search)
         elif entry.is_file():
             if _is_new(path, search):
-                files += _judged(path, _key(path, root), search, named=is_named_as_recording(entry.name))
+                files += _recognised(path, _key_of(path, root), search, named=is_named_as_recording(entry.name))
         elif entry.is_symlink() and is_named_as_recording(entry.name):
             # A broken link.
-            files += _judged(path, _key(path, root), search, named=True)
-    yield from _joined(files, search)
+            files += _recognised(path, _key_of(path, root), search, named=True)
+    yield from _with_joined_parts(files, search)
 
 
-def _judged(path: Path, key: str, search: _Search, *, named: bool) -> Iterator[Found]:
+def _recognised(path: Path, key: str, search: _Search, *, named: bool) -> Iterator[Found]:
     """Yield a file or a rosbag2 directory if it is a recording; if not, yield it with an error if it is ``named``."""
     identity = identity_of([path])
     if container := search.known(_absolute(path), identity):
@@ -296,7 +300,7 @@ def _judged(path: Path, key: str, search: _Search, *, named: bool) -> Iterator[F
         yield Found(key, (path,), container, identity)
 
 
-def _joined(found: Sequence[Found], search: _Search) -> Iterator[Found]:
+def _with_joined_parts(found: Sequence[Found], search: _Search) -> Iterator[Found]:
     """Join the parts of split recordings."""
     by_path = {each.paths[0]: each for each in found if each.container}
     joined: dict[Path, Found] = {}
@@ -360,7 +364,7 @@ def _known_chains(group: Sequence[Found], search: _Search) -> list[list[Found]]:
     return chains
 
 
-def _distinct(found: Sequence[Found]) -> Iterator[Found]:
+def _with_unique_keys(found: Sequence[Found]) -> Iterator[Found]:
     """Make the keys of recordings from several sources unique: prefix them with the folders that they were found in."""
     by_key: dict[str, list[Found]] = {}
     for each in found:
@@ -416,7 +420,7 @@ def _is_new(path: Path, search: _Search) -> bool:
     return is_new
 
 
-def _id(path: Path) -> tuple[int, int] | None:
+def _device_and_inode(path: Path) -> tuple[int, int] | None:
     try:
         status = os.stat(path)  # noqa: PTH116
     except OSError:
@@ -428,7 +432,7 @@ def _absolute(path: Path) -> Path:
     return Path(os.path.abspath(path))  # noqa: PTH100  # links keep their names
 
 
-def _key(path: Path, root: Path) -> str:
+def _key_of(path: Path, root: Path) -> str:
     return os.path.relpath(path, root).replace(os.sep, "/").removeprefix("./")
 
 
@@ -436,5 +440,5 @@ def _entry_order(entry: os.DirEntry[str]) -> list[int | str]:
     return natural_order(Path(entry.name))
 
 
-def _natural(key: str) -> list[list[int | str]]:
+def _natural_key(key: str) -> list[list[int | str]]:
     return [natural_order(Path(part)) for part in key.split("/")]

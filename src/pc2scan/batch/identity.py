@@ -60,7 +60,7 @@ def identity_of(paths: Iterable[Path]) -> Identity:
     for path in paths:
         try:
             # os.path is faster than Path, which matters for thousands of recordings.
-            found += _in_folder(path) if os.path.isdir(path) else _alone(path)  # noqa: PTH112
+            found += _files_in(path) if os.path.isdir(path) else _file_and_logs(path)  # noqa: PTH112
         except OSError:
             continue
     return Identity(tuple(found))
@@ -70,14 +70,14 @@ def _file(name: str, status: os.stat_result, path: str) -> tuple[str, int, int |
     return name, status.st_size, versions.get(path, status.st_mtime_ns)
 
 
-def _alone(path: Path) -> list[tuple[str, int, int | str]]:
+def _file_and_logs(path: Path) -> list[tuple[str, int, int | str]]:
     """Return the entries of a file and of the logs beside a database: a running recorder may write only to the logs."""
     found = [_file(path.name, os.stat(path), str(path))]  # noqa: PTH116
     logs = filter(None, (file_beside(path, suffix) for suffix in ("-wal", "-journal")))
     return found + [_file(log.name, log.stat(), str(log)) for log in logs if log.stat().st_size]
 
 
-def _in_folder(folder: Path) -> list[tuple[str, int, int | str]]:
+def _files_in(folder: Path) -> list[tuple[str, int, int | str]]:
     """Return the files in a folder and its subfolders; very many (one for each cloud) are summed up in one entry."""
     found = []
     for place, folders, names in os.walk(folder):

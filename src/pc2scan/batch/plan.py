@@ -121,7 +121,9 @@ def destinations(found: Sequence[Found], choices: Mapping[str, Choice]) -> dict[
     source becomes a part of its name: ``drive_bag_scan.mcap``.
     """
     requests = {key: choice.request for key, choice in choices.items() if choice.request is not None}
-    named = {each.key: _name(each, requests[each.key]) for each in found if each.container and each.key in requests}
+    named = {
+        each.key: _result_name(each, requests[each.key]) for each in found if each.container and each.key in requests
+    }
     taken: dict[str, list[str]] = {}
     for key, name in named.items():
         taken.setdefault(name.casefold(), []).append(key)
@@ -129,11 +131,11 @@ def destinations(found: Sequence[Found], choices: Mapping[str, Choice]) -> dict[
     for keys in taken.values():
         if len(keys) > 1:
             for key in keys:
-                named[key] = _name(by_key[key], requests[key], distinct=True)
+                named[key] = _result_name(by_key[key], requests[key], distinct=True)
     return named
 
 
-def _name(found: Found, request: Request, *, distinct: bool = False) -> str:
+def _result_name(found: Found, request: Request, *, distinct: bool = False) -> str:
     source = Path(found.key)
     suffix = f"_{source.suffix[1:] or 'folder'}" if distinct else ""
     mark, to = ("", "rosbag2") if request.export is not None else ("_scan", request.output.to)

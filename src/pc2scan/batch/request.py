@@ -71,14 +71,14 @@ class Request:
         }
         if self.output.cut is not None:
             output["cut"] = asdict(self.output.cut)
-        others = [_identity(path).as_json() for path in options.frames.tf_from]
+        others = [_source_identity(path).as_json() for path in options.frames.tf_from]
         if self.export is not None:
             output["export"] = _canonical(replace(self.export, overwrite=False))
         whole = json_value({"options": _canonical(options), "output": output, "tf_from": others})
         return hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()[:32]
 
 
-def _identity(path: Path) -> Identity:
+def _source_identity(path: Path) -> Identity:
     """Return the identity of a recording that transforms are taken from."""
     if not is_url(path):
         return identity_of([path])
@@ -120,13 +120,13 @@ def request_of(keywords: Mapping[str, Any], origins: Mapping[str, str] | None = 
         return {name: given.pop(name) for name in names if name in given}
 
     export = _export(take(_EXPORT), given)
-    cut = _cut(take(_SPLIT))
+    cut = _read_cut(take(_SPLIT))
     output = OutputOptions(**take(_OUTPUT), like_source=True, cut=cut)
     notes: list[str] = []
     asked = conversion_of(given, origins, notes.append)
     # Absolute: another process may have another current folder.
-    frames = replace(asked.options.frames, tf_from=tuple(map(_absolute, asked.options.frames.tf_from)))
-    files = {name: _absolute(path) for name, path in asked.files.items()}
+    frames = replace(asked.options.frames, tf_from=tuple(map(_absolute_path, asked.options.frames.tf_from)))
+    files = {name: _absolute_path(path) for name, path in asked.files.items()}
     return Request(replace(asked.options, frames=frames), output, files, tuple(notes), export)
 
 
@@ -153,11 +153,11 @@ def _export(asked: Mapping[str, Any], others: Mapping[str, Any]) -> ExportOption
     return ExportOptions(format=name, poses=poses, converting=bool(making))
 
 
-def _absolute(path: Path) -> Path:
+def _absolute_path(path: Path) -> Path:
     return path if is_url(path) else Path(os.path.abspath(path))  # noqa: PTH100  # links keep their names
 
 
-def _cut(asked: Mapping[str, Any]) -> Cut | None:
+def _read_cut(asked: Mapping[str, Any]) -> Cut | None:
     """Read where outputs are split."""
     if not asked:
         return None

@@ -120,7 +120,7 @@ class BatchProgress(NamedTuple):
     recordings_total: int
 
 
-def _nothing(_argument: object) -> None:
+def _ignore(_argument: object) -> None:
     """Do nothing."""
 
 
@@ -144,12 +144,12 @@ class Watch:
         Called with information for the user, such as the address of a dashboard.
     """
 
-    planned: Callable[[Plan], None] = _nothing
-    progress: Callable[[BatchProgress], None] = _nothing
-    done: Callable[[Record], None] = _nothing
+    planned: Callable[[Plan], None] = _ignore
+    progress: Callable[[BatchProgress], None] = _ignore
+    done: Callable[[Record], None] = _ignore
     shown: Callable[[str], None] | None = None
-    warn: Callable[[str], None] = _nothing
-    inform: Callable[[str], None] = _nothing
+    warn: Callable[[str], None] = _ignore
+    inform: Callable[[str], None] = _ignore
 
 
 def run_batch(
@@ -380,7 +380,7 @@ class _Batch:
         found = find(
             self._sources,
             self._out,
-            known=_known(self._history, self._stores),
+            known=_known_recordings(self._history, self._stores),
             outputs=[path for output in self._history.owned for path in files_of(self._out, output)],
             stores=self._stores,
         )
@@ -394,7 +394,7 @@ class _Batch:
             out=self._out,
             inputs={Path(os.path.realpath(path)) for each in found for path in each.paths},
             present=self._present,
-            checksum=_checksum if self._options.checksum else None,
+            checksum=_source_checksum if self._options.checksum else None,
             force=self._options.force,
         )
         for step in self.made.steps:
@@ -623,7 +623,7 @@ class _Batch:
         self.report.seconds = time.monotonic() - began
 
 
-def _known(history: History, stores: Stores) -> Known:
+def _known_recordings(history: History, stores: Stores) -> Known:
     """Return a function that looks up recordings that earlier runs have found, by path and identity."""
     containers: dict[tuple[str, Any], str] = {}
     for record in history.records.values():
@@ -636,7 +636,7 @@ def _known(history: History, stores: Stores) -> Known:
     return lambda path, identity: containers.get((stores.shown(path), identity.files), "")
 
 
-def _checksum(found: Found) -> str:
+def _source_checksum(found: Found) -> str:
     try:
         return checksum_of(found.paths)
     except OSError:

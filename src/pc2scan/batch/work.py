@@ -134,7 +134,7 @@ def convert_one(job: Job, progress: Callable[[int, int, int], None] | None = Non
     text, status = "", 0
     try:
         if job.checksum:
-            sha256 = _checksum(sources)
+            sha256 = _checksum_of_sources(sources)
         limit = None
         if job.room is not None:
             from pc2scan.remote.scratch import Limit  # noqa: PLC0415  # few jobs have URLs
@@ -159,7 +159,9 @@ def convert_one(job: Job, progress: Callable[[int, int, int], None] | None = Non
         exit_status=status,
         identity=identity,
         sha256=sha256,
-        output_identity=Identity() if error or job.dry_run or job.step is not None else _identity(destination, report),
+        output_identity=Identity()
+        if error or job.dry_run or job.step is not None
+        else _output_identity(destination, report),
         started=started,
         seconds=time.monotonic() - began,
         report=report,
@@ -224,7 +226,7 @@ def _looked_into(job: Job, sources: list[Path]) -> ExportReport:
     return ExportReport(list(job.sources), job.destination, str(job.request.export.format), damage=damage)
 
 
-def _identity(destination: Path, report: Mapping[str, Any] | None) -> Identity:
+def _output_identity(destination: Path, report: Mapping[str, Any] | None) -> Identity:
     """Return the identity of the output: a file, a directory, or numbered files."""
     files = (report or {}).get("files") or ()
     return identity_of(map(Path, files) if files and not destination.is_dir() else [destination])
@@ -247,7 +249,7 @@ def died(job: Job, why: str, *, attempts: int, seconds: float) -> Result:
     )
 
 
-def _checksum(sources: list[Path]) -> str:
+def _checksum_of_sources(sources: list[Path]) -> str:
     try:
         return checksum_of(sources)
     except OSError as err:

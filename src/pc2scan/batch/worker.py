@@ -59,7 +59,7 @@ class _Ending:
             raise KeyboardInterrupt
 
 
-def _read(stream: BinaryIO, jobs: SimpleQueue[Any], ending: _Ending) -> None:
+def _receive_jobs(stream: BinaryIO, jobs: SimpleQueue[Any], ending: _Ending) -> None:
     try:
         while True:
             jobs.put(receive(stream))
@@ -102,7 +102,7 @@ def main() -> None:
     os.dup2(2, 1)
     jobs: SimpleQueue[Any] = SimpleQueue()
     try:
-        threading.Thread(target=_read, args=(sys.stdin.buffer, jobs, ending), daemon=True).start()
+        threading.Thread(target=_receive_jobs, args=(sys.stdin.buffer, jobs, ending), daemon=True).start()
         keep_freed_memory()
         _serve(jobs, answers)
     except (KeyboardInterrupt, BrokenPipeError):

@@ -204,7 +204,7 @@ def _from_zstd(data: Buffer, size: int) -> Decompressed:
         raise CompressionError(str(err)) from err
 
 
-def _as_it_is(data: Buffer, _level: int | None) -> Buffer:
+def _not_compressed(data: Buffer, _level: int | None) -> Buffer:
     return data
 
 
@@ -235,7 +235,7 @@ _DECOMPRESS: dict[str, Callable[[Buffer, int], Decompressed]] = {
 }
 
 _COMPRESS: dict[str, Callable[[Buffer, int | None], Buffer]] = {
-    "none": _as_it_is,
+    "none": _not_compressed,
     "bz2": _to_bz2,
     "lz4": _to_lz4,
     "zstd": _to_zstd,

@@ -136,7 +136,7 @@ def _leftover(output: OutputPath, path: Path, found: InputPath) -> DestinationEr
 
 def _refuse_output(output: OutputPath, earlier: OutputPath) -> None:
     other = f"the file of {earlier.option}" if earlier.option else "the destination"
-    own, others = ({_key(path) for path in (each.path, *working_names(each.path))} for each in (output, earlier))
+    own, others = ({_path_key(path) for path in (each.path, *working_names(each.path))} for each in (output, earlier))
     relation = None
     if own & others:
         relation = "is"
@@ -190,14 +190,14 @@ def _ids(*paths: Path) -> list[_Id]:
     return found
 
 
-def _key(path: Path) -> object:
+def _path_key(path: Path) -> object:
     """Return a key that is equal for paths that may be one file: file systems may ignore case or Unicode's forms."""
     place = next(_places(path))
     return tuple(_ids(place.parent)[-1:]) or place.parent, unicodedata.normalize("NFC", place.name).casefold()
 
 
 def _folder_keys(path: Path) -> set[object]:
-    return {_key(folder) for folder in next(_places(path)).parents}
+    return {_path_key(folder) for folder in next(_places(path)).parents}
 
 
 def _first(known: dict[_Id, InputPath], ids: Iterable[_Id]) -> InputPath | None:

@@ -91,10 +91,10 @@ def _commit_parts(partial: Path, dst: Path, *, overwrite: bool) -> None:
     aside, placed = [], []
     try:
         # Old and new parts are both moved with the first one last: what a killed run leaves shows how far it came.
-        for path in reversed(_in_order(old)):
+        for path in reversed(_sorted_by_number(old)):
             path.rename(path.with_name(path.name + OLD))
             aside.append(path)
-        for part in reversed(_in_order(partial.iterdir())):
+        for part in reversed(_sorted_by_number(partial.iterdir())):
             final = dst.with_name(part.name)
             note_renaming(part, final)
             rename_file(part, final)
@@ -112,17 +112,17 @@ def _commit_parts(partial: Path, dst: Path, *, overwrite: bool) -> None:
 
 def _restore_parts(dst: Path) -> None:
     """Undo or complete the replacement of parts, if a run died in the middle of it."""
-    aside = _in_order(_parts_named(dst, OLD))
+    aside = _sorted_by_number(_parts_named(dst, OLD))
     if not aside:
         return
     places = [path.with_name(path.name.removesuffix(OLD)) for path in aside]
-    present = _in_order(parts_beside(dst))
+    present = _sorted_by_number(parts_beside(dst))
     if present and present[0] == places[0]:
         # The first new part appears last, so all new ones are in place.
         for path in aside:
             remove(path)
         return
-    if not present or _number(places[0]) < _number(present[0]):
+    if not present or _part_number(places[0]) < _part_number(present[0]):
         # All old parts are set aside, so those in place were written by the run that died.
         for path in present:
             remove(path)
@@ -138,10 +138,10 @@ def _parts_named(dst: Path, ending: str = "") -> list[Path]:
         return []
 
 
-def _in_order(parts: Iterable[Path]) -> list[Path]:
+def _sorted_by_number(parts: Iterable[Path]) -> list[Path]:
     """Return parts in the order of their numbers."""
-    return sorted(parts, key=_number)
+    return sorted(parts, key=_part_number)
 
 
-def _number(part: Path) -> int:
+def _part_number(part: Path) -> int:
     return int(re.findall(r"_(\d+)", part.name)[-1])

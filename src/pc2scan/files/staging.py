@@ -50,20 +50,20 @@ def written() -> list[Path]:
     An interruption may come between renaming and noting it, so device and inode of the existing files are compared.
     """
     named = [(dst, identity) for dst, identity in _renamed if not dst.name.startswith(_PRIVATE)]
-    return list(dict.fromkeys(dst for dst, identity in named if identity and _identity(dst) == identity))
+    return list(dict.fromkeys(dst for dst, identity in named if identity and _device_and_inode(dst) == identity))
 
 
 def note_renaming(partial: Path, dst: Path) -> None:
     """Note that a complete file or directory is about to get its name."""
-    _renamed.append((dst, _identity(partial)))
+    _renamed.append((dst, _device_and_inode(partial)))
 
 
 def note_written(dst: Path) -> None:
     """Note a destination that another process has written for this one."""
-    _renamed.append((dst, _identity(dst)))
+    _renamed.append((dst, _device_and_inode(dst)))
 
 
-def _identity(path: Path) -> tuple[int, int] | None:
+def _device_and_inode(path: Path) -> tuple[int, int] | None:
     """Return device and inode, which a file keeps when it is renamed; None if it does not exist."""
     try:
         status = path.lstat()

@@ -168,7 +168,7 @@ def _refuse_misnamed(folder: Path) -> None:
             raise UsageError(f"{name} is not read", path=folder, hint=f"did you mean {near}?")
 
 
-def _error(folder: Path, message: str, hint: str | None = None) -> UsageError:
+def _settings_error(folder: Path, message: str, hint: str | None = None) -> UsageError:
     return UsageError(message, path=folder / SETTINGS, hint=hint)
 
 
@@ -199,7 +199,9 @@ def _settings(path: Path) -> dict[str, Any]:
 def _setting(folder: Path, settings: dict[str, Any], key: str, kind: type, default: Any) -> Any:
     value = settings.get(key, default)
     if type(value) is not kind:
-        raise _error(folder, f"{key} is {value!r}, it must be {'true or false' if kind is bool else 'a whole number'}")
+        raise _settings_error(
+            folder, f"{key} is {value!r}, it must be {'true or false' if kind is bool else 'a whole number'}"
+        )
     return value
 
 
@@ -211,7 +213,7 @@ def _inputs(folder: Path, named: Any) -> tuple[Path, ...]:
         return (found,)
     names = named if isinstance(named, list) else [named]
     if not names or not all(isinstance(name, str) for name in names):
-        raise _error(folder, f"input is {named!r}, it must be a path or a list of paths")
+        raise _settings_error(folder, f"input is {named!r}, it must be a path or a list of paths")
     return tuple(_existing(folder, name) for name in names)
 
 
@@ -219,7 +221,7 @@ def _params(folder: Path, named: Any) -> Path | None:
     if named is None:
         return folder / _PARAMS if (folder / _PARAMS).exists() else None
     if not isinstance(named, str):
-        raise _error(folder, f"params is {named!r}, it must be a path")
+        raise _settings_error(folder, f"params is {named!r}, it must be a path")
     return _existing(folder, named)
 
 
@@ -227,7 +229,7 @@ def _existing(folder: Path, name: str) -> Path:
     """Return a file that the settings name. A missing one is always an error, even if the case expects a failure."""
     path = folder / name
     if not path.exists():
-        raise _error(folder, f"names {name}, which does not exist", "paths are relative to the case's folder")
+        raise _settings_error(folder, f"names {name}, which does not exist", "paths are relative to the case's folder")
     return path
 
 
@@ -241,7 +243,7 @@ def _only(folder: Path, names: tuple[str, ...]) -> Path | None:
 
 def _arguments(folder: Path, value: Any) -> tuple[str, ...]:
     if not isinstance(value, list) or any(isinstance(part, (list, dict)) or part is None for part in value):
-        raise _error(folder, f"arguments is {value!r}, it must be a list", "such as [--topic, /points:=/scan]")
+        raise _settings_error(folder, f"arguments is {value!r}, it must be a list", "such as [--topic, /points:=/scan]")
     parts = tuple(part if isinstance(part, str) else str(part) for part in value)
     return tuple(part.replace("{case}", str(folder)) for part in parts)
 
@@ -251,7 +253,7 @@ def _rules(folder: Path, settings: dict[str, Any]) -> Rules:
     names = ignore if isinstance(ignore, list) else [ignore]
     share = settings.get("allow_beams", 0.0)
     if not _is_number(share):
-        raise _error(folder, f"allow_beams is {share!r}, it must be a number")
+        raise _settings_error(folder, f"allow_beams is {share!r}, it must be a number")
     try:
         return Rules(
             atol=_tolerance(folder, settings, "atol"),
@@ -260,14 +262,16 @@ def _rules(folder: Path, settings: dict[str, Any]) -> Rules:
             ignore=frozenset(map(str, names)),
         )
     except UsageError as err:
-        raise _error(folder, err.message, err.hint) from err
+        raise _settings_error(folder, err.message, err.hint) from err
 
 
 def _tolerance(folder: Path, settings: dict[str, Any], key: str) -> dict[str, float]:
     value = settings.get(key, {})
     named = value if isinstance(value, dict) else {"": value}
     if not all(isinstance(name, str) and _is_number(number) for name, number in named.items()):
-        raise _error(folder, f"{key} is {value!r}, it must be a number or numbers by name", "such as {x: 1.0e-6}")
+        raise _settings_error(
+            folder, f"{key} is {value!r}, it must be a number or numbers by name", "such as {x: 1.0e-6}"
+        )
     return {name: float(number) for name, number in named.items()}
 
 

@@ -93,7 +93,7 @@ def check_case(name: str, folder: Path, command: Command, *, update: bool = Fals
 def _outcome_of(case: Case, command: Command, *, update: bool) -> tuple[CaseOutcome, Sequence[str], Difference | None]:
     with TemporaryDirectory(prefix="pc2scan-golden-") as folder:
         actual = Path(folder) / "actual.mcap"
-        ended = _convert(case, command, actual, "--compression", "none")
+        ended = _run_conversion(case, command, actual, "--compression", "none")
         if ended.status != case.exit_status:
             text = f"the conversion ended with exit status {ended.status}, expected was {case.exit_status}"
             return CaseOutcome.failed, [text, *ended.messages.splitlines()], None
@@ -123,7 +123,7 @@ def _compared(case: Case, actual: Path, *, update: bool) -> tuple[Difference | N
     return difference, [] if difference.same else difference.text(NAMES).splitlines()
 
 
-def _convert(case: Case, command: Command, destination: Path, *further: str) -> Ended:
+def _run_conversion(case: Case, command: Command, destination: Path, *further: str) -> Ended:
     """Run the case's conversion."""
     arguments = ["convert", *map(str, case.inputs), "-o", str(destination), *further]
     if case.params is not None:
@@ -140,7 +140,7 @@ def _write_expected(case: Case, actual: Path, command: Command) -> None:
     """Write the actual output as the expected one, in its form."""
     path = case.new_expected()
     if path.name != EXPECTED_TEXT:
-        ended = _convert(case, command, path, "--overwrite")
+        ended = _run_conversion(case, command, path, "--overwrite")
         if ended.status != case.exit_status:
             raise OutputError(f"cannot be written: {ended.messages.strip()}", path=path)
         return

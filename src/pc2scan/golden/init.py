@@ -86,7 +86,7 @@ def make_case(
         partial = stack.enter_context(staged(folder, overwrite=False))
         partial.mkdir()
         (reader,) = open_recordings([source], stack)
-        kept = _kept(reader, topics)
+        kept = _needed_topics(reader, topics)
         name = "input.bag" if any(each.ros_version == 1 for each in reader.connections) else "input.mcap"
         options = ConvertOptions(
             repair=True, start=bound_of("start", start), end=bound_of("end", end), keep=tuple(kept)
@@ -108,7 +108,7 @@ def make_case(
     return NewCase(folder, files, tuple(warnings))
 
 
-def _kept(reader: Reader, topics: Sequence[str]) -> list[str]:
+def _needed_topics(reader: Reader, topics: Sequence[str]) -> list[str]:
     """The topics of a recording that a case needs."""
     types: dict[str, set[str]] = {}
     for connection in reader.connections:

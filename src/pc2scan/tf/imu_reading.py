@@ -118,8 +118,8 @@ def read_up(readers: Sequence[Reader], request: ImuRequest, most: int | None = N
     UsageError
         If its messages do not show the direction of up.
     """
-    topic = _topic(readers, request.topic)
-    messages = _read(readers, topic, most)
+    topic = _imu_topic(readers, request.topic)
+    messages = _read_messages(readers, topic, most)
     if not messages.stamps_ns:
         why = f": {messages.undecoded} cannot be decoded: {messages.why}" if messages.undecoded else ""
         raise TopicError(f"there are no messages on {topic}{why}", hint="give another topic to `imu`, or `fixed_frame`")
@@ -142,7 +142,7 @@ def read_up(readers: Sequence[Reader], request: ImuRequest, most: int | None = N
     return MeasuredUp(topic, frame, stamps[known], ups, tuple(notes), (*warnings, *further))
 
 
-def _topic(readers: Sequence[Reader], asked: str) -> str:
+def _imu_topic(readers: Sequence[Reader], asked: str) -> str:
     types: dict[str, set[str]] = {}
     for connection in (connection for reader in readers for connection in reader.connections):
         kind = connection.ros_type if connection.ros_version is not None else connection.msgtype
@@ -150,7 +150,7 @@ def _topic(readers: Sequence[Reader], asked: str) -> str:
     return find_topic(asked, types, sorted(topic for topic, kinds in types.items() if IMU in kinds), IMU)
 
 
-def _read(readers: Sequence[Reader], topic: str, most: int | None) -> _Messages:
+def _read_messages(readers: Sequence[Reader], topic: str, most: int | None) -> _Messages:
     found = _Messages()
     for reader in readers:
         connections = [c for c in reader.connections if c.topic == topic and c.ros_type == IMU and c.ros_version]

@@ -131,19 +131,19 @@ def _refuse_degrees(parent: str, child: str, translation: Sequence[float], rotat
         numbers = [f"{angle:g}deg" if angle else "0" for angle in rotation]
         raise UsageError(
             f"{where}: {found}, more than a full turn (2 pi is 6.28319 rad)",
-            hint=f"for degrees write `static_tf='{parent} {child} {_joined(translation)} {' '.join(numbers)}'`, "
-            f"which is {_joined(map(math.radians, rotation))} rad",
+            hint=f"for degrees write `static_tf='{parent} {child} {_numbers(translation)} {' '.join(numbers)}'`, "
+            f"which is {_numbers(map(math.radians, rotation))} rad",
         )
     length = math.hypot(*rotation)
     if length and abs(length - 1) > _QUATERNION_SLACK:
         raise UsageError(
-            f"{where}: the quaternion {_joined(rotation)} has the length {length:.4g}, it must be 1",
+            f"{where}: the quaternion {_numbers(rotation)} has the length {length:.4g}, it must be 1",
             hint="for roll, pitch and yaw give three numbers, not four; a quaternion of unit length is "
-            f"`static_tf='{parent} {child} {_joined(translation)} {_joined(number / length for number in rotation)}'`",
+            f"`static_tf='{parent} {child} {_numbers(translation)} {_numbers(x / length for x in rotation)}'`",
         )
 
 
-def _joined(numbers: Iterable[float]) -> str:
+def _numbers(numbers: Iterable[float]) -> str:
     return " ".join(f"{number:.6g}" for number in numbers)
 
 

@@ -74,7 +74,7 @@ def _static_transform(entry: Any) -> StaticTransform:
     def numbers(key: str, count: int) -> list[float]:
         values = entry.get(key, [0.0] * (count - 1) + [float(count == 4)])
         unit = {"translation": "m", "rpy": "rad"}.get(key, "")
-        found = [_read(value, unit) for value in values] if isinstance(values, list) else []
+        found = [_read_number(value, unit) for value in values] if isinstance(values, list) else []
         read = [number for number in found if number is not None]
         if len(read) != count or len(found) != count:
             raise UsageError(f"{key} is {values!r}, expected {count} numbers")
@@ -88,7 +88,7 @@ def _static_transform(entry: Any) -> StaticTransform:
     )
 
 
-def _read(value: Any, unit: str) -> float | None:
+def _read_number(value: Any, unit: str) -> float | None:
     if isinstance(value, str):
         return number_in(value, unit)
     return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None

@@ -73,7 +73,7 @@ def whole_by_index(file: RecordFile, segment: ChunkSegment, rule: ChunkRule) -> 
     entries = sorted((entry for found in index.values() for entry in found), key=_place)
     if not entries or entries[0][1] != 0 or entries[-1][1] >= segment.uncompressed_size:
         return None
-    if index.keys() != segment.connection_ids or not _in_order([time_ns for time_ns, _ in entries], segment):
+    if index.keys() != segment.connection_ids or not _is_sorted([time_ns for time_ns, _ in entries], segment):
         return None
     return StoredChunk(segment.compression, stored, segment.uncompressed_size, chunk.crc, index)
 
@@ -139,10 +139,10 @@ def _index_of(records: memoryview, segment: ChunkSegment, declarations: Collecti
             if len(times) > MAX_TOGETHER:
                 return None
         position = following
-    return index if position == size and times and _in_order(times, segment) else None
+    return index if position == size and times and _is_sorted(times, segment) else None
 
 
-def _in_order(times: list[int], segment: ChunkSegment) -> bool:
+def _is_sorted(times: list[int], segment: ChunkSegment) -> bool:
     """Whether log times are sorted, and within the declared ones."""
     return segment.start_ns <= times[0] and times[-1] <= segment.end_ns and times == sorted(times)
 

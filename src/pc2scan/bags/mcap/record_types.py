@@ -221,14 +221,14 @@ def pack(record: Record) -> tuple[Opcode, bytes]:
         If a number is negative or too large.
     """
     opcode, codes = _FORMS[type(record)]
-    return opcode, b"".join(map(_packed, codes, record))
+    return opcode, b"".join(map(_stored_field, codes, record))
 
 
-def _packed(code: str, value: Any) -> bytes:
+def _stored_field(code: str, value: Any) -> bytes:
     if code in _NUMBERS:
         return _NUMBERS[code].pack(value)
     if code in _PAIRS:
-        data = b"".join(part for pair in value.items() for part in map(_packed, _PAIRS[code], pair))
+        data = b"".join(part for pair in value.items() for part in map(_stored_field, _PAIRS[code], pair))
     else:
         data = value.encode() if code == "s" else value
     return _NUMBERS["Q" if code == "X" else "I"].pack(len(data)) + data
@@ -246,25 +246,25 @@ def unpack(kind: type[_Kind], content: Buffer) -> _Kind:
     """
     values, position, content = [], 0, memoryview(content)
     for code in _FORMS[kind][1]:
-        value, position = _unpacked(code, content, position)
+        value, position = _read_field(code, content, position)
         values.append(value)
     return kind(*values)
 
 
-def _unpacked(code: str, content: memoryview, position: int) -> tuple[Any, int]:
+def _read_field(code: str, content: memoryview, position: int) -> tuple[Any, int]:
     """Read a field; return it and the position after it."""
     number = _NUMBERS.get(code)
     if number is not None:
         return number.unpack_from(content, position)[0], position + number.size
-    length, position = _unpacked("Q" if code == "X" else "I", content, position)
+    length, position = _read_field("Q" if code == "X" else "I", content, position)
     end = position + length
     if end > len(content):
         raise struct.error(f"{length} bytes are declared where there are {len(content) - position}")
     if code in _PAIRS:
         pairs = {}
         while position < end:
-            key, position = _unpacked(_PAIRS[code][0], content, position)
-            pairs[key], position = _unpacked(_PAIRS[code][1], content, position)
+            key, position = _read_field(_PAIRS[code][0], content, position)
+            pairs[key], position = _read_field(_PAIRS[code][1], content, position)
         return pairs, position
     data = bytes(content[position:end])
     return (data.decode() if code == "s" else data), end

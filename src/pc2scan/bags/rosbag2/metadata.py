@@ -257,7 +257,7 @@ def _parsed_info(document: Any) -> BagInfo:
     if not files:
         raise ValueError("names no files")
     entries = _get(root, "topics_with_message_count", list, ROOT, [])
-    topics = tuple(_topic(number, entry) for number, entry in enumerate(entries, 1))
+    topics = tuple(_read_topic(number, entry) for number, entry in enumerate(entries, 1))
     counts: Counter[tuple[str, str]] = Counter()
     for topic, entry in zip(topics, entries, strict=True):
         counts[topic.topic, topic.msgtype] += _get(entry, "message_count", int, f"topic {topic.id}", 0)
@@ -330,7 +330,7 @@ def _message_compression(root: Any) -> str:
     return "zstd" if mode == "message" else "none"
 
 
-def _topic(number: int, entry: Any) -> Connection:
+def _read_topic(number: int, entry: Any) -> Connection:
     where = f"topic {number}"
     topic = _get(entry, "topic_metadata", dict, where)
     qos = topic.get("offered_qos_profiles") or ""

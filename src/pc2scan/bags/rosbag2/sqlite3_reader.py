@@ -480,7 +480,7 @@ class Sqlite3Reader(Reader):
         """Return the connections, and the times of the first and the last message."""
         available = self._columns("topics")
         names = ["name", "type", "serialization_format", "offered_qos_profiles", "type_description_hash"]
-        columns = ", ".join(_text_of(name) if name in available else "''" for name in names)
+        columns = ", ".join(_column_as_text(name) if name in available else "''" for name in names)
         definitions = self._read_definitions()
         counts = {
             topic_id: numbers
@@ -542,9 +542,9 @@ class Sqlite3Reader(Reader):
         columns = self._columns("message_definitions")
         if not {"topic_type", "encoding", "encoded_message_definition"} <= columns:
             return found
-        digest = _text_of("type_description_hash") if "type_description_hash" in columns else "''"
+        digest = _column_as_text("type_description_hash") if "type_description_hash" in columns else "''"
         rows = self._query(
-            f"SELECT {_text_of('topic_type')}, {_text_of('encoding')}, "  # noqa: S608 - constants
+            f"SELECT {_column_as_text('topic_type')}, {_column_as_text('encoding')}, "  # noqa: S608 - constants
             f"CAST(encoded_message_definition AS BLOB), {digest} FROM message_definitions ORDER BY id LIMIT ?",
             (MAX_CONNECTIONS,),
         )
@@ -601,6 +601,6 @@ def _time_conditions(start_ns: int | None, stop_ns: int | None) -> tuple[list[st
     return [f"timestamp {sign} ?" for sign, _ in bounds], [max(-(2**63), min(bound, 2**63 - 1)) for _, bound in bounds]
 
 
-def _text_of(column: str) -> str:
+def _column_as_text(column: str) -> str:
     """Return a column as text: SQLite allows any value in any column."""
     return f"coalesce(CAST({column} AS TEXT), '')"
