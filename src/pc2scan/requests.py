@@ -46,7 +46,8 @@ __all__ = [
 
 _PARAMETERS = ("params", "preset", "params_file", "node", "param", "launch_args", "remap")
 _FRAMES = ("frames", "static_tf", "static_tf_file", "write_static_tf", "tf_from", "tf_topics", "source_frame")
-_FILTERS = ("where", "exclude_box", "exclude_polygon", "min_height_slope", "ground", "filters")
+_TEXTS_OF_FILTERS = ("where", "exclude_box", "exclude_polygon")
+_FILTERS = (*_TEXTS_OF_FILTERS, "ground", "min_height_slope", "filters")
 _COMBINING = ("lead", "window", "accumulate", "every", "rebin")
 _CHANNELS = ("channels", "range_cutoff")
 
@@ -367,16 +368,14 @@ def selection_of(
 
 def _point_filters(keywords: Mapping[str, Any], resolved: ResolvedSources) -> tuple[Filter, ...]:
     """Combine the arguments about points into filters."""
-    conditions, boxes, polygons = (
-        names_in(name, keywords.get(name)) for name in ("where", "exclude_box", "exclude_polygon")
-    )
-    slope, ground = keywords.get("min_height_slope"), keywords.get("ground", "keep")
+    given: dict[str, Any] = {name: texts for name in _TEXTS_OF_FILTERS if (texts := names_in(name, keywords.get(name)))}
+    given |= {name: keywords[name] for name in ("ground", "min_height_slope") if keywords.get(name) is not None}
     further: tuple[Filter, ...] = keywords["filters"]
-    if not (conditions or boxes or polygons or slope is not None or ground != "keep"):
+    if not given or given == {"ground": "keep"}:
         return further
-    from .pipeline.stages.texts import filters_from  # noqa: PLC0415  # few conversions have filters
+    from .pipeline.stages.filter_options import filters_from  # noqa: PLC0415  # few conversions have filters
 
-    return (*filters_from(conditions, boxes, polygons, slope, resolved.params.min_height, ground), *further)
+    return (*filters_from(given, resolved.params.min_height), *further)
 
 
 def _beam_filters(remove: object) -> tuple[BeamFilter, ...]:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import fields
 from typing import TYPE_CHECKING
 
+from .spelling import OPTIONS
+
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
@@ -79,21 +81,6 @@ def _time(bound: TimeBound) -> str:
 
 
 def _filter_words(chosen: Filter) -> list[str]:
-    from pc2scan.pipeline.stages.ground import RemoveGround
-    from pc2scan.pipeline.stages.height_slope import MinHeightSlope
-    from pc2scan.pipeline.stages.regions import ExcludeBox, ExcludePolygon
-    from pc2scan.pipeline.stages.where import Where
-
-    match chosen:
-        case Where():
-            return ["--where", chosen.condition]
-        case ExcludeBox():
-            return ["--exclude-box", " ".join((chosen.frame, *map(repr, (*chosen.x, *chosen.y, *chosen.z))))]
-        case ExcludePolygon():
-            numbers = [value for corner in chosen.corners for value in corner]
-            return ["--exclude-polygon", " ".join((chosen.frame, *map(repr, numbers)))]
-        case MinHeightSlope():
-            return [f"--min-height-slope={chosen.slope!r}"]
-        case RemoveGround():
-            return ["--ground", "remove"]
-    return []
+    """Return the option that asks for a filter; filters that are made in Python have none."""
+    text = getattr(chosen, "text", None)
+    return [OPTIONS[chosen.name], text] if text is not None and chosen.name in OPTIONS else []

@@ -15,6 +15,7 @@ from .combine.asked import Combining
 from .param_sources import resolve_sources
 from .parameters import ALIASES, PARAMETERS, Setting, names_of, shown
 from .scan_spec import ScanSpec, TopicRequest
+from .stages.filter_options import FILTER_OPTIONS, filters_from
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -37,17 +38,13 @@ class OutputKey(NamedTuple):
     words: tuple[str, ...] = ()
 
 
-#: The choices by key. Keys that are attributes of `ScanSpec` are copied; `_filters` and `_spec` read the others.
+#: The choices by key. Keys that are attributes of `ScanSpec` are copied; `filters_from` and `_spec` read the others.
 OUTPUT_KEYS: Mapping[str, OutputKey] = {
     "sources": OutputKey("texts", "Topic, or topics, that become this output. Default: the only topic with clouds."),
     "preset": OutputKey("text", "A consumer of the scans: parameters that suit it."),
     "params_file": OutputKey("text", "A ROS parameter file, relative to this file. It beats the preset."),
     "node": OutputKey("text", "The node whose section of the parameter file is read."),
-    "where": OutputKey("texts", "Use only points whose fields fulfil this: ring in (3, 4) and intensity > 10."),
-    "exclude_box": OutputKey("texts", "Reject points in a box: frame x0 x1 y0 y1 z0 z1."),
-    "exclude_polygon": OutputKey("texts", "Reject points in a polygon: frame x0 y0 x1 y1 x2 y2 ..."),
-    "min_height_slope": OutputKey("number", "Reject points below min_height + this * range."),
-    "ground": OutputKey("text", "Whether points on the ground are used.", ("keep", "remove")),
+    **{name: OutputKey(option.kind, option.help, option.words) for name, option in FILTER_OPTIONS.items()},
     "deskew": OutputKey("flag", "Transform each point by the pose at its own time, through fixed_frame."),
     "fixed_frame": OutputKey("text", "A frame that does not move, such as odom."),
     "point_time": OutputKey(
@@ -277,7 +274,7 @@ def _spec(
             origins=resolved.origin,
             params=resolved.params,
             combining=Combining.of(**{name: values[name] for name in _COMBINING if name in values}),
-            filters=tuple(_filters(values, resolved.params.min_height)),
+            filters=tuple(filters_from(values, resolved.params.min_height)),
             remove=_beam_filters(values.get("remove", ())),
             **{name: value for name, value in values.items() if name in _OWN},
         )
@@ -290,17 +287,6 @@ def _beam_filters(texts: Sequence[str]) -> tuple[Any, ...]:
     from .stages.beams import beam_filter  # noqa: PLC0415  # only where something is removed
 
     return tuple(map(beam_filter, texts))
-
-
-def _filters(values: Mapping[str, Any], min_height: float) -> Iterable[Any]:
-    names = ("where", "exclude_box", "exclude_polygon")
-    slope, ground = values.get("min_height_slope"), values.get("ground", "keep")
-    if slope is None and ground == "keep" and not any(name in values for name in names):
-        return ()
-    from .stages.texts import filters_from  # noqa: PLC0415  # only where something is selected
-
-    where, box, polygon = (values.get(name, ()) for name in names)
-    return filters_from(where, box, polygon, slope, min_height, ground)
 
 
 def _checked_topic(source: str) -> str:

@@ -38,6 +38,7 @@ class RemoveGround:
     )
     fields = ()
     frame = Frame.TARGET
+    text = "remove"
 
     @classmethod
     def parse(cls, text: str) -> RemoveGround:

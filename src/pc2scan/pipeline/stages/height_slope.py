@@ -54,6 +54,11 @@ class MinHeightSlope:
         if not math.isfinite(self.min_height):
             raise UsageError(f"`min_height_slope` needs a finite min_height, which is {self.min_height}")
 
+    @property
+    def text(self) -> str:
+        """The slope as the option takes it."""
+        return repr(self.slope)
+
     def __call__(self, points: Points) -> NDArray[np.bool_]:
         """Return which points are not below the limit; see `pc2scan.pipeline.stages.filters.Filter`."""
         x, y, z = (axis.astype(np.float64) for axis in points.xyz())

@@ -75,6 +75,11 @@ class ExcludeBox:
         x0, x1, y0, y1, z0, z1 = numbers
         return cls(frame, (x0, x1), (y0, y1), (z0, z1))
 
+    @property
+    def text(self) -> str:
+        """The box as `parse` reads it."""
+        return " ".join((self.frame, *map(repr, (*self.x, *self.y, *self.z))))
+
     def __call__(self, points: Points) -> NDArray[np.bool_]:
         """Return which points are outside; see `pc2scan.pipeline.stages.filters.Filter`."""
         x, y, z = points.xyz()
@@ -133,6 +138,11 @@ class ExcludePolygon:
         if len(numbers) % 2:
             raise UsageError(f"`exclude_polygon`: {text!r} has {len(numbers)} numbers, an odd one", hint=_POLYGON)
         return cls(frame, tuple(zip(numbers[::2], numbers[1::2], strict=True)))
+
+    @property
+    def text(self) -> str:
+        """The polygon as `parse` reads it."""
+        return " ".join((self.frame, *(repr(value) for corner in self.corners for value in corner)))
 
     def __call__(self, points: Points) -> NDArray[np.bool_]:
         """Return which points are outside; see `pc2scan.pipeline.stages.filters.Filter`."""

@@ -96,6 +96,11 @@ class Where:
     explanation = "rejected by `where`"
     frame = Frame.SOURCE
 
+    @property
+    def text(self) -> str:
+        """The condition."""
+        return self.condition
+
     def __post_init__(self) -> None:
         parser = _Parser(self.condition)
         object.__setattr__(self, "_holds", parser.whole())

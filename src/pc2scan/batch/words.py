@@ -1,0 +1,168 @@
+"""The options that a dataset file may have: their types, descriptions, and the JSON schema that is made of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from pc2scan.bags.formats import FORMATS, destinations
+from pc2scan.core.presets import PRESETS
+from pc2scan.pipeline.parameters import PARAMETERS
+from pc2scan.pipeline.stages.filter_options import FILTER_OPTIONS
+
+__all__ = ["WORDS", "Word", "schema"]
+
+
+@dataclass(frozen=True, slots=True)
+class Word:
+    """An option in a dataset file.
+
+    Attributes
+    ----------
+    kind
+        ``flag``, ``number``, ``text``, ``texts`` (one or a list), ``path`` or ``paths``; ``value`` is a number or text.
+    what
+        A description.
+    choices
+        Allowed values; empty if any value is allowed.
+    """
+
+    kind: str
+    what: str
+    choices: tuple[str, ...] = ()
+
+
+def _parameter_words() -> dict[str, Word]:
+    kinds = {"bool": "flag", "str": "text"}
+    return {
+        name: Word(
+            kinds.get(parameter.kind, "value"),
+            parameter.help.replace("`", "") + (f" Unit: {parameter.unit}." if parameter.unit else ""),
+            parameter.words if parameter.kind == "str" else (),
+        )
+        for name, parameter in PARAMETERS.items()
+    }
+
+
+#: Every option of a conversion that a dataset file may have.
+WORDS: dict[str, Word] = {
+    "topics": Word("texts", "Topics to convert, and the topics of their scans: /points:=/scan."),
+    "keep": Word("texts", "Write only these of the topics that are not converted (names or globs)."),
+    "drop": Word("texts", "Do not write these topics (names or globs)."),
+    "keep_clouds": Word("flag", "Write the converted clouds too."),
+    "remove": Word("texts", "Remove beams that are shadows or speckles: shadows, speckles filter_window=3."),
+    "keep_used": Word("text", "Write the points that the scan's beams read to this topic too."),
+    "only_scans": Word("flag", "Write only the scans."),
+    "start": Word("value", "Start time: seconds from the beginning, @seconds since 1970, or a date and time."),
+    "end": Word("value", "End time (exclusive), in the form of start."),
+    "scans": Word("path", "A file with several outputs, each with options of its own. Relative to the dataset file."),
+    "level": Word("flag", "Make scans in a frame without roll and pitch, by fixed_frame or imu."),
+    "imu": Word("text", "With level: the IMU that measures the direction of up, TOPIC or TOPIC:FRAME."),
+    "params_file": Word("path", "A ROS parameter file or an XML launch file. Relative to the dataset file."),
+    "launch_args": Word("texts", "Arguments of the launch file: name:=value."),
+    "node": Word("text", "The node whose parameters are read from the parameter file or the launch file."),
+    "param": Word("texts", "Parameters in ROS notation: name:=value."),
+    "remap": Word("texts", "Remappings in ROS notation: cloud_in:=/points."),
+    "preset": Word("text", "Parameters that suit a consumer of the scans.", tuple(PRESETS)),
+    **{name: Word(option.kind, option.help, option.words) for name, option in FILTER_OPTIONS.items()},
+    "static_tf": Word("texts", "Add transforms: parent child x y z roll pitch yaw."),
+    "static_tf_file": Word("path", "A YAML list of such transforms. Relative to the dataset file."),
+    "write_static_tf": Word("flag", "Write the added transforms to /tf_static."),
+    "tf_from": Word("paths", "Read transforms from these recordings too. Relative to the dataset file."),
+    "tf_topics": Word("texts", "Topics of the transforms, if not /tf and /tf_static."),
+    "source_frame": Word("text", "Frame of the messages to convert, if their own frame_id is wrong or empty."),
+    "deskew": Word("flag", "Transform each point of a cloud by the pose at its own time, through fixed_frame."),
+    "fixed_frame": Word("text", "A frame that does not move, such as odom."),
+    "point_time": Word(
+        "text", "Field with the times of points, and its unit: t or t:ns; or azimuth, or azimuth:0.1:cw:end."
+    ),
+    "stamp": Word("text", "The time of a deskewed scan.", ("header", "start", "middle", "end")),
+    "lead": Word("text", "When several topics become one scan: the topic whose stamps it has. Default: the first."),
+    "window": Word(
+        "value", "Maximum difference between its stamp and those of the others. Default: half the median period."
+    ),
+    "accumulate": Word("value", "Each scan has all points of the last seconds, or of the last clouds: 10clouds."),
+    "every": Word("value", "Make a scan once in this many seconds, instead of one for each cloud."),
+    "rebin": Word("flag", "Convert LaserScan to LaserScan."),
+    "reverse": Word("flag", "Convert LaserScan to PointCloud2."),
+    "channels": Word("texts", "With reverse: further fields of the clouds.", ("distances", "stamps", "viewpoint")),
+    "range_cutoff": Word("number", "With reverse: keep only returns nearer than this, in metres."),
+    "on_error": Word("text", "What to do if a message cannot be converted.", ("skip", "fail")),
+    "fail_on": Word("text", "Fail if a scan has no return, or for any warning.", ("empty", "warning")),
+    "min_used": Word("number", "Fail if less than this share of a topic's points, 0 to 1, is in its scans."),
+    "verify": Word("flag", "Compare the CRCs of MCAP files."),
+    "strict": Word("flag", "Refuse damaged recordings."),
+    "export": Word(
+        "text",
+        "Export scans or clouds, instead of writing recordings.",
+        ("npz", "csv", "tum", "carmen", "flaser", "pcd", "kitti"),
+    ),
+    "pose_frame": Word("text", "With export: write the robot's pose in this frame (odom, map) at each stamp."),
+    "base_frame": Word("text", "With export: the frame of the robot, whose pose is written."),
+    "odom_topic": Word("text", "With export: take the poses from this nav_msgs/Odometry topic."),
+    "to": Word("text", "Format of the output. Default: that of the source.", tuple(destinations())),
+    "storage": Word("text", "Storage of a rosbag2 directory.", FORMATS["rosbag2"].storages),
+    "compression": Word("text", "Compression of the output.", ("none", "lz4", "zstd", "bz2")),
+    "profile": Word("text", "ROS version of an .mcap file.", ("ros1", "ros2")),
+    "metadata_version": Word("number", "Version of a rosbag2 directory's metadata.yaml, 8 or 9."),
+    "split": Word("text", "Split the output into several files, by time (60s, 10min) or size (500MB, 1GiB)."),
+    "repeat_latched": Word("flag", "With split: repeat latched messages and static transforms in each file."),
+    "ros_distro": Word("text", "ROS distribution whose message definitions are used if the recording has none."),
+    **_parameter_words(),
+}
+
+_TYPES: dict[str, Any] = {
+    "flag": {"type": "boolean"},
+    "number": {"type": "number"},
+    "value": {"type": ["number", "string"]},
+    "text": {"type": "string"},
+    "path": {"type": "string"},
+}
+
+
+def _type_of(word: Word) -> dict[str, Any]:
+    if word.kind in ("texts", "paths"):
+        item = {"type": "string"} | ({"enum": list(word.choices)} if word.choices else {})
+        kind: dict[str, Any] = {"anyOf": [item, {"type": "array", "items": item}]}
+    else:
+        kind = _TYPES[word.kind] | ({"enum": list(word.choices)} if word.choices else {})
+    return {"description": word.what, **kind}
+
+
+def schema() -> dict[str, Any]:
+    """Return the JSON schema of dataset files."""
+    options = {name: _type_of(word) for name, word in WORDS.items()}
+    texts = {"anyOf": [{"type": "string"}, {"type": "array", "items": {"type": "string"}, "minItems": 1}]}
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "Dataset file of pc2scan batch",
+        "type": "object",
+        "additionalProperties": False,
+        "properties": {
+            "defaults": {
+                "description": "Options for all recordings.",
+                "type": ["object", "null"],
+                "additionalProperties": False,
+                "properties": options,
+            },
+            "recordings": {
+                "description": "Options for some recordings. All entries that match count; a later one overrides an "
+                "earlier one, and all of them the defaults.",
+                "type": ["array", "null"],
+                "items": {
+                    "type": "object",
+                    "required": ["match"],
+                    "additionalProperties": False,
+                    "properties": {
+                        "match": {
+                            "description": "Globs of recordings, relative to the folder that is searched. Without a "
+                            "slash, a name in any folder; ** is any number of folders.",
+                            **texts,
+                        },
+                        "skip": {"description": "Do not convert these recordings.", "type": "boolean"},
+                        **options,
+                    },
+                },
+            },
+        },
+    }
