@@ -47,7 +47,8 @@ __all__ = [
 _PARAMETERS = ("params", "preset", "params_file", "node", "param", "launch_args", "remap")
 _FRAMES = ("frames", "static_tf", "static_tf_file", "write_static_tf", "tf_from", "tf_topics", "source_frame")
 _TEXTS_OF_FILTERS = ("where", "exclude_box", "exclude_polygon")
-_FILTERS = (*_TEXTS_OF_FILTERS, "ground", "min_height_slope", "filters")
+_VALUES_OF_FILTERS = ("ground", "min_height_slope")
+_FILTERS = (*_TEXTS_OF_FILTERS, *_VALUES_OF_FILTERS, "filters")
 _COMBINING = ("lead", "window", "accumulate", "every", "rebin")
 _CHANNELS = ("channels", "range_cutoff")
 
@@ -369,7 +370,7 @@ def selection_of(
 def _point_filters(keywords: Mapping[str, Any], resolved: ResolvedSources) -> tuple[Filter, ...]:
     """Combine the arguments about points into filters."""
     given: dict[str, Any] = {name: texts for name in _TEXTS_OF_FILTERS if (texts := names_in(name, keywords.get(name)))}
-    given |= {name: keywords[name] for name in ("ground", "min_height_slope") if keywords.get(name) is not None}
+    given |= {name: keywords[name] for name in _VALUES_OF_FILTERS if keywords.get(name) is not None}
     further: tuple[Filter, ...] = keywords["filters"]
     if not given or given == {"ground": "keep"}:
         return further
