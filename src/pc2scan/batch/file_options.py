@@ -8,6 +8,7 @@ from typing import Any
 from pc2scan.bags.formats import FORMATS, destinations
 from pc2scan.core.presets import PRESETS
 from pc2scan.pipeline.parameters import PARAMETERS
+from pc2scan.pipeline.stages.filter_options import FILTER_OPTIONS
 
 __all__ = ["FILE_OPTIONS", "FileOption", "schema"]
 
@@ -65,11 +66,7 @@ FILE_OPTIONS: dict[str, FileOption] = {
     "param": FileOption("texts", "Parameters in ROS notation: name:=value."),
     "remap": FileOption("texts", "Remappings in ROS notation: cloud_in:=/points."),
     "preset": FileOption("text", "Parameters that suit a consumer of the scans.", tuple(PRESETS)),
-    "where": FileOption("texts", "Use only points whose fields fulfil a condition: ring in (3, 4, 5)."),
-    "exclude_box": FileOption("texts", "Reject points in a box: frame x0 x1 y0 y1 z0 z1."),
-    "exclude_polygon": FileOption("texts", "Reject points above, below and in a polygon: frame x0 y0 x1 y1 x2 y2 ..."),
-    "min_height_slope": FileOption("number", "Reject points below min_height + this * range."),
-    "ground": FileOption("text", "Keep or remove points on the ground.", ("keep", "remove")),
+    **{name: FileOption(each.kind, each.help, each.words) for name, each in FILTER_OPTIONS.items()},
     "static_tf": FileOption("texts", "Add transforms: parent child x y z roll pitch yaw."),
     "static_tf_file": FileOption("path", "A YAML list of such transforms. Relative to the dataset file."),
     "write_static_tf": FileOption("flag", "Write the added transforms to /tf_static."),
