@@ -202,7 +202,7 @@ def test_several_nodes_of_a_file_are_several_outputs(tmp_path: Path) -> None:
     assert {spec.params.max_height for spec in asked.options.scans} == {3.0}
     one = request_of({"params_file": file, "node": "pointcloud_to_laserscan_high"})
     assert [(spec.name, spec.params.min_height) for spec in one.options.scans] == [("", 1.0)]
-    with pytest.raises(UsageError, match="does not say which node it is for"):
+    with pytest.raises(UsageError, match="does not name a node"):
         request_of({"params_file": file, "topics": "/points"})
 
 

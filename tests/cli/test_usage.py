@@ -100,7 +100,7 @@ def test_a_parameter_is_checked_alike_wherever_it_is_given(arguments: list[str],
     ("arguments", "message"),
     [
         (["--end", "soon"], "error: --end: 'soon' is not a time\nhint: give seconds from the beginning (12.5)"),
-        (["--only-scans", "--keep", "/x"], "error: --only-scans leaves out what --keep and --keep-clouds ask for\n"),
+        (["--only-scans", "--keep", "/x"], "error: --only-scans contradicts --keep and --keep-clouds\n"),
         (["--range-cutoff", "3"], "error: --channel and --range-cutoff go with --reverse\n"),
         (["--reverse", "--deskew"], "such as --target-frame odom\n"),
         (["--write-static-tf"], "hint: give one with --static-tf\n"),

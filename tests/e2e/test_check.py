@@ -87,7 +87,7 @@ def test_more_than_a_circle_optical_frames_and_empty_scans_are_defects(tmp_path:
     path = write(tmp_path / "optical.mcap", *scans(3, optical), tree=(("odom", "base_link"),))
     done = run("check", path, "--for", "cartographer")
     assert done.status == 1
-    assert "defect: the frame 'camera_optical_frame' is an optical frame by its name" in done.stdout
+    assert "defect: the frame 'camera_optical_frame' is an optical frame, judging by its name" in done.stdout
     empty = write(tmp_path / "empty.mcap", *scans(3, replace(GOOD, ranges=np.full(9, math.inf, np.float32))))
     done = run("check", empty, "--for", "nav2")
     assert done.status == 1

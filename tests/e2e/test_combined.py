@@ -281,7 +281,7 @@ def test_what_is_right_draws_none_of_these_warnings(tmp_path: Path) -> None:
 def test_a_frame_that_is_not_there_is_named_as_it_was_typed(tmp_path: Path) -> None:
     source = write_world(tmp_path / "w.mcap", [FRONT], seconds=0.3)
     said = converted(source, "--deskew", "--fixed-frame", "odm", status=(2,)).stderr
-    assert "--fixed-frame is 'odm', which no transform has; the 3 frames with transforms are base_link" in said
+    assert "--fixed-frame is 'odm', which is in no transform; the 3 frames with transforms are base_link" in said
     assert "did you mean odom?" in said
     said = converted(source, "--min-height", "0.1", "--exclude-box", "base_lnk -1 1 -1 1 -1 1", status=(1,)).stderr
     assert "the frame of --exclude-box: no transform has the frame 'base_lnk'" in said

@@ -239,12 +239,16 @@ def test_filters_see_the_level_frame(tmp_path: Path, world: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "message", "hint"),
     [
-        (("--level",), "--level needs to know which way is up", "--fixed-frame odom; or an IMU: --imu /imu/data"),
+        (
+            ("--level",),
+            "--level needs a source of the up direction",
+            "--fixed-frame odom; or an IMU: --imu /imu/data",
+        ),
         (("--imu", "/imu"), "--imu goes with --level", ""),
         (("--level", "--imu", "/imu:"), "it must be a topic, or a topic and a frame", "--imu /imu/data:imu_link"),
         (("--level", "--imu", "/imu"), "no topic /imu in the recording", "Imu topics: none"),
         (("--level", "--imu", "/points"), "topic /points is sensor_msgs/msg/PointCloud2", "Imu topics: none"),
-        (("--level", "--fixed-frame", "map"), "--fixed-frame is 'map', which no transform has", "--static-tf"),
+        (("--level", "--fixed-frame", "map"), "--fixed-frame is 'map', which is in no transform", "--static-tf"),
     ],
 )
 def test_what_cannot_be_says_what_to_type(

@@ -177,7 +177,7 @@ def test_beams_have_the_times_of_their_points(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--beams", "360", "--angle-increment", "0.1"), "say the same in two ways; give one of them"),
+        (("--beams", "360", "--angle-increment", "0.1"), "set the same thing in two ways; give one of them"),
         (("--preset", "slamtoolbox"), "there is no preset 'slamtoolbox'; did you mean slam_toolbox?"),
         (("--no-return", "range-max-plus"), "which needs a finite range_max"),
         (("--intensity-field", "i"), "which the clouds on /points do not have (from --intensity-field)"),
@@ -216,7 +216,7 @@ def test_the_closest_surface_is_read_and_a_mean_is_warned_of(tmp_path: Path) -> 
     assert deeper.status == 0
     refused = run("convert", HALL, "-o", tmp_path / "none.mcap", *HEIGHTS, "--surface-depth", "0.2")
     assert refused.status == 2
-    assert "surface_depth is 0.2, which goes with reduce surface, not min" in refused.stderr
+    assert "surface_depth is 0.2, which needs reduce surface, not min" in refused.stderr
     assert "hint: --reduce surface" in refused.stderr
 
 

@@ -109,9 +109,9 @@ def test_topics_need_a_node(tmp_path: Path) -> None:
     file.write_text(PARAMS)
     done = command("convert", HALL, "-n", "--params-file", file, "-t", "/points:=/scan")
     assert done.exit_code == 2
-    assert "--topic does not say which node it is for" in done.output
+    assert "--topic does not name a node" in done.output
     assert "--node /front/pointcloud_to_laserscan" in done.output
-    with pytest.raises(UsageError, match="`topics` does not say which node"):
+    with pytest.raises(UsageError, match="`topics` does not name a node"):
         pc2scan.convert(HALL, tmp_path / "a.mcap", params_file=file, topics="/points")
 
 

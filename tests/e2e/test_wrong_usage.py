@@ -104,7 +104,7 @@ def test_the_hint_is_what_to_type(tmp_path: Path, words: tuple[str, ...], hint: 
 def test_a_fixed_frame_is_not_called_the_target_frame(tmp_path: Path) -> None:
     done = run("convert", HALL, "-o", tmp_path / "a.bag", "--deskew", "--fixed-frame", "map")
     assert done.status == 2
-    assert "--fixed-frame is 'map', which no transform has" in done.stderr
+    assert "--fixed-frame is 'map', which is in no transform" in done.stderr
 
 
 def test_a_server_that_is_not_there_is_not_a_file_that_is_not_there(tmp_path: Path) -> None:

@@ -195,7 +195,8 @@ def test_of_two_that_say_the_same_the_stronger_one_wins(one: str, other: str) ->
         equals = (winner, loser._replace(source="option"))
         err = failure(partial(resolve, equals))
         assert str(err) == (
-            f"{strong} and {weak} say the same in two ways; give one of them ({strong} from here; {weak} from there)"
+            f"{strong} and {weak} set the same thing in two ways; give one of them "
+            f"({strong} from here; {weak} from there)"
         )
 
 

@@ -87,7 +87,7 @@ def test_parameters_beside_the_file_beat_all_outputs(tmp_path: Path) -> None:
 def test_of_two_ways_to_say_the_same_the_outputs_own_counts() -> None:
     (spec,) = load_scans({"defaults": {"beams": 720}, "scans": {"/scan": {"angle_increment": 0.01}}}).specs
     assert (spec.params.beams, spec.params.angle_increment) == (0, 0.01)
-    with pytest.raises(UsageError, match="say the same in two ways"):
+    with pytest.raises(UsageError, match="set the same thing in two ways"):
         load_scans({"/scan": {"angle_increment": 0.01, "beams": 720}})
 
 

@@ -92,7 +92,7 @@ def new_topic(asked: str, option: str) -> str:
     if not re.fullmatch(r"/?[A-Za-z_*][\w*]*(/[\w*]+)*", asked, re.ASCII):
         raise UsageError(
             f"{option}: {asked!r} is not a name that a topic can have",
-            hint="a name is of letters, digits and _, with / between its parts: /robot/scan",
+            hint="a name has letters, digits and _, with / between its parts: /robot/scan",
         )
     return asked if asked.startswith("/") else f"/{asked}"
 

@@ -349,7 +349,7 @@ def _slam_toolbox(scan: Scan, first: Scan, placed: ScanTransforms) -> Verdict:
             return Verdict(
                 "slam_toolbox",
                 "ignored",
-                "every scan must be as long as the first one's angles say",
+                "every scan must be as long as the angles of the first one require",
                 f"{scan.beams} ranges",
                 f"{expected} ranges",
                 "give all scans one number of beams (pc2scan convert does, to scans made from clouds)",
@@ -359,7 +359,7 @@ def _slam_toolbox(scan: Scan, first: Scan, placed: ScanTransforms) -> Verdict:
             "ignored",
             "len(ranges) must be round((angle_max - angle_min) / angle_increment) + 1, or + 0 for a full circle",
             f"{scan.beams} ranges",
-            f"{expected} ranges" if expected is not None and expected > 0 else "angles that make a number of beams",
+            f"{expected} ranges" if expected is not None and expected > 0 else "angles for a number of beams",
             f"{_advertise(first)}: pc2scan convert `preset=slam_toolbox`, or `geometry=centered`",
         )
     if first.range_max <= _KARTO_RANGE and scan.full > _MISSES * scan.beams:
@@ -574,7 +574,7 @@ def _off(consumer: str, scan: Scan, off: float, rule: str, observed: str, allowe
         return Verdict(consumer)
     turned = f"beams off by up to {abs(math.degrees(off)):.3g} deg ({share:.3g} of an increment)"
     if off == math.inf:
-        turned = "ranges are read that the scan does not have"
+        turned = "it reads beyond the end of the ranges"
     outcome: Outcome = "shifted" if share <= _SHIFTED else "misplaced"
     return Verdict(consumer, outcome, rule, f"{observed}: {turned}", allowed, cure)
 

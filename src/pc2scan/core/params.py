@@ -297,23 +297,23 @@ class ProjectionParams:
                 widest = max(abs(self.angle_min), abs(self.angle_max))
                 raise ParameterError(
                     f"angle_min {self.angle_min} rad and angle_max {self.angle_max} rad are not symmetric around 0, "
-                    "as the symmetric geometry wants them: MRPT takes every sector for symmetric",
+                    "as the symmetric geometry requires: MRPT takes every sector for symmetric",
                     name="angle_min",
                     hint=f"`angle_min={-widest:.6g}` `angle_max={widest:.6g}`, or a full circle",
                 )
 
     def _check_returns(self) -> None:
         if self.reduce == "kth" and not self.kth:
-            raise ParameterError("reduce is kth, which needs to know which: kth must be 1 or more", name="kth")
+            raise ParameterError("reduce is kth, which needs kth: it must be 1 or more", name="kth")
         if self.kth and self.reduce != "kth":
-            raise ParameterError(f"kth is {self.kth}, which goes with reduce kth, not {self.reduce}", name="kth")
+            raise ParameterError(f"kth is {self.kth}, which needs reduce kth, not {self.reduce}", name="kth")
         for name, default in (("surface_depth", _SURFACE_DEPTH), ("surface_slope", _SURFACE_SLOPE)):
             value = getattr(self, name)
             if math.isinf(value):
                 raise ParameterError(f"{name} is {value}, it must be finite", name=name)
             if value != default and self.reduce != "surface":
                 raise ParameterError(
-                    f"{name} is {value}, which goes with reduce surface, not {self.reduce}",
+                    f"{name} is {value}, which needs reduce surface, not {self.reduce}",
                     name=name,
                     hint="`reduce=surface`",
                 )

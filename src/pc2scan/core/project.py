@@ -104,7 +104,7 @@ class Projector:
     def __init__(self, params: ProjectionParams) -> None:
         if params.beams == "auto":
             raise ParameterError(
-                "beams is auto, which is measured in the clouds of a recording; a cloud by itself needs a number",
+                "beams is auto, which is measured in the clouds of a recording; a single cloud needs a number",
                 name="beams",
                 hint="`beams=720`, or `ProjectionParams.at_resolution`",
             )

@@ -207,7 +207,7 @@ def ground_text(mounting: Mounting) -> str:
     """Return where floor and ceiling are, as text."""
     ground, heights = mounting.ground, mounting.heights
     if heights is None or heights.floor is None:
-        return "no floor seen, heights are those of most points"
+        return "no floor found; the heights are those of most points"
     frame = mounting.target_frame or mounting.judged_in
     ceiling = "" if heights.ceiling is None else f", ceiling at {heights.ceiling:.2f} m"
     floor = round(heights.floor, 2) + 0.0

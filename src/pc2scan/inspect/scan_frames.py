@@ -139,7 +139,7 @@ class ScanFrames:
                         f"no-{role}-frame",
                         level,
                         f"there is no frame {name!r} ({role}) in the transforms; their roots: {there}",
-                        f"`{option}` names the one that is meant; {_HINT}",
+                        f"`{option}` names the right one; {_HINT}",
                     )
                 )
         for frame, scans in self._scans.items():
@@ -154,7 +154,7 @@ class ScanFrames:
                     "tilted",
                     "notice",
                     f"{counted(self._tilted.count, 'scan', 'are')} tilted against {self._base}, "
-                    f"by up to {self._tilt:.1f} deg: 2D SLAM takes them for level",
+                    f"by up to {self._tilt:.1f} deg: 2D SLAM treats them as level",
                     "for scans made from clouds: pc2scan convert `target_frame`",
                     self._tilted,
                 )
@@ -173,7 +173,7 @@ class ScanFrames:
         named = [frame for frame in self._scans if frame.endswith(_OPTICAL)]
         if not named or self._looked:
             return []
-        text = f"the frame {named[0]!r} is an optical frame by its name: z is forward, and scans lie across the view"
+        text = f"the frame {named[0]!r} is an optical frame, judging by its name: z is forward, scans lie across it"
         return [Finding("optical-frame", "defect", text, hint, self._scans[named[0]])]
 
     def _frame_findings(self, frame: str, scans: int) -> list[Finding]:

@@ -125,7 +125,7 @@ class ScanInfo:
         yield "  consumers"
         for name, consumers in outcomes.items():
             yield f"  {name:<10}{', '.join(consumers)}"
-        yield "  pc2scan check says why, and looks at all scans and their transforms"
+        yield "  pc2scan check explains why, and checks all scans and their transforms"
 
 
 class ScanLook:

@@ -338,7 +338,7 @@ class ScanTopic:
                 finding(
                     "times",
                     "notice",
-                    f"{self._of(self._times, 'have')} a scan_time or time_increment that is no time",
+                    f"{self._of(self._times, 'have')} a scan_time or time_increment that is not a valid duration",
                     "",
                     self._times,
                 )
@@ -399,16 +399,16 @@ class ScanTopic:
                     "notice",
                     f"{_share(short, total)} of the ranges are below range_min"
                     + (f" ({_share(zero, total)} are 0)" if zero else ""),
-                    "a beam without a return should read +inf",
+                    "a beam without a return should be +inf",
                 )
             )
         if long := self._ranges["long"]:
-            hint = "no consumer takes them for returns; +inf would say it more plainly"
+            hint = "no consumer treats them as returns; +inf would be clearer"
             found.append(
                 Finding("ranges-long", "notice", f"{_share(long, total)} of the ranges are above range_max", hint)
             )
         if nan := self._ranges["nan"]:
-            hint = "NaN means an erroneous measurement; a beam without a return should read +inf"
+            hint = "NaN means an erroneous measurement; a beam without a return should be +inf"
             found.append(Finding("ranges-nan", "notice", f"{_share(nan, total)} of the ranges are NaN", hint))
         return found
 

@@ -30,7 +30,7 @@ def ghosts(params: ProjectionParams) -> list[str]:
     """Return a warning for each parameter that puts returns where there is no object."""
     if params.reduce != "mean":
         return []
-    found = "reduce is mean, which puts returns where nothing is, between a near thing and a far one: "
+    found = "reduce is mean, which puts returns where nothing is, between a near and a far object: "
     return [f"{found}8 % of the returns in a simulated hall. `reduce=surface` is as smooth, without them"]
 
 

@@ -53,7 +53,7 @@ def check_fixed_frame(
         near = did_you_mean(fixed, sorted(buffer.frames)) or _offered(buffer, "")
         advice = "`static_tf` or `tf_from` adds a transform"
         raise ParameterError(
-            f"`fixed_frame` is {fixed!r}, which no transform has; {there_are}",
+            f"`fixed_frame` is {fixed!r}, which is in no transform; {there_are}",
             hint=f"{near}{'' if near.endswith('?') or not near else ';'} {advice}".strip(),
         )
     frame = spec.params.target_frame or source_frame or _first_frame(reader, sources, span)
@@ -73,7 +73,7 @@ def _offered(buffer: TransformBuffer, fixed: str) -> str:
     moving = {child for child in buffer.frames if (link := buffer.history(child)) is not None and not link.static}
     found = [name for name in names if any(not buffer.is_rigid(name, child) for child in moving if child != name)]
     found = [name for name in found if not fixed or not buffer.is_rigid(name, fixed)]
-    return f"`fixed_frame={found[0]}` is a frame that stays where it is" if found else ""
+    return f"`fixed_frame={found[0]}` is a frame that does not move" if found else ""
 
 
 def _first_frame(reader: Reader, sources: Sequence[Connection], span: Span) -> str:

@@ -103,7 +103,7 @@ def _combining_doubts(spec: ScanSpec) -> list[str]:
         found.append("`accumulate=1clouds` has no effect: every scan is made of one cloud")
     elif asked.accumulates and not spec.fixed_frame:
         found.append(
-            "`accumulate` and `every` without `fixed_frame` put messages together as if the robot had not moved; "
+            "`accumulate` and `every` without `fixed_frame` combine messages as if the robot had not moved; "
             "with odometry: `fixed_frame=odom`"
         )
     if spec.fixed_frame and asked.rebin and not (spec.deskew or spec.level or asked.accumulates or spec.may_share):
@@ -118,9 +118,9 @@ def _return_doubts(spec: ScanSpec, given: set[str]) -> list[str]:
     found = []
     is_sum = (params.no_return or ("inf" if params.use_inf else "range-max-plus")) == "range-max-plus"
     if "inf_epsilon" in given and not is_sum:
-        found.append("`inf_epsilon` has no effect: it counts only with `no_return=range-max-plus`, or use_inf off")
+        found.append("`inf_epsilon` has no effect: it is used only with `no_return=range-max-plus`, or use_inf off")
     elif is_sum and {"use_inf", "inf_epsilon"} & given and math.isinf(params.empty_range):
-        found.append("beams without a return read inf all the same: range_max is infinite; give a `range_max`")
+        found.append("beams without a return are inf anyway: range_max is infinite; give a `range_max`")
     return found
 
 

@@ -275,7 +275,7 @@ class ConvertOptions:
         if self.jobs < 0:
             raise UsageError(f"jobs is {self.jobs}, it must not be negative")
         if self.only_scans and (self.keep or self.keep_clouds):
-            raise UsageError("`only_scans` leaves out what `keep` and `keep_clouds` ask for")
+            raise UsageError("`only_scans` contradicts `keep` and `keep_clouds`")
 
     @property
     def scan(self) -> ScanSpec:

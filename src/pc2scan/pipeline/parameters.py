@@ -171,7 +171,7 @@ _HELP: dict[str, tuple[str, str]] = {
         ),
     ),
     "beams": ("", "Number of beams in the sector, instead of angle_increment. auto: the lidar's own resolution."),
-    "no_return": ("", "Range of beams without a return. Default: as use_inf says."),
+    "no_return": ("", "Range of beams without a return. Default: set by use_inf."),
     "reduce": (
         "",
         (
@@ -514,7 +514,7 @@ def from_option(origin: str) -> bool:
 def _contradiction(setting: Setting, rival: Setting) -> ParameterError:
     """Return the error that two settings of equal strength contradict each other."""
     return ParameterError(
-        f"{rival.name} and {setting.name} say the same in two ways; give one of them "
+        f"{rival.name} and {setting.name} set the same thing in two ways; give one of them "
         f"({rival.name} from {rival.origin}; {setting.name} from {setting.origin})",
         name=rival.name,
     )

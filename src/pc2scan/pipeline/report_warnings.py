@@ -176,8 +176,8 @@ def _tilt_warning(topic: TopicReport, tilt: Mapping[str, float], source_frame: s
         )
     if tilt["largest_deg"] < _NO_TILT and len(topic.tilts) >= _SEVERAL:
         return (
-            f"{topic.target}: by {by}, {frame} is never tilted, so `level` has no effect. Odometry of wheels knows "
-            "no roll and pitch; an IMU does: `imu=TOPIC`"
+            f"{topic.target}: by {by}, {frame} is never tilted, so `level` has no effect. Wheel odometry has no "
+            "roll and pitch, an IMU has: `imu=TOPIC`"
         )
     return ""
 

@@ -182,7 +182,7 @@ class ScanSpec:
             raise UsageError("`imu` goes with `level`")
         if self.level and not (self.fixed_frame or self.imu):
             raise UsageError(
-                "`level` needs to know which way is up",
+                "`level` needs a source of the up direction",
                 hint="give a frame that does not move, whose z is up: `fixed_frame=odom`; or an IMU: `imu=/imu/data`",
             )
         if self.imu:

@@ -29,7 +29,7 @@ def refuse_topics(topics: object, nodes: Sequence[str], file: Path) -> None:
     """
     if topics:
         raise UsageError(
-            f"`topics` does not say which node it is for: {', '.join(nodes)}",
+            f"`topics` does not name a node, and there are several: {', '.join(nodes)}",
             path=file,
             hint=f"choose a node, `node={nodes[0]}`, or name the topics of each: "
             f"`remap={nodes[0].lstrip('/')}:cloud_in:=/points`",

@@ -101,7 +101,7 @@ def bag_of(
     [
         ({0: [(2, 50)], 1: [(1, 0), (3, 100)]}, ""),
         ({}, ""),
-        ({0: [(2, 50)], 1: [(1, 0), (4, 100)]}, "1 of 3 entries are of no message with their connection and time"),
+        ({0: [(2, 50)], 1: [(1, 0), (4, 100)]}, "1 of 3 entries match no message by their connection and time"),
         ({0: [(2, 50)], 1: [(1, 0), (3, 101)]}, "1 of 3 entries"),
         ({0: [(2, 50)], 1: [(1, 0)]}, "it has entries for 2 messages, the chunk has 3"),
         ({1: [(1, 0), (3, 100)]}, "it has entries for 2 messages, the chunk has 3"),
@@ -139,7 +139,7 @@ def test_message_indexes_of_a_sound_file(name: str, tmp_path: Path) -> None:
         assert reader.damage == ()
 
 
-@pytest.mark.parametrize(("place", "words"), [(15, "are of no message"), (23, "are of no message"), (11, "")])
+@pytest.mark.parametrize(("place", "words"), [(15, "match no message"), (23, "match no message"), (11, "")])
 @pytest.mark.parametrize("chunk_size", [300, 1 << 20])
 def test_message_indexes_that_contradict(place: int, words: str, chunk_size: int, tmp_path: Path) -> None:
     """A bit of an entry's time, of its place, and of the length of all."""

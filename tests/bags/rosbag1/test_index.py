@@ -133,7 +133,7 @@ def test_an_index_that_is_somewhere_else_is_refused(tmp_path: Path) -> None:
     [
         (chunk_info(FIRST_CHUNK, 1, 1, {0: 1}, version=2), "version 2, only 1"),
         (chunk_info(FIRST_CHUNK, 1, 1, {0: 1}, count=3), "of 8 bytes declares 3 counts"),
-        (chunk_info(FIRST_CHUNK, 1, 1, {3: 1}), "connection 3 has messages and is described nowhere"),
+        (chunk_info(FIRST_CHUNK, 1, 1, {3: 1}), "connection 3 has messages but is not described"),
         (chunk_info(2**50, 1, 1, {0: 1}), "4 bytes are declared from byte 1125899906842624"),
         (chunk_info(len(b"#ROSBAG V2.0\n"), 1, 1, {0: 1}), "is a bag header, a chunk should be there"),
         (record(op=b"\x06", ver=b"\1"), "'ver' has 1 bytes, 4 are needed"),

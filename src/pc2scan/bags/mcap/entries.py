@@ -79,5 +79,5 @@ def index_check(file: RecordFile, segment: ChunkSegment, records: Buffer, ids: C
     total = sum(len(entries) for _, entries in mine) // _FORM.entry.size
     problem = None
     if astray := entries_astray(records, mine, _FORM):
-        problem = f"{astray} of {total} entries are of no message with their channel and log time"
+        problem = f"{astray} of {total} entries match no message by their channel and log time"
     return IndexCheck(problem, total if groups else None)

@@ -111,7 +111,7 @@ def index_check(file: BagFile, segment: Segment, chunk: Buffer, ids: Collection[
         astray = astray and _astray(memoryview(chunk), mine)
     except Damaged:
         return IndexCheck()
-    problem = f"{astray} of {total} entries are of no message with their connection and time" if astray else None
+    problem = f"{astray} of {total} entries match no message by their connection and time" if astray else None
     return IndexCheck(problem, total if groups else None)
 
 

@@ -229,4 +229,4 @@ def _find_connections(
                 missing.discard(connection.id)
                 yield connection.id, connection
     if missing:
-        raise Damaged(f"connection {min(missing)} has messages and is described nowhere")
+        raise Damaged(f"connection {min(missing)} has messages but is not described")

@@ -238,7 +238,7 @@ def _guessed_info(folder: Path) -> BagInfo:
         raise RecordingError(f"has neither {METADATA_NAME} nor .db3 or .mcap files", path=folder)
     if len(storages) > 1:
         raise RecordingError(
-            f"has {' and '.join(storages)} files, but no {METADATA_NAME} that tells which are the recording",
+            f"has {' and '.join(storages)} files, but no {METADATA_NAME} that shows which are the recording",
             path=folder,
             hint="name the files themselves",
         )
